@@ -25,6 +25,7 @@ from study.harness.design.study_file import SCORED
 from study.harness.runner.expansion import held_out
 from study.harness.runner.record_analysis import analyze_records, effects_of_records
 from study.harness.runner.response import CURVE_RESPONSES
+from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
 from study.reporting.figures.effect_figures import shown_effect_sizes
 from study.reporting.output.analysis_page import write_analysis
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from study.harness.design.spec import Design
     from study.harness.design.study_file import Analysis as analysis_Analysis
     from study.harness.record.record import Record
+    from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
     from study.reporting.results.study_result import StudyResult
     from study.statistics.analysis.analysis_request import AnovaOptions, Practical
@@ -264,21 +266,9 @@ class TableAnalysis(Shown, AnalysisResult):
         """Table of the analysis of variance, one row a term; what does not apply is missing."""
         return self.anova.to_frame()
 
-    def tables(self) -> Sequence[pd.DataFrame]:
-        """Table of variance and verdicts."""
-        import pandas as pd
-
-        if not self.anova.rows:
-            return (pd.DataFrame({"note": list(self.notes)}),)
-        shown = self.to_frame()[["term", "df", "ss", "ms", "f", "p"]]
-        sizes = pd.DataFrame(
-            [
-                {"term": e.term, "difference": e.range, "low": e.low, "high": e.high,
-                 "p (Holm)": e.p_holm, "verdict": e.verdict}
-                for e in self.effects
-            ]
-        )  # fmt: skip
-        return shown, sizes
+    def blocks(self) -> Iterator[Block | None]:
+        """Error term, table, effects and assumptions, as ``study analyze`` prints them."""
+        return analysis_blocks(self, report_data(self, AnalysisSource()))
 
     def plot(self) -> Drawing:
         """Draw the largest difference of every term with its interval against what matters."""

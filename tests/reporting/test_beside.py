@@ -133,9 +133,10 @@ def test_section_holds_every_number_between_responses_and_assumptions(page: str)
                  "31 mm", "not set", "A warning.", "Only in first: response initial shear modulus",
                  "too few"):  # fmt: skip
         assert part in said, part
-    # five terms are shown (the sixth is named in a note), in two studies each
+    # five terms are named in the first of two rows (the sixth is in a note)
     table = found.partition('aria-label="beside"')[2].partition("</table>")[0]
-    assert table.count('<th scope="row">') == 2 * 5
+    assert table.count('<th scope="row">') == 5
+    assert table.count("<tr><td></td><td></td><td>second</td>") == 5
     assert (
         "Holds in both, no practical difference: material \N{MULTIPLICATION SIGN} plates." in said
     )

@@ -10,11 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting.content import analysis_content, front_page, sentences, tables
+from study.reporting.content import analysis_content, sentences, tables
 from study.reporting.content.blocks import Checks, Figure
 from study.reporting.content.report_facts import cells, comparable, facts
 from study.reporting.content.text import folded
 from study.reporting.figures import effect_figures
+from study.reporting.output import study_page
 from study.reporting.output.page import Pages, policy_hash, printed, table_script
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
@@ -186,22 +187,22 @@ def test_a_claim_that_hangs_on_one_block_says_so_in_the_answer(data: ReportData)
     fragile = tuple(
         replace(e, lost_without=("EF10_1",)) if e.verdict == MATTERS else e for e in analyzed.terms
     )
-    (line, *_) = front_page.short_answer(data, [replace(analyzed, terms=fragile)])
+    (line, *_) = study_page.short_answer(data, [replace(analyzed, terms=fragile)])
     assert "between extremes; not so if phantom EF10_1 is left out" in line
 
 
 def test_the_answer_has_five_sentences_at_most():
-    assert front_page.in_few(["A. B.", "", "C. D. E. F.", "G.", "H. I."]) == (
+    assert study_page.in_few(["A. B.", "", "C. D. E. F.", "G.", "H. I."]) == (
         "A. B.",
         "G.",
         "H. I.",
     )
-    assert front_page.in_few(["A. B. C. D. E. F."]) == ("A. B. C. D. E.",)
+    assert study_page.in_few(["A. B. C. D. E. F."]) == ("A. B. C. D. E.",)
 
 
 def test_the_card_says_what_each_check_means(data: ReportData):
     checks = analysis_content.all_checks(data, facts(data))
-    card = front_page.report_card(checks, replace(data, warnings=("one",), data_notes=()))
+    card = study_page.report_card(checks, replace(data, warnings=("one",), data_notes=()))
     outcomes = [*(group.outcome for group in checks.groups), "note"]
     assert [outcome for outcome, _, _ in card.lines] == outcomes
     assert all(meaning.endswith(".") and name for _, name, meaning in card.lines)

@@ -426,8 +426,8 @@ def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Bloc
 
 def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
     """Means, largest differences with their verdicts, and the telling simple effects."""
-    yield means(item, data)
-    yield replace(tables.verdicts((item,), data), name="Effects")
+    yield replace(means(item, data), grouped=False)
+    yield replace(tables.verdicts((item,), data), name="Effects", grouped=False)
     for e in item.effects:
         # without a threshold nothing can be told, which is said once for all
         if e.verdict in REFUSALS and e.practical is not None:

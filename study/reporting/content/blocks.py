@@ -222,7 +222,7 @@ class Folded:
     summary: str
     blocks: Sequence[Block]
     anchor: str = ""
-    opened: bool = False
+    is_open: bool = False
 
 
 Block = (

@@ -24,7 +24,6 @@ from study.reporting.content.blocks import (
     titled,
 )
 from study.reporting.content.effect_words import size
-from study.reporting.content.front_page import in_few
 from study.reporting.content.numbers import p_phrase
 from study.reporting.content.report_facts import Facts, facts
 from study.reporting.content.text import clean, count, listing, sentence, term_name
@@ -73,7 +72,7 @@ def prepare(
     stem, lines = _stem(analysis, data), answer(data, item)
     effects = registry.overview(data, (item,))
     first = study_page.first_page(
-        data, (item,), stem, item.title, in_few(lines), effects, rows="rows.csv"
+        data, (item,), stem, item.title, study_page.in_few(lines), effects, rows="rows.csv"
     )
     warnings = [sentence(clean(text)) for text in dict.fromkeys((*data.warnings, *analysis.notes))]
     blocks: list[Block | None] = [

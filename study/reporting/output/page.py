@@ -89,6 +89,13 @@ class Page:
         return clean(text)
 
 
+def fragment(blocks: Iterable[Block | None]) -> str:
+    """Return blocks as HTML without a page around them."""
+    nowhere = Page("", "", "", "", ())
+    macros = _environment().get_template("blocks.html.j2").make_module({"page": nowhere})
+    return clean("".join(macros.block(block) for block in blocks if block is not None))  # type: ignore[attr-defined]
+
+
 def _sections(blocks: Iterable[Block | None]) -> Iterator[tuple[Heading | None, list[Block]]]:
     """Blocks of each section with its heading; those before the first have none."""
     heading: Heading | None = None

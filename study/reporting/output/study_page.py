@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from study.reporting.content import (
     analysis_content,
     comparison_content,
+    effect_words,
     methods,
     recommendation,
     sentences,
@@ -17,9 +19,10 @@ from study.reporting.content import (
     tables,
     verdicts,
 )
-from study.reporting.content import front_page as front
 from study.reporting.content.blocks import (
     Block,
+    Card,
+    CheckGroup,
     Checks,
     Definition,
     Definitions,
@@ -33,7 +36,15 @@ from study.reporting.content.blocks import (
 )
 from study.reporting.content.numbers import duration
 from study.reporting.content.report_facts import Facts, facts, grouped_inputs
-from study.reporting.content.text import clean, count, folded, name_of, plural_of, sentence
+from study.reporting.content.text import (
+    clean,
+    count,
+    folded,
+    listing,
+    name_of,
+    plural_of,
+    sentence,
+)
 from study.reporting.figures import convergence_figures, registry, surface_figures
 from study.reporting.figures.registry import slug
 from study.reporting.output.page import Page, Pages, page_names
@@ -41,7 +52,6 @@ from study.reporting.results.study_result import FITTED_CURVE, ReportData, Respo
 
 if TYPE_CHECKING:
     from study.harness.execution.local import Worker
-    from study.statistics.surfaces.surface_profile import FittedSurface
 
 EFFECTS = Heading("Effects in full", 2, "answer")
 IF_VIOLATED = (
@@ -51,8 +61,6 @@ IF_VIOLATED = (
 GLOSSARY = (Heading("Glossary", 2, "glossary"), Definitions.of(methods.TERMS.items()))
 
 _VERSION = "version of "
-#: changed inputs that a page shows without being asked
-_FEW_CHANGES = 8
 
 
 def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
@@ -71,7 +79,11 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     if shares is not None and effects is None:
         effects = registry.renamed(shares, "overview")
     parts = [(item, of_each[item.name]) for item in all_facts if item.terms or not shapes]
-    middle = [block for title, one in shapes.items() for block in _surface(one, data, over[title])]
+    middle: list[Block | None] = []
+    for title, one in shapes.items():
+        middle += surface_content.surface_blocks(one, data, f"surface-{slug(title)}", over[title])
+        notes = () if one.found is None else one.found.notes
+        middle += [Sentence(sentence(text), kind="note") for text in notes]
     middle += [block for part in parts for block in _response(data, *part)]
     of_all = figures()
     stem = slug(data.name)
@@ -80,7 +92,7 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
         all_facts,
         stem,
         data.name,
-        front.short_answer(data, all_facts),
+        short_answer(data, all_facts),
         effects,
         of_all.get("few-curves", of_all.get("curves")),
     )
@@ -129,13 +141,13 @@ def first_page(
     rows: str = "cases.csv",
 ) -> Page:
     """Question, answer, effects, checks, curves, what to do."""
-    advice = front.what_to_do(data, all_facts)
+    advice = what_to_do(data, all_facts)
     would_change = recommendation.would_change(data, all_facts)
     blocks: list[Block] = [Heading("Answer", 2, "answer"), *map(Sentence, answer)]
     if effects is not None:
         blocks += [Heading(effects.title, 2, "effects"), effects]
     checks = analysis_content.all_checks(data, all_facts)
-    blocks += [Heading("Report card", 2, "card"), front.report_card(checks, data)]
+    blocks += [Heading("Report card", 2, "card"), report_card(checks, data)]
     if curves is not None:
         blocks += [Heading("Measured and predicted", 2, "curves"), curves]
     title = "Recommendation" if advice else "What would change this"
@@ -157,6 +169,94 @@ def first_page(
             Sentence(more, kind="more", links=((more, page_names(stem)[1]),)),
             _linked(f"Data: {', '.join(links)}.", links, files),
         ),
+    )
+
+
+# The first page in words: an answer of few sentences, a line for every check, what to do.
+
+#: sentences of the answer, and responses that it speaks of one by one
+MOST_SENTENCES = 5
+MOST_RESPONSES = 3
+_END = re.compile(r"(?<=[.?!])\s+(?=[A-Z\N{MULTIPLICATION SIGN}])")
+
+
+def short_answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
+    """Answer in at most five sentences: verdicts first, then the best setting and the doubts."""
+    analyzed = [facts for facts in all_facts if facts.terms]
+    if not analyzed:
+        return in_few(sentences.answer(data, all_facts))
+    lines = [sentences.verdicts_of(data, facts) for facts in analyzed[:MOST_RESPONSES]]
+    if len(analyzed) > MOST_RESPONSES:
+        more = count(len(analyzed) - MOST_RESPONSES, "more response")
+        lines.append(f"The figure below shows the effects on {more}.")
+    ranked = (
+        *lines,
+        *comparison_content.answer_lines(data.beside, data.labels),
+        *sentences.left_out(data, all_facts),
+        sentences.without_verdict(all_facts),
+        recommendation.best_cell(data, all_facts)
+        if any(f.response.better for f in analyzed)
+        else "",
+        *effect_words.unknowns(data, all_facts),
+        *effect_words.by_condition(data, all_facts),
+        sentences.interactions(data, all_facts),
+    )
+    return in_few(ranked)
+
+
+def in_few(lines: Iterable[str]) -> tuple[str, ...]:
+    """Return the lines that together have at most five sentences, the first of them cut to that."""
+    shown: list[str] = []
+    left = MOST_SENTENCES
+    for line in filter(None, lines):
+        parts = _END.split(line)
+        if len(parts) <= left or not shown:
+            shown.append(" ".join(parts[:left]))
+            left -= min(len(parts), left)
+    return tuple(shown)
+
+
+def report_card(checks: Checks, data: ReportData) -> Card:
+    """Return one line a check, the worst first, and one for the notes of the second page."""
+    lines = [_card_line(group) for group in checks.groups]
+    if data.warnings or data.data_notes:
+        notes = count(len(data.warnings) + len(data.data_notes), "note")
+        lines.append(("note", "Notes", f"{notes} on the data and the run, on the second page."))
+    return Card(lines)
+
+
+def _card_line(group: CheckGroup) -> tuple[str, str, str]:
+    worst = [check for check in group.items if check.outcome == group.outcome]
+    meaning = worst[0].consequence or worst[0].finding
+    named = listing([check.of for check in worst if check.of])
+    if named and len(worst) < len(group.items):
+        meaning = f"{named}: {meaning}"
+    return group.outcome, sentence(group.name).rstrip("."), sentence(meaning)
+
+
+def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
+    """Recommendation of every response that has a better end; why there is none otherwise."""
+    if data.surfaces and not any(facts.terms for facts in all_facts):
+        where = {surface_content.title(one, data): one for one in data.surfaces[:MOST_RESPONSES]}
+        return tuple(
+            sentence(f"{name}: {' '.join(ends)}")
+            for name, one in where.items()
+            if (ends := surface_content.extremes(one, data))
+        )
+    if data.is_table:
+        return ()
+    lines = tuple(
+        recommendation.recommendation(data, facts)
+        for facts in all_facts
+        if facts.terms and facts.response.better and data.table[facts.name].notna().any()
+    )
+    if lines:
+        return lines
+    if not any(facts.terms for facts in all_facts):
+        return ("Nothing can be recommended, because no response could be analyzed.",)
+    return (
+        "No goal (minimize or maximize) was given, so no best setting is named: choose by the "
+        "effects above and by cost.",
     )
 
 
@@ -295,24 +395,6 @@ def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]
         yield Sentence(sentences.VIRTUAL)
 
 
-def _surface(
-    one: FittedSurface, data: ReportData, figures: Mapping[str, Figure]
-) -> Iterator[Block | None]:
-    title = surface_content.title(one, data)
-    lines = surface_content.surface_lines(one, data)
-    yield Heading(title[0].upper() + title[1:], 2, f"surface-{slug(title)}", one.unit)
-    if one.found is None:
-        yield Sentence(lines[0], kind="missing")
-        return
-    yield figures.get("shares")
-    yield Points(lines)
-    yield surface_content.sensitivity(one, data)
-    yield from titled(surface_content.coefficients(one, data), "Coefficients")
-    yield from titled(surface_content.table(one, data), "Uncertain inputs")
-    yield from drawn(figures, "profiles", "contours", "left-out")
-    yield from (Sentence(sentence(text), kind="note") for text in one.found.notes)
-
-
 def drawn(figures: Mapping[str, Figure], *kinds: str) -> Iterator[Figure]:
     """Figures of some kinds, those that were drawn."""
     return (figures[kind] for kind in kinds if kind in figures)
@@ -365,20 +447,7 @@ def _beside(data: ReportData) -> Iterator[Block]:
         "Which conclusions of this study hold in another one too. A conclusion that survives the "
         "changes listed here is stronger than either study alone."
     )
-    changes = comparison_content.changes(data.beside)
-    if changes.rows:
-        summary = f"What was changed: {count(len(changes.rows), 'input')}"
-        yield Folded(summary, (changes,), opened=len(changes.rows) <= _FEW_CHANGES)
-    else:
-        yield Sentence("Nothing was changed: design, measurements and code are the same.")
-    yield Points([
-        *comparison_content.summary(data.beside, data.labels),
-        *comparison_content.only_lines(data.beside, data.labels),
-        *map(sentence, data.beside.warnings),
-    ])  # fmt: skip
-    yield comparison_content.table(data.beside, data.labels)
-    for title, line in comparison_content.quiet_lines(data.beside, data.labels):
-        yield Sentence(f"{sentence(title)} {line}", kind="note")
+    yield from comparison_content.beside_blocks(data.beside, data.labels)
 
 
 def _assumptions(
