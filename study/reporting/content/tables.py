@@ -286,7 +286,7 @@ def anova(facts: Facts, data: ReportData) -> Table:
         columns["partial eta squared"] = _partial_eta
     else:
         columns["sum of squares"] = lambda row: significant(row.ss)
-        if facts.lenth:
+        if facts.result and facts.result.variation.lenth:
             columns["p (Lenth)"] = lambda row: p_value(row.p)
     columns["share"] = lambda row: share(row.share) if row.df else MISSING
     note = " ".join(_anova_notes(effects, data, tested))

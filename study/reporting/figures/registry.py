@@ -253,7 +253,7 @@ def made(plots: Mapping[str, Plot], stem: str, of: str) -> dict[str, Figure]:
 
 def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
     """Figures of one response by kind, but those ``without``; none where it was not analyzed."""
-    if not facts.terms:
+    if (result := facts.result) is None or not facts.terms:
         return {}
     facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
     plots: dict[str, Plot] = {
@@ -309,7 +309,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         ),
     }
     # nothing is left over by a saturated model
-    is_saturated = facts.residuals is None or "residual" not in facts.residuals
+    is_saturated = "residual" not in result.data.residuals
     timed = "seconds" in data.table and bool(data.table["seconds"].notna().any())
     has = {
         # the sentences say that nothing could be estimated
@@ -317,7 +317,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         "interactions": len(data.factors) > 1,
         "residuals": not is_saturated,
         "spread": not is_saturated,
-        "contrasts": facts.lenth is not None,
+        "contrasts": result.variation.lenth is not None,
         "depth": any(row.response == facts.name for row in data.depths),
         "front": bool(facts.response.better) and timed,
     }
