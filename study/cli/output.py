@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 import typer
 
 from study.ground.errors import Fault, InputError, StudyError
-from study.reporting.output.notebook import say
+from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
     from study.api.planning import Plan

@@ -13,7 +13,7 @@ from study.cli import output
 from study.ground.errors import Fault, InputError
 from study.reporting.content.blocks import Sentence, Table, Verbatim
 from study.reporting.content.numbers import between, case_counts, general
-from study.reporting.output.notebook import say
+from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
     from study.api.augmenting import Augmentation

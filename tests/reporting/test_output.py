@@ -20,7 +20,7 @@ from study.reporting.content import tables
 from study.reporting.content.blocks import Figure, Heading, Table
 from study.reporting.content.report_facts import facts
 from study.reporting.output import page, write
-from study.reporting.output.notebook import say
+from study.reporting.output.terminal import say
 from study.reporting.results.study_result import Check, ReportData
 
 
