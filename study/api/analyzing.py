@@ -25,9 +25,10 @@ from study.harness.design.study_file import SCORED
 from study.harness.runner.expansion import held_out
 from study.harness.runner.record_analysis import analyze_records, effects_of_records
 from study.harness.runner.response import CURVE_RESPONSES
+from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
 from study.reporting.figures.effect_figures import shown_effect_sizes
-from study.reporting.output.analysis_page import AnalysisReport, write_analysis
+from study.reporting.output.analysis_page import write_analysis
 from study.reporting.output.notebook import Shown
 from study.reporting.results.study_result import (
     FITTED_CURVE,
@@ -49,14 +50,7 @@ from study.statistics.analysis.comparisons import (
 )
 from study.statistics.analysis.linear_model import Formula, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
-from study.statistics.analysis.post_hoc import (
-    coefficient_table,
-    diagnosed_rows,
-    dunnett,
-    dunnett_of_model,
-    pairwise,
-    unusual_observations,
-)
+from study.statistics.analysis.post_hoc import dunnett, dunnett_of_model
 from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 
 if TYPE_CHECKING:
@@ -65,6 +59,7 @@ if TYPE_CHECKING:
     from study.harness.design.spec import Design
     from study.harness.design.study_file import Analysis as analysis_Analysis
     from study.harness.record.record import Record
+    from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
     from study.reporting.results.study_result import StudyResult
     from study.statistics.analysis.analysis_request import AnovaOptions, Practical
@@ -162,16 +157,8 @@ def write_page(
     """Write the page of an analysis, with the CSV of its tables and figures beside it."""
     check_taken(analysis.request.factors)
     given = source or AnalysisSource()
-    report = AnalysisReport(
-        analysis,
-        report_data(analysis, given),
-        coefficient_table(analysis),
-        pairwise(analysis),
-        unusual_observations(analysis),
-        diagnosed_rows(analysis),
-        None if reference is None else against_reference(analysis, reference),
-    )
-    return write_analysis(report, out_dir, formats)
+    compared = None if reference is None else against_reference(analysis, reference)
+    return write_analysis(analysis, report_data(analysis, given), out_dir, formats, compared)
 
 
 def check_taken(factors: Sequence[str]) -> None:
@@ -278,21 +265,9 @@ class TableAnalysis(Shown, AnalysisResult):
         """Table of the analysis of variance, one row a term; what does not apply is missing."""
         return self.anova.to_frame()
 
-    def tables(self) -> Sequence[pd.DataFrame]:
-        """Table of variance and verdicts."""
-        import pandas as pd
-
-        if not self.anova.rows:
-            return (pd.DataFrame({"note": list(self.notes)}),)
-        shown = self.to_frame()[["term", "df", "ss", "ms", "f", "p"]]
-        sizes = pd.DataFrame(
-            [
-                {"term": e.term, "difference": e.range, "low": e.low, "high": e.high,
-                 "p (Holm)": e.p_holm, "verdict": e.verdict}
-                for e in self.effects
-            ]
-        )  # fmt: skip
-        return shown, sizes
+    def blocks(self) -> Iterator[Block | None]:
+        """Error term, table, effects and assumptions, as ``study analyze`` prints them."""
+        return analysis_blocks(self, report_data(self, AnalysisSource()))
 
     def plot(self) -> Drawing:
         """Draw the largest difference of every term with its interval against what matters."""

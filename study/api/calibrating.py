@@ -6,10 +6,10 @@ import csv
 import io
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from study.mechanics.indentation.indentation_modulus import indentation_modulus 
 from study.mechanics.measurement import inspection
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 from study.mechanics.setup.material_section import CompressibilityTable
+from study.reporting.content.calibration_content import calibration_blocks
 from study.reporting.figures.axes import shown
 from study.reporting.figures.curve_figures import FitPanel, draw_fit, fit_figure
 from study.reporting.figures.registry import of_recordings
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from study.harness.runner.staged_fit import FitStep
     from study.mechanics.indentation.indentation_modulus import FittedCurve
     from study.mechanics.setup.calibration_table import Fitting
+    from study.reporting.content.blocks import Block as ResultBlock
     from study.reporting.figures.axes import Drawing
 
 
@@ -106,8 +108,6 @@ def recording_points(found: CalibrationResult) -> pd.DataFrame:
 class Calibrated(Shown, CalibrationResult):
     """What :func:`study.calibrate` returns: a :class:`CalibrationResult` that can be shown."""
 
-    digits: ClassVar[int] = 5
-
     def to_frame(self) -> pd.DataFrame:
         """Constants with one row each."""
         import pandas as pd
@@ -126,9 +126,9 @@ class Calibrated(Shown, CalibrationResult):
         title = _title(self)
         return shown(lambda: draw_fit(panels_of(self), title), "calibration", title)
 
-    def tables(self) -> Sequence[pd.DataFrame]:
-        """Constants with their intervals."""
-        return (self.to_frame(),)
+    def blocks(self) -> Iterator[ResultBlock]:
+        """Constants and what they rest on, as ``study calibrate`` prints them."""
+        return calibration_blocks(self.to_json())
 
 
 def calibrate(

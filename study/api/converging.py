@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,7 @@ from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.setup.setup import Problem, Tables
 from study.reporting.figures.axes import shown
 from study.reporting.figures.convergence_figures import draw_values, value_points
-from study.reporting.output.convergence_page import write_convergence
+from study.reporting.output.convergence_page import series_blocks, write_convergence
 from study.reporting.output.notebook import Shown
 from study.statistics.analysis.work_precision import (
     CostPoint,
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
     from study.harness.design.spec import Design
     from study.harness.runner.solve_task import Solver
-    from study.reporting.content.blocks import Document
+    from study.reporting.content.blocks import Block, Document
     from study.reporting.figures.axes import Drawing
     from study.statistics.convergence.grid_convergence import ConvergenceResult
 
@@ -407,8 +407,6 @@ def measured_cells(
 class SeriesDocument(Shown, dict[str, object]):
     """Document of ``study converge``, a dictionary that can be shown."""
 
-    digits: ClassVar[int] = 6
-
     def to_frame(self) -> pd.DataFrame:
         """Return the meshes of all series, one row each."""
         return value_points(cast("Sequence[Document]", self.get("cells", [self])))
@@ -418,10 +416,9 @@ class SeriesDocument(Shown, dict[str, object]):
         frame = self.to_frame()
         return shown(lambda: draw_values(frame), "convergence", "value against mesh size")
 
-    def tables(self) -> Sequence[pd.DataFrame]:
-        """Meshes and values."""
-        names = ["cell", "mesh_size", "value", "unit", "observed_order", "extrapolated", "u_num"]
-        return (self.to_frame()[names],)
+    def blocks(self) -> Iterator[Block]:
+        """Every series with its verdict, as ``study converge`` prints them."""
+        return series_blocks(self)
 
 
 def converge(

@@ -52,8 +52,7 @@ from study.mechanics.material.stability import check, stability
 from study.mechanics.setup.setup import Problem
 from study.reporting.content.numbers import THIN, duration
 from study.reporting.figures.registry import slug
-from study.reporting.output.accuracy_page import shape_page, tracker_page
-from study.reporting.output.analysis_page import write_answer
+from study.reporting.output.accuracy_page import write_shape, write_tracker
 from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
 
 if TYPE_CHECKING:
@@ -539,9 +538,7 @@ def shape(
     deviation = judge_shape(name, body, cloud, marked, options or ShapeOptions())
     if reports is None:
         return deviation
-    return replace(
-        deviation, report=str(write_answer(shape_page(deviation), Path(reports) / slug(name)))
-    )
+    return replace(deviation, report=str(write_shape(deviation, Path(reports) / slug(name))))
 
 
 def _body(path: Path, surface_unit: str, overrides: Sequence[str]) -> SimulatedBody:
@@ -592,5 +589,5 @@ def tracking(
     accuracy = judge_tracker(declared, data_root(source, data), default_name(str(source)))
     if reports is None:
         return accuracy
-    page = write_answer(tracker_page(accuracy), Path(reports) / slug(accuracy.name))
+    page = write_tracker(accuracy, Path(reports) / slug(accuracy.name))
     return replace(accuracy, report=str(page))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,21 +32,32 @@ from study.harness.runner.expansion import cases_by_id, relabeled
 from study.harness.runner.record_analysis import analyze_records
 from study.harness.runner.study_uncertainty import stored_numerical
 from study.mechanics.measurement.conditioning import is_caution
-from study.reporting.content import sentences
-from study.reporting.content.numbers import THIN
+from study.reporting.content import (
+    comparison_content,
+    sentences,
+    surface_content,
+    tables,
+    verdicts,
+)
+from study.reporting.content.analysis_content import contrasts
+from study.reporting.content.blocks import Sentence, Verbatim
+from study.reporting.content.numbers import THIN, case_counts
 from study.reporting.content.recommendation import would_change
 from study.reporting.content.report_facts import facts
-from study.reporting.content.tables import failure_sentences
 from study.reporting.figures.effect_figures import shown_effect_sizes
 from study.reporting.output.notebook import Shown
 from study.reporting.results.study_result import ResponseAnalysis, StudyResult
 from study.statistics.analysis.analysis_request import threshold
+from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
+    from study.reporting.results.study_result import ReportData
+    from study.statistics.analysis.anova_table import Effect
 
 
 # A study as a notebook shows it: a frame, verdicts in HTML, a figure.
@@ -60,7 +72,7 @@ class Study(Shown, StudyResult):
         """Sentences that answer the question, which cases fail, and what would change them."""
         data = report_data(self, {})
         all_facts, pattern = facts(data), data.failure_pattern
-        failures = () if pattern is None else failure_sentences(pattern, data.labels)
+        failures = () if pattern is None else tables.failure_sentences(pattern, data.labels)
         change = f"What would change this? {would_change(data, all_facts)}"
         lines = (*sentences.answer(data, all_facts), *failures, change)
         return tuple(line.replace(THIN, " ") for line in lines)
@@ -86,12 +98,41 @@ class Study(Shown, StudyResult):
             raise InputError(Fault("response", rule, nearest(name, by_name)))
         return shown_effect_sizes(by_name[name], data.labels)
 
-    def tables(self) -> Sequence[pd.DataFrame]:
-        """Cases and verdicts."""
-        import pandas as pd
+    def blocks(self) -> Iterator[Block | None]:
+        """Answer, verdicts and differences that the design asks for, then surfaces."""
+        data = report_data(self, self.manifest.get("timings", {}))
+        yield Verbatim(f"\n{self.design.name}: {case_counts(self.cases)}")
+        try:
+            yield from list(self._verdicts(data))
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
+            # the numbers are stored and the report is separate: a table must not end the run
+            yield Sentence(f"The verdict table could not be printed: {error}.")
+        for fitted in data.surfaces:
+            yield from surface_content.surface_blocks(fitted, data)
+        if self.beside is not None:
+            yield Verbatim("")
+            yield from map(Sentence, comparison_content.conclusion_lines(self.beside))
+        if self.report is not None:
+            yield Verbatim(f"\nreport: {self.report}")
 
-        shape = [n for n in ("response", "factor", "verdict", "effect", "p") if n in self.effects]
-        return pd.DataFrame([{"study": self.design.name, **self.cases}]), self.effects[shape]
+    def _verdicts(self, data: ReportData) -> Iterator[Block]:
+        yield from map(Sentence, self.answers)
+        yield replace(tables.verdicts(facts(data), data), note="")
+        for item in facts(data):
+            for effect in item.effects:
+                if effect.verdict == NOT_RESOLVED or refused(effect):
+                    yield Sentence(verdicts.verdict(effect, item, data.labels))
+            if (table := contrasts(item)) is not None:
+                yield replace(table, name=f"{item.title}: asked for", note="")
+
+
+def refused(effect: Effect) -> bool:
+    """Whether the interval of a difference makes a claim that its verdict does not."""
+    ends = (effect.low, effect.high, effect.practical)
+    if effect.verdict != CANNOT_TELL or None in ends:
+        return False
+    low, high, practical = (math.log(x) if effect.is_ratio else x for x in ends if x is not None)
+    return bool(claim(low, high, practical))
 
 
 def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bool = True) -> Study:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import math
 import platform
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from study.api.folders import loaded_problem
 from study.ground.errors import Fault, InputError
@@ -26,6 +27,7 @@ from study.mechanics.material.stability import check
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Problem, Tables, problem_of, specimen_of
 from study.mechanics.solver.solution import Solution
+from study.reporting.content.blocks import Table, Verbatim
 from study.reporting.figures.axes import shown
 from study.reporting.figures.curve_figures import draw_curve
 from study.reporting.figures.mesh_figures import picture
@@ -34,6 +36,7 @@ from study.reporting.output.notebook import Shown
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
 
 
@@ -43,8 +46,6 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, repr=False)
 class SolvedProblem(Shown, Solution):
     """What :func:`study.solve` returns: a :class:`Solution` that can be shown."""
-
-    digits: ClassVar[int] = 6
 
     def to_frame(self) -> pd.DataFrame:
         """Curve with one row a load step.
@@ -66,15 +67,29 @@ class SolvedProblem(Shown, Solution):
             raise ValueError(f"there is nothing to draw: {self.message}")
         return shown(lambda: draw_curve(self.curve), "solution", "force against displacement")
 
-    def tables(self) -> Sequence[pd.DataFrame]:
-        """How it ended, and its curve."""
-        import pandas as pd
-
-        facts = pd.DataFrame(
-            [[self.status, self.dofs, self.elements, self.solver, self.seconds.get("total")]],
-            columns=["status", "unknowns", "elements", "solver", "seconds"],
-        )
-        return facts, self.to_frame()[["displacement_mm", "force_N"]]
+    def blocks(self) -> Iterator[Block]:
+        """Curve, outcome, contact at the last step, and what the solution took."""
+        curve = self.curve
+        every = {
+            "time [s]": curve.time_s,
+            "displacement [mm]": curve.displacement_mm,
+            "force [N]": curve.force_N,
+            "stiffness [N/mm]": curve.stiffness_N_per_mm,
+        }
+        columns = {head: values for head, values in every.items() if values is not None}
+        rows = zip(*columns.values(), strict=True)
+        yield Table("", tuple(columns), tuple(tuple(f"{v:.6g}" for v in row) for row in rows), 0)
+        yield Verbatim(f"{self.status}: {self.message}")
+        if figures := self.equilibria.contact:
+            last, above = figures[-1], self.equilibria.plate[-1]
+            yield Verbatim(
+                f"at the last step: contact {last.area_mm2:.4g} mm^2, peak pressure "
+                f"{1e3 * last.peak_pressure_MPa:.4g} kPa, nodes up to {last.penetration_mm:.2g} mm "
+                f"inside and {last.gap_mm:.2g} mm off the surface; side force "
+                f"{math.hypot(*above.side):.4g} N"
+            )
+        total = self.seconds["total"]
+        yield Verbatim(f"{self.dofs} unknowns, {total:.2f} s, {self.solver}")
 
 
 def solve(

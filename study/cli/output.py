@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, TypeVar
 import typer
 
 from study.ground.errors import Fault, InputError, StudyError
-from study.reporting.content.blocks import Heading, Sentence, Table, Verbatim
+from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
     from study.api.planning import Plan
-    from study.ground.curve import Curve
     from study.harness.runner.batch import Progress
     from study.reporting.content.blocks import Block
     from study.reporting.results.study_result import StudyResult
@@ -87,54 +86,6 @@ def warn(messages: Sequence[str]) -> None:
         print("warning: " + message.replace("\n", "\n  "), file=sys.stderr)
 
 
-def say(blocks: Iterable[Block | None]) -> None:
-    """Print blocks; figures have no place in a terminal, nor have tables without rows."""
-    for block in blocks:
-        match block:
-            case Heading(words):
-                print(f"\n{_plain(words)}")
-            case Sentence(words):
-                print(_folded_to_width(words))
-            case Verbatim(words):
-                print(_plain(words))
-            case Table() if block.rows:
-                _print_table(block)
-
-
-def _plain(words: str) -> str:
-    """Text with spaces that every terminal knows."""
-    return words.replace("\N{NO-BREAK SPACE}", " ")
-
-
-def _folded_to_width(words: str) -> str:
-    """Text in lines of the width of the terminal, at most 100 columns."""
-    import shutil
-    import textwrap
-
-    return textwrap.fill(_plain(words), min(shutil.get_terminal_size((100, 24)).columns, 100))
-
-
-def _print_table(block: Table) -> None:
-    """Print a table between its name and its note, and an empty line."""
-    import rich.table
-    from rich.console import Console
-    from rich.markup import escape
-
-    title = escape(block.name) or None
-    made = rich.table.Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for name in block.columns:
-        made.add_column(escape(_plain(name)), overflow="fold")
-    for row in block.rows:
-        made.add_row(*(escape(_plain(cell)) for cell in row))
-    console = Console(highlight=False, emoji=False)  # "s:a:b" is a term, not a picture
-    if not console.is_terminal:
-        console.width = 160  # a file has no width: lines must not be folded at 80
-    console.print(made)
-    if block.note:
-        print(_folded_to_width(block.note))
-    print()
-
-
 def seconds(value: float) -> str:
     """Give a duration in words."""
     from study.reporting.content.numbers import THIN, duration
@@ -194,36 +145,6 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
 def next_step(what: str, command: str, *, is_optional: bool = False) -> None:
     """Say what can be done next, and the command that does it."""
     print(f"next, {what}:\n  {command}", file=sys.stderr if is_optional else sys.stdout)
-
-
-def counts(cases: Mapping[str, int]) -> str:
-    """Cases in one line.
-
-    Examples
-    --------
-    >>> counts({"total": 4, "done": 3, "failed": 1, "missing": 0})
-    '4 cases: 3 done, 1 failed, 0 missing'
-    """
-    return (
-        f"{cases['total']} cases: {cases['done']} done, {cases['failed']} failed, "
-        f"{cases['missing']} missing"
-    )
-
-
-def curve_table(curve: Curve) -> Table:
-    """Tabulate the quantities that a curve has.
-
-    Units: curve s, mm, N/mm.
-    """
-    every = {
-        "time [s]": curve.time_s,
-        "displacement [mm]": curve.displacement_mm,
-        "force [N]": curve.force_N,
-        "stiffness [N/mm]": curve.stiffness_N_per_mm,
-    }
-    columns = {head: values for head, values in every.items() if values is not None}
-    rows = zip(*columns.values(), strict=True)
-    return Table("", tuple(columns), tuple(tuple(f"{v:.6g}" for v in row) for row in rows))
 
 
 # The command that comes next, or that resumes, as it is typed, and what a shell offers behind it.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -29,7 +28,6 @@ from study.reporting.content.numbers import general
 if TYPE_CHECKING:
     from study.harness.runner.staged_fit import FitStep
     from study.mechanics.measurement.inspection import Inspection
-    from study.mechanics.solver.solution import Solution
     from study.reporting.content.blocks import Block
 
 
@@ -73,25 +71,9 @@ def solve(
         for path, write in ((picture, write_picture), (vtu, partial(write_vtu, whole=whole))):
             if path is not None:
                 write(solution, path)
-    output.show(solution_json(solution), as_json, lambda _: _solution(solution))
+    output.show(solution_json(solution), as_json, lambda _: solution.blocks())
     if solution.status != "converged":
         raise typer.Exit(1)
-
-
-def _solution(solution: Solution) -> Iterator[Block]:
-    """Curve, outcome, contact at the last step, and what the solution took."""
-    yield output.curve_table(solution.curve)
-    yield Verbatim(f"{solution.status}: {solution.message}")
-    if figures := solution.equilibria.contact:
-        last, above = figures[-1], solution.equilibria.plate[-1]
-        yield Verbatim(
-            f"at the last step: contact {last.area_mm2:.4g} mm^2, peak pressure "
-            f"{1e3 * last.peak_pressure_MPa:.4g} kPa, nodes up to {last.penetration_mm:.2g} mm "
-            f"inside and {last.gap_mm:.2g} mm off the surface; side force "
-            f"{math.hypot(*above.side):.4g} N"
-        )
-    total = solution.seconds["total"]
-    yield Verbatim(f"{solution.dofs} unknowns, {total:.2f} s, {solution.solver}")
 
 
 def doctor(as_json: Json = False) -> None:

@@ -25,6 +25,7 @@ from study.cli.study_commands import (
 from study.ground.errors import Fault, InputError
 from study.reporting.content.blocks import Sentence, Table
 from study.reporting.content.numbers import interval, p_value, significant
+from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
     from study.api.analyzing import MixedOptions, SummaryAnalysis
@@ -246,11 +247,11 @@ def _show(
     data = analyzing.report_data(analysis, asked)
     from study.reporting.content import analysis_content
 
-    output.say(analysis_content.analysis_blocks(analysis, data))
+    say(analysis_content.analysis_blocks(analysis, data))
     printed = analysis_content.unit_sentences(analysis)
     output.warn([message for message in analysis.notes if message not in printed])
     if compared is not None:
-        output.say([analysis_content.against_reference(*compared, data)])
+        say([analysis_content.against_reference(*compared, data)])
     if page is not None:
         print(f"\nreport: {page}")
     is_open = all(e.verdict == "cannot tell" for e in analysis.effects if e.is_main)
@@ -313,7 +314,8 @@ def _show_surfaces(
         document = surfaces_document if flags["--factors"] else carried[0].to_json()
         output.print_json(document if page is None else document | {"report": str(page)})
         return
-    output.say(surface_content.surface_blocks(data))
+    for fitted in data.surfaces:
+        say(surface_content.surface_blocks(fitted, data))
     if page is not None:
         print(f"\nreport: {page}")
 

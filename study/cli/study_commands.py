@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,12 +12,17 @@ import typer
 from study.cli import output
 from study.ground.errors import Fault, InputError
 from study.reporting.content.blocks import Sentence, Table, Verbatim
-from study.reporting.content.numbers import between, general
+from study.reporting.content.numbers import between, case_counts, general
+from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
+    from study.api.augmenting import Augmentation
     from study.api.comparison import CaseState
     from study.api.opened_study import Study as OpenedStudy
+    from study.api.planning import Plan
     from study.api.verification import Verification
+    from study.harness.design.overview import CellOverview, Overview
+    from study.harness.design.spec import Scheme
     from study.reporting.content.blocks import Block, Document
     from study.statistics.surfaces.surface_result import SurfacePrediction
 
@@ -38,6 +44,11 @@ Study = Annotated[
 Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; one a core.")]
 Results = Annotated[Path, typer.Option("--results", help="Where results are kept.")]
 Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
+#: levels of a factor beyond which a plan lists the ends only
+MANY = 6
+#: rows of a matrix that are looked at on a terminal; of a longer one the first stand for the rest
+ROWS = 100
+FIRST_ROWS = 20
 RESULTS = Path("results")
 REPORTS = Path("reports")
 
@@ -104,7 +115,6 @@ def plan(
 ) -> None:
     """Print the matrix before running: cases, exclusions, cost, what factors can tell."""
     from study import api
-    from study.cli import study_tables
     from study.harness.design.load import load
 
     if run_sheet is not None:
@@ -124,11 +134,102 @@ def plan(
         added = {} if further is None else {"augment": further.to_json()}
         output.print_json(planned.to_json() | added | {"next": after[1]})
         return
-    output.say(study_tables.plan_blocks(planned))
+    say(_plan(planned))
     output.warn(planned.warnings)
     if further is not None:
-        output.say(study_tables.further_blocks(further))
+        say(_further(further))
     output.next_step(*after)
+
+
+def _scheme(scheme: Scheme) -> Iterator[Block]:
+    """Say what the choice of cells can and cannot tell."""
+    if not scheme.summary:
+        return
+    yield Verbatim(scheme.summary)
+    if scheme.defining_relation:
+        yield Verbatim(f"defining relation: {scheme.defining_relation}")
+    yield from (Verbatim(f"  {sentence}") for sentence in scheme.aliases)
+    yield Verbatim("")
+
+
+def _overview(overview: Overview) -> Iterator[Block]:
+    yield Verbatim(f"{overview.design.name}: {overview.design.question}\n")
+    columns: dict[str, Callable[[CellOverview], str]] = {
+        "cell": lambda row: row.label,
+        "computation": lambda row: str(row.group),
+    }
+    title = f"{len(overview.matrix)} cells, {overview.distinct} distinct computations"
+    if overview.design.is_alone:  # a title is wrapped to a narrow table
+        yield Verbatim(title)
+        title = ""
+    else:
+        columns["calibration"] = lambda row: (
+            "-" if row.calibration is None else str(row.calibration)
+        )
+    more = len(overview.matrix) - FIRST_ROWS if len(overview.matrix) > ROWS else 0
+    shown = overview.matrix[:FIRST_ROWS] if more else overview.matrix
+    yield Table.of(title, shown, columns)
+    if more:
+        yield Verbatim(f"and {more:,} more cells: --json lists all of them")
+    if overview.distinct < len(overview.matrix):
+        yield Verbatim("cells with the same number of a computation must agree: they are controls")
+    yield from (Verbatim(f"excluded: {cell.label}: {why}") for cell, why in overview.excluded)
+    yield Verbatim("")
+    yield from _scheme(overview.design.scheme)
+    for factor in overview.factors:
+        levels = factor.levels
+        if len(levels) > MANY:
+            levels = (levels[0], f"{len(levels) - 2} more", levels[-1])
+        yield Verbatim(f"{factor.name} ({', '.join(levels)}): {factor.note or 'varies'}")
+
+
+def _plan(planned: Plan) -> Iterator[Block]:
+    """Cells, costs and what is left to be done."""
+    from study.reporting.content.text import count
+
+    yield from _overview(planned.overview)
+    yield Verbatim("")
+    if planned.blocks:
+        yield Verbatim(f"{len(planned.blocks)} blocks: {', '.join(planned.blocks)}")
+    if planned.overview.replicates is not None:
+        yield Verbatim(f"replicates: {planned.overview.replicates.sentence}")
+    cells = len(planned.overview.matrix)
+    if len(planned.blocks) > 1 and cells * len(planned.blocks) == planned.total:
+        yield Verbatim(
+            f"{cells} cells in {len(planned.blocks)} blocks: a case is a cell in a block"
+        )
+    yield Verbatim(case_counts(planned.counts))
+    if planned.missing and planned.fits:
+        calibrations = count(planned.fits, "calibration")
+        yield Verbatim(f"{calibrations} to be made; each is shared by all cells that can")
+    if planned.controls:
+        solutions = count(planned.controls, "solution")
+        yield Verbatim(f"{solutions} to be made of one cylinder in both spaces, a control")
+    if planned.commands:
+        calls = count(planned.program_calls, "call")
+        yield Verbatim(f"{calls} of other programs, gradients by differences included:")
+        yield from (Verbatim(f"  {line}") for line in planned.commands)
+        yield Verbatim(f"  to allow exactly these: study run --allow-digest {planned.digest}")
+    if planned.predicted_seconds is not None:
+        time = output.seconds(planned.predicted_seconds)
+        workers, memory = count(planned.jobs, "worker"), f"{planned.memory_MB:.0f} MB of memory"
+        yield Verbatim(f"predicted: {time} of computing on {workers}, {memory}")
+    if planned.most_seconds is not None:
+        yield Verbatim(f"with all cells that may be added: {output.seconds(planned.most_seconds)}")
+
+
+def _further(augmentation: Augmentation) -> Iterator[Block]:
+    """Further cells, what they gain, and the table that runs them."""
+    names = tuple(augmentation.cells[0])
+    rows = tuple(tuple(cell[name] for name in names) for cell in augmentation.cells)
+    yield Table("Further cells", names, rows)
+    gain = f"{100 * augmentation.before:.0f} % before, {100 * augmentation.after:.0f} % after"
+    yield Sentence(
+        f"Told apart with them: {', '.join(augmentation.terms)}. Precision, of that of an "
+        f"orthogonal design of as many cells: {gain}. Put this in place of [design] (what is "
+        "computed stays):"
+    )
+    yield Verbatim(f"\n{augmentation.table()}")
 
 
 def run(
@@ -226,11 +327,11 @@ def status(
 
 
 def _status(state: Document) -> Iterator[Block]:
-    yield Verbatim(f"{state['study']}: {output.counts(state['cases'])}")
+    yield Verbatim(f"{state['study']}: {case_counts(state['cases'])}")
     for name, count in sorted(state["failures"].items()):
         yield Verbatim(f"  {count} {name}")
     if (later := state["unfinished"]) is not None:
-        cases = output.counts(later["cases"])
+        cases = case_counts(later["cases"])
         yield Verbatim(f"  that is its last finished run; a later one has {cases}")
         yield from (Verbatim(f"    {change}") for change in later["changed"])
     yield Verbatim(_running(state["running"], state["predicted_seconds"]))
@@ -272,10 +373,11 @@ def diff(
 ) -> None:
     """Compare two studies: what was changed, and which conclusions hold under both."""
     from study import api
-    from study.cli.study_tables import comparison_blocks
+    from study.reporting.content.comparison_content import beside_blocks
 
     comparison = api.diff(first, second, results=results)
-    output.show(comparison, as_json, comparison_blocks, comparison.warnings)
+    shown = replace(comparison.beside, warnings=())  # they are on stderr
+    output.show(comparison, as_json, lambda _: beside_blocks(shown), comparison.warnings)
 
 
 def why(
@@ -389,11 +491,9 @@ def _folders(results: Path, reports: Path) -> output.Options:
 
 def _finish(study: OpenedStudy, as_json: bool, typed: output.Options) -> None:
     """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
-    from study.cli.study_tables import study_blocks
-
     after = output.after_run(study, typed)
     document = study.to_json() | {"next": after[1]}
-    output.show(document, as_json, lambda _: study_blocks(study), study.warnings)
+    output.show(document, as_json, lambda _: study.blocks(), study.warnings)
     if not as_json:
         output.next_step(*after)
     if study.failed or study.report is None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from study.reporting.output.page import Contents, pages, prepare, printed
+from study.reporting.output.page import Pages, printed
+from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import ReportData
 from tests.reporting.example import example
 
@@ -15,14 +16,14 @@ def data() -> ReportData:
 
 
 @pytest.fixture(scope="session")
-def contents(data: ReportData) -> Contents:
+def contents(data: ReportData) -> Pages:
     return prepare(data)
 
 
 @pytest.fixture(scope="session")
-def both(contents: Contents) -> tuple[str, str]:
+def both(contents: Pages) -> tuple[str, str]:
     """The first page and the second."""
-    return pages(contents)
+    return contents.html()
 
 
 @pytest.fixture(scope="session")

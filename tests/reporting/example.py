@@ -11,7 +11,8 @@ import pandas as pd
 
 from study.ground.curve import Curve
 from study.reporting.figures import registry
-from study.reporting.output.page import pages, prepare, printed
+from study.reporting.output.page import printed
+from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import (
     Check,
     CurvePair,
@@ -314,4 +315,4 @@ def with_failures(data: ReportData) -> ReportData:
 
 def build(data: ReportData) -> str:
     """Both pages of a report in one document."""
-    return printed(*pages(prepare(data)))
+    return printed(*prepare(data).html())

@@ -9,8 +9,8 @@ from html import unescape
 import pytest
 
 from study.reporting.content import comparison_content
-from study.reporting.output.page import Contents, pages
-from study.reporting.output.page import prepare as prepare_page
+from study.reporting.figures import registry
+from study.reporting.output.study_page import prepare
 from study.reporting.results.study_answers import (
     DIFFERS,
     MATTERS,
@@ -59,18 +59,14 @@ def example(name: str = "second") -> Beside:
 
 
 @pytest.fixture(scope="module")
-def page(contents: Contents) -> str:
-    """Page of the example with another study; its figures are drawn once for all tests."""
-    return pages(with_beside(contents, example()))[1]
+def page(data: ReportData) -> str:
+    """Second page of the example with another study."""
+    return with_beside(data, example())
 
 
-def with_beside(contents: Contents, other: Beside) -> Contents:
-    data = replace(contents.data, beside=other)
-    known = {
-        "beside": comparison_content.table(other),
-        "changes": comparison_content.changes(other),
-    }
-    return replace(contents, data=data, tables={**contents.tables, **known})
+def with_beside(data: ReportData, other: Beside) -> str:
+    with registry.data_alone():
+        return prepare(replace(data, beside=other)).html()[1]
 
 
 def text_of(page: str) -> str:
@@ -137,14 +133,16 @@ def test_section_holds_every_number_between_responses_and_assumptions(page: str)
                  "31 mm", "not set", "A warning.", "Only in first: response initial shear modulus",
                  "too few"):  # fmt: skip
         assert part in said, part
-    # five rows are shown (the sixth is named in a note), two studies each
-    assert found.count('rowspan="2"') == 2 * 5
+    # five terms are named in the first of two rows (the sixth is in a note)
+    table = found.partition('aria-label="beside"')[2].partition("</table>")[0]
+    assert table.count('<th scope="row">') == 5
+    assert table.count("<tr><td></td><td></td><td>second</td>") == 5
     assert (
         "Holds in both, no practical difference: material \N{MULTIPLICATION SIGN} plates." in said
     )
 
 
-def test_names_of_users_are_escaped(contents: Contents) -> None:
+def test_names_of_users_are_escaped(data: ReportData) -> None:
     other = example(EVIL)
     other = replace(
         other,
@@ -156,7 +154,7 @@ def test_names_of_users_are_escaped(contents: Contents) -> None:
                     effects=(found("matters", 1.0), found("matters", 1.0)), best=(EVIL, EVIL)),
         ),
     )  # fmt: skip
-    page = pages(with_beside(contents, other))[1]
+    page = with_beside(data, other)
     # the one that sorts tables
     assert page.count("<script") == 1
     assert "<script>alert" not in page
@@ -169,7 +167,7 @@ def test_no_other_study_no_section(html: str) -> None:
 
 def test_table_is_part_of_the_prepared_report(data: ReportData) -> None:
     small = replace(data, beside=example(), curves=(), fits=(), responses=())
-    assert set(prepare_page(small).tables) >= {"beside", "changes"}
+    assert set(prepare(small).tables) >= {"beside", "changes"}
 
 
 def test_csv_rows_hold_unrounded_numbers_of_every_term() -> None:

@@ -9,18 +9,17 @@ import pytest
 
 from study.reporting.content import tables
 from study.reporting.content.report_facts import facts
-from study.reporting.output.page import Contents
+from study.reporting.output.page import Pages
 from study.reporting.results.study_result import ReportData
 
 
-def test_every_cell_leads_to_its_own_cases(data: ReportData, contents: Contents) -> None:
-    assert contents.records is not None
-    cells, records = contents.tables["cells"], contents.records
+def test_every_cell_leads_to_its_own_cases(data: ReportData, contents: Pages) -> None:
+    cells, records = contents.tables["cells"], contents.tables["records"]
     factors = len(data.factors)
     assert len(records.rows) == len(data.table)
     firsts = {name: k for k, name in enumerate(records.anchors) if name}
-    for number, row in enumerate(cells.rows, 1):
-        start = firsts[f"{cells.follow}{number}"]
+    for row, link in zip(cells.rows, cells.links, strict=True):
+        start = firsts[link]
         count = int(row[factors].split(" of ")[1])
         mine = records.rows[start : start + count]
         assert {one[:factors] for one in mine} == {row[:factors]}

@@ -1,4 +1,4 @@
-"""One table in every medium: page, terminal, LaTeX, CSV and JSON hold the same numbers."""
+"""One table in every medium: page, terminal, notebook, LaTeX, CSV, JSON hold the same numbers."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from study import analyze
 from tests.cli.small import study
 
 TABLE = Path(__file__).parents[2] / "validation" / "statistics" / "battery_life.csv"
@@ -20,6 +21,10 @@ SIGNS = {
     "$-$": "\N{MINUS SIGN}", r"$\times$": "\N{MULTIPLICATION SIGN}", r"\textless{}": "<",
     r"\textgreater{}": ">",
 }  # fmt: skip
+
+
+def words_of(page: str) -> str:
+    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", page)))
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +38,11 @@ def media(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     )
     assert (shown.code, document.code) == (0, 0), shown.err + document.err
     page = (folder / f"{STEM}-details.html").read_text("utf-8")
-    words = unescape(re.sub(r"<[^>]*>", " ", re.sub(r"<svg.*?</svg>", "", page, flags=re.S)))
+    result = analyze(TABLE, "life", ["material", "temperature"], practical="10")
     return {
-        "page": re.sub(r"\s+", " ", words),
+        "page": words_of(re.sub(r"<svg.*?</svg>", "", page, flags=re.S)),
+        "notebook": words_of(result._repr_html_()),
+        "prompt": re.sub(r"\s+", " ", repr(result)),
         "terminal": re.sub(r"\s+", " ", shown.out),
         "latex": (folder / f"{STEM}.tex").read_text("utf-8"),
         "json": document.out,
@@ -61,7 +68,7 @@ def test_every_number_that_is_shown_is_shown_alike(media: dict[str, str], name: 
             cells = [cell.replace(written, character) for cell in cells]
         # a page groups rows by the first cell, and both leave out what an empty cell holds
         line = " ".join(cell.replace("--", "\N{EN DASH}") for cell in cells[1:] if cell)
-        for medium in ("page", "terminal"):
+        for medium in ("page", "terminal", "notebook", "prompt"):
             assert line in media[medium], (medium, line)
 
 
@@ -91,5 +98,5 @@ def test_latex_has_a_label_and_the_rules_of_booktabs_for_each_table(media: dict[
 
 
 def test_a_p_is_written_one_way(media: dict[str, str]) -> None:
-    for medium in ("page", "terminal", "latex"):
+    for medium in ("page", "terminal", "notebook", "latex"):
         assert not re.search(r"\bp(-value)? ?(=|<|>) ?0\.\d", media[medium]), medium

@@ -38,7 +38,7 @@ def number(text: str) -> bool:
 def sound_commands(data: ReportData) -> set[str]:
     """Commands that the LaTeX of a harmless report holds."""
     with registry.data_alone():
-        return set(COMMANDS.findall(write._latex(write.prepare(data))))
+        return set(COMMANDS.findall(write._latex(data, write.prepare(data))))
 
 
 @pytest.mark.parametrize("evil", [*FEW, *SLOW], ids=range(len(FEW) + len(SLOW)))

@@ -10,18 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting.content import analysis_content, front_page, sentences, tables
+from study.reporting.content import analysis_content, sentences, tables
+from study.reporting.content.blocks import Checks, Figure
 from study.reporting.content.report_facts import cells, comparable, facts
 from study.reporting.content.text import folded
 from study.reporting.figures import effect_figures
-from study.reporting.output.page import (
-    Contents,
-    pages,
-    policy_hash,
-    prepare,
-    printed,
-    table_script,
-)
+from study.reporting.output import study_page
+from study.reporting.output.page import Pages, policy_hash, printed, table_script
+from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
 from study.statistics.analysis.simple_effects import MATTERS
 from tests.reporting.example import FACTORS, build, undrawn, with_failures
@@ -163,15 +159,16 @@ def test_no_number_is_longer_than_a_reader_can_use(html: str):
     assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!: all)", text)
 
 
-def test_same_data_give_the_same_bytes(contents: Contents, both: tuple[str, str]):
-    assert pages(contents) == both
+def test_same_data_give_the_same_bytes(contents: Pages, both: tuple[str, str]):
+    assert contents.html() == both
 
 
-def test_every_figure_is_drawn_and_says_its_finding(contents: Contents):
-    assert not any(figure.missing for figure in contents.all_figures)
-    assert all(figure.caption and figure.data is not None for figure in contents.all_figures)
-    names = [figure.name for figure in contents.all_figures]
-    assert len(names) == len(set(names)) == 15
+def test_every_figure_is_drawn_and_says_its_finding(contents: Pages):
+    figures = [b for page in (contents.first, contents.second) for b in page.flat
+               if isinstance(b, Figure)]  # fmt: skip
+    assert not any(figure.missing for figure in figures)
+    assert all(figure.caption and figure.data is not None for figure in figures)
+    assert len(figures) == len(contents.figures) == 15
 
 
 def test_the_first_page_is_short_and_leads_to_the_second(first: str, second: str):
@@ -190,44 +187,47 @@ def test_a_claim_that_hangs_on_one_block_says_so_in_the_answer(data: ReportData)
     fragile = tuple(
         replace(e, lost_without=("EF10_1",)) if e.verdict == MATTERS else e for e in analyzed.terms
     )
-    (line, *_) = front_page.short_answer(data, [replace(analyzed, terms=fragile)])
+    (line, *_) = study_page.short_answer(data, [replace(analyzed, terms=fragile)])
     assert "between extremes; not so if phantom EF10_1 is left out" in line
 
 
 def test_the_answer_has_five_sentences_at_most():
-    assert front_page.in_few(["A. B.", "", "C. D. E. F.", "G.", "H. I."]) == (
+    assert study_page.in_few(["A. B.", "", "C. D. E. F.", "G.", "H. I."]) == (
         "A. B.",
         "G.",
         "H. I.",
     )
-    assert front_page.in_few(["A. B. C. D. E. F."]) == ("A. B. C. D. E.",)
+    assert study_page.in_few(["A. B. C. D. E. F."]) == ("A. B. C. D. E.",)
 
 
 def test_the_card_says_what_each_check_means(data: ReportData):
-    groups = analysis_content.grouped(analysis_content.all_checks(data, facts(data)))
-    card = front_page.report_card(groups, replace(data, warnings=("one",), data_notes=()))
-    assert [line.outcome for line in card] == [*(group.outcome for group in groups), "note"]
-    assert all(line.meaning.endswith(".") and line.name for line in card)
-    passed = next(line for line in card if line.name == "Residuals as from a normal distribution")
-    assert passed.meaning == "The p-values may be read as they are."
+    checks = analysis_content.all_checks(data, facts(data))
+    card = study_page.report_card(checks, replace(data, warnings=("one",), data_notes=()))
+    outcomes = [*(group.outcome for group in checks.groups), "note"]
+    assert [outcome for outcome, _, _ in card.lines] == outcomes
+    assert all(meaning.endswith(".") and name for _, name, meaning in card.lines)
+    meanings = {name: meaning for _, name, meaning in card.lines}
+    passed = meanings["Residuals as from a normal distribution"]
+    assert passed == "The p-values may be read as they are."
 
 
 def test_a_broken_figure_is_named_and_the_others_are_the_same_to_the_byte(
-    monkeypatch, data: ReportData, contents: Contents
+    monkeypatch, data: ReportData, contents: Pages
 ):
     def broken(*_args):
         raise RuntimeError("the <pen> broke")
 
     monkeypatch.setattr(effect_figures, "draw_interactions", broken)
     made = prepare(replace(data, responses=data.responses[:1], curves=()))
-    page = printed(*pages(made))
+    page = printed(*made.html())
     assert page.count("Figure missing.") == 1
     assert "Interactions: relative RMS force error could not be drawn" in page
     assert "the &lt;pen&gt; broke" in page
     assert 'id="provenance"' in page
-    first = {kind: figure.svg for kind, figure in contents.sections[0].figures.items()}
-    again = {kind: figure.svg for kind, figure in made.sections[0].figures.items()}
-    assert again == first | {"interactions": ""}
+    stem = "relative-rms-force-error-"
+    first = {n: f.svg for n, f in contents.figures.items() if n.startswith(stem)}
+    again = {n: f.svg for n, f in made.figures.items() if n.startswith(stem)}
+    assert again == first | {f"{stem}interactions": ""}
 
 
 def test_failures_are_listed_with_their_map(data: ReportData):
@@ -253,7 +253,7 @@ def test_refused_analysis_still_makes_a_report(data: ReportData):
 
 
 def test_checks_of_several_responses_stand_together(data: ReportData):
-    made = analysis_content.grouped(analysis_content.all_checks(data, facts(data)))
+    made = analysis_content.all_checks(data, facts(data)).groups
     names = [group.name for group in made]
     assert len(names) == len(set(names))
     spread = next(group for group in made if group.name == "Equal spread of the cells")
@@ -264,7 +264,7 @@ def test_checks_of_several_responses_stand_together(data: ReportData):
 
 def test_worst_outcome_stands_for_a_group():
     both = (Check("a", "pass", "x", of="p"), Check("a", "caution", "y", of="q"))
-    (group,) = analysis_content.grouped(both)
+    (group,) = Checks.of(both).groups
     assert group.outcome == "caution"
     assert not group.agreed
 

@@ -148,7 +148,7 @@ def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
 def test_tests_that_do_not_apply_say_why():
     missing = SpreadTest(None, None, None, False, "group a has zero variance")
     tested = replace(with_result(error(), Assumptions(bartlett=missing)), terms=(effect(MATTERS),))
-    found = {check.name: check for check in analysis_content.all_checks(EMPTY, (tested,))}
+    found = {g.name: g.items[0] for g in analysis_content.all_checks(EMPTY, (tested,)).groups}
     normal, spread = (
         found[name]
         for name in ("Residuals as from a normal distribution", "Equal spread of the cells")
@@ -166,9 +166,8 @@ def test_monte_carlo_p_decides_the_spread():
     found = SpreadTest(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
     assert not verdicts.rejects(found)
     tested = replace(with_result(error(), Assumptions(levene=found)), terms=(effect(MATTERS),))
-    (check,) = [
-        item for item in analysis_content.all_checks(EMPTY, (tested,)) if "spread" in item.name
-    ]
+    groups = analysis_content.all_checks(EMPTY, (tested,)).groups
+    (check,) = next(group.items for group in groups if "spread" in group.name)
     assert (check.outcome, check.finding) == ("pass", "not rejected (Levene p = .200)")
 
 

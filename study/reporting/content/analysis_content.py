@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from study.ground.canonical import plain
 from study.reporting.content import sentences, surface_content, tables, verdicts
-from study.reporting.content.blocks import MOST_ROWS, Block, Table, Verbatim
+from study.reporting.content.blocks import Block, Checks, Points, Table, Verbatim
 from study.reporting.content.effect_words import bound
 from study.reporting.content.numbers import (
     MISSING,
@@ -54,7 +54,7 @@ DIGITS = 5
 def factor_information(data: ReportData) -> Table:
     """Levels of every factor."""
     return Table.of(
-        "factor information",
+        "Factor Information",
         data.factors.items(),
         {
             "factor": lambda of: clean(name_of(of[0], data.labels)),
@@ -109,7 +109,8 @@ def model_summary(analysis: AnalysisResult) -> Table | None:
     note = (
         "R-sq (predicted) is 1 \N{MINUS SIGN} PRESS / total: each row is predicted from all others."
     )
-    return Table("model summary", columns, (row,), 1, 0, note, (plain(summary),))
+    raw = (plain(summary),)
+    return Table("Model Summary", columns, (row,), note=note, raw=raw)
 
 
 def coefficients(table: CoefficientTable, facts: Facts) -> Table | None:
@@ -130,9 +131,8 @@ def coefficients(table: CoefficientTable, facts: Facts) -> Table | None:
         f"Sum-to-zero coding: a coefficient{scale} is the distance of a level from the mean of "
         "all; the last level of a factor is minus the sum of the others."
     )
-    return Table.of(
-        "coefficients", table.coefficients, columns, note=note, raw=plain, most=MOST_ROWS
-    )
+    name, fitted = "Coefficients", table.coefficients
+    return Table.of(name, fitted, columns, note=note, raw=plain).first()
 
 
 def means(facts: Facts, data: ReportData) -> Table:
@@ -144,8 +144,8 @@ def means(facts: Facts, data: ReportData) -> Table:
         f"{level(data.alpha)} interval": lambda of: interval(*_mean_ends(*of), digits=4),
         "grouping": lambda of: of[0].letters[of[1]] if of[0].letters else "",
     }
-    made = Table.of(
-        "means",
+    return Table.of(
+        "Means",
         [(effect, i) for effect in facts.terms for i in range(len(effect.levels))],
         columns,
         left=2,
@@ -158,9 +158,8 @@ def means(facts: Facts, data: ReportData) -> Table:
             **_raw_ends(_mean_ends(*of)),
             "letters": columns["grouping"](of),
         },
-        most=MOST_ROWS,
-    )
-    return replace(made, grouped=True)
+        grouped=True,
+    ).first()
 
 
 def _mean_ends(effect: Effect, i: int) -> Ends:
@@ -188,7 +187,7 @@ def simple_effects(facts: Facts, data: ReportData) -> Table | None:
     if not listed:
         return None
     return Table.of(
-        "simple effects",
+        "Simple effects",
         listed,
         {
             "factor": lambda of: term_name(of[0].term, data.labels),
@@ -212,13 +211,21 @@ def simple_effects(facts: Facts, data: ReportData) -> Table | None:
             **_raw_ends(of[1].ci),
             **_raw_ends(of[1].ci_simultaneous, "_simultaneous"),
         },
-        most=MOST_ROWS,
-    )
+    ).first()
 
 
 def _raw_ends(ends: Ends | None, suffix: str = "") -> dict[str, object]:
     low, high = ends or _NO_ENDS
     return {f"low{suffix}": low, f"high{suffix}": high}
+
+
+def judged(item: Facts, data: ReportData) -> Points:
+    """Say of every factor, and of every interaction that matters, what it does."""
+    return Points([
+        verdicts.verdict(effect, item, data.labels)
+        for effect in item.terms
+        if effect.is_main or effect.strength == "matters"
+    ])  # fmt: skip
 
 
 def contrasts(facts: Facts) -> Table | None:
@@ -227,6 +234,10 @@ def contrasts(facts: Facts) -> Table | None:
     if result is None or not result.contrasts:
         return None
     return contrast_table(result.contrasts, facts, result.request.alpha)
+
+
+#: title of differences that were asked for by name
+ASKED = "Differences that were asked for"
 
 
 def contrast_table(asked: Sequence[Contrast], facts: Facts, alpha: float) -> Table:
@@ -267,7 +278,7 @@ def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportDa
     """All pairs of levels with simultaneous interval and adjusted p."""
     if not pairs:
         return None
-    made = Table.of(
+    return Table.of(
         "pairwise comparisons",
         pairs,
         {
@@ -283,10 +294,9 @@ def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportDa
         left=2,
         tail=1,
         note="Interval and p hold for all pairs of a factor together.",
+        grouped=True,
         raw=plain,
-        most=MOST_ROWS,
-    )
-    return replace(made, grouped=True)
+    ).first()
 
 
 def against_reference(factor: str, comparisons: Comparisons, data: ReportData) -> Table:
@@ -340,7 +350,7 @@ def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Tabl
     columns = ("assumption", "test", "statistic", "p", "p simulated")
     shown = tuple((*row[:2], significant(row[2], 4), *row[3:]) for row in rows)
     raw = tuple(dict(zip(columns, row, strict=True)) for row in rows)
-    return Table(name, columns, shown, 2, 0, "", raw)
+    return Table(name, columns, shown, 2, raw=raw)
 
 
 def unusual(unusual_rows: UnusualObservations | None) -> Table | None:
@@ -361,14 +371,13 @@ def unusual(unusual_rows: UnusualObservations | None) -> Table | None:
         "why": lambda row: str(row["why"]),
     }
     return Table.of(
-        "unusual observations",
+        "Unusual observations",
         unusual_rows.rows.to_dict("records"),
         columns,
         left=0,
         tail=1,
         raw=lambda row: {str(k): v for k, v in row.items()},
-        most=MOST_ROWS,
-    )
+    ).first()
 
 
 def robustness(analysis: AnalysisResult, data: ReportData) -> Table | None:
@@ -397,13 +406,13 @@ def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Bloc
     yield Verbatim(f"error term {term.source}: {term.question}")
     yield Verbatim(f"  because: {term.reason}\n")
     if analysis.anova.rows:
+        yield factor_information(data)
         title = f"Analysis of Variance: {analysis.request.response}, type {analysis.anova.type}"
-        yield replace(factor_information(data), name="Factor Information")
         yield replace(analysis_of_variance(analysis), name=title)
-        yield _titled(model_summary(analysis), "Model Summary")
+        yield model_summary(analysis)
         yield replace(tables.anova(item, data), name="Sizes of the effects")
         yield from effect_blocks(item, data)
-        yield _titled(checks(analysis), "Assumptions")
+        yield checks(analysis, "Assumptions")
         yield from _further_checks(analysis)
         yield robustness(analysis, data)
         yield _bounds(analysis)
@@ -412,18 +421,13 @@ def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Bloc
         yield _by_units(analysis.data.nested)
         yield from (Verbatim(f"{text}.") for text in unit_sentences(analysis)[:2])
     if analysis.contrasts:
-        asked = contrast_table(analysis.contrasts, item, analysis.request.alpha)
-        yield replace(asked, name="Differences that were asked for")
-
-
-def _titled(table: Table | None, title: str) -> Table | None:
-    return None if table is None else replace(table, name=title)
+        yield replace(contrast_table(analysis.contrasts, item, analysis.request.alpha), name=ASKED)
 
 
 def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
     """Means, largest differences with their verdicts, and the telling simple effects."""
-    yield replace(means(item, data), name="Means")
-    yield replace(tables.verdicts((item,), data), name="Effects")
+    yield replace(means(item, data), grouped=False)
+    yield replace(tables.verdicts((item,), data), name="Effects", grouped=False)
     for e in item.effects:
         # without a threshold nothing can be told, which is said once for all
         if e.verdict in REFUSALS and e.practical is not None:
@@ -432,7 +436,8 @@ def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
     telling = [(e, dict.fromkeys((e.largest_simple, e.deciding_simple))) for e in item.terms]
     terms = tuple(replace(e, simple_effects=tuple(filter(None, few))) for e, few in telling)
     largest = simple_effects(replace(item, terms=terms), data)
-    yield _titled(largest, "Largest simple effects, and those that decide a verdict")
+    title = "Largest simple effects, and those that decide a verdict"
+    yield largest and replace(largest, name=title)
 
 
 def _further_checks(analysis: AnalysisResult) -> Iterator[Verbatim]:
@@ -552,49 +557,13 @@ def mixed_blocks(model: MixedModel, response: str, alpha: float) -> Iterator[Blo
     if model.effects:
         yield from effect_blocks(item, ReportData("table", "", {}, pd.DataFrame(), alpha=alpha))
     if model.contrasts:
-        asked = contrast_table(model.contrasts, item, alpha)
-        yield replace(asked, name="Differences that were asked for")
+        yield replace(contrast_table(model.contrasts, item, alpha), name=ASKED)
 
 
 # Checks that follow from the analysis: outcome, finding, and what it means for the reader.
 
-_ORDER = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}
 
-
-@dataclass(frozen=True)
-class CheckGroup:
-    """One check for all responses; its outcome is the worst of them."""
-
-    name: str
-    items: tuple[Check, ...]
-
-    @property
-    def outcome(self) -> str:
-        """Worst outcome."""
-        return min((check.outcome for check in self.items), key=_ORDER.__getitem__)
-
-    @property
-    def consequence(self) -> str:
-        """What follows, where it is the same for two responses or more; else empty."""
-        texts = [check.consequence for check in self.items if check.consequence]
-        return texts[0] if len(texts) > 1 and len(set(texts)) == 1 else ""
-
-    @property
-    def agreed(self) -> bool:
-        """Whether every response has the same outcome."""
-        return len({check.outcome for check in self.items}) == 1
-
-
-def grouped(made: Sequence[Check]) -> tuple[CheckGroup, ...]:
-    """Gather checks of the same name into one, the worst first."""
-    by_name: dict[str, list[Check]] = {}
-    for check in made:
-        by_name.setdefault(check.name, []).append(check)
-    groups = [CheckGroup(name, tuple(items)) for name, items in by_name.items()]
-    return tuple(sorted(groups, key=lambda group: _ORDER[group.outcome]))
-
-
-def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> tuple[Check, ...]:
+def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> Checks:
     """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
     # controls that pass stand under numerical credibility alone
     bad = [check for check in data.controls if check.outcome in ("fail", "caution")]
@@ -615,7 +584,7 @@ def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> tuple[Check, ...
                 Check("Analysis", "fail", why, "No verdict for this response.", facts.title)
             )
     made += [_surface(surface, data) for surface in data.surfaces]
-    return tuple(sorted(made, key=lambda check: _ORDER[check.outcome]))
+    return Checks.of(made)
 
 
 def _of_cases(data: ReportData) -> list[Check]:

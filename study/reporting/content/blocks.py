@@ -1,16 +1,19 @@
-"""What a result says of itself before any medium: headings, sentences, tables and figures.
+"""What a result says of itself before any medium: headings, sentences, tables, checks, figures.
 
 A page, a terminal, a notebook, LaTeX and CSV render blocks and know no result.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby, repeat
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from study.reporting.results.study_result import Check
 
 T = TypeVar("T")
 #: a result as ``--json`` prints it
@@ -22,16 +25,109 @@ MOST_ROWS = 40
 
 @dataclass(frozen=True)
 class Heading:
-    """Title of what follows."""
+    """Title of what follows: level 2 begins a section of a page, level 3 a part of one.
+
+    ``anchor`` names a section for links; contents list it by ``short``, else by its words.
+    """
 
     words: str
+    level: int = 3
+    anchor: str = ""
+    unit: str = ""
+    short: str = ""
 
 
 @dataclass(frozen=True)
 class Sentence:
-    """One sentence or more, folded to the width of the medium."""
+    """One sentence or more, folded to the width of the medium.
+
+    ``lead`` says in bold what it is about; ``kind`` is ``note``, ``lead``, ``missing`` or
+    ``quote``; ``links`` are parts of the words with the addresses that a page gives them.
+    """
 
     words: str
+    lead: str = ""
+    kind: str = ""
+    links: Sequence[tuple[str, str]] = ()
+
+
+@dataclass(frozen=True)
+class Points:
+    """Sentences that stand side by side, one a line."""
+
+    lines: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A term, a flag such as *assumed*, and what it means."""
+
+    term: str
+    lines: Sequence[Sentence]
+    flag: str = ""
+
+
+@dataclass(frozen=True)
+class Definitions:
+    """Terms with what they mean; ``exact`` values, such as hashes, are read letter by letter."""
+
+    items: Sequence[Definition]
+    exact: bool = False
+
+    @classmethod
+    def of(cls, pairs: Iterable[tuple[str, str]], *, exact: bool = False) -> Definitions:
+        """Make definitions of one sentence each."""
+        return cls([Definition(term, (Sentence(words),)) for term, words in pairs], exact)
+
+
+_ORDER = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}
+
+
+@dataclass(frozen=True)
+class CheckGroup:
+    """One check for all responses; its outcome is the worst of them."""
+
+    name: str
+    items: tuple[Check, ...]
+
+    @property
+    def outcome(self) -> str:
+        """Worst outcome."""
+        return min((check.outcome for check in self.items), key=_ORDER.__getitem__)
+
+    @property
+    def consequence(self) -> str:
+        """What follows, where it is the same for two responses or more; else empty."""
+        texts = [check.consequence for check in self.items if check.consequence]
+        return texts[0] if len(texts) > 1 and len(set(texts)) == 1 else ""
+
+    @property
+    def agreed(self) -> bool:
+        """Whether every response has the same outcome."""
+        return len({check.outcome for check in self.items}) == 1
+
+
+@dataclass(frozen=True)
+class Checks:
+    """Checks with what each found, the worst first."""
+
+    groups: Sequence[CheckGroup]
+
+    @classmethod
+    def of(cls, made: Iterable[Check]) -> Checks:
+        """Gather checks of the same name into one."""
+        by_name: dict[str, list[Check]] = {}
+        for check in sorted(made, key=lambda check: _ORDER[check.outcome]):
+            by_name.setdefault(check.name, []).append(check)
+        groups = [CheckGroup(name, tuple(items)) for name, items in by_name.items()]
+        return cls(sorted(groups, key=lambda group: _ORDER[group.outcome]))
+
+
+@dataclass(frozen=True)
+class Card:
+    """One line a check: its outcome, its name, and what it means for the answer."""
+
+    lines: Sequence[tuple[str, str, str]]
 
 
 @dataclass(frozen=True)
@@ -43,12 +139,12 @@ class Verbatim:
 
 @dataclass(frozen=True)
 class Table:
-    """Plain text in rows.
+    """Plain text in rows; its data are a file of this name.
 
     ``left`` and ``tail`` count the leading and the last columns that hold words, not numbers;
     ``raw`` has the unrounded values for the CSV; with ``grouped`` the first column names
-    groups of rows. ``anchors`` name rows of the page; ``follow`` is the start of the names that
-    the first number of each row leads to, counted from 1.
+    groups of rows. ``anchors`` name rows of the page, and ``links`` what the first number of each
+    row leads to. A table without rows is not shown, yet its CSV is written.
     """
 
     name: str
@@ -60,7 +156,18 @@ class Table:
     raw: tuple[Mapping[str, object], ...] = field(default=(), repr=False)
     grouped: bool = False
     anchors: tuple[str, ...] = ()
-    follow: str = ""
+    links: tuple[str, ...] = ()
+
+    def is_number(self, place: int) -> bool:
+        """Whether a column holds numbers."""
+        return self.left <= place < len(self.columns) - self.tail
+
+    def groups(self) -> list[tuple[str, list[tuple[tuple[str, ...], str, str]]]]:
+        """Rows with their anchor and link, by the first cell where rows are grouped."""
+        names = (self.anchors or repeat(""), self.links or repeat(""))
+        rows = zip(self.rows, *names, strict=False)
+        by_title = groupby(rows, key=lambda row: row[0][0] if self.grouped else "")
+        return [(title, list(members)) for title, members in by_title]
 
     @classmethod
     def of(
@@ -72,22 +179,28 @@ class Table:
         left: int = 1,
         tail: int = 0,
         note: str = "",
+        grouped: bool = False,
         raw: Callable[[T], Mapping[str, object]] | None = None,
-        most: int | None = None,
     ) -> Table:
         """Make a table with a row for each item: heads with the text of their cells."""
         every = list(items)
-        if most is not None and len(every) > most:
-            note += f" The first {most} of {len(every):,} are shown; the CSV has all."
         return cls(
             name,
             tuple(columns),
-            tuple(tuple(cell(item) for cell in columns.values()) for item in every[:most]),
+            tuple(tuple(cell(item) for cell in columns.values()) for item in every),
             left,
             tail,
-            note.strip(),
+            note,
             () if raw is None else tuple(map(raw, every)),
+            grouped,
         )
+
+    def first(self, most: int = MOST_ROWS) -> Table:
+        """Table whose first rows are shown; its CSV has all."""
+        if len(self.rows) <= most:
+            return self
+        note = f"{self.note} The first {most} of {len(self.rows):,} are shown; the CSV has all."
+        return replace(self, rows=self.rows[:most], note=note.strip())
 
 
 @dataclass(frozen=True)
@@ -102,4 +215,31 @@ class Figure:
     missing: str = ""
 
 
-Block = Heading | Sentence | Verbatim | Table | Figure
+@dataclass(frozen=True)
+class Folded:
+    """What a page opens on demand, under one line."""
+
+    summary: str
+    blocks: Sequence[Block]
+    anchor: str = ""
+    is_open: bool = False
+
+
+Block = (
+    Heading | Sentence | Points | Definitions | Checks | Card | Verbatim | Table | Figure | Folded
+)
+
+
+def titled(table: Table | None, title: str = "") -> Iterator[Block]:
+    """Table under its name or another title; nothing of None."""
+    if table is not None:
+        yield Heading(title or table.name)
+        yield table
+
+
+def flat(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Blocks with those that are folded away."""
+    for block in blocks:
+        yield block
+        if isinstance(block, Folded):
+            yield from flat(block.blocks)

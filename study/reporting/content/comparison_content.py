@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from study.reporting.content.blocks import Table
+from study.reporting.content.blocks import Block, Folded, Points, Sentence, Table
 from study.reporting.content.effect_words import over_numerical, size, size_interval
 from study.reporting.content.numbers import MISSING, level, p_value
 from study.reporting.content.report_facts import Facts
@@ -20,6 +20,29 @@ Labels = Mapping[str, str] | None
 
 #: letters of a value that a table of changes shows
 LONGEST = 70
+#: changed inputs that a page shows without being asked
+FEW_CHANGES = 8
+
+
+def beside_blocks(comparison: Beside, labels: Labels = None) -> Iterator[Block]:
+    """Say what was changed, what holds, then the numbers of both studies."""
+    changed = changes(comparison)
+    if changed.rows:
+        summary = f"What was changed: {count(len(changed.rows), 'input')}"
+        yield Folded(summary, (changed,), is_open=len(changed.rows) <= FEW_CHANGES)
+    else:
+        yield Sentence("Nothing was changed: design, measurements and code are the same.")
+    yield Points([*conclusion_lines(comparison, labels), *map(sentence, comparison.warnings)])
+    yield table(comparison, labels)
+    groups = _by_response(comparison.conclusions).values()
+    for rows in groups:
+        if line := quiet_line(rows, labels):
+            yield Sentence(f"{sentence(response_of(rows[0], labels))} {line}", kind="note")
+
+
+def conclusion_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
+    """Say what holds in both studies, and what only one of them has."""
+    return (*summary(comparison, labels), *only_lines(comparison, labels))
 
 
 def response_of(row: Conclusion, labels: Labels = None) -> str:
@@ -244,13 +267,6 @@ def quiet_line(rows: Iterable[Conclusion], labels: Labels = None) -> str:
     return " ".join(sentence(f"{kind}: {', '.join(names)}") for kind, names in named)
 
 
-def quiet_lines(comparison: Beside, labels: Labels = None) -> tuple[tuple[str, str], ...]:
-    """Response and what is known of the interactions that its table leaves out."""
-    groups = _by_response(comparison.conclusions).values()
-    lines = [(response_of(rows[0], labels), quiet_line(rows, labels)) for rows in groups]
-    return tuple((title, line) for title, line in lines if line)
-
-
 Side = tuple[Conclusion, str, Effect, str]
 
 
@@ -262,7 +278,7 @@ def _sides(rows: Iterable[Conclusion], comparison: Beside) -> Iterator[Side]:
 
 
 def table(comparison: Beside, labels: Labels = None) -> Table:
-    """Two rows a term, one for each study; grouped by response."""
+    """Two rows a term, named in the first, one for each study; grouped by response."""
     groups = _by_response(comparison.conclusions).values()
     first, other = map(level, comparison.alphas)
     columns: dict[str, Callable[[Side], str]] = {
@@ -282,9 +298,18 @@ def table(comparison: Beside, labels: Labels = None) -> Table:
         ),
     }
     main = _sides((row for group in groups for row in shown(group)), comparison)
-    made = Table.of("beside", main, columns, left=5, tail=1)
+    made = Table.of("beside", main, columns, left=5, tail=1, grouped=True)
     every = _sides((row for group in groups for row in group), comparison)
-    return replace(made, raw=tuple(map(_raw, every)), grouped=True)
+    rows = tuple((row[0], "", "", *row[3:]) if k % 2 else row for k, row in enumerate(made.rows))
+    # columns that hold dashes alone are left out: a terminal is narrow
+    held = [k for k in range(len(columns)) if any(row[k] != MISSING for row in rows) or not rows]
+    return replace(
+        made,
+        columns=tuple(made.columns[k] for k in held),
+        rows=tuple(tuple(row[k] for k in held) for row in rows),
+        tail=int(len(columns) - 1 in held),
+        raw=tuple(map(_raw, every)),
+    )
 
 
 def _raw(of: Side) -> dict[str, object]:

@@ -127,10 +127,12 @@ def _statistics(facts: Facts, data: ReportData) -> str:
     if facts.result is None:
         return ""
     source, sums = facts.result.error_term.source, facts.result.anova.type
+    is_welch_box = "Welch-Box" in facts.result.error_term.reason
+    corrected = "Welch-Box over groups" if is_welch_box else "Greenhouse-Geisser corrected"
     scale = ", analyzed on the logarithm with effects as ratios," if facts.ratio else ""
     how = {
         "E1": f"each effect was tested against its own interaction with the "
-        f"{clean(data.block) or 'block'} ({_corrected(facts)})"
+        f"{clean(data.block) or 'block'} ({corrected})"
         if any(row.epsilon_gg is not None for row in facts.rows)
         else "the interactions with the blocks were pooled as error",
         "E0": "the pooled variance of independent replicates was the error",
@@ -145,12 +147,6 @@ def _statistics(facts: Facts, data: ReportData) -> str:
         f"{facts.title}{scale} was analyzed by a type {sums} analysis of "
         f"variance in which {how}{against}"
     )
-
-
-def _corrected(facts: Facts) -> str:
-    """Name the correction for unequal covariances."""
-    reason = "" if facts.error_term is None else facts.error_term.reason
-    return "Welch-Box over groups" if "Welch-Box" in reason else "Greenhouse-Geisser corrected"
 
 
 def residual_tests(all_facts: Sequence[Facts], data: ReportData) -> str:
@@ -180,7 +176,7 @@ def residual_tests(all_facts: Sequence[Facts], data: ReportData) -> str:
         for name, titles in ran.items()
     ]
     copies = ""
-    if any(f.distinct and f.distinct < data.planned for f in analyzed):
+    if any(f.result and 0 < f.result.data.distinct < data.planned for f in analyzed):
         copies = ", with one of each group of cells that agree everywhere"
     return sentence(f"residuals were examined by {listing(parts)}{copies}")
 
@@ -189,7 +185,7 @@ def _numerics(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if not data.numerical:
         return ""
     how = "by mesh refinement for each kind of discretization"
-    if any(facts.u_num_by_term for facts in all_facts):
+    if any(f.result and f.result.detection.u_num_by_term for f in all_facts):
         how = "for each difference, by following the same difference over a series of meshes"
     return (
         f"Numerical uncertainty was estimated {how}; its bound U was added to both ends of an "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -241,3 +241,17 @@ def duration(seconds: float | None) -> str:
         if seconds < limit:
             return f"{float(f'{seconds / size:.2g}'):g}{THIN}{unit}"
     return f"{seconds / 3600:.3g}{THIN}h"
+
+
+def case_counts(cases: Mapping[str, int]) -> str:
+    """Cases in one line.
+
+    Examples
+    --------
+    >>> case_counts({"total": 4, "done": 3, "failed": 1, "missing": 0})
+    '4 cases: 3 done, 1 failed, 0 missing'
+    """
+    return (
+        f"{cases['total']} cases: {cases['done']} done, {cases['failed']} failed, "
+        f"{cases['missing']} missing"
+    )

@@ -15,13 +15,11 @@ from study.harness.record.record import answered_often, cell_names
 from study.reporting.content.text import clean, count, listing, name_of
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.analysis.analysis_result import AnalysisResult
-from study.statistics.analysis.anova_table import Effect, ErrorTerm, Row, SimpleEffect
+from study.statistics.analysis.anova_table import Effect, Row, SimpleEffect
 from study.statistics.analysis.assumptions import Assumptions
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from study.statistics.analysis.unreplicated import LenthResult
 
 
 _Value = TypeVar("_Value", Effect, SimpleEffect, Row)
@@ -61,36 +59,6 @@ class Facts:
     def rows(self) -> tuple[Row, ...]:
         """Rows of the ANOVA table; what is not finite is None."""
         return () if self.result is None else tuple(map(_finite, self.result.anova.rows))
-
-    @property
-    def error_term(self) -> ErrorTerm | None:
-        """What effects are compared with."""
-        return None if self.result is None else self.result.error_term
-
-    @property
-    def lenth(self) -> LenthResult | None:
-        """Lenth's analysis of an unreplicated design."""
-        return None if self.result is None else self.result.variation.lenth
-
-    @property
-    def residuals(self) -> pd.DataFrame | None:
-        """One row a run; see :class:`study.statistics.analysis.analysis_result.DataSummary`."""
-        return None if self.result is None else self.result.data.residuals
-
-    @property
-    def distinct(self) -> int | None:
-        """Number of distinct computations."""
-        return None if self.result is None else self.result.data.distinct
-
-    @property
-    def copies(self) -> tuple[tuple[str, ...], ...]:
-        """Cells that agree in every block."""
-        return () if self.result is None else self.result.data.copies
-
-    @property
-    def u_num_by_term(self) -> bool:
-        """Whether each effect has its own numerical uncertainty."""
-        return self.result is not None and self.result.detection.u_num_by_term
 
     @property
     def alpha(self) -> float:
@@ -243,8 +211,9 @@ def _places(data: ReportData, facts: Facts, frame: pd.DataFrame) -> list[int]:
     """Index of the group of every cell; a cell that no group names stands alone."""
     analyzed = [name for name, levels in data.factors.items() if len(levels) > 1]
     names = frame[analyzed].astype(str).agg(" ".join, axis=1).tolist() if analyzed else []
-    copy_of = {name: i for i, group in enumerate(facts.copies) for name in group}
-    alone = len(facts.copies)
+    copies = () if facts.result is None else facts.result.data.copies
+    copy_of = {name: i for i, group in enumerate(copies) for name in group}
+    alone = len(copies)
     return [copy_of.get(name, alone + i) for i, name in enumerate(names or [""] * len(frame))]
 
 

@@ -255,9 +255,9 @@ def _may_be_chosen_alone(effect: Effect) -> bool:
 
 def error_term(facts: Facts, data: ReportData) -> str:
     """Say where the error of the table comes from and what its p answers."""
-    term = facts.error_term
-    if term is None:
+    if facts.result is None:
         return "No error term: the response was not analyzed."
+    term = facts.result.error_term
     what = _SOURCES.get(term.source, term.source)
     reason = f": {term.reason}" if term.reason else ""
     text = sentence(f"the error term is {term.source}, {what}{reason}")
@@ -292,7 +292,7 @@ def numerical(all_facts: Sequence[Facts]) -> str:
     bounded = [facts for facts in all_facts if any(e.u_num is not None for e in facts.terms)]
     if not bounded:
         return ""
-    by_term = [facts for facts in bounded if facts.u_num_by_term]
+    by_term = [f for f in bounded if f.result and f.result.detection.u_num_by_term]
     open_ones = any(e.u_num is None for facts in bounded for e in facts.effects)
     unknown = _NO_BOUND if open_ones else ""
     if not by_term:
@@ -327,9 +327,10 @@ def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> tuple[tuple[str
 def distinct(facts: Facts, data: ReportData) -> str:
     """Say how many computations were really different."""
     total = data.planned
-    if facts.distinct is None or facts.distinct >= total:
+    number = total if facts.result is None else facts.result.data.distinct
+    if number >= total:
         return ""
-    differ = f"only {facts.distinct} differ" if facts.distinct > 1 else "none differs from another"
+    differ = f"only {number} differ" if number > 1 else "none differs from another"
     return (
         f"Of {count(total, 'cell')} {differ}: the others give the same numbers in every "
         f"{clean(data.block) or 'block'}, so tests of the residuals take one cell of each kind."

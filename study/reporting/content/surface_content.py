@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from study.reporting.content.blocks import Block, Heading, Sentence, Table, Verbatim
+from study.reporting.content.blocks import (
+    Block,
+    Figure,
+    Heading,
+    Points,
+    Sentence,
+    Table,
+    Verbatim,
+    titled,
+)
 from study.reporting.content.numbers import (
     MISSING,
     TIMES,
@@ -417,23 +427,34 @@ def _q2(value: float) -> str:
     return f"{value:.3f}" if value < 0.9995 else "above 0.999"
 
 
-# Surfaces as a terminal shows them, and what optimize, invert and predict answer.
+# Surfaces as a page and a terminal show them, and what optimize, invert and predict answer.
 
 
-def surface_blocks(data: ReportData) -> Iterator[Block | None]:
-    """Surfaces of a study or a table as their page shows them."""
-    for fitted in data.surfaces:
-        if fitted.found is None:
-            continue
-        yield Heading(title(fitted, data))
-        yield coefficients(fitted, data)
-        yield sensitivity(fitted, data)
-        if isinstance(model := fitted.found.model, QuadraticSurface):
-            for name, test in model.factor_tests.items():
-                ratio = f"F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}"
-                yield Verbatim(f"all terms of {name}: {ratio}, {p_phrase(test.p)}")
-        yield from map(Sentence, surface_lines(fitted, data))
-        yield table(fitted, data)
+NO_FIGURES: Mapping[str, Figure] = MappingProxyType({})
+
+
+def surface_blocks(
+    one: FittedSurface,
+    data: ReportData,
+    anchor: str = "",
+    figures: Mapping[str, Figure] = NO_FIGURES,
+) -> Iterator[Block | None]:
+    """One surface: what drives it, what it says, its tables, then its other figures."""
+    named, lines = title(one, data), surface_lines(one, data)
+    yield Heading(named[0].upper() + named[1:], 2, anchor, one.unit)
+    if one.found is None:
+        yield Sentence(lines[0], kind="missing")
+        return
+    yield figures.get("shares")
+    yield Points(lines)
+    yield sensitivity(one, data)
+    yield from titled(coefficients(one, data), "Coefficients")
+    if isinstance(model := one.found.model, QuadraticSurface):
+        for name, test in model.factor_tests.items():
+            ratio = f"F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}"
+            yield Sentence(f"All terms of {name}: {ratio}, {p_phrase(test.p)}.")
+    yield from titled(table(one, data), "Uncertain inputs")
+    yield from (figures[kind] for kind in ("profiles", "contours", "left-out") if kind in figures)
 
 
 def recommendation_blocks(recommendations: Sequence[Recommendation]) -> Iterator[Block]:

@@ -120,7 +120,7 @@ def every_fit(data: ReportData) -> Table:
 
     Units: data N.
     """
-    made = Table.of(
+    return Table.of(
         "every-fit",
         sorted(data.fits, key=lambda fit: fit_rank(fit.levels, data)),
         {
@@ -138,8 +138,8 @@ def every_fit(data: ReportData) -> Table:
         },
         left=4,
         tail=1,
+        grouped=True,
     )
-    return replace(made, grouped=True)
 
 
 # Every case beside its record: where the mean of a cell comes from.
@@ -172,9 +172,14 @@ def _in_order(group: pd.DataFrame, blocks: Sequence[str]) -> pd.DataFrame:
     return group.loc[place.sort_values(kind="stable").index]
 
 
+def lists_records(data: ReportData) -> bool:
+    """Whether a page lists every case: each has a record, and they are not too many."""
+    return not data.is_table and "case_id" in data.table and 0 < len(data.table) <= MOST
+
+
 def case_records(data: ReportData, all_facts: Sequence[Facts]) -> Table | None:
     """Every case with its responses and the name of its record, cell by cell."""
-    if data.is_table or "case_id" not in data.table or not 0 < len(data.table) <= MOST:
+    if not lists_records(data):
         return None
     listed = [facts for facts in all_facts if facts.name in data.table]
     blocked = bool(data.block) and "block" in data.table
@@ -229,6 +234,7 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
         },
         left=3,
         note=sentences.numerical(all_facts),
+        grouped=True,
         raw=lambda of: {
             "response": of[0].name,
             "factor": of[1].term,
@@ -280,7 +286,7 @@ def anova(facts: Facts, data: ReportData) -> Table:
         columns["partial eta squared"] = _partial_eta
     else:
         columns["sum of squares"] = lambda row: significant(row.ss)
-        if facts.lenth:
+        if facts.result and facts.result.variation.lenth:
             columns["p (Lenth)"] = lambda row: p_value(row.p)
     columns["share"] = lambda row: share(row.share) if row.df else MISSING
     note = " ".join(_anova_notes(effects, data, tested))
@@ -326,6 +332,7 @@ def strata(facts: Facts, data: ReportData) -> Table:
             "mean square": lambda row: significant(row.ms),
             "share": lambda row: share(row.share),
         },
+        raw=plain,
     )
 
 
@@ -550,7 +557,7 @@ def marker_errors(data: ReportData) -> Table:
         for case in sorted(data.markers, key=lambda case: fit_rank(case.levels, data))
         for fit in case.fits
     ]
-    made = Table.of(
+    return Table.of(
         "marker-errors",
         shown,
         {
@@ -569,6 +576,7 @@ def marker_errors(data: ReportData) -> Table:
         },
         left=4,
         tail=3,
+        grouped=True,
         raw=lambda of: {
             **of[0].levels,
             "state": of[0].state,
@@ -579,7 +587,6 @@ def marker_errors(data: ReportData) -> Table:
             **{f"layer_{name}_mm": v for name, v in of[1]["error_by_layer_mm"].items()},
         },
     )  # fmt: skip
-    return replace(made, grouped=True)
 
 
 def _values(motion: dict[str, list[float | None]], names: tuple[str, ...]) -> str:

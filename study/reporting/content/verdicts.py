@@ -288,6 +288,10 @@ def least_sphericity(facts: Facts) -> tuple[str, float] | None:
 HOLDS = "holds"
 FAILS = "does not hold"
 _OF_VERDICT = {MATTERS: HOLDS, NO_DIFFERENCE: FAILS}
+#: words that a page gives a color and a sign
+VERDICTS = frozenset(
+    (MATTERS, MATTERS_AT_SETTINGS, NO_DIFFERENCE, NOT_RESOLVED, CANNOT_TELL, HOLDS, FAILS)
+)
 _UNKNOWN = "the study has no answer"
 
 

@@ -253,7 +253,7 @@ def made(plots: Mapping[str, Plot], stem: str, of: str) -> dict[str, Figure]:
 
 def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
     """Figures of one response by kind, but those ``without``; none where it was not analyzed."""
-    if not facts.terms:
+    if (result := facts.result) is None or not facts.terms:
         return {}
     facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
     plots: dict[str, Plot] = {
@@ -309,7 +309,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         ),
     }
     # nothing is left over by a saturated model
-    is_saturated = facts.residuals is None or "residual" not in facts.residuals
+    is_saturated = "residual" not in result.data.residuals
     timed = "seconds" in data.table and bool(data.table["seconds"].notna().any())
     has = {
         # the sentences say that nothing could be estimated
@@ -317,7 +317,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         "interactions": len(data.factors) > 1,
         "residuals": not is_saturated,
         "spread": not is_saturated,
-        "contrasts": facts.lenth is not None,
+        "contrasts": result.variation.lenth is not None,
         "depth": any(row.response == facts.name for row in data.depths),
         "front": bool(facts.response.better) and timed,
     }
@@ -325,22 +325,21 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
     return made(chosen, slug(facts.name), facts.title)
 
 
-def overview(data: ReportData, all_facts: Sequence[Facts]) -> dict[str, Figure]:
-    """Figure of the first page: every effect against what matters; none without an effect."""
+def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:
+    """Figure of the first page: every effect against what matters; None without an effect."""
     analyzed = [facts for facts in all_facts if facts.terms]
     limited = [facts for facts in analyzed if any(e.practical is not None for e in facts.effects)]
     # without a limit there is no common scale: the first response stands for itself
     shown = limited or analyzed[:1]
     if not any(effect.range is not None for facts in shown for effect in facts.terms):
-        return {}
-
+        return None
     plot: Plot = (
         "Every effect against what matters" if limited else "Every effect",
         lambda: effect_figures.against_limits(shown, data.labels),
         lambda frame: effect_figures.draw_against_limits(frame, shown),
         lambda frame: _against_limits(frame, analyzed, shown),
     )
-    return {"overview": make("overview", plot)}
+    return make("overview", plot)
 
 
 def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts]) -> str:

@@ -48,7 +48,7 @@ def contrasts(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Every contrast with its half-normal score and limits, the largest first."""
     import pandas as pd
 
-    lenth = facts.lenth
+    lenth = None if facts.result is None else facts.result.variation.lenth
     if lenth is None:
         raise ValueError("there are no single contrasts: the design is replicated")
     frame = pd.DataFrame(
@@ -142,9 +142,9 @@ _SIMULATIONS = 1000
 
 def diagnostic_residual_points(facts: Facts) -> pd.DataFrame:
     """Residuals of one representative of each computation, with their normal scores."""
-    if facts.residuals is None or facts.residuals.empty:
+    if facts.result is None or facts.result.data.residuals.empty:
         raise ValueError("there are no residuals")
-    frame = facts.residuals
+    frame = facts.result.data.residuals
     if "representative" in frame:
         frame = frame[frame["representative"].astype(bool)]
     return residual_points(frame.sort_values("residual", kind="stable").reset_index(drop=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from study.reporting.content.numbers import (
 from study.reporting.content.text import clean, count
 from study.reporting.figures import accuracy_figures
 from study.reporting.figures.registry import Plot, make
-from study.reporting.output.analysis_page import AnswerPage
+from study.reporting.output.write import answer_blocks, write_answer
 
 # What a report says of a scanned surface: its answers in sentences, and its tables.
 
@@ -303,8 +304,8 @@ def _tracker_poses(reference: ReferenceResult) -> Table:
     return Table("Residuals by pose", columns, tuple(rows), raw=tuple(raw))
 
 
-def tracker_page(accuracy: TrackerAccuracy) -> AnswerPage:
-    """Page of a tracker."""
+def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
+    """Write the page of a tracker."""
     plots: dict[str, Plot] = {}
     if (distance := accuracy.distance) is not None:
         dashed = " Dashed: the standard." if distance.standard else ""
@@ -336,21 +337,15 @@ def tracker_page(accuracy: TrackerAccuracy) -> AnswerPage:
                 "at every pose, and the error of a pose predicted from all others."
             ),
         )
-    return AnswerPage(
-        kind="tracker accuracy",
-        stem="tracker-accuracy",
-        name=accuracy.name,
-        question=accuracy.question,
-        answer=tracker_answers(accuracy),
-        figures=[make(f"tracker-{name}", plot) for name, plot in plots.items()],
-        tables=tracker_tables(accuracy),
-        warnings=accuracy.notes,
-        document=accuracy.to_json(),
-    )
+    figures = [make(f"tracker-{name}", plot) for name, plot in plots.items()]
+    tables = tracker_tables(accuracy)
+    blocks = answer_blocks(tracker_answers(accuracy), figures, tables, accuracy.notes)
+    name, question, document = accuracy.name, accuracy.question, accuracy.to_json()
+    return write_answer("tracker accuracy", name, question, blocks, out_dir, document=document)
 
 
-def shape_page(deviation: ShapeDeviation) -> AnswerPage:
-    """Page of a scanned surface."""
+def write_shape(deviation: ShapeDeviation, out_dir: str | Path) -> Path:
+    """Write the page of a scanned surface."""
     frame = accuracy_figures.deviation_points(deviation)
     plots: dict[str, Plot] = {
         "histogram": (
@@ -366,14 +361,9 @@ def shape_page(deviation: ShapeDeviation) -> AnswerPage:
             lambda _: "Mean deviation of the points in every hexagon that face the viewer.",
         ),
     }
-    return AnswerPage(
-        kind="shape deviation",
-        stem="shape-deviation",
-        name=deviation.name,
-        question=f"How far is the simulated surface from {deviation.scan}?",
-        answer=scan_answers(deviation),
-        figures=[make(f"shape-{name}", plot) for name, plot in plots.items()],
-        tables=scan_tables(deviation),
-        warnings=(f"simulated part: {deviation.symmetry}", *deviation.notes),
-        document=deviation.to_json(),
-    )
+    figures = [make(f"shape-{name}", plot) for name, plot in plots.items()]
+    warnings = (f"simulated part: {deviation.symmetry}", *deviation.notes)
+    blocks = answer_blocks(scan_answers(deviation), figures, scan_tables(deviation), warnings)
+    question = f"How far is the simulated surface from {deviation.scan}?"
+    name, document = deviation.name, deviation.to_json()
+    return write_answer("shape deviation", name, question, blocks, out_dir, document=document)

@@ -6,24 +6,37 @@ coefficients, all pairs of levels, four residual plots in one, unusual observati
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.reporting.content import analysis_content, methods, sentences, tables, verdicts
-from study.reporting.content.blocks import Figure, Table
+from study.reporting.content import analysis_content, methods, sentences, tables
+from study.reporting.content.blocks import (
+    Block,
+    Definition,
+    Definitions,
+    Figure,
+    Folded,
+    Heading,
+    Points,
+    Sentence,
+    titled,
+)
 from study.reporting.content.effect_words import size
-from study.reporting.content.front_page import in_few
 from study.reporting.content.numbers import p_phrase
 from study.reporting.content.report_facts import Facts, facts
 from study.reporting.content.text import clean, count, listing, sentence, term_name
 from study.reporting.figures import registry, residual_figures
 from study.reporting.figures.registry import Plot, made, slug
-from study.reporting.output import page, write
-from study.reporting.output.page import _environment, data_folder, replace_file
-from study.reporting.output.write import document as latex_document
+from study.reporting.output import study_page, write
+from study.reporting.output.page import Page, Pages, page_names, replace_file
+from study.statistics.analysis.post_hoc import (
+    coefficient_table,
+    diagnosed_rows,
+    pairwise,
+    unusual_observations,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,96 +44,166 @@ if TYPE_CHECKING:
     from study.reporting.results.study_result import ReportData
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.comparisons import Comparisons
-    from study.statistics.analysis.post_hoc import (
-        CoefficientTable,
-        PairwiseDifference,
-        UnusualObservations,
-    )
+    from study.statistics.analysis.post_hoc import UnusualObservations
 
 
 #: Cells beyond which their spreads, and rows beyond which their values, are not drawn one by one.
 MOST_CELLS = 60
 MOST_ROWS_DRAWN = 2000
+#: Blocks that are listed.
+MOST_BLOCKS = 20
+#: A factor and its levels compared with one of them.
+Reference = tuple[str, "Comparisons"]
 
 
-@dataclass(frozen=True)
-class AnalysisReport:
-    """One analysis of a table and everything that its page shows."""
+def prepare(
+    analysis: AnalysisResult,
+    data: ReportData,
+    rows: pd.DataFrame | None,
+    reference: Reference | None = None,
+) -> Pages:
+    """Compute every sentence, table and figure of both pages.
 
-    found: AnalysisResult
-    #: Name, factors, rows and the one response.
-    data: ReportData
-    coefficients: CoefficientTable
-    #: All pairs of levels of every factor.
-    pairs: tuple[PairwiseDifference, ...]
-    #: Rows that the fit describes badly or leans on.
-    unusual: UnusualObservations | None
-    #: Every row with fit, residuals, leverage and Cook's distance.
-    rows: pd.DataFrame | None
-    #: A factor whose levels are compared with one of them.
-    reference: tuple[str, Comparisons] | None = None
-
-
-def prepare(report: AnalysisReport) -> page.Contents:
-    """Compute every sentence, table and figure of the page."""
-    (item,) = facts(report.data)
-    figures = _figures(report, item)
-    section = page.Section(
-        facts=item,
-        anchor="effects",
-        verdicts=tuple(
-            verdicts.verdict(e, item, report.data.labels)
-            for e in item.terms
-            if e.is_main or e.strength == "matters"
-        ),
-        contrasts=None,  # among the tables of the page
-        anova=tables.anova(item, report.data) if item.rows else None,
-        strata=None,
-        figures=figures,
-        assumptions=None,  # among the tables of the page
-        cheaper="",
+    ``rows`` have fit, residuals, leverage and Cook's distance.
+    """
+    (item,) = facts(data)
+    unusual = unusual_observations(analysis)
+    figures = _figures(analysis, data, item, rows, unusual)
+    stem, lines = _stem(analysis, data), answer(data, item)
+    effects = registry.overview(data, (item,))
+    first = study_page.first_page(
+        data, (item,), stem, item.title, study_page.in_few(lines), effects, rows="rows.csv"
     )
-    overview = registry.overview(report.data, (item,))
-    return page.Contents(report.data, (item,), (section,), overview, _tables(report, item))
-
-
-def _tables(report: AnalysisReport, item: Facts) -> dict[str, Table]:
-    analysis, data = report.found, report.data
-    shown: dict[str, Table | None] = {
-        "verdicts": tables.verdicts((item,), data),
-        "factors": analysis_content.factor_information(data),
-    }
+    warnings = [sentence(clean(text)) for text in dict.fromkeys((*data.warnings, *analysis.notes))]
+    blocks: list[Block | None] = [
+        study_page.EFFECTS,
+        *map(Sentence, lines),
+        tables.verdicts((item,), data),
+        *_data(analysis, data, item),
+        *study_page.error_terms(data, (item,)),
+    ]
     if analysis.anova.rows:
-        shown |= {
-            "anova": analysis_content.analysis_of_variance(analysis),
-            "summary": analysis_content.model_summary(analysis),
-            "coefficients": analysis_content.coefficients(report.coefficients, item),
-            "means": analysis_content.means(item, data),
-            "simple": analysis_content.simple_effects(item, data),
-            "contrasts": analysis_content.contrasts(item),
-            "pairs": analysis_content.pairwise(report.pairs, item, data),
-            "checks": analysis_content.checks(analysis),
-            "unusual": analysis_content.unusual(report.unusual),
-            "robustness": analysis_content.robustness(analysis, data),
-        }
-    if report.reference is not None:
-        shown["reference"] = analysis_content.against_reference(*report.reference, data)
-    return {name: table for name, table in shown.items() if table is not None}
+        blocks += [
+            *_variance(analysis, data, item),
+            *_means(data, item, figures),
+            *_comparisons(analysis, data, item, reference),
+            *_residuals(analysis, data, figures, unusual),
+            Heading("Assumptions", 2, "assumptions"),
+            analysis_content.checks(analysis),
+            figures.get("spread"),
+            *study_page.IF_VIOLATED,
+        ]
+    if warnings:
+        blocks += [Heading("Warnings", 2, "warnings"), Points(warnings)]
+    blocks += [
+        *study_page.methods_to_paste(_methods(data, item)),
+        *study_page.provenance(replace(data, data_notes=()), ()),
+        *study_page.GLOSSARY,
+    ]
+    second = Page(
+        title=f"{item.title}, {data.name}: details",
+        kicker=first.kicker,
+        name=item.title[0].upper() + item.title[1:],
+        question=data.question,
+        blocks=blocks,
+        back=page_names(stem)[0],
+        about=data.name,
+    )
+    return Pages(first, second)
 
 
-def _figures(report: AnalysisReport, item: Facts) -> dict[str, Figure]:
+def _data(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterator[Block]:
+    log = ", analyzed on the log: effects are ratios" if analysis.request.scale.is_log else ""
+    cells = len(analysis.data.cell_means)
+    yield Heading("Data", 2, "data")
+    yield Definitions([
+        Definition("Response", [Sentence(log, item.title)]),
+        *study_page.blocks_of(data, MOST_BLOCKS),
+        Definition("Rows", [Sentence(f"{len(data.table):,} analyzed, in {cells:,} cells")]),
+        *([Definition("File", [Sentence(data.citation)])] if data.citation else []),
+    ])  # fmt: skip
+    yield analysis_content.factor_information(data)
+
+
+def _variance(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterator[Block | None]:
+    title = f"Analysis of variance, type {analysis.anova.type}"
+    yield Heading(title, 2, "anova", short="Analysis of variance")
+    yield analysis_content.analysis_of_variance(analysis)
+    yield analysis_content.model_summary(analysis)
+    sizes = "Sizes of the effects as shares of the variation"
+    yield Folded(sizes, (tables.anova(item, data),))
+    fitted = coefficient_table(analysis)
+    if not fitted.coefficients:
+        yield Heading("Coefficients")
+        yield Sentence(f"No table of coefficients: {fitted.reason}.")
+    yield from titled(analysis_content.coefficients(fitted, item))
+    yield from titled(analysis_content.robustness(analysis, data))
+
+
+def _means(data: ReportData, item: Facts, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
+    yield Heading("Means and effects", 2, "means")
+    yield analysis_content.judged(item, data)
+    yield from study_page.drawn(figures, "contrasts", "means", "interactions")
+    yield from titled(analysis_content.means(item, data))
+    yield from titled(analysis_content.simple_effects(item, data))
+    yield from titled(analysis_content.contrasts(item), analysis_content.ASKED)
+    yield figures.get("cells")
+
+
+def _comparisons(
+    analysis: AnalysisResult, data: ReportData, item: Facts, reference: Reference | None
+) -> Iterator[Block | None]:
+    pairs = analysis_content.pairwise(pairwise(analysis), item, data)
+    if pairs is not None or reference is not None:
+        yield Heading("Comparisons", 2, "pairs")
+        yield pairs
+    if reference is not None:
+        yield from titled(analysis_content.against_reference(*reference, data))
+
+
+def _residuals(
+    analysis: AnalysisResult,
+    data: ReportData,
+    figures: Mapping[str, Figure],
+    unusual: UnusualObservations | None,
+) -> Iterator[Block | None]:
+    yield Heading("Residuals", 2, "residuals")
+    shown = list(study_page.drawn(figures, "four-in-one", "against-factors", "influence"))
+    if shown and any(row.p_gg is not None for row in analysis.anova.rows):
+        yield Sentence(
+            f"Residuals of cells and {clean(data.block)} added. No p of this page rests on them: "
+            "each effect is tested against its own interaction with the blocks."
+        )
+    yield from shown
+    if not shown:
+        yield Sentence("Nothing is left over by the model, so there are no residuals to look at.")
+    table = analysis_content.unusual(unusual)
+    yield from titled(table)
+    if table is None and "influence" in figures:
+        yield Sentence(
+            "No row has a standardized residual beyond 2, a high leverage or a Cook's distance "
+            "that moves the fit."
+        )
+
+
+def _figures(
+    analysis: AnalysisResult,
+    data: ReportData,
+    item: Facts,
+    rows: pd.DataFrame | None,
+    unusual: UnusualObservations | None,
+) -> dict[str, Figure]:
     """Figures of a study's response, with Minitab's residual plots for the study's."""
-    data = report.data
     without = {"residuals"}
-    if len(data.table) > MOST_ROWS_DRAWN or len(report.found.data.cell_means) > MOST_CELLS:
+    if len(data.table) > MOST_ROWS_DRAWN or len(analysis.data.cell_means) > MOST_CELLS:
         without |= {"cells"}
-    if len(report.found.data.cell_means) > MOST_CELLS:
+    if len(analysis.data.cell_means) > MOST_CELLS:
         without |= {"spread"}
     drawn = registry.of_response(data, item, without)
-    if report.rows is None or not item.terms:
+    if rows is None or not item.terms:
         return drawn
-    points = residual_figures.residual_points(report.rows)
-    limit = None if report.unusual is None else report.unusual.cook_limit
+    points = residual_figures.residual_points(rows)
+    limit = None if unusual is None else unusual.cook_limit
     plots: dict[str, Plot] = {
         "four-in-one": (
             "Residual plots",
@@ -144,13 +227,13 @@ def _figures(report: AnalysisReport, item: Facts) -> dict[str, Figure]:
     return drawn | made(plots, slug(item.name), item.title)
 
 
-def answer(report: AnalysisReport, item: Facts) -> tuple[str, ...]:
+def answer(data: ReportData, item: Facts) -> tuple[str, ...]:
     """Answer first: verdicts where a smallest difference that matters was given, else tests."""
     if not item.terms:
         return tuple(sentence(clean(note)) for note in item.warnings) or ("Nothing to analyze.",)
     if any(effect.practical is not None for effect in item.effects):
-        return sentences.answer(report.data, (item,))
-    return tuple(text for text in (_tested(report, item), _NO_VERDICT) if text)
+        return sentences.answer(data, (item,))
+    return tuple(text for text in (_tested(data, item), _NO_VERDICT) if text)
 
 
 _NO_VERDICT = (
@@ -159,12 +242,12 @@ _NO_VERDICT = (
 )
 
 
-def _tested(report: AnalysisReport, item: Facts) -> str:
+def _tested(data: ReportData, item: Facts) -> str:
     """Which terms differ by Holm's p, and which are not shown to."""
     tested = [e for e in item.terms if e.p_holm is not None]
     if not tested:
         return "There is no error term, so nothing is tested."
-    names = {e.term: term_name(e.term, report.data.labels) for e in tested}
+    names = {e.term: term_name(e.term, data.labels) for e in tested}
     shown = [
         f"{clean(names[e.term])} ({size(e, item)}, {p_phrase(e.p_holm)})"
         for e in tested
@@ -184,54 +267,28 @@ def _below(p: float | None, item: Facts) -> bool:
     return p is not None and p < item.alpha
 
 
-def pages(report: AnalysisReport, contents: page.Contents) -> tuple[str, str]:
-    """Return the HTML of the first page and of the second."""
-    (item,) = contents.found
-    data = contents.data
-    stem = _stem(report)
-    lines = answer(report, item)
-    first = page.front_page(contents, item.title, stem, in_few(lines), "rows.csv")
-    second = page.filled(
-        "analysis.html.j2",
-        c=contents,
-        s=contents.sections[0],
-        data=data,
-        first=page.page_names(stem)[0],
-        found=report.found,
-        answer=lines,
-        no_coefficients=report.coefficients.reason,
-        error_terms=sentences.error_terms(data, contents.found),
-        verdict_groups=page._groups(contents.tables["verdicts"]),
-        methods=_methods(contents),
-        what_if=verdicts.WHAT_IF,
-        glossary=methods.TERMS,
-        warnings=_warnings(report),
-        own_interactions=any(row.p_gg is not None for row in report.found.anova.rows),
-        provenance=page._provenance(data),
-    )
-    return first, second
-
-
-def _stem(report: AnalysisReport) -> str:
+def _stem(analysis: AnalysisResult, data: ReportData) -> str:
     """Begin of the names of the files of a report."""
-    return slug(f"{report.data.name} {report.found.request.response}")
+    return slug(f"{data.name} {analysis.request.response}")
 
 
-def _warnings(report: AnalysisReport) -> tuple[str, ...]:
-    texts = (*report.data.warnings, *report.found.notes)
-    return tuple(sentence(clean(text)) for text in dict.fromkeys(texts))
-
-
-def _methods(contents: page.Contents) -> str:
+def _methods(data: ReportData, item: Facts) -> str:
     """Methods of a table: those of a study but what only simulations have."""
-    data, (item,) = contents.data, contents.found
     parts = [methods._design(data), methods._measurements(data), methods._statistics(item, data)]
     parts += [methods.residual_tests((item,), data), methods._software(data)]
     return " ".join(part for part in parts if part)
 
 
+#: tables that LaTeX has
+_IN_LATEX = ("verdicts", "anova", "Coefficients", "Means", "pairwise comparisons")
+
+
 def write_analysis(
-    report: AnalysisReport, out_dir: str | Path, formats: Sequence[str] = ("html",)
+    analysis: AnalysisResult,
+    data: ReportData,
+    out_dir: str | Path,
+    formats: Sequence[str] = ("html",),
+    reference: Reference | None = None,
 ) -> Path:
     """Write the page of an analysis into a folder and return its main file.
 
@@ -241,68 +298,18 @@ def write_analysis(
     ``study analyze --json``.
     """
     chosen = write.checked_formats(formats)
-    folder = Path(out_dir)
-    stem = _stem(report)
-    contents = prepare(report)
-    files = data_folder(folder, stem)
-    _write_data(report, contents, files)
-    html, latex = folder / f"{stem}.html", folder / f"{stem}.tex"
-    write.write_pages(folder, stem, pages(report, contents), chosen)
-    if "tex" in chosen:
-        shown = [(name, t) for name, t in contents.tables.items() if name in _IN_LATEX]
-        captions = [(t.name.capitalize(), t) for _, t in shown]
-        replace_file(latex, latex_document(captions, _methods(contents)))
-    return {"html": html, "pdf": html, "tex": latex, "csv": files / "rows.csv"}[chosen[0]]
-
-
-_IN_LATEX = ("verdicts", "anova", "coefficients", "means", "pairs", "reference")
-
-
-def _write_data(report: AnalysisReport, contents: page.Contents, files: Path) -> None:
-    numbers = report.found.to_json()
-    text = json.dumps(numbers, indent=1, allow_nan=False)
-    replace_file(files / "numbers.json", text + "\n")
-    rows = report.found.data.residuals if report.rows is None else report.rows
+    folder, stem, rows = Path(out_dir), _stem(analysis, data), diagnosed_rows(analysis)
+    pages = prepare(analysis, data, rows, reference)
+    files = write.write_pages(folder, stem, pages, chosen)
+    write.write_numbers(files, analysis.to_json())
+    rows = analysis.data.residuals if rows is None else rows
     replace_file(files / "rows.csv", write.of_frame(rows))
-    sizes = [contents.sections[0].anova] if contents.sections[0].anova is not None else []
-    write.write_tables(files, (*contents.tables.values(), *sizes))
-    write.write_figures(files, contents.all_figures)
-
-
-# The page of a verb about one thing: answer, figures, tables, warnings, data beside it.
-
-
-@dataclass(frozen=True)
-class AnswerPage:
-    """What a page of one answer shows."""
-
-    #: What it is about, for example ``mesh convergence``.
-    kind: str
-    stem: str
-    #: Of what was asked; as the user wrote them.
-    name: str
-    question: str
-    answer: Sequence[str]
-    figures: Sequence[Figure]
-    tables: Sequence[Table]
-    warnings: Sequence[str] = ()
-    #: What ``--json`` prints, where it is written beside the page.
-    document: Mapping[str, object] | None = None
-
-
-def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
-    """Write a page, and the CSV of its figures and tables in a folder beside it."""
-    folder = Path(out_dir)
-    stem = f"{slug(page.name)}-{page.stem}"
-    files = data_folder(folder, stem)
-    write.write_figures(files, page.figures, drawn=False)
-    write.write_tables(files, page.tables)
-    if page.document is not None:
-        numbers = json.dumps(page.document, indent=1, allow_nan=False)
-        replace_file(files / "numbers.json", numbers + "\n")
-    text = _environment().get_template("answer.html.j2").render(
-        kind=page.kind, name=clean(page.name), question=clean(page.question), answer=page.answer,
-        figures=page.figures, tables=page.tables, warnings=[clean(line) for line in page.warnings],
-    )  # fmt: skip
-    replace_file(folder / f"{stem}.html", clean(text))
-    return folder / f"{stem}.html"
+    html, latex = folder / f"{stem}.html", folder / f"{stem}.tex"
+    if "tex" in chosen:
+        shown = [pages.tables[name] for name in _IN_LATEX if name in pages.tables]
+        if reference is not None:
+            shown.append(analysis_content.against_reference(*reference, data))
+        captions = [(table.name.capitalize(), table) for table in shown]
+        text = write.document(captions, _methods(data, facts(data)[0]))
+        replace_file(latex, text)
+    return {"html": html, "pdf": html, "tex": latex, "csv": files / "rows.csv"}[chosen[0]]

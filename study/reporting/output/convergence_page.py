@@ -16,7 +16,7 @@ from study.reporting.content.numbers import MISSING, general, quantity, signific
 from study.reporting.content.text import clean, name_of, sentence
 from study.reporting.figures import convergence_figures as convergence
 from study.reporting.figures.registry import Plot, make
-from study.reporting.output.analysis_page import AnswerPage, write_answer
+from study.reporting.output.write import answer_blocks, write_answer
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,11 +47,8 @@ def write_convergence(
         for cell in cells
         for text in cell.get("warnings") or ()
     ]
-    page = AnswerPage(
-        "mesh convergence", "convergence", name, question, answers(cells, document), figures,
-        tables, [clean(line) for line in dict.fromkeys(warnings)],
-    )  # fmt: skip
-    return write_answer(page, out_dir)
+    blocks = answer_blocks(answers(cells, document), figures, tables, warnings)
+    return write_answer("mesh convergence", name, question, blocks, out_dir, stem="convergence")
 
 
 def convergence_figures(

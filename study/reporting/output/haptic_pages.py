@@ -30,7 +30,7 @@ from study.reporting.figures.axes import (
     plain_ticks,
 )
 from study.reporting.figures.registry import Plot, make
-from study.reporting.output.analysis_page import AnswerPage, write_answer
+from study.reporting.output.write import answer_blocks, write_answer
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,13 +41,8 @@ def write_force_law(
     law: ForceLaw, question: str, out_dir: str | Path, warnings: tuple[str, ...] = ()
 ) -> Path:
     """Write the page of a force law."""
-    answer = [clean(line) for line in sentences(law)]
-    page = AnswerPage(
-        "force law", "force-law", law.name, question, answer, force_law_figures(law),
-        [constants(law)],
-        [clean(line) for line in warnings],
-    )  # fmt: skip
-    return write_answer(page, out_dir)
+    blocks = answer_blocks(sentences(law), force_law_figures(law), [constants(law)], warnings)
+    return write_answer("force law", law.name, question, blocks, out_dir)
 
 
 def force_law_figures(law: ForceLaw) -> list[Figure]:
@@ -111,13 +106,11 @@ def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
     tables = [errors(sensors), quantities(sensors)]
     if any(simulation.scatters for simulation in sensors.simulations):
         tables.append(simulations(sensors))
-    page = AnswerPage(
-        "sensor requirements", "requirement", sensors.name,
-        sensors.question or "How accurate must the sensors be?",
-        [clean(line) for line in requirement_sentences(sensors)],
-        requirement_figures(sensors), tables, warnings(sensors),
-    )  # fmt: skip
-    return write_answer(page, out_dir)
+    answer, figures = requirement_sentences(sensors), requirement_figures(sensors)
+    blocks = answer_blocks(answer, figures, tables, warnings(sensors))
+    question = sensors.question or "How accurate must the sensors be?"
+    kind = "sensor requirements"
+    return write_answer(kind, sensors.name, question, blocks, out_dir, stem="requirement")
 
 
 def warnings(sensors: SensorRequirement) -> list[str]:

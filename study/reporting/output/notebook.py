@@ -1,23 +1,23 @@
-"""What Python returns, as a notebook and a prompt show it: the same few tables in HTML and text."""
+"""What Python returns, as a notebook and a prompt show it: its blocks in HTML and in text."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import fields
-from typing import TYPE_CHECKING, ClassVar, Self
+from io import StringIO
+from typing import TYPE_CHECKING, Self
 
 from study.ground.canonical import Dataclass
+from study.reporting.output.page import fragment
+from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from study.reporting.content.blocks import Block
 
 
 class Shown(ABC):
-    """A result whose last line in a cell, or at a prompt, is a table and not all of its arrays."""
-
-    #: significant digits of a number
-    digits: ClassVar[int] = 4
+    """A result whose last line in a cell, or at a prompt, is what a terminal shows of it."""
 
     @classmethod
     def of(cls, result: Dataclass) -> Self:
@@ -25,23 +25,15 @@ class Shown(ABC):
         return cls(**{item.name: getattr(result, item.name) for item in fields(result)})
 
     @abstractmethod
-    def tables(self) -> Sequence[pd.DataFrame]:
-        """Tables that say what was found, the most important last."""
+    def blocks(self) -> Iterable[Block | None]:
+        """Return what the result says: headings, sentences, tables and figures."""
 
     def _repr_html_(self) -> str:
-        """Tables in HTML."""
-        return "\n".join(
-            frame.to_html(index=False, na_rep="", float_format=self._number)
-            for frame in self.tables()
-        )
+        """Blocks in HTML."""
+        return fragment(self.blocks())
 
     def __repr__(self) -> str:
-        """Tables in text."""
-        return "\n\n".join(
-            frame.to_string(index=False, na_rep="", float_format=self._number)
-            for frame in self.tables()
-            if len(frame)
-        )
-
-    def _number(self, value: float) -> str:
-        return f"{value:.{self.digits}g}"
+        """Blocks in text."""
+        text = StringIO()
+        say(self.blocks(), text)
+        return text.getvalue().strip()

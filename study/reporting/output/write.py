@@ -12,7 +12,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from importlib import metadata
 from pathlib import Path
@@ -26,22 +26,32 @@ from study.ground.bounded_file import read_existing, read_json, sha256_of
 from study.ground.errors import Fault, InputError, StoreError, StudyError, nearest
 from study.ground.memory import uncollected
 from study.harness.record.folder import own_folder
-from study.reporting.content.blocks import Figure, Table
+from study.reporting.content.blocks import (
+    Block,
+    Document,
+    Figure,
+    Heading,
+    Points,
+    Sentence,
+    Table,
+    titled,
+)
 from study.reporting.content.methods import paragraph
 from study.reporting.content.numbers import MINUS, MISSING, THIN, TIMES
+from study.reporting.content.report_facts import facts
 from study.reporting.content.text import clean
 from study.reporting.figures.registry import data_alone, slug
 from study.reporting.output.page import (
-    Contents,
+    Page,
+    Pages,
     data_folder,
     page_names,
-    pages,
-    prepare,
     printed,
     replace_bytes,
     replace_file,
     replace_packed,
 )
+from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import CurvePair, ReportData
 
 if TYPE_CHECKING:
@@ -137,35 +147,36 @@ def write(
     folder = Path(out_dir)
     is_undrawn = chosen == ("csv",)
     with uncollected(), data_alone() if is_undrawn else nullcontext():
-        return _written(prepare(report_data, None if is_undrawn else worker), folder, chosen)
+        pages = prepare(report_data, None if is_undrawn else worker)
+        stem = slug(report_data.name)
+        files = write_pages(folder, stem, pages, chosen)
+        _numbers(report_data, files)
+        replace_file(files / "cases.csv", of_frame(report_data.table))
+        if report_data.curves:
+            replace_packed(files / "curves.csv.gz", _points(report_data.curves))
+        if "tex" in chosen:
+            replace_file(folder / f"{stem}.tex", _latex(report_data, pages))
+    return main_file(folder, stem, chosen)
 
 
-def _written(contents: Contents, folder: Path, chosen: Sequence[str]) -> Path:
-    report_data = contents.data
-    stem = slug(report_data.name)
+def write_pages(folder: Path, stem: str, pages: Pages, chosen: Sequence[str]) -> Path:
+    """Write both pages, and the CSV of their tables and figures into the folder that is returned.
+
+    Both are printed into one document where a PDF is chosen.
+    """
     files = data_folder(folder, stem)
-    _numbers(contents, files)
-    _tables(contents, files)
-    replace_file(files / "cases.csv", of_frame(report_data.table))
-    if report_data.curves:
-        replace_packed(files / "curves.csv.gz", _points(report_data.curves))
-    write_figures(files, contents.all_figures)
-    write_pages(folder, stem, pages(contents), chosen)
-    if "tex" in chosen:
-        replace_file(folder / f"{stem}.tex", _latex(contents))
-    return main_file(folder, report_data.name, chosen)
-
-
-def write_pages(folder: Path, stem: str, html: tuple[str, str], chosen: Sequence[str]) -> None:
-    """Write the first page and the second, and both on paper where a PDF was chosen."""
+    write_tables(files, pages.tables.values())
+    write_figures(files, pages.figures.values())
     if "html" in chosen or "pdf" in chosen:
+        html = pages.html()
         for name, text in zip(page_names(stem), html, strict=True):
             replace_file(folder / name, text)
-    if "pdf" in chosen:
-        with tempfile.TemporaryDirectory() as place:
-            both = Path(place, f"{stem}.html")
-            both.write_text(printed(*html), encoding="utf-8")
-            print_page(both, folder / f"{stem}.pdf")
+        if "pdf" in chosen:
+            with tempfile.TemporaryDirectory() as place:
+                both = Path(place, f"{stem}.html")
+                both.write_text(printed(*html), encoding="utf-8")
+                print_page(both, folder / f"{stem}.pdf")
+    return files
 
 
 def main_file(folder: Path, name: str, formats: Sequence[str]) -> Path:
@@ -191,14 +202,48 @@ def checked_formats(formats: Sequence[str]) -> tuple[str, ...]:
     return tuple(sorted(chosen, key=FORMATS.index))
 
 
-def _tables(contents: Contents, files: Path) -> None:
-    made: list[Table] = list(contents.tables.values())
-    every = [
-        table
-        for section in contents.sections
-        for table in (section.anova, section.contrasts, section.assumptions)
-    ]
-    write_tables(files, [*made, *(table for table in every if table is not None)])
+def write_answer(
+    kind: str,
+    name: str,
+    question: str,
+    blocks: Iterable[Block | None],
+    out_dir: str | Path,
+    *,
+    stem: str = "",
+    document: Document | None = None,
+) -> Path:
+    """Write the page of a verb about one thing, with the CSV of its figures and tables beside it.
+
+    ``document`` is what ``--json`` prints, where it is written there too.
+    """
+    folder, title = Path(out_dir), clean(name)
+    stem = f"{slug(name)}-{stem or slug(kind)}"
+    files = data_folder(folder, stem)
+    kicker = kind[0].upper() + kind[1:]
+    page = Page(f"{title}: {kind}", kicker, title, clean(question), list(blocks))
+    write_figures(files, page.figures.values(), drawn=False)
+    write_tables(files, page.tables.values())
+    if document is not None:
+        write_numbers(files, document)
+    replace_file(folder / f"{stem}.html", page.html())
+    return folder / f"{stem}.html"
+
+
+def answer_blocks(
+    answer: Iterable[str],
+    figures: Iterable[Figure],
+    tables: Iterable[Table],
+    warnings: Iterable[str] = (),
+) -> Iterator[Block]:
+    """Answer, figures, tables under their names, warnings."""
+    yield Heading("Answer", 2, "answer")
+    yield from (Sentence(clean(line)) for line in answer)
+    yield from figures
+    for table in tables:
+        yield from titled(table)
+    if lines := [clean(line) for line in dict.fromkeys(warnings)]:
+        yield Heading("Warnings")
+        yield Points(lines)
 
 
 def write_tables(files: Path, tables: Iterable[Table]) -> None:
@@ -217,14 +262,17 @@ def write_figures(files: Path, figures: Iterable[Figure], *, drawn: bool = True)
             replace_file(files / f"figure-{figure.name}.svg", figure.svg + "\n")
 
 
-def _numbers(contents: Contents, files: Path) -> None:
+def _numbers(data: ReportData, files: Path) -> None:
     numbers = {
         response.name: None if response.result is None else response.result.to_json()
-        for response in contents.data.responses
+        for response in data.responses
     }
-    text = json.dumps(
-        {"study": contents.data.name, "responses": numbers}, indent=1, allow_nan=False
-    )
+    write_numbers(files, {"study": data.name, "responses": numbers})
+
+
+def write_numbers(files: Path, document: Document) -> None:
+    """Write what ``--json`` prints beside a page."""
+    text = json.dumps(document, indent=1, allow_nan=False)
     replace_file(files / "numbers.json", text + "\n")
 
 
@@ -242,15 +290,13 @@ def _points(curves: Sequence[CurvePair]) -> str:
     return "".join(parts)
 
 
-def _latex(contents: Contents) -> str:
-    captioned = [("Verdicts", contents.tables["verdicts"])]
-    captioned += [
-        (f"Analysis of variance of the {section.facts.title}", section.anova)
-        for section in contents.sections
-        if section.anova is not None
-    ]
-    captioned.append(("Cells", contents.tables["cells"]))
-    return document(captioned, paragraph(contents.data, contents.found))
+def _latex(data: ReportData, pages: Pages) -> str:
+    all_facts = facts(data)
+    captions = {"verdicts": "Verdicts"}
+    captions |= {f"{f.name}-anova": f"Analysis of variance of the {f.title}" for f in all_facts}
+    captions |= {"cells": "Cells"}
+    made = [(words, pages.tables[n]) for n, words in captions.items() if n in pages.tables]
+    return document(made, paragraph(data, all_facts))
 
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")

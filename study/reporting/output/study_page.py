@@ -1,0 +1,570 @@
+"""The two pages of a report: the answer and what it rests on, then everything else."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from study.reporting.content import (
+    analysis_content,
+    comparison_content,
+    effect_words,
+    methods,
+    recommendation,
+    sentences,
+    surface_content,
+    tables,
+    verdicts,
+)
+from study.reporting.content.blocks import (
+    Block,
+    Card,
+    CheckGroup,
+    Checks,
+    Definition,
+    Definitions,
+    Figure,
+    Folded,
+    Heading,
+    Points,
+    Sentence,
+    Verbatim,
+    titled,
+)
+from study.reporting.content.numbers import duration
+from study.reporting.content.report_facts import Facts, facts, grouped_inputs
+from study.reporting.content.text import (
+    clean,
+    count,
+    folded,
+    listing,
+    name_of,
+    plural_of,
+    sentence,
+)
+from study.reporting.figures import convergence_figures, registry, surface_figures
+from study.reporting.figures.registry import slug
+from study.reporting.output.page import Page, Pages, page_names
+from study.reporting.results.study_result import FITTED_CURVE, ReportData, ResponseAnalysis
+
+if TYPE_CHECKING:
+    from study.harness.execution.local import Worker
+
+EFFECTS = Heading("Effects in full", 2, "answer")
+IF_VIOLATED = (
+    Heading("What happens if they are violated"),
+    Definitions.of(verdicts.WHAT_IF),
+)
+GLOSSARY = (Heading("Glossary", 2, "glossary"), Definitions.of(methods.TERMS.items()))
+
+_VERSION = "version of "
+
+
+def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
+    """Compute every sentence, table and figure of a report."""
+    of_study = partial(registry.of_study, data)
+    figures = of_study if worker is None else worker.begin(of_study)
+    all_facts = facts(data)
+    of_each = {item.name: registry.of_response(data, item) for item in all_facts}
+    shapes = {surface_content.title(one, data): one for one in data.surfaces}
+    over = {
+        title: registry.made(surface_figures.drawings(one, data), f"surface-{slug(title)}", title)
+        for title, one in shapes.items()
+    }
+    effects = registry.overview(data, all_facts)
+    shares = next((of["shares"] for of in over.values() if "shares" in of), None)
+    if shares is not None and effects is None:
+        effects = registry.renamed(shares, "overview")
+    parts = [(item, of_each[item.name]) for item in all_facts if item.terms or not shapes]
+    middle: list[Block | None] = []
+    for title, one in shapes.items():
+        middle += surface_content.surface_blocks(one, data, f"surface-{slug(title)}", over[title])
+        notes = () if one.found is None else one.found.notes
+        middle += [Sentence(sentence(text), kind="note") for text in notes]
+    middle += [block for part in parts for block in _response(data, *part)]
+    of_all = figures()
+    stem = slug(data.name)
+    first = first_page(
+        data,
+        all_facts,
+        stem,
+        data.name,
+        short_answer(data, all_facts),
+        effects,
+        of_all.get("few-curves", of_all.get("curves")),
+    )
+    second = Page(
+        title=f"{data.name}: details",
+        kicker=first.kicker,
+        name=data.name,
+        question=data.question,
+        blocks=[
+            *_effects(data, all_facts, f"{stem}-data"),
+            *_study(data, all_facts),
+            *_checks(data, all_facts, of_all),
+            *error_terms(data, all_facts if parts else ()),
+            *middle,
+            *_expected(data, all_facts),
+            *_beside(data),
+            *_assumptions(parts),
+            *_specimens(data, of_all),
+            *_failures(data, of_all),
+            *_cost(data, parts),
+            *methods_to_paste(methods.paragraph(data, all_facts)),
+            *provenance(data, _warnings(data, all_facts)),
+            *GLOSSARY,
+        ],
+        files=f"{stem}-data",
+        back=page_names(stem)[0],
+        about=data.name,
+        flag=first.flag,
+    )
+    return Pages(first, second)
+
+
+def anchor_of(item: Facts) -> str:
+    """Name of the section of a response."""
+    return f"r-{slug(item.name)}"
+
+
+def first_page(
+    data: ReportData,
+    all_facts: Sequence[Facts],
+    stem: str,
+    name: str,
+    answer: Sequence[str],
+    effects: Figure | None,
+    curves: Figure | None = None,
+    rows: str = "cases.csv",
+) -> Page:
+    """Question, answer, effects, checks, curves, what to do."""
+    advice = what_to_do(data, all_facts)
+    would_change = recommendation.would_change(data, all_facts)
+    blocks: list[Block] = [Heading("Answer", 2, "answer"), *map(Sentence, answer)]
+    if effects is not None:
+        blocks += [Heading(effects.title, 2, "effects"), effects]
+    checks = analysis_content.all_checks(data, all_facts)
+    blocks += [Heading("Report card", 2, "card"), report_card(checks, data)]
+    if curves is not None:
+        blocks += [Heading("Measured and predicted", 2, "curves"), curves]
+    title = "Recommendation" if advice else "What would change this"
+    blocks += [Heading(title, 2, "recommendation"), *map(Sentence, advice)]
+    blocks.append(Sentence(would_change, "What would change this." if advice else ""))
+    kicker = "Analysis of a table" if data.is_table else "Study report"
+    files, more = f"{stem}-data", "All tables, figures, checks and methods"
+    links = {"effects": "table-verdicts.csv", "every row": rows, "all statistics": "numbers.json"}
+    return Page(
+        title=f"{name}: {kicker.lower()}",
+        kicker=kicker,
+        name=name,
+        question=data.question,
+        blocks=blocks,
+        files=files,
+        flag="virtual specimens" if data.virtual else "",
+        unfinished=sentences.partial(data),
+        footer=(
+            Sentence(more, kind="more", links=((more, page_names(stem)[1]),)),
+            _linked(f"Data: {', '.join(links)}.", links, files),
+        ),
+    )
+
+
+# The first page in words: an answer of few sentences, a line for every check, what to do.
+
+#: sentences of the answer, and responses that it speaks of one by one
+MOST_SENTENCES = 5
+MOST_RESPONSES = 3
+_END = re.compile(r"(?<=[.?!])\s+(?=[A-Z\N{MULTIPLICATION SIGN}])")
+
+
+def short_answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
+    """Answer in at most five sentences: verdicts first, then the best setting and the doubts."""
+    analyzed = [facts for facts in all_facts if facts.terms]
+    if not analyzed:
+        return in_few(sentences.answer(data, all_facts))
+    lines = [sentences.verdicts_of(data, facts) for facts in analyzed[:MOST_RESPONSES]]
+    if len(analyzed) > MOST_RESPONSES:
+        more = count(len(analyzed) - MOST_RESPONSES, "more response")
+        lines.append(f"The figure below shows the effects on {more}.")
+    ranked = (
+        *lines,
+        *comparison_content.answer_lines(data.beside, data.labels),
+        *sentences.left_out(data, all_facts),
+        sentences.without_verdict(all_facts),
+        recommendation.best_cell(data, all_facts)
+        if any(f.response.better for f in analyzed)
+        else "",
+        *effect_words.unknowns(data, all_facts),
+        *effect_words.by_condition(data, all_facts),
+        sentences.interactions(data, all_facts),
+    )
+    return in_few(ranked)
+
+
+def in_few(lines: Iterable[str]) -> tuple[str, ...]:
+    """Return the lines that together have at most five sentences, the first of them cut to that."""
+    shown: list[str] = []
+    left = MOST_SENTENCES
+    for line in filter(None, lines):
+        parts = _END.split(line)
+        if len(parts) <= left or not shown:
+            shown.append(" ".join(parts[:left]))
+            left -= min(len(parts), left)
+    return tuple(shown)
+
+
+def report_card(checks: Checks, data: ReportData) -> Card:
+    """Return one line a check, the worst first, and one for the notes of the second page."""
+    lines = [_card_line(group) for group in checks.groups]
+    if data.warnings or data.data_notes:
+        notes = count(len(data.warnings) + len(data.data_notes), "note")
+        lines.append(("note", "Notes", f"{notes} on the data and the run, on the second page."))
+    return Card(lines)
+
+
+def _card_line(group: CheckGroup) -> tuple[str, str, str]:
+    worst = [check for check in group.items if check.outcome == group.outcome]
+    meaning = worst[0].consequence or worst[0].finding
+    named = listing([check.of for check in worst if check.of])
+    if named and len(worst) < len(group.items):
+        meaning = f"{named}: {meaning}"
+    return group.outcome, sentence(group.name).rstrip("."), sentence(meaning)
+
+
+def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
+    """Recommendation of every response that has a better end; why there is none otherwise."""
+    if data.surfaces and not any(facts.terms for facts in all_facts):
+        where = {surface_content.title(one, data): one for one in data.surfaces[:MOST_RESPONSES]}
+        return tuple(
+            sentence(f"{name}: {' '.join(ends)}")
+            for name, one in where.items()
+            if (ends := surface_content.extremes(one, data))
+        )
+    if data.is_table:
+        return ()
+    lines = tuple(
+        recommendation.recommendation(data, facts)
+        for facts in all_facts
+        if facts.terms and facts.response.better and data.table[facts.name].notna().any()
+    )
+    if lines:
+        return lines
+    if not any(facts.terms for facts in all_facts):
+        return ("Nothing can be recommended, because no response could be analyzed.",)
+    return (
+        "No goal (minimize or maximize) was given, so no best setting is named: choose by the "
+        "effects above and by cost.",
+    )
+
+
+def _linked(words: str, links: Mapping[str, str], folder: str) -> Sentence:
+    """Note with the files of a report that it names."""
+    addresses = tuple((part, f"{folder}/{name}") for part, name in links.items())
+    return Sentence(words, kind="note", links=addresses)
+
+
+def _effects(data: ReportData, all_facts: Sequence[Facts], files: str) -> Iterator[Block]:
+    yield EFFECTS
+    yield from map(Sentence, sentences.answer(data, all_facts))
+    yield from map(Sentence, comparison_content.answer_lines(data.beside, data.labels))
+    table = tables.verdicts(all_facts, data)
+    anchors = {item.title: anchor_of(item) for item in all_facts}
+    yield replace(table, links=tuple(anchors[row[0]] for row in table.rows))
+    if table.rows:
+        links = {"these numbers as CSV": "table-verdicts.csv", "cases.csv": "cases.csv"}
+        words = "these numbers as CSV; every case they come from: cases.csv"
+        if data.curves:
+            links |= {"curves.csv.gz": "curves.csv.gz"}
+            words += "; every point of every curve: curves.csv.gz"
+        yield _linked(f"{words}.", links, files)
+
+
+def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
+    cells, records = tables.matrix(data, all_facts), tables.case_records(data, all_facts)
+    if records is not None:
+        names = tuple(f"{tables.CELL}{k}" for k in range(1, len(cells.rows) + 1))
+        cells = replace(cells, links=names)
+    measured = ["Generated (virtual specimens), not measured."] if data.virtual else []
+    if not data.is_measured:
+        measured.append("none: every response is one of the simulation alone")
+    elif data.citation or not data.virtual:
+        measured.append(data.citation or "No citation given.")
+    present = len(cells.rows)
+    computed = f"{present:,} of {count(data.planned, 'cell')} computed"
+    if present >= data.planned:
+        computed = count(present, "cell")
+    yield Heading("Study", 2, "study")
+    yield Definitions([
+        Definition("Factors", [
+            Sentence(data.ranges.get(key) or ", ".join(levels), name_of(key, data.labels))
+            for key, levels in data.factors.items()
+        ]),
+        *blocks_of(data, len(data.blocks)),
+        Definition("Cases", [Sentence(f"{computed}, {len(data.table):,} cases")]),
+        Definition("Responses", [Sentence(note(f.response), f.title) for f in all_facts]),
+        Definition("Measurements", [Sentence(" ".join(measured))]),
+        *(Definition(key, [Sentence(text)]) for key, text in grouped_inputs(data.inputs).items()),
+        *(Definition(key, [Sentence(text)], "assumed") for key, text in data.assumed.items()),
+        *([Definition("Excluded", [Sentence(f"{what}: {why}") for what, why in data.exclusions])]
+          if data.exclusions else []),
+    ])  # fmt: skip
+    summary = f"The matrix: {present} cells with their means and times"
+    yield Folded(summary, (cells,), "matrix")
+    if records is not None:
+        summary = f"Every case with its record: {len(records.rows):,}"
+        yield Folded(summary, (records,), "records")
+
+
+def blocks_of(data: ReportData, most: int) -> list[Definition]:
+    """Name the blocks, the first of many; nothing where there are none."""
+    if not data.blocks:
+        return []
+    more = f", and {len(data.blocks) - most} more" if len(data.blocks) > most else ""
+    named = ", ".join(data.blocks[:most])
+    return [Definition("Blocks", [Sentence(f"{len(data.blocks)} ({data.block}): {named}{more}")])]
+
+
+def note(response: ResponseAnalysis) -> str:
+    """Say what was declared of a response: its unit, what matters, how it is analyzed."""
+    parts = [response.unit] if response.unit else []
+    if response.practical is not None:
+        if response.relative:
+            limit = f"{100 * response.practical:g} % of the mean"
+        else:
+            limit = f"{response.practical:g} {'pp' if response.unit == '%' else response.unit}"
+        parts.append(f"a difference of {limit.strip()} matters")
+    if response.transform == "log":
+        parts.append("analyzed on the log, effects are ratios")
+    if response.scored_on == FITTED_CURVE:
+        parts.append("scored on the curve fitted: it says how well a model fits, not predicts")
+    elif response.cross_validated:
+        parts.append("each specimen predicted by constants fitted to the other specimens")
+    elif response.scored_on:
+        parts.append(f"scored on: {response.scored_on}")
+    if response.better:
+        parts.append(f"{response.better} is better")
+    return "; ".join(parts)
+
+
+def _checks(
+    data: ReportData, all_facts: Sequence[Facts], figures: Mapping[str, Figure]
+) -> Iterator[Block | None]:
+    yield Heading("Checks", 2, "checks")
+    yield analysis_content.all_checks(data, all_facts)
+    if data.is_table:
+        return
+    yield Heading("Numerical credibility", 2, "numerics")
+    if data.numerical:
+        yield Sentence(
+            "How far the answer still depends on the mesh. U, the bound of this error for a "
+            "difference, is added to both ends of its interval."
+        )
+        yield tables.numerical(data.numerical, data)
+    else:
+        yield Sentence(
+            "No mesh refinement was made for this study, so the numerical uncertainty is unknown: "
+            "differences between discretizations are not separated from mesh error."
+        )
+    yield figures.get("convergence")
+    if data.validation:
+        yield Heading("Comparison with the measurements, E \N{PLUS-MINUS SIGN} u_val")
+        yield Sentence(
+            "E is simulated minus measured force at the end of the curve; u_val adds up what the "
+            "mesh, the uncertain inputs and the scatter of the data leave open (ASME V&V 20). "
+            "Where |E| is larger, the model is wrong by about E; where it is smaller, nothing can "
+            "be said of the model."
+        )
+        yield figures["validation"]
+        yield convergence_figures.table(data.validation, data.block)
+    if data.controls:
+        yield Heading("Controls")
+        yield Checks.of(data.controls)
+
+
+def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
+    """Say what effects are compared with."""
+    if not all_facts:
+        return
+    yield Heading("Error term", 2, "error")
+    for who, text in sentences.error_terms(data, all_facts):
+        yield Sentence(text, "" if data.is_table else who)
+    if data.virtual:
+        yield Sentence(sentences.VIRTUAL)
+
+
+def drawn(figures: Mapping[str, Figure], *kinds: str) -> Iterator[Figure]:
+    """Figures of some kinds, those that were drawn."""
+    return (figures[kind] for kind in kinds if kind in figures)
+
+
+def _response(
+    data: ReportData, item: Facts, figures: Mapping[str, Figure]
+) -> Iterator[Block | None]:
+    yield Heading(item.title[0].upper() + item.title[1:], 2, anchor_of(item), item.unit)
+    if item.result is None or not item.terms:
+        yield Sentence(f"Not analyzed. {' '.join(item.warnings)}", kind="missing")
+        return
+    yield analysis_content.judged(item, data)
+    yield from titled(analysis_content.contrasts(item), analysis_content.ASKED)
+    yield from drawn(figures, "contrasts")
+    title = f"Analysis of variance, type {item.result.anova.type}"
+    yield from titled(tables.anova(item, data), title)
+    strata = tables.strata(item, data)
+    if strata.rows:
+        yield Folded("Blocks and error strata", (strata,))
+    yield from drawn(figures, "means", "interactions", "cells")
+    if not data.is_table and tables.lists_records(data):
+        yield Sentence(
+            "The cells behind these means stand in the matrix, which leads to the record of every "
+            "case.",
+            kind="note",
+            links=(("the matrix", "#matrix"),),
+        )
+    if "depth" in figures:
+        yield Heading("A second look: how deep the test goes")
+        yield figures["depth"]
+
+
+def _expected(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
+    if data.expected:
+        yield Heading("What was expected", 2, "expected")
+        yield Sentence(
+            "Expectations that the design states, beside what the study found. A larger effect is "
+            "one whose interval lies above the other's; a cell behind the best by less than what "
+            "matters may be the best."
+        )
+        yield verdicts.table(data, all_facts)
+
+
+def _beside(data: ReportData) -> Iterator[Block]:
+    if data.beside is None:
+        return
+    yield Heading(f"Compared with {data.beside.names[1]}", 2, "beside")
+    yield Sentence(
+        "Which conclusions of this study hold in another one too. A conclusion that survives the "
+        "changes listed here is stronger than either study alone."
+    )
+    yield from comparison_content.beside_blocks(data.beside, data.labels)
+
+
+def _assumptions(
+    parts: Sequence[tuple[Facts, Mapping[str, Figure]]],
+) -> Iterator[Block | None]:
+    if not parts:
+        return
+    yield Heading("Assumptions", 2, "assumptions")
+    for item, figures in parts:
+        if item.result is not None and item.terms:
+            yield Heading(item.title[0].upper() + item.title[1:])
+            yield analysis_content.checks(item.result, f"tests of assumptions {item.name}")
+            yield from drawn(figures, "residuals", "spread")
+    yield from IF_VIOLATED
+
+
+def _specimens(data: ReportData, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
+    """Curves, constants and markers of the specimens."""
+    if "few-curves" in figures:
+        yield Heading("Curves", 2, "curves")
+        yield figures["curves"]
+    if data.fits:
+        yield Heading("Fitted constants", 2, "constants")
+        yield Sentence(
+            f"Median and range over the fits of all {plural_of(data.block or 'block')}; standard "
+            "error (relative), correlation and residual are medians. A constant that the data do "
+            "not determine, because its interval is wide or another constant can make up for it, "
+            "is a number without a meaning of its own: only the curve that it helps to draw counts."
+        )
+        yield figures.get("constants")
+        yield tables.fits(data)
+        yield Folded("Every fit with its 95 % interval", (tables.every_fit(data),))
+    if data.markers:
+        yield Heading("Markers inside the specimen", 2, "markers", short="Markers")
+        yield Sentence(
+            "Root mean square distance between measured and predicted places of the markers, "
+            "beside the motion of the plate that leaves it (with its standard error where it was "
+            "fitted). The floor is how far the measured displacements are from any smooth field: "
+            "what is localization, and no model can mend. Markers that told the motion of the "
+            "plate judge a fit; only the others judge a prediction. Axes are those of the "
+            "specimen: z up, towards the plate that moves."
+        )
+        yield figures.get("markers")
+        yield tables.marker_errors(data)
+
+
+def _failures(data: ReportData, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
+    if data.is_table:
+        return
+    pattern = data.failure_pattern
+    yield Heading("Failures", 2, "failures")
+    if pattern is not None:
+        first, *rest = tables.failure_sentences(pattern, data.labels)
+        yield Sentence(first, kind="lead")
+        yield from map(Sentence, rest)
+    yield Sentence(sentences.failures(data.failures, len(data.table)))
+    if data.failures:
+        if pattern is not None:
+            yield tables.tests(pattern, data.labels)
+        yield figures["failures"]
+        yield tables.failures(data)
+    if data.retried:
+        yield Sentence(tables.retried_sentence(data.retried))
+        yield tables.retried_table(data.retried, data.block)
+
+
+def _cost(data: ReportData, parts: Sequence[tuple[Facts, Mapping[str, Figure]]]) -> Iterator[Block]:
+    weighed: list[Block] = []
+    for item, figures in parts:
+        if cheaper := recommendation.cheaper(data, item):
+            weighed.append(Sentence(cheaper))
+        weighed += drawn(figures, "front")
+    if parts:
+        none = "No response has a better end and a computing time, so cost is not weighed."
+        yield Heading("Cost against accuracy", 2, "cost")
+        yield from weighed or [Sentence(none)]
+
+
+def methods_to_paste(paragraph: str) -> tuple[Block, ...]:
+    """Methods as a quotation."""
+    return (
+        Heading("Methods, to paste", 2, "methods", short="Methods"),
+        Sentence(paragraph, kind="quote"),
+    )
+
+
+def provenance(data: ReportData, warnings: Sequence[str]) -> Iterator[Block]:
+    """Say what makes the report again, with which programs, in which time, and what to mind."""
+    versions = [
+        f"{clean(key).removeprefix(_VERSION)} {clean(value)}"
+        for key, value in data.provenance.items()
+        if key.startswith(_VERSION)
+    ]
+    rows = {"seed": str(data.seed)} | ({"versions": ", ".join(versions)} if versions else {})
+    rows |= {
+        key: value
+        for key, value in data.provenance.items()
+        if key != "seed" and not key.startswith(_VERSION)
+    }
+    if data.timings:
+        parts = ", ".join(f"{key} {duration(value)}" for key, value in data.timings.items())
+        rows["time"] = f"{parts} (sum {duration(sum(data.timings.values()))})"
+    yield Heading("Provenance", 2, "provenance")
+    if data.commands:
+        yield Heading("To reproduce")
+        yield Verbatim("\n".join(data.commands))
+    yield Definitions.of(rows.items(), exact=True)
+    for title, lines in (("Notes on the measurements", data.data_notes), ("Warnings", warnings)):
+        if lines:
+            yield Heading(title)
+            yield Points(lines)
+    if data.design_text:
+        yield Folded("The design file", (Verbatim(data.design_text),))
+
+
+def _warnings(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
+    over = bool(data.surfaces)  # a table of levels that a surface replaces is not missed
+    read = [item for item in all_facts if item.terms or not over]
+    pairs = [(item.title, warning) for item in read for warning in item.warnings]
+    return (*dict.fromkeys(data.warnings), *folded(pairs, data))
