@@ -249,7 +249,7 @@ def _design(
             for n, unit in units.items()
         ],
     }
-    if len(cells) > 1:
+    if spans or 1 < len(cells) < math.prod(map(len, labels.values())):
         tables["design"] = {"kind": "listed", "treatments": cells}
     most = max(map(len, _by_cell(rows).values()))
     if most > 1:

@@ -415,6 +415,12 @@ def test_runs_of_elsewhere_become_a_study(tmp_path):
     again = api.report(found.folder, reports=tmp_path / "reports")
     assert again.report.is_file()
     assert api.verify("runs", results=tmp_path / "r", reports=tmp_path / "reports").agrees
+    # nobody said which difference matters: an effect has its size and p, and no verdict
+    text = study("report", found.folder, "--reports", tmp_path / "reports").out
+    assert "No smallest difference that matters was given, so no factor has a verdict" in text
+    (row,) = [line for line in text.splitlines() if line.startswith("mesh")]
+    assert row.split()[1] == "\N{EN DASH}"
+    assert "cannot" not in text
     copies = api.import_runs(
         tmp_path / "runs.csv", **asked, practical="peak_force=2 N", name="copies",
         results=tmp_path / "r",

@@ -198,7 +198,7 @@ def simple_effects(facts: Facts, data: ReportData) -> Table | None:
             _what(facts): lambda of: significant(of[1].difference),
             "its own interval": lambda of: interval(*(of[1].ci or _NO_ENDS)),
             "simultaneous interval": lambda of: interval(*(of[1].ci_simultaneous or _NO_ENDS)),
-            "verdict": lambda of: of[1].verdict,
+            "verdict": lambda of: MISSING if of[0].practical is None else of[1].verdict,
         },
         left=3,
         tail=1,

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from study.reporting.content import effect_words, recommendation, surface_content
 from study.reporting.content.effect_words import change, shown_difference, size
-from study.reporting.content.numbers import MISSING, percent
+from study.reporting.content.numbers import MISSING, p_phrase, percent
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import (
     clean,
@@ -59,6 +59,7 @@ def answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     ]
     parts = (
         " ".join(text for text in first if text),
+        without_size(data, all_facts),
         without_verdict(all_facts),
         *effect_words.by_condition(data, all_facts),
         _one_not_other(data, all_facts),
@@ -90,6 +91,44 @@ def without_verdict(all_facts: Sequence[Facts]) -> str:
     return f"There is no verdict on the {listing(titles)}: the checks say why."
 
 
+def without_size(data: ReportData, all_facts: Sequence[Facts]) -> str:
+    """Say of which responses no smallest difference that matters was given, and how to give it."""
+    judged = [facts for facts in all_facts if facts.effects]
+    titles = [facts.title for facts in judged if _has_no_size(facts)]
+    if not titles:
+        return ""
+    here = "" if len(titles) == len(judged) else f" for the {listing(titles)}"
+    mend = "with --practical" if data.is_table else 'as practical = ".." in its [[response]]'
+    return (
+        f"No smallest difference that matters was given{here}, so no factor has a verdict"
+        f"{here and ' there'}: a small p says that an effect is there, not that it is large enough "
+        f"to care. Give one {mend}."
+    )
+
+
+def _has_no_size(facts: Facts) -> bool:
+    return bool(facts.effects) and all(effect.practical is None for effect in facts.effects)
+
+
+def tested(data: ReportData, facts: Facts) -> str:
+    """Say which terms differ by Holm's p, and which are not shown to."""
+    terms = [e for e in facts.terms if e.p_holm is not None]
+    if not terms:
+        return "There is no error term, so nothing is tested."
+    names = {e.term: clean(term_name(e.term, data.labels)) for e in terms}
+    differ = [e for e in terms if e.p_holm is not None and e.p_holm < facts.alpha]
+    shown = [f"{names[e.term]} ({size(e, facts)}, {p_phrase(e.p_holm)})" for e in differ]
+    rest = [names[e.term] for e in terms if e not in differ]
+    parts = []
+    if shown:
+        parts.append(f"an effect is shown of {listing(shown)}")
+    if rest:
+        parts.append(f"none is shown of {listing(rest, 'or')}")
+    adjusted = f"at {facts.alpha:g}, adjusted by Holm for {count(len(terms), 'term')}"
+    title = facts.title if data.is_table else f"the {facts.title}"
+    return sentence(f"for {title}, {'; '.join(parts)} ({adjusted})")
+
+
 def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Say which levels failed in too many of their cells to be compared with the others."""
     gone: dict[str, None] = {}
@@ -103,6 +142,8 @@ def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
 
 def verdicts_of(data: ReportData, facts: Facts) -> str:
     """Say in one sentence which choices matter for a response, which do not, which is open."""
+    if _has_no_size(facts):
+        return tested(data, facts)
     named: dict[str, list[Effect]] = {
         MATTERS: [], NO_DIFFERENCE: [], NOT_RESOLVED: [], CANNOT_TELL: []
     }  # fmt: skip
@@ -181,7 +222,9 @@ def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
         for effects in by_factor.values()
         for unseen in effects.items()
         for seen in effects.items()
-        if seen[1].verdict == MATTERS and unseen[1].verdict != MATTERS
+        if seen[1].verdict == MATTERS
+        and unseen[1].verdict != MATTERS
+        and unseen[1].practical is not None
     ]
     if not contrasts:
         return interactions(data, all_facts)

@@ -308,7 +308,13 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
         ),
         "range": lambda item: quantity(None if item.range is None else item.range.value, unit),
         "bound": lambda item: quantity(None if item.range is None else item.range.bound, unit, 2),
-        "verdict": lambda item: CANNOT_TELL if item.range is None else item.range.told,
+        "verdict": lambda item: (
+            MISSING
+            if found.practical is None
+            else CANNOT_TELL
+            if item.range is None
+            else item.range.told
+        ),
     }
     note = (
         "Range: 95 % of the settings of the other factors change the response by less along this "

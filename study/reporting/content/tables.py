@@ -238,7 +238,7 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
         raw=lambda of: {
             "response": of[0].name,
             "factor": of[1].term,
-            "verdict": told(of[1]),
+            "verdict": of[1].verdict if of[1].practical is None else told(of[1]),
             "effect": of[1].range,
             **{
                 name: getattr(of[1], name)

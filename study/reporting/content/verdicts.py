@@ -88,7 +88,12 @@ def sole_setting(effect: Effect) -> SimpleEffect | None:
 
 
 def told(effect: Effect) -> str:
-    """Verdict as a table says it, so that the average beside it does not contradict it."""
+    """Verdict as a table says it, so that the average beside it does not contradict it.
+
+    A dash where nobody said which difference matters: then there is nothing to judge.
+    """
+    if effect.practical is None:
+        return MISSING
     return MATTERS_AT_SETTINGS if sole_setting(effect) else effect.verdict
 
 

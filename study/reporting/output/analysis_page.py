@@ -23,10 +23,8 @@ from study.reporting.content.blocks import (
     Sentence,
     titled,
 )
-from study.reporting.content.effect_words import size
-from study.reporting.content.numbers import p_phrase
 from study.reporting.content.report_facts import Facts, facts
-from study.reporting.content.text import clean, count, listing, sentence, term_name
+from study.reporting.content.text import clean, sentence
 from study.reporting.figures import registry, residual_figures
 from study.reporting.figures.registry import Plot, made, slug
 from study.reporting.output import study_page, write
@@ -233,38 +231,7 @@ def answer(data: ReportData, item: Facts) -> tuple[str, ...]:
         return tuple(sentence(clean(note)) for note in item.warnings) or ("Nothing to analyze.",)
     if any(effect.practical is not None for effect in item.effects):
         return sentences.answer(data, (item,))
-    return tuple(text for text in (_tested(data, item), _NO_VERDICT) if text)
-
-
-_NO_VERDICT = (
-    "No smallest difference that matters was given, so no factor has a verdict: a small p says "
-    "that an effect is there, not that it is large enough to care. Give one with --practical."
-)
-
-
-def _tested(data: ReportData, item: Facts) -> str:
-    """Which terms differ by Holm's p, and which are not shown to."""
-    tested = [e for e in item.terms if e.p_holm is not None]
-    if not tested:
-        return "There is no error term, so nothing is tested."
-    names = {e.term: term_name(e.term, data.labels) for e in tested}
-    shown = [
-        f"{clean(names[e.term])} ({size(e, item)}, {p_phrase(e.p_holm)})"
-        for e in tested
-        if _below(e.p_holm, item)
-    ]
-    rest = [clean(names[e.term]) for e in tested if not _below(e.p_holm, item)]
-    parts = []
-    if shown:
-        parts.append(f"an effect is shown of {listing(shown)}")
-    if rest:
-        parts.append(f"none is shown of {listing(rest, 'or')}")
-    adjusted = f"at {item.alpha:g}, adjusted by Holm for {count(len(tested), 'term')}"
-    return sentence(f"for {clean(item.title)}, {'; '.join(parts)} ({adjusted})")
-
-
-def _below(p: float | None, item: Facts) -> bool:
-    return p is not None and p < item.alpha
+    return (sentences.tested(data, item), sentences.without_size(data, (item,)))
 
 
 def _stem(analysis: AnalysisResult, data: ReportData) -> str:
