@@ -59,7 +59,7 @@ def test_terminal_page_and_json_have_every_combination(
              "--factors", "material", "--practical", "1")  # fmt: skip
     shown = study(*asked, "--report", "page")
     assert shown.code == 0, shown.err
-    assert "force at material neo-hookean" in shown.out
+    assert "Force at material neo-hookean" in shown.out
     assert "Force with material ogden is 2.4" in shown.out
     assert shown.err.count("1 run without a response left out") == 1
     page = both_pages(tmp_path / "page" / "runs.html")
@@ -86,7 +86,7 @@ def test_a_combination_without_a_surface_is_named_and_the_others_stand(
                   "--factors", "material")  # fmt: skip
     assert shown.code == 0, shown.err
     assert "material = gent: factor 'tip': has one setting in every run" in shown.err
-    assert "force at material ogden" in shown.out
+    assert "Force at material ogden" in shown.out
     assert "gent" not in shown.out
 
 

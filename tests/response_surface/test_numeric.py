@@ -138,7 +138,7 @@ def test_a_quadratic_in_blocks_is_judged_by_the_blocks(tmp_path: Path) -> None:
     region = surface["stationary"]["region"]
     assert region["low"]["x"] < fitted.mean() / 4.0 < region["high"]["x"]
     assert not region["leaves_the_box"]
-    assert "all terms of x: F(" in analyze(path, "x", "--block", "b").out
+    assert "All terms of x: F(" in analyze(path, "x", "--block", "b").out
 
 
 def test_emulators_of_blocks_are_compared_over_blocks(tmp_path: Path) -> None:

@@ -11,13 +11,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from study.ground.arrays import Array
 from study.mechanics.setup.calibration_table import Theory
 from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 #: Gauss points over a rounded edge
 _EDGE = 64
@@ -260,6 +263,8 @@ class ContactForceLaw:
 
     @cached_property
     def _spline(self) -> CubicHermiteSpline:
+        from scipy.interpolate import CubicHermiteSpline
+
         slope = self.stiffness_mm * self.depth_mm / self.force_mm2
         return CubicHermiteSpline(np.log(self.depth_mm), np.log(self.force_mm2), slope)
 

@@ -11,7 +11,6 @@ import ctypes
 import functools
 import importlib.util
 import math
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -218,7 +217,7 @@ def _mkl() -> ctypes.CDLL:
     """Load the library from where pip puts it: pypardiso searches the environment for 0.5 s."""
     files = sorted(Path(sys.prefix, "lib").glob("libmkl_rt.so*"))
     library: ctypes.CDLL
-    if files and "PYPARDISO_MKL_RT" not in os.environ:
+    if files:
         library = ctypes.CDLL(str(files[0]))
         library.pardiso.restype = None
     else:
