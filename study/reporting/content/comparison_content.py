@@ -12,7 +12,6 @@ from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, count, listing, name_of, sentence, term_name
 from study.reporting.results import study_answers
 from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
-from study.reporting.results.study_result import ResponseAnalysis
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS
 
@@ -169,8 +168,7 @@ def _how(row: Conclusion, comparison: Beside) -> str:
 
 def facts_of(row: Conclusion) -> Facts:
     """Response of a conclusion: its title and unit."""
-    unit = clean(row.unit)
-    return Facts(ResponseAnalysis(row.response, unit), response_of(row), unit)
+    return Facts(row.response, clean(row.unit), title=response_of(row))
 
 
 def answer_lines(comparison: Beside | None, labels: Labels = None) -> tuple[str, ...]:

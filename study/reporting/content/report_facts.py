@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from study.harness.record.record import answered_often, cell_names
 from study.reporting.content.text import clean, count, listing, name_of
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
-from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova_table import Effect, Row, SimpleEffect
 from study.statistics.analysis.assumptions import Assumptions
 
@@ -27,28 +26,20 @@ _Value = TypeVar("_Value", Effect, SimpleEffect, Row)
 
 def practical_of(facts: Facts, frame: pd.DataFrame) -> float:
     """Smallest difference that matters in the response's unit; 0 where none was declared."""
-    value = facts.response.practical or 0.0
-    return value * abs(float(frame["mean"].mean())) if facts.response.relative else value
+    value = facts.practical or 0.0
+    return value * abs(float(frame["mean"].mean())) if facts.relative else value
 
 
 @dataclass(frozen=True)
-class Facts:
+class Facts(ResponseAnalysis):
     """One response as a report shows it: its analysis, in the order of the design."""
 
-    response: ResponseAnalysis
-    title: str
-    unit: str
     #: Effects with the levels in the order of the design; what is not finite is None.
     terms: tuple[Effect, ...] = ()
     #: Notes of the analysis, or why there is none.
     warnings: tuple[str, ...] = ()
     #: What the blocks are: phantom, batch.
     block: str = "block"
-
-    @property
-    def result(self) -> AnalysisResult | None:
-        """The analysis; None where the response could not be analyzed."""
-        return self.response.result
 
     @property
     def assumptions(self) -> Assumptions:
@@ -66,14 +57,9 @@ class Facts:
         return 0.05 if self.result is None else self.result.request.alpha
 
     @property
-    def name(self) -> str:
-        """Column of the response."""
-        return self.response.name
-
-    @property
     def ratio(self) -> bool:
         """Whether effects are ratios."""
-        return self.response.transform == "log"
+        return self.transform == "log"
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -101,14 +87,12 @@ def facts(data: ReportData) -> tuple[Facts, ...]:
 
 
 def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
-    title = clean(response.title or name_of(response.name, data.labels))
-    result = response.result
-    if result is None:
-        warned = (response.refused,) if response.refused else ()
-        return Facts(response, title, clean(response.unit), warnings=warned)
+    title, unit = response.title or name_of(response.name, data.labels), clean(response.unit)
+    shown = Facts(**vars(response) | {"title": clean(title), "unit": unit})
+    if (result := response.result) is None:
+        return replace(shown, warnings=(response.refused,) if response.refused else ())
     terms = tuple(_as_designed(effect, data.factors) for effect in result.effects)
-    block = clean(data.block) or "block"
-    return Facts(response, title, clean(response.unit), terms, result.notes, block)
+    return replace(shown, terms=terms, warnings=result.notes, block=clean(data.block) or "block")
 
 
 def _finite(value: _Value) -> _Value:

@@ -169,7 +169,7 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
         parts.append(f"these data cannot show whether {names} matters")
     if not parts:
         return ""
-    fitted = facts.response.scored_on == FITTED_CURVE
+    fitted = facts.scored_on == FITTED_CURVE
     sample = " (of the curves that were fitted: a fit is no prediction)" if fitted else ""
     title = facts.title if data.is_table else f"the {facts.title}"
     return sentence(f"for {title}{sample}, " + "; ".join(parts))

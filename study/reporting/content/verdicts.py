@@ -374,7 +374,7 @@ def _directed(item: Expected, facts: Facts) -> tuple[str, str]:
     """
     factor, labels = next(iter(item.cells[0].items()))
     effect = _effect_of(facts, factor)
-    better = facts.response.better
+    better = facts.better
     if effect is None or (item.kind == "better" and not better):
         return _UNKNOWN, CANNOT_TELL
     named = set(labels.split("\t"))
@@ -437,7 +437,7 @@ def _from(limit: float, facts: Facts) -> str:
 
 
 def _worse(mean: float, facts: Facts) -> float:
-    return -mean if facts.response.better == "higher" else mean
+    return -mean if facts.better == "higher" else mean
 
 
 def _difference(value: float, limit: float, facts: Facts) -> str:

@@ -143,7 +143,7 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
     import pandas as pd
 
     ranked = groups(data, facts)
-    if facts.response.better == "higher":
+    if facts.better == "higher":
         ranked = ranked[::-1]
     factors = list(data.factors)
     complete = comparable(data, facts.name)
@@ -171,8 +171,8 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     figure = canvas(WIDTH_IN, 0.8 + 0.24 * count)
     ax = figure.subplots()
     best = float(frame["cell_mean"].iloc[0])
-    if facts.response.better and practical > 0:
-        sign = -1 if facts.response.better == "higher" else 1
+    if facts.better and practical > 0:
+        sign = -1 if facts.better == "higher" else 1
         ax.axvspan(best, best + sign * practical, color=BAND, zorder=0)
         above(ax, "as good as the best", best + sign * practical / 2)
     means = frame.drop_duplicates("rank")

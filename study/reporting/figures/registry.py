@@ -319,7 +319,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         "spread": not is_saturated,
         "contrasts": result.variation.lenth is not None,
         "depth": any(row.response == facts.name for row in data.depths),
-        "front": bool(facts.response.better) and timed,
+        "front": bool(facts.better) and timed,
     }
     chosen = {k: plot for k, plot in plots.items() if has.get(k, True) and k not in without}
     return made(chosen, slug(facts.name), facts.title)

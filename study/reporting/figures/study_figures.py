@@ -125,7 +125,7 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     ax.set_xscale("log")
     front = frame[frame["front"]]
     ax.step(front["seconds"], front["mean"], where="post", color=MUTED, linewidth=0.9)
-    sign = -1.0 if facts.response.better == "higher" else 1.0
+    sign = -1.0 if facts.better == "higher" else 1.0
     best = float(sign * (sign * frame["mean"]).min())
     if practical > 0:
         ax.axhspan(best, best + sign * practical, color="#eef1f4", zorder=0)

@@ -29,7 +29,7 @@ from study.reporting.content.numbers import (
 )
 from study.reporting.content.text import clean, count
 from study.reporting.figures import accuracy_figures
-from study.reporting.figures.registry import Plot, make
+from study.reporting.figures.registry import Plot
 from study.reporting.output.write import answer_blocks, write_answer
 
 # What a report says of a scanned surface: its answers in sentences, and its tables.
@@ -309,7 +309,7 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
     plots: dict[str, Plot] = {}
     if (distance := accuracy.distance) is not None:
         dashed = " Dashed: the standard." if distance.standard else ""
-        plots["distance"] = (
+        plots["tracker-distance"] = (
             "Distance by stage",
             lambda: accuracy_figures.distance_points(distance),
             lambda frame: accuracy_figures.draw_distances(frame, distance),
@@ -318,7 +318,7 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
             ),
         )
     if (displacement := accuracy.displacement) is not None:
-        plots["displacement"] = (
+        plots["tracker-displacement"] = (
             "Measured and commanded displacement",
             lambda: accuracy_figures.displacement_points(displacement),
             lambda frame: accuracy_figures.draw_displacement(frame, displacement),
@@ -328,7 +328,7 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
             ),
         )
     if (reference := accuracy.reference) is not None:
-        plots["reference"] = (
+        plots["tracker-reference"] = (
             "Errors against the reference",
             lambda: accuracy_figures.reference_points(reference),
             accuracy_figures.draw_reference,
@@ -337,9 +337,8 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
                 "at every pose, and the error of a pose predicted from all others."
             ),
         )
-    figures = [make(f"tracker-{name}", plot) for name, plot in plots.items()]
     tables = tracker_tables(accuracy)
-    blocks = answer_blocks(tracker_answers(accuracy), figures, tables, accuracy.notes)
+    blocks = answer_blocks(tracker_answers(accuracy), plots, tables, accuracy.notes)
     name, question, document = accuracy.name, accuracy.question, accuracy.to_json()
     return write_answer("tracker accuracy", name, question, blocks, out_dir, document=document)
 
@@ -348,22 +347,21 @@ def write_shape(deviation: ShapeDeviation, out_dir: str | Path) -> Path:
     """Write the page of a scanned surface."""
     frame = accuracy_figures.deviation_points(deviation)
     plots: dict[str, Plot] = {
-        "histogram": (
+        "shape-histogram": (
             "Deviations",
             lambda: frame,
             accuracy_figures.draw_histogram,
             lambda _: "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %.",
         ),
-        "views": (
+        "shape-views": (
             "Deviation over the body",
             lambda: frame,
             accuracy_figures.draw_views,
             lambda _: "Mean deviation of the points in every hexagon that face the viewer.",
         ),
     }
-    figures = [make(f"shape-{name}", plot) for name, plot in plots.items()]
     warnings = (f"simulated part: {deviation.symmetry}", *deviation.notes)
-    blocks = answer_blocks(scan_answers(deviation), figures, scan_tables(deviation), warnings)
+    blocks = answer_blocks(scan_answers(deviation), plots, scan_tables(deviation), warnings)
     question = f"How far is the simulated surface from {deviation.scan}?"
     name, document = deviation.name, deviation.to_json()
     return write_answer("shape deviation", name, question, blocks, out_dir, document=document)

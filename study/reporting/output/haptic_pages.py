@@ -14,7 +14,7 @@ from study.laboratory.haptics.tabulated_force import ForceLaw
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
 from study.laboratory.sensors.requirement import sentences as requirement_sentences
 from study.mechanics.material.material import is_dimensionless
-from study.reporting.content.blocks import Figure, Table
+from study.reporting.content.blocks import Table
 from study.reporting.content.numbers import MISSING, significant
 from study.reporting.content.text import clean
 from study.reporting.figures.axes import (
@@ -29,7 +29,7 @@ from study.reporting.figures.axes import (
     note,
     plain_ticks,
 )
-from study.reporting.figures.registry import Plot, make
+from study.reporting.figures.registry import Plot
 from study.reporting.output.write import answer_blocks, write_answer
 
 if TYPE_CHECKING:
@@ -41,12 +41,6 @@ def write_force_law(
     law: ForceLaw, question: str, out_dir: str | Path, warnings: tuple[str, ...] = ()
 ) -> Path:
     """Write the page of a force law."""
-    blocks = answer_blocks(sentences(law), force_law_figures(law), [constants(law)], warnings)
-    return write_answer("force law", law.name, question, blocks, out_dir)
-
-
-def force_law_figures(law: ForceLaw) -> list[Figure]:
-    """Force, stiffness and gradients; deviations from the simulation."""
     uncertain = law.covariance is not None
     plots: dict[str, Plot] = {
         "force-law": (
@@ -69,7 +63,8 @@ def force_law_figures(law: ForceLaw) -> list[Figure]:
             ),
         ),
     }
-    return [make(name, plot) for name, plot in plots.items()]
+    blocks = answer_blocks(sentences(law), plots, [constants(law)], warnings)
+    return write_answer("force law", law.name, question, blocks, out_dir)
 
 
 def constants(law: ForceLaw) -> Table:
@@ -106,8 +101,26 @@ def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
     tables = [errors(sensors), quantities(sensors)]
     if any(simulation.scatters for simulation in sensors.simulations):
         tables.append(simulations(sensors))
-    answer, figures = requirement_sentences(sensors), requirement_figures(sensors)
-    blocks = answer_blocks(answer, figures, tables, warnings(sensors))
+    limit = 100 * sensors.accuracy
+    plots: dict[str, Plot] = {
+        "requirement-map": (
+            "Position against force accuracy",
+            lambda: map_points(sensors),
+            lambda frame: draw_map(frame, limit),
+            lambda _: (
+                f"Expanded uncertainty (k = {sensors.coverage:g}) with all errors of a "
+                "sensor so many times as large as given; in the green region it is "
+                f"{limit:g} % or less. To first order."
+            ),
+        ),
+        "requirement-parts": (
+            "What each error adds",
+            lambda: part_points(sensors),
+            draw_parts,
+            lambda _: "Standard uncertainty by each error alone; their squares add up.",
+        ),
+    }
+    blocks = answer_blocks(requirement_sentences(sensors), plots, tables, warnings(sensors))
     question = sensors.question or "How accurate must the sensors be?"
     kind = "sensor requirements"
     return write_answer(kind, sensors.name, question, blocks, out_dir, stem="requirement")
@@ -121,30 +134,6 @@ def warnings(sensors: SensorRequirement) -> list[str]:
         for simulation in sensors.simulations
         if not simulation.is_linear
     ]
-
-
-def requirement_figures(sensors: SensorRequirement) -> list[Figure]:
-    """Map of accuracies, and parts of the uncertainty."""
-    limit = 100 * sensors.accuracy
-    plots: dict[str, Plot] = {
-        "map": (
-            "Position against force accuracy",
-            lambda: map_points(sensors),
-            lambda frame: draw_map(frame, limit),
-            lambda _: (
-                f"Expanded uncertainty (k = {sensors.coverage:g}) with all errors of a "
-                "sensor so many times as large as given; in the green region it is "
-                f"{limit:g} % or less. To first order."
-            ),
-        ),
-        "parts": (
-            "What each error adds",
-            lambda: part_points(sensors),
-            draw_parts,
-            lambda _: "Standard uncertainty by each error alone; their squares add up.",
-        ),
-    }
-    return [make(f"requirement-{name}", plot) for name, plot in plots.items()]
 
 
 def errors(sensors: SensorRequirement) -> Table:

@@ -40,7 +40,7 @@ from study.reporting.content.methods import paragraph
 from study.reporting.content.numbers import MINUS, MISSING, THIN, TIMES
 from study.reporting.content.report_facts import facts
 from study.reporting.content.text import clean
-from study.reporting.figures.registry import data_alone, slug
+from study.reporting.figures.registry import Plot, data_alone, make, slug
 from study.reporting.output.page import (
     Page,
     Pages,
@@ -231,14 +231,14 @@ def write_answer(
 
 def answer_blocks(
     answer: Iterable[str],
-    figures: Iterable[Figure],
+    plots: Mapping[str, Plot],
     tables: Iterable[Table],
     warnings: Iterable[str] = (),
 ) -> Iterator[Block]:
     """Answer, figures, tables under their names, warnings."""
     yield Heading("Answer", 2, "answer")
     yield from (Sentence(clean(line)) for line in answer)
-    yield from figures
+    yield from (make(name, plot) for name, plot in plots.items())
     for table in tables:
         yield from titled(table)
     if lines := [clean(line) for line in dict.fromkeys(warnings)]:
