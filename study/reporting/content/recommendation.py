@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from study.harness.record.record import cell_names
 from study.reporting.content import effect_words, surface_content
-from study.reporting.content.effect_words import size, size_interval
+from study.reporting.content.effect_words import size, size_interval, with_unit
 from study.reporting.content.numbers import (
     THIN,
     decimals_that_count,
@@ -207,8 +207,7 @@ def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
         return f"{text}; {_why_best(cheap, good)}"
     limit = practical_of(facts, frame)
     gap = rounded(abs(float(best["mean"] - cheap["mean"])), decimals_that_count(limit))
-    if facts.difference_unit:
-        gap += f"{THIN}{facts.difference_unit}"
+    gap = with_unit(gap, facts.difference_unit)
     times = significant(best["seconds"] / max(cheap["seconds"], 1e-9), 2)
     other = listing([clean(best[name]) for name in factors])
     return (

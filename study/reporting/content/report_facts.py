@@ -76,6 +76,11 @@ class Facts(ResponseAnalysis):
         """Unit of a difference: percentage points for a response in percent."""
         return "pp" if self.unit == "%" else self.unit
 
+    @property
+    def scale(self) -> str:
+        """Unit of what is analyzed less its mean."""
+        return "log ratio" if self.ratio else self.difference_unit
+
     def row(self, term: str) -> Row | None:
         """Row of the ANOVA table of a term."""
         return next((row for row in self.rows if row.term == term), None)

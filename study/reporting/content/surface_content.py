@@ -310,7 +310,7 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
         "bound": lambda item: quantity(None if item.range is None else item.range.bound, unit, 2),
         "verdict": lambda item: (
             MISSING
-            if found.practical is None
+            if one.practical is None
             else CANNOT_TELL
             if item.range is None
             else item.range.told

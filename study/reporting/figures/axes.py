@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 _MOST_TICKS = 9
 
 
+def labeled(words: str, unit: str | None) -> str:
+    """Words of an axis with their unit."""
+    return f"{words} ({unit})" if unit else words
+
+
 def wrap(label: object, width: int = 14, longest: int = 60) -> str:
     """Label of user text over several lines, broken at spaces and hyphens."""
     text = clean(label, longest)

@@ -5,7 +5,7 @@ Everything comes as plain values: a series is the document that ``study converge
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +24,7 @@ from study.reporting.figures.axes import (
     WIDTH_IN,
     canvas,
     color_of,
+    labeled,
     log_ticks,
     panels,
     plain_ticks,
@@ -100,9 +101,7 @@ def draw_values(frame: pd.DataFrame) -> Canvas:
 
 def _axis(frame: pd.DataFrame) -> str:
     """Name of the quantity with its unit."""
-    quantity = name_of(str(frame["quantity"].iloc[0]))
-    unit = clean(str(frame["unit"].iloc[0]))
-    return f"{quantity} ({unit})" if unit else quantity
+    return labeled(name_of(str(frame["quantity"].iloc[0])), clean(str(frame["unit"].iloc[0])))
 
 
 def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
@@ -325,29 +324,26 @@ def _unjudged(cells: int) -> str:
 
 def table(rows: Sequence[Document], block: str) -> Table:
     """Compare every case at the end of its curve."""
-    shown = tuple(
-        (
-            clean(validation_label(row)),
-            clean(row["block"] or MISSING),
-            *(significant(row[name][-1]) for name in _SHOWN),
-            f"{100 * row['outside']:.0f} %",
-            clean(row["verdict"], 200),
-        )
-        for row in rows
+    heads = dict(zip(("E (N)", "u_num", "u_input", "u_data", "u_val"), _SHOWN, strict=True))
+    columns: dict[str, Callable[[Document], str]] = {
+        "cell": lambda row: clean(validation_label(row)),
+        block or "block": lambda row: clean(row["block"] or MISSING),
+        **{head: lambda row, name=name: significant(row[name][-1]) for head, name in heads.items()},
+        "curve outside": lambda row: f"{100 * row['outside']:.0f} %",
+        "verdict": lambda row: clean(row["verdict"], 200),
+    }
+    return Table.of(
+        "validation",
+        rows,
+        columns,
+        left=2,
+        tail=1,
+        raw=lambda row: (
+            {**row["levels"], "block": row["block"]}
+            | {name: row[name][-1] for name in _SHOWN}
+            | {name: row[name] for name in ("outside", "verdict")}
+        ),
     )
-    raw = tuple(
-        {
-            **dict(row["levels"]),
-            "block": row["block"],
-            **{name: row[name][-1] for name in _SHOWN},
-            "outside": row["outside"],
-            "verdict": row["verdict"],
-        }
-        for row in rows
-    )
-    columns = ("cell", block or "block", "E (N)", "u_num", "u_input", "u_data", "u_val",
-               "curve outside", "verdict")  # fmt: skip
-    return Table("validation", columns, shown, 2, 1, raw=raw)
 
 
 _SHOWN = ("error_N", "u_num_N", "u_input_N", "u_data_N", "u_val_N")

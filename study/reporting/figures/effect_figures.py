@@ -27,6 +27,7 @@ from study.reporting.figures.axes import (
     canvas,
     clean_left,
     color_of,
+    labeled,
     name_rows,
     note,
     plain_ticks,
@@ -99,7 +100,7 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
     ax.margins(y=0.2)
     plain_ticks(ax, "y")
-    ax.set(xlabel="", ylabel=axis_label(facts))
+    ax.set(xlabel="", ylabel=labeled(facts.title, facts.unit))
     ax.tick_params(axis="x", length=0)
     return figure
 
@@ -131,11 +132,6 @@ def _sides(means: Sequence[float]) -> list[int]:
     left = np.r_[values[1:2], values[:-1]]
     right = np.r_[values[1:], values[-2:-1]]
     return [1 if v >= (a + b) / 2 else -1 for v, a, b in zip(values, left, right, strict=True)]
-
-
-def axis_label(facts: Facts) -> str:
-    """Name and unit of a response for an axis."""
-    return f"{facts.title} ({facts.unit})" if facts.unit else facts.title
 
 
 def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
@@ -182,7 +178,7 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
     ax.set_ylim(count - 0.4, -0.8)
     plain_ticks(ax, "x")
-    ax.set(xlabel=axis_label(facts), ylabel="")
+    ax.set(xlabel=labeled(facts.title, facts.unit), ylabel="")
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     clean_left(ax)
     return figure
@@ -250,7 +246,7 @@ def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Ca
             _upper_ticks(upper, i, j, k, factors[second])
             _numbers(lower, table.T, low, high)
             _lower_ticks(lower, factors[first], j == k - 1)
-    figure.suptitle(axis_label(facts), x=0.01, ha="left", fontsize=8.5)
+    figure.suptitle(labeled(facts.title, facts.unit), x=0.01, ha="left", fontsize=8.5)
     return figure
 
 

@@ -23,13 +23,13 @@ from study.reporting.figures.axes import (
     canvas,
     clean_left,
     color_of,
+    labeled,
     log_ticks,
     name_rows,
     note,
     plain_ticks,
     wrap,
 )
-from study.reporting.figures.effect_figures import axis_label
 from study.reporting.results.study_result import DepthEffect, ReportData
 
 if TYPE_CHECKING:
@@ -76,8 +76,7 @@ def draw_constants(frame: pd.DataFrame) -> Canvas:
     for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
         some = frame[frame["constant"] == name]
         _panel(ax, some, color_of(index))
-        unit = str(some["unit"].iloc[0])
-        ax.set_xlabel(f"{clean(name, 16)} ({unit})" if unit else clean(name, 16))
+        ax.set_xlabel(labeled(clean(name, 16), str(some["unit"].iloc[0])))
     name_rows(axes[0], rows["place"], [wrap(row, 46, 90) for row in rows["row"]])
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     return figure
@@ -139,7 +138,7 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     _time_ticks(ax, frame)
     plain_ticks(ax, "y")
     ax.set_xlabel("mean computing time of a case")
-    ax.set_ylabel(axis_label(facts))
+    ax.set_ylabel(labeled(facts.title, facts.unit))
     return figure
 
 

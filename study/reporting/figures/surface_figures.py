@@ -17,6 +17,7 @@ from study.reporting.figures.axes import (
     WIDTH_IN,
     canvas,
     color_of,
+    labeled,
     name_rows,
     panels,
     plain_ticks,
@@ -235,9 +236,8 @@ def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData)
 
 def _axis(factor: str, fitted: FittedSurface, data: ReportData) -> str:
     unit = clean(fitted.units.get(factor, ""))
-    return clean(name_of(factor, data.labels), 40) + (f" ({unit})" if unit else "")
+    return labeled(clean(name_of(factor, data.labels), 40), unit)
 
 
 def _response(fitted: FittedSurface, data: ReportData) -> str:
-    unit = clean(fitted.unit)
-    return clean(name_of(fitted.response, data.labels), 40) + (f" ({unit})" if unit else "")
+    return labeled(clean(name_of(fitted.response, data.labels), 40), clean(fitted.unit))
