@@ -222,15 +222,7 @@ def apart(difference: float, effect: Effect) -> float:
 
 
 def together(verdicts: Sequence[str]) -> str:
-    """Verdict of several simple effects: any that matters decides, else all must agree.
-
-    Examples
-    --------
-    >>> together(["no practical difference", "matters"])
-    'matters'
-    >>> together(["no practical difference", "cannot tell"])
-    'cannot tell'
-    """
+    """Verdict of several simple effects: any that matters decides, else all must agree."""
     if MATTERS in verdicts:
         return MATTERS
     if set(verdicts) == {NO_DIFFERENCE}:

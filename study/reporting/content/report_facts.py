@@ -237,13 +237,7 @@ def _words(name: str, levels: Sequence[str], data: ReportData) -> str:
 
 
 def grouped_inputs(inputs: Mapping[str, str]) -> dict[str, str]:
-    """Join inputs with dotted keys into one line for each first part, in the order given.
-
-    Examples
-    --------
-    >>> grouped_inputs({"specimen.shape": "cylinder", "specimen.radius": "25 mm", "mesh": "fine"})
-    {'specimen': 'cylinder, radius 25 mm', 'mesh': 'fine'}
-    """
+    """Join inputs with dotted keys into one line for each first part, in the order given."""
     lines: dict[str, list[str]] = {}
     for key, value in inputs.items():
         part, _, rest = clean(key).partition(".")

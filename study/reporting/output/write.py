@@ -89,13 +89,7 @@ _SPECIAL = {
 
 
 def escape(text: object) -> str:
-    r"""Return text in which no character is a command.
-
-    Examples
-    --------
-    >>> escape("50% of $x_1$")
-    '50\\% of \\$x\\_1\\$'
-    """
+    r"""Return text in which no character is a command."""
     return "".join(_SPECIAL.get(character, character) for character in clean(text))
 
 
@@ -348,13 +342,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def safe_cell(value: object) -> object:
-    """Cell for a CSV: numbers stay numbers, text that could be a formula gets a quote.
-
-    Examples
-    --------
-    >>> safe_cell("=1+1"), safe_cell(-1.5), safe_cell("-1.5"), safe_cell(None)
-    ("'=1+1", -1.5, "'-1.5", '')
-    """
+    """Cell for a CSV: numbers stay numbers, text that could be a formula gets a quote."""
     if hasattr(value, "item"):
         value = value.item()
     if value is None or (isinstance(value, float) and not math.isfinite(value)):

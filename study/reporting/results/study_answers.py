@@ -96,15 +96,7 @@ class Change:
 
     @property
     def sentence(self) -> str:
-        """Say from what to what it changed.
-
-        Examples
-        --------
-        >>> Change("design", "specimen.radius", ("25 mm", "26 mm")).sentence
-        'specimen.radius: from 25 mm to 26 mm'
-        >>> Change("design", "test.steps", (None, "20")).sentence
-        'test.steps: 20, not set before'
-        """
+        """Say from what to what it changed."""
         then, now = self.values
         if then is None:
             return f"{self.key}: {now}, not set before"
