@@ -54,24 +54,12 @@ REPORTS = Path("reports")
 
 
 def names(text: str | None) -> list[str]:
-    """Read names with commas between them.
-
-    Examples
-    --------
-    >>> names("time, temperature,")
-    ['time', 'temperature']
-    """
+    """Read names with commas between them."""
     return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
 def settings(text: str) -> dict[str, str]:
-    """Read ``thickness=3 mm,C10=5 kPa``.
-
-    Examples
-    --------
-    >>> settings("specimen.height=3 mm, material.C10 = 5 kPa")
-    {'specimen.height': '3 mm', 'material.C10': '5 kPa'}
-    """
+    """Read ``thickness=3 mm,C10=5 kPa``."""
     settings_typed: dict[str, str] = {}
     for part in text.split(","):
         name, equals, value = (piece.strip(" \"'") for piece in part.partition("="))
