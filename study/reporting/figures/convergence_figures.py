@@ -22,10 +22,10 @@ from study.reporting.figures.axes import (
     MUTED,
     RULE,
     WIDTH_IN,
-    canvas,
     color_of,
     labeled,
     log_ticks,
+    one_panel,
     panels,
     plain_ticks,
     wrap,
@@ -145,8 +145,7 @@ def error_points(cells: Sequence[Document]) -> pd.DataFrame:
 
 def draw_errors(frame: pd.DataFrame) -> Canvas:
     """Draw the error against the mesh size in logarithms, with the formal slope beside."""
-    figure = canvas(WIDTH_IN, 3.8)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.8)
     for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
         ax.plot(
             part["mesh_size"], part["error"], marker=MARKERS[k % 7], color=color_of(k),
@@ -182,8 +181,7 @@ def front_points(front: Document) -> pd.DataFrame:
 
 def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
     """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
-    figure = canvas(WIDTH_IN, 3.8)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.8)
     ax.axhspan(float(frame["error"].clip(lower=1e-12).min()) / 3, accuracy, color=BAND, zorder=0)
     ax.axhline(accuracy, color=MUTED, linewidth=0.8)
     for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
@@ -231,8 +229,7 @@ def _logarithmic(ax: Axes, x: str, y: str) -> None:
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     ax.margins(x=0.12)
-    log_ticks(ax, "x")
-    log_ticks(ax, "y")
+    log_ticks(ax)
 
 
 def _legend(ax: Axes) -> None:

@@ -22,6 +22,7 @@ from study.reporting.figures.axes import (
     WIDTH_IN,
     canvas,
     color_of,
+    one_panel,
     panels,
     plain_ticks,
     render,
@@ -565,8 +566,7 @@ def _ticks(force: Axes, residual: Axes, place: int, columns: int, panels: CurveP
     """Write numbers at the outer axes only, which hold for all panels of a row or a column."""
     first, last = place % columns == 0, place + columns >= len(panels.panels)
     for ax in (force, residual):
-        plain_ticks(ax, "y")
-        plain_ticks(ax, "x")
+        plain_ticks(ax)
         ax.locator_params(axis="y", nbins=4 if ax is force else 3)
         ax.locator_params(axis="x", nbins=4)
         ax.grid(axis="y", color=RULE, linewidth=0.4)
@@ -660,14 +660,12 @@ def _legend(figure: Canvas, panels: CurvePanels) -> None:
 
 def draw_curve(curve: Curve) -> Canvas:
     """Draw force against displacement from the unloaded origin, load steps as points."""
-    figure = canvas(0.6 * WIDTH_IN, 3.2)
-    ax = figure.subplots()
+    figure, ax = one_panel(0.6 * WIDTH_IN, 3.2)
     places = np.linspace(0.0, curve.displacement_mm[-1], 200)
     ax.plot(places, curve.force_at(places), color=color_of(0))
     ax.plot(curve.displacement_mm, curve.force_N, "o", color=color_of(0), markersize=3)
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     ax.set_xlabel("displacement (mm)")
     ax.set_ylabel("force (N)")
-    plain_ticks(ax, "x")
-    plain_ticks(ax, "y")
+    plain_ticks(ax)
     return figure

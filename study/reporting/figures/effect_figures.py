@@ -30,6 +30,7 @@ from study.reporting.figures.axes import (
     labeled,
     name_rows,
     note,
+    one_panel,
     plain_ticks,
     shown,
     word_color_of,
@@ -78,8 +79,7 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     """Draw the main effects on one shared axis, grand mean and practical band behind."""
     center = grand_mean(data, facts)
     practical = next((e.practical for e in facts.effects if e.practical is not None), None)
-    figure = canvas(WIDTH_IN, 3.5)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.5)
     if practical is not None:
         low, high = center - practical / 2, center + practical / 2
         if facts.ratio:
@@ -164,8 +164,7 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
 def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
     count = int(frame["rank"].max()) + 1
-    figure = canvas(WIDTH_IN, 0.8 + 0.24 * count)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.24 * count)
     best = float(frame["cell_mean"].iloc[0])
     if facts.better and practical > 0:
         sign = -1 if facts.better == "higher" else 1
@@ -430,8 +429,7 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     several = len(all_facts) > 1
     places, heads = _rows_of(frame, several)
     height = max(places) + 1
-    figure = canvas(WIDTH_IN, 0.75 + 0.27 * height)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.75 + 0.27 * height)
     limited = bool(frame["limited"].all())
     if limited:
         ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)

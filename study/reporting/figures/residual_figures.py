@@ -24,6 +24,7 @@ from study.reporting.figures.axes import (
     labeled,
     name_rows,
     note,
+    one_panel,
     plain_ticks,
     word_color_of,
     wrap,
@@ -245,8 +246,7 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
     import seaborn as sns
 
-    figure = canvas(WIDTH_IN, 0.9 + 0.22 * len(frame))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.9 + 0.22 * len(frame))
     places = np.arange(len(frame))
     ax.hlines(places, frame["low"], frame["high"], color=color_of(0), linewidth=1.6)
     sns.scatterplot(x=frame["sd"], y=places, color=color_of(0), s=36, linewidth=0, zorder=3, ax=ax)
@@ -334,10 +334,9 @@ def draw_residuals(
         _in_order(last, shown, label)
     else:
         _against_factors(last, shown, data, label)
-    for ax in (normal, fits, histogram, *([last] if ordered else [])):
-        plain_ticks(ax, "x")
-    for ax in (normal, fits, histogram, last):
-        plain_ticks(ax, "y")
+    for ax in (normal, fits, histogram):
+        plain_ticks(ax)
+    plain_ticks(last, "xy" if ordered else "y")
     return figure
 
 
@@ -386,8 +385,7 @@ def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
 
 def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
     """Draw the residuals at every level of every factor, side by side."""
-    figure = canvas(WIDTH_IN, 3.2)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.2)
     _against_factors(ax, thinned(points, data.seed), data, labeled("residual", facts.scale))
     plain_ticks(ax, "y")
     return figure
@@ -433,6 +431,5 @@ def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) 
         title="residual against leverage", xlabel="leverage", ylabel="standardized residual"
     )
     for ax in (cook, leverage):
-        plain_ticks(ax, "x")
-        plain_ticks(ax, "y")
+        plain_ticks(ax)
     return figure

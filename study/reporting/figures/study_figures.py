@@ -27,6 +27,7 @@ from study.reporting.figures.axes import (
     log_ticks,
     name_rows,
     note,
+    one_panel,
     plain_ticks,
     wrap,
 )
@@ -113,8 +114,7 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     """Draw the mean response of each cell against its seconds, front stepped and labeled."""
     color_by, shape_by = _styling(frame, data)
     columns, rows = _legend_shape(color_by[0], shape_by[0], data)
-    figure = canvas(WIDTH_IN, 3.7 + _LEGEND_ROW_IN * (rows - 1))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.7 + _LEGEND_ROW_IN * (rows - 1))
     for row in frame.to_dict("records"):
         ax.plot(
             row["seconds"], row["mean"], marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
@@ -225,8 +225,7 @@ def draw_failures(frame: pd.DataFrame) -> Canvas:
     statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
     rows = list(dict.fromkeys(frame["cell"]))
     columns = list(dict.fromkeys(frame["block"]))
-    figure = canvas(WIDTH_IN, 0.9 + 0.2 * len(rows))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.9 + 0.2 * len(rows))
     for index, status in enumerate(statuses):
         some = frame[frame["status"] == status]
         good = status == "converged"
@@ -268,8 +267,7 @@ def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
 
     Units: frame mm.
     """
-    figure = canvas(WIDTH_IN, 3.6)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.6)
     _band(ax, frame, facts)
     depths = sorted(frame["depth_mm"].unique())
     apart = _BESIDE * (depths[-1] - depths[0]) / max(len(depths) - 1, 1)

@@ -19,6 +19,7 @@ from study.reporting.figures.axes import (
     color_of,
     labeled,
     name_rows,
+    one_panel,
     panels,
     plain_ticks,
     wrap,
@@ -143,8 +144,7 @@ def _draw_contours(
 ) -> Canvas:  # fmt: skip
     across, up = frame.columns[:2]
     table = frame.pivot_table(index=up, columns=across, values="value")
-    figure = canvas(WIDTH_IN, 4.2)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 4.2)
     x, y, z = table.columns.to_numpy(), table.index.to_numpy(), table.to_numpy()
     filled = ax.contourf(x, y, z, levels=10, cmap="Blues", alpha=0.75)
     ax.contour(x, y, z, levels=filled.levels, colors="white", linewidths=0.6)
@@ -154,8 +154,7 @@ def _draw_contours(
     bar.outline.set_visible(False)
     ax.set_xlabel(_axis(across, fitted, data))
     ax.set_ylabel(_axis(up, fitted, data))
-    plain_ticks(ax, "x")
-    plain_ticks(ax, "y")
+    plain_ticks(ax)
     return figure
 
 
@@ -184,8 +183,7 @@ def _shares_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData
 
 
 def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
-    figure = canvas(WIDTH_IN, 0.8 + 0.36 * len(frame))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.36 * len(frame))
     places = np.arange(len(frame))
     percents = 100 * frame[["total", "low", "high", "alone"]]
     ax.barh(places, percents["total"], color=color_of(0), height=0.55, alpha=0.35)
@@ -229,8 +227,7 @@ def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData)
     ax.set_box_aspect(1)
     ax.set_xlabel(f"run: {_response(fitted, data)}")
     ax.set_ylabel("predicted from the others")
-    plain_ticks(ax, "x")
-    plain_ticks(ax, "y")
+    plain_ticks(ax)
     return figure
 
 

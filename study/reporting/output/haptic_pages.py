@@ -27,6 +27,7 @@ from study.reporting.figures.axes import (
     color_of,
     log_ticks,
     note,
+    one_panel,
     plain_ticks,
 )
 from study.reporting.figures.registry import Plot
@@ -264,8 +265,7 @@ def deviation_points(law: ForceLaw) -> pd.DataFrame:
 
 def draw_deviation(frame: pd.DataFrame) -> Canvas:
     """Draw the law less the simulation at the points kept out, within the error bound."""
-    figure = canvas(WIDTH_IN, 2.2)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 2.2)
     d, off = frame["displacement_mm"].to_numpy(float), frame["deviation_N"].to_numpy(float)
     bound = float(frame["error_bound_N"].max())
     ax.axhspan(-bound, bound, color=BAND)
@@ -320,8 +320,7 @@ def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
         ax.clabel(limit, fmt=lambda level: f"{level:g} %", fontsize=7.5)
         ax.plot([1], [1], "o", color=INK, markersize=5)
         note(ax, "as given", (1, 1), (6, 5))
-        log_ticks(ax, "x")
-        log_ticks(ax, "y")
+        log_ticks(ax)
         ax.set_title(title)
         ax.set_xlabel("position errors, multiple of those given")
     axes[0].set_ylabel("force errors, multiple of those given")
@@ -348,8 +347,7 @@ def part_points(sensors: SensorRequirement) -> pd.DataFrame:
 def draw_parts(frame: pd.DataFrame) -> Canvas:
     """Draw a group of bars for each error, a bar for each quantity."""
     errors, names = list(dict.fromkeys(frame["error"])), list(dict.fromkeys(frame["quantity"]))
-    figure = canvas(WIDTH_IN, 0.8 + 0.22 * len(errors) * (len(names) + 0.6))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.22 * len(errors) * (len(names) + 0.6))
     height = 0.8 / len(names)
     for k, name in enumerate(names):
         part = frame[frame["quantity"] == name].set_index("error")["percent"]
