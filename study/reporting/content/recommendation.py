@@ -173,8 +173,6 @@ def recommendation(data: ReportData, facts: Facts) -> str:
     """Say which choices to use: the cheapest within the practical difference of the best.
 
     Conditions get a recommendation each; over what nobody measured the mean is taken.
-
-    Units: data s.
     """
     chosen = effect_words.factors_of(data, effect_words.CHOICE)
     if not chosen:
@@ -234,8 +232,6 @@ def cheaper(data: ReportData, facts: Facts) -> str:
     """Say which modelling choice (``model.*``) may be the cheaper one, level against level.
 
     Only factors of the computation are compared: plates or specimens are no choice.
-
-    Units: data s.
     """
     if not facts.better or "seconds" not in data.table:
         return ""

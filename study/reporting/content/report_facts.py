@@ -183,16 +183,13 @@ class Group:
 
 def groups(data: ReportData, facts: Facts) -> tuple[Group, ...]:
     """Distinct computations of a response, lowest mean first."""
-    frame = cells(data, facts.name)
-    place = _places(data, facts, frame)
-    members: dict[int, list[int]] = {}
-    for row, key in enumerate(place):
-        members.setdefault(key, []).append(row)
-    levels = frame[list(data.factors)].astype(str).to_dict("records")
-    means = frame["mean"].tolist()
+    import numpy as np
+
+    frame, factors = cells(data, facts.name), list(data.factors)
+    place = np.array(_places(data, facts, frame))
     return tuple(
-        Group(float(means[rows[0]]), tuple({str(k): v for k, v in levels[i].items()} for i in rows))
-        for rows in members.values()
+        Group(float(rows["mean"].iloc[0]), tuple(rows[factors].astype(str).to_dict("records")))
+        for _, rows in frame.groupby(place, sort=False)
     )
 
 

@@ -52,10 +52,7 @@ DIVERGENT = "divergent"
 
 
 def value_points(cells: Sequence[Document]) -> pd.DataFrame:
-    """One row a mesh: size, value, and what the series says of it.
-
-    Units: cells mm; returns mm.
-    """
+    """One row a mesh: size, value, and what the series says of it."""
     import pandas as pd
 
     rows = [
@@ -170,10 +167,7 @@ def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
 
 
 def front_points(front: Document) -> pd.DataFrame:
-    """Error and cost of every mesh of every cell.
-
-    Units: returns mm.
-    """
+    """Error and cost of every mesh of every cell."""
     import pandas as pd
 
     return pd.DataFrame(front["points"])

@@ -620,8 +620,8 @@ def spread(heights: Sequence[float], distance: float) -> tuple[float, ...]:
     blocks: list[list[float]] = []
     for place in heights:
         blocks.append([place])
-        while len(blocks) > 1 and _low(blocks[-1], distance) - _high(blocks[-2], distance) < (
-            distance
+        while len(blocks) > 1 and (
+            _low(blocks[-1], distance) < _low(blocks[-2], distance) + distance * len(blocks[-2])
         ):
             blocks[-2:] = [blocks[-2] + blocks[-1]]
     return tuple(
@@ -633,10 +633,6 @@ def spread(heights: Sequence[float], distance: float) -> tuple[float, ...]:
 
 def _low(block: Sequence[float], distance: float) -> float:
     return float(np.mean(block)) - distance * (len(block) - 1) / 2
-
-
-def _high(block: Sequence[float], distance: float) -> float:
-    return float(np.mean(block)) + distance * (len(block) - 1) / 2
 
 
 def _legend(figure: Canvas, panels: CurvePanels) -> None:

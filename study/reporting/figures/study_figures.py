@@ -263,10 +263,7 @@ def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.D
 
 
 def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
-    """Draw the largest difference of every factor with its interval against depth.
-
-    Units: frame mm.
-    """
+    """Draw the largest difference of every factor with its interval against depth."""
     figure, ax = one_panel(WIDTH_IN, 3.6)
     _band(ax, frame, facts)
     depths = sorted(frame["depth_mm"].unique())

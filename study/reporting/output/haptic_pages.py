@@ -69,10 +69,7 @@ def write_force_law(
 
 
 def constants(law: ForceLaw) -> Table:
-    """Constants of the table, their range and what first order leaves out there.
-
-    Units: returns kPa, MPa.
-    """
+    """Constants of the table, their range and what first order leaves out there."""
     rows, raw = [], []
     for constant in law.ranges:
         factor, unit = (1.0, "") if is_dimensionless(constant.name) else (1e3, " kPa")
