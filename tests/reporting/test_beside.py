@@ -41,7 +41,7 @@ def conclusion(
 
 def example(name: str = "second") -> Beside:
     yes, no, open_ = "matters", "no practical difference", "cannot tell"
-    lead = {"end": "lowest", "best_is_better": True}
+    lead = {"end": "lowest"}
     rows = (
         conclusion("material", MATTERS, True, found(yes, 1.9), found(yes, 2.1),
                    same_best=True, best=("mr", "mr"), **lead),

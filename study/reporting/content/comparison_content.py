@@ -239,15 +239,14 @@ def only_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
     return tuple(
         sentence(
             f"only in {clean(comparison.names[study])}: {what}{'s' * (len(items) > 1)} "
-            + ", ".join(_only(item, labels) for item in items)
+            + ", ".join(
+                (clean(item.name) if what == "level" else term_name(item.name, labels))
+                + (f" ({clean(item.why, 200)})" if item.why else "")
+                for item in items
+            )
         )
         for (study, what), items in groups.items()
     )
-
-
-def _only(item: OnlyInOne, labels: Labels) -> str:
-    name = clean(item.name) if item.what == "level" else term_name(item.name, labels)
-    return f"{name} ({clean(item.why, 200)})" if item.why else name
 
 
 def shown(rows: Iterable[Conclusion]) -> list[Conclusion]:

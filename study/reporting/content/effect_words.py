@@ -167,6 +167,11 @@ def factors_of(data: ReportData, *roles: str) -> list[str]:
     return [name for name in data.factors if role(data, name) in roles]
 
 
+def choices(data: ReportData, facts: Facts) -> list[Effect]:
+    """Effects of the factors that are choices."""
+    return [effect for effect in facts.effects if role(data, effect.term) == CHOICE]
+
+
 def settings(data: ReportData) -> list[dict[str, str]]:
     """Every combination of the levels of the conditions; one empty one where there are none."""
     names = [n for n in factors_of(data, CONDITION) if len(data.factors[n]) > 1]
@@ -193,9 +198,8 @@ def by_condition(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
         line
         for condition in factors_of(data, CONDITION)
         for facts in all_facts
-        for effect in facts.effects
-        if role(data, effect.term) == CHOICE
-        and (line := _one_condition(condition, effect, facts, data))
+        for effect in choices(data, facts)
+        if (line := _one_condition(condition, effect, facts, data))
     ]
 
 

@@ -187,10 +187,12 @@ def groups(data: ReportData, facts: Facts) -> tuple[Group, ...]:
 
     frame, factors = cells(data, facts.name), list(data.factors)
     place = np.array(_places(data, facts, frame))
-    return tuple(
-        Group(float(rows["mean"].iloc[0]), tuple(rows[factors].astype(str).to_dict("records")))
-        for _, rows in frame.groupby(place, sort=False)
-    )
+    made = []
+    for _, rows in frame.groupby(place, sort=False):
+        levels = rows[factors].astype(str).itertuples(index=False, name=None)
+        members = tuple(dict(zip(factors, level, strict=True)) for level in levels)
+        made.append(Group(float(rows["mean"].iloc[0]), members))
+    return tuple(made)
 
 
 def _places(data: ReportData, facts: Facts, frame: pd.DataFrame) -> list[int]:

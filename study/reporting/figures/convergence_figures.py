@@ -297,20 +297,17 @@ def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
 def caption(rows: Sequence[Document]) -> str:
     """State in how many cells the model's error shows, and what is not known."""
     judged = [row for row in rows if row["u_val_N"][-1] > 0]
+    rest = len(rows) - len(judged)
+    unjudged = f"; {count(rest, 'cell')} without a known one" if rest else ""
     beyond = sum(abs(row["error_N"][-1]) > row["u_val_N"][-1] for row in judged)
     unknown = sorted({name for row in rows for name in row.get("unknown") or ()})
     lacking = f" Not known, and so left out: {', '.join(unknown)}." if unknown else ""
     block = f" (block {clean(rows[0]['block'], 30)})" if rows[0]["block"] else ""
     return (
         f"At the end of the curve E exceeds its uncertainty in {beyond} of {len(judged)} "
-        f"cells{block}{_unjudged(len(rows) - len(judged))}. Band: u_val, from mesh, uncertain "
+        f"cells{block}{unjudged}. Band: u_val, from mesh, uncertain "
         f"inputs and scatter of the data.{lacking}"
     )
-
-
-def _unjudged(cells: int) -> str:
-    """Say of how many cells no uncertainty is known."""
-    return f"; {count(cells, 'cell')} without a known one" if cells else ""
 
 
 def table(rows: Sequence[Document], block: str) -> Table:
@@ -319,7 +316,10 @@ def table(rows: Sequence[Document], block: str) -> Table:
     columns: dict[str, Callable[[Document], str]] = {
         "cell": lambda row: clean(validation_label(row)),
         block or "block": lambda row: clean(row["block"] or MISSING),
-        **{head: lambda row, name=name: significant(row[name][-1]) for head, name in heads.items()},
+        **{
+            head: lambda row, name=name: significant(row[name][-1])  # type: ignore[misc]
+            for head, name in heads.items()
+        },
         "curve outside": lambda row: f"{100 * row['outside']:.0f} %",
         "verdict": lambda row: clean(row["verdict"], 200),
     }

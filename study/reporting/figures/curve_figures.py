@@ -67,10 +67,7 @@ def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
 
 def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
     """Draw the first curves with their fits, and residuals below each."""
-    return _draw(panels[:_MOST], title, len(panels))
-
-
-def _draw(panels: Sequence[FitPanel], title: str, total: int) -> Canvas:
+    total, panels = len(panels), panels[:_MOST]
     columns = min(_COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
     figure = canvas(WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN, 0.5 + 3.0 * rows)
@@ -454,7 +451,7 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
         force.set_title(titles[place], fontsize=7.5, y=1.0, va="bottom", linespacing=1.15)
         _ticks(force, residual, place, columns, panels)
         if place % columns == columns - 1 or place == len(panels.panels) - 1:
-            _name_lines(force, residual, panels, place, scales[place], data)
+            _name_lines(residual, panels, place, scales[place], data)
     x_label = "displacement (mm)"
     figure.text(0.45, 0.08 / figure.get_figheight(), x_label, ha="center", fontsize=8.5)
     _legend(figure, panels)
@@ -580,12 +577,7 @@ def _ticks(force: Axes, residual: Axes, place: int, columns: int, panels: CurveP
 
 
 def _name_lines(
-    force: Axes,
-    residual: Axes,
-    panels: CurvePanels,
-    place: int,
-    scale: PanelScale,
-    data: ReportData,
+    residual: Axes, panels: CurvePanels, place: int, scale: PanelScale, data: ReportData
 ) -> None:
     """Write the level of every line to the right of a row, joined to the end of its residual."""
     rows = panels.rows(panels.panels[place])

@@ -89,7 +89,10 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
     placed = _connect_levels(ax, frame)
     for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
-        _number_points(ax, group["place"].tolist(), group["mean"].tolist())
+        means = group["mean"].tolist()
+        for place, mean, side in zip(group["place"], means, _sides(means), strict=True):
+            va = "bottom" if side > 0 else "top"
+            note(ax, significant(mean), (place, mean), (0, 6 * side), ha="center", va=va)
         name = clean(name_of(str(factor), data.labels), 30)
         bold = {"fontweight": "bold", "color": word_color_of(index), "fontsize": 8.5}
         above(ax, name, float(group["place"].mean()), **bold)
@@ -117,13 +120,6 @@ def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
         placed, x="place", y="mean", hue="factor", palette=colors, markersize=5.5, ax=ax, **_JOINED
     )
     return placed
-
-
-def _number_points(ax: Axes, places: Sequence[float], means: Sequence[float]) -> None:
-    """Write its number at the mean of every level of one factor."""
-    for place, mean, side in zip(places, means, _sides(means), strict=True):
-        va = "bottom" if side > 0 else "top"
-        note(ax, significant(mean), (place, mean), (0, 6 * side), ha="center", va=va)
 
 
 def _sides(means: Sequence[float]) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import functools
+import gzip
 import hashlib
 import io
 import json
@@ -49,7 +50,6 @@ from study.reporting.output.page import (
     printed,
     replace_bytes,
     replace_file,
-    replace_packed,
 )
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import CurvePair, ReportData
@@ -147,7 +147,8 @@ def write(
         _numbers(report_data, files)
         replace_file(files / "cases.csv", of_frame(report_data.table))
         if report_data.curves:
-            replace_packed(files / "curves.csv.gz", _points(report_data.curves))
+            packed = gzip.compress(_points(report_data.curves).encode(), 6, mtime=0)
+            replace_bytes(files / "curves.csv.gz", packed)
         if "tex" in chosen:
             replace_file(folder / f"{stem}.tex", _latex(report_data, pages))
     return main_file(folder, stem, chosen)

@@ -69,8 +69,6 @@ class Conclusion:
     #: {"lowest", "highest", ""}: end of the response that ``best`` names: the better one, or the
     #: highest where no end is better; empty for interactions.
     end: str = ""
-    #: Whether that end is declared better.
-    best_is_better: bool = False
     #: Whether some level leads in both, or lies within what matters of the leading one.
     same_best: bool | None = None
     #: Level that leads in each, among those that both have.
