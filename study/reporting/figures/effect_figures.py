@@ -90,9 +90,9 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     placed = _connect_levels(ax, frame)
     for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
         means = group["mean"].tolist()
-        for place, mean, side in zip(group["place"], means, _sides(means), strict=True):
-            va = "bottom" if side > 0 else "top"
-            note(ax, significant(mean), (place, mean), (0, 6 * side), ha="center", va=va)
+        for place, mean, sign in zip(group["place"], means, _sides(means), strict=True):
+            va = "bottom" if sign > 0 else "top"
+            note(ax, significant(mean), (place, mean), (0, 6 * sign), ha="center", va=va)
         name = clean(name_of(str(factor), data.labels), 30)
         bold = {"fontweight": "bold", "color": word_color_of(index), "fontsize": 8.5}
         above(ax, name, float(group["place"].mean()), **bold)

@@ -195,10 +195,11 @@ def _reference(reference: ReferenceResult) -> Iterator[str]:
         f"{quantity(float(reference.target_error_mm.max()), 'mm')} at the poses."
     )
     still = ", ".join(significant(v, 2) for v in reference.scatter_mm)
+    ratio = fit.rms / float(np.linalg.norm(reference.scatter_mm))
+    less = f"{ratio:.2g} times" if np.isfinite(ratio) else "far"
     yield (
         f"At rest samples scatter by {still} mm along the tracker's axes: "
-        f"{_times(fit.rms / float(np.linalg.norm(reference.scatter_mm)))} less than the poses are "
-        "off, so more samples a pose would help little."
+        f"{less} less than the poses are off, so more samples a pose would help little."
     )
     yield (
         f"Distances between poses, which need no registration, err by "
@@ -207,10 +208,6 @@ def _reference(reference: ReferenceResult) -> Iterator[str]:
     )
     if reference.lever_arm is not None:
         yield _lever_arm(reference.lever_arm, reference)
-
-
-def _times(ratio: float) -> str:
-    return f"{ratio:.2g} times" if np.isfinite(ratio) else "far"
 
 
 def _lever_arm(arm: LeverArm, reference: ReferenceResult) -> str:
@@ -235,18 +232,6 @@ def _lever_arm(arm: LeverArm, reference: ReferenceResult) -> str:
     if open_axes:
         text += f" The body turned too little to tell the arm along {', '.join(open_axes)}."
     return text
-
-
-def tracker_tables(accuracy: TrackerAccuracy) -> list[Table]:
-    """Stages, stops and poses."""
-    made = []
-    if accuracy.distance is not None:
-        made.append(_stages(accuracy.distance, accuracy.alpha))
-    if accuracy.displacement is not None:
-        made.append(_stops(accuracy.displacement))
-    if accuracy.reference is not None:
-        made.append(_tracker_poses(accuracy.reference))
-    return made
 
 
 def _stages(distance: DistanceResult, alpha: float) -> Table:
@@ -305,9 +290,11 @@ def _tracker_poses(reference: ReferenceResult) -> Table:
 
 
 def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
-    """Write the page of a tracker."""
+    """Write the page of a tracker: stages, stops and poses."""
     plots: dict[str, Plot] = {}
+    tables = []
     if (distance := accuracy.distance) is not None:
+        tables.append(_stages(distance, accuracy.alpha))
         dashed = " Dashed: the standard." if distance.standard else ""
         plots["tracker-distance"] = (
             "Distance by stage",
@@ -318,6 +305,7 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
             ),
         )
     if (displacement := accuracy.displacement) is not None:
+        tables.append(_stops(displacement))
         plots["tracker-displacement"] = (
             "Measured and commanded displacement",
             lambda: accuracy_figures.displacement_points(displacement),
@@ -328,6 +316,7 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
             ),
         )
     if (reference := accuracy.reference) is not None:
+        tables.append(_tracker_poses(reference))
         plots["tracker-reference"] = (
             "Errors against the reference",
             lambda: accuracy_figures.reference_points(reference),
@@ -337,7 +326,6 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
                 "at every pose, and the error of a pose predicted from all others."
             ),
         )
-    tables = tracker_tables(accuracy)
     blocks = answer_blocks(tracker_answers(accuracy), plots, tables, accuracy.notes)
     name, question, document = accuracy.name, accuracy.question, accuracy.to_json()
     return write_answer("tracker accuracy", name, question, blocks, out_dir, document=document)
