@@ -35,51 +35,35 @@ def flat(text: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (1.23456, "1.23"),
-        (0.00123456, "0.00123"),
-        (123456.0, "123,000"),
-        (9.999, "10.0"),
-        (0.9996, "1.00"),
-        (-4.567, MINUS + "4.57"),
-        (0.0, "0"),
-        (math.nan, MISSING),
-        (math.inf, MISSING),
-        (None, MISSING),
-        (1.5e-7, f"1.50e{MINUS}7"),
-        (2.5e9, "2.50e9"),
-        (100.0, "100"),
-        (99.95, "100"),
-    ],
-)
-def test_three_significant_digits(value, text):
-    assert significant(value) == text
-
-
-@pytest.mark.parametrize(
-    ("p", "text"),
-    [
-        (0.0321, ".032"),
-        (0.5, ".500"),
-        (0.0004999, "< .001"),
-        (0.0005, ".001"),
-        (1e-300, "< .001"),
-        (0.9995, "> .999"),
-        (1.0, "> .999"),
-        (0.99949, ".999"),
-        (None, MISSING),
-        (math.nan, MISSING),
-        (0.0, "< .001"),
-    ],
-)
-def test_p_has_no_leading_zero(p, text):
-    assert p_value(p) == text
-
-
-@pytest.mark.parametrize(
     ("write", "arguments", "text"),
     [
+        # three significant digits, whatever the size
+        (significant, (1.23456,), "1.23"),
+        (significant, (0.00123456,), "0.00123"),
+        (significant, (123456.0,), "123,000"),
+        (significant, (9.999,), "10.0"),
+        (significant, (0.9996,), "1.00"),
+        (significant, (-4.567,), MINUS + "4.57"),
+        (significant, (0.0,), "0"),
+        (significant, (math.nan,), MISSING),
+        (significant, (math.inf,), MISSING),
+        (significant, (None,), MISSING),
+        (significant, (1.5e-7,), f"1.50e{MINUS}7"),
+        (significant, (2.5e9,), "2.50e9"),
+        (significant, (100.0,), "100"),
+        (significant, (99.95,), "100"),
+        # a p has no leading zero
+        (p_value, (0.0321,), ".032"),
+        (p_value, (0.5,), ".500"),
+        (p_value, (0.0004999,), "< .001"),
+        (p_value, (0.0005,), ".001"),
+        (p_value, (1e-300,), "< .001"),
+        (p_value, (0.9995,), "> .999"),
+        (p_value, (1.0,), "> .999"),
+        (p_value, (0.99949,), ".999"),
+        (p_value, (None,), MISSING),
+        (p_value, (math.nan,), MISSING),
+        (p_value, (0.0,), "< .001"),
         # an interval has the decimals of its larger end, more where its ends would look alike
         (interval, (-0.0612, 0.4311, "pp"), f"{MINUS}0.061 to 0.431 pp"),
         (interval, (-0.0001, 12.3), "0.0 to 12.3"),
