@@ -179,7 +179,7 @@ def _conclusion(
     ratio = effects[0].scale == "ratio"
     return Conclusion(
         response.name, effects[0].term, response.unit, conclusion, holds, effects, ratio, end,
-        bool(response.better), same, (first, second),
+        same, (first, second),
     )  # fmt: skip
 
 

@@ -242,13 +242,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _with_digest(word: str) -> str:
-    """Option of a digest, where one is written as the value of --allow-commands.
-
-    Examples
-    --------
-    >>> _with_digest("--allow-commands=0d084f8cc87a"), _with_digest("--allow-commands")
-    ('--allow-digest=0d084f8cc87a', '--allow-commands')
-    """
+    """Option of a digest, where one is written as the value of --allow-commands."""
     option, equals, digest = word.partition("=")
     return f"--allow-digest={digest}" if option == "--allow-commands" and equals else word
 

@@ -13,6 +13,7 @@ import typer
 from study.cli import output
 from study.cli.study_commands import (
     RESULTS,
+    Commands,
     Data,
     Design,
     Json,
@@ -194,12 +195,7 @@ def analyze(
         _show_surfaces(source, names(numeric), surface, flags, as_json)
         return
     if error == "reml" or (flags["--covariates"] and not (error or flags["--block"])):
-        mixed: MixedOptions = {"contrasts": contrast or ()}
-        if alpha is not None:
-            mixed["alpha"] = alpha
-        if (terms := _model(flags["--model"])) is not None:
-            mixed["model"] = terms
-        _show_mixed(source, flags, mixed, results, as_json)
+        _show_mixed(source, flags, alpha, contrast or (), results, as_json)
         return
     if faults := [
         Fault(flag, "belongs to a mixed model", "add --error reml")
@@ -340,19 +336,19 @@ _OF_MIXED = frozenset({
 
 
 def _show_mixed(
-    source: Path, flags: Flags, options: MixedOptions, results: Path, as_json: bool
-) -> None:
-    """Fit a mixed model and print it; ``options`` holds what is no text in the flags."""
+    source: Path, flags: Flags, alpha: float | None, contrasts: Sequence[str], results: Path,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Fit a mixed model and print it."""
     from study.api.analyzing import fit_mixed_model
     from study.reporting.content import analysis_content
 
     refuse_useless(flags, _OF_MIXED, "a mixed model")
-    options["random"] = names(flags["--random"])
-    options["covariates"] = names(flags["--covariates"])
-    if crossed := names(flags["--block"]):
-        options["block"] = crossed
-    if practical := flags["--practical"]:
-        options["practical"] = practical
+    options = cast("MixedOptions", _given({
+        "contrasts": contrasts, "alpha": alpha, "model": _model(flags["--model"]),
+        "random": names(flags["--random"]), "covariates": names(flags["--covariates"]),
+        "block": names(flags["--block"]), "practical": flags["--practical"],
+    }))  # fmt: skip
     model = fit_mixed_model(
         source, flags["--response"], names(flags["--factors"]), options, results=results,
         decimal=flags["--decimal"] or ".",
@@ -414,15 +410,19 @@ def _summaries(groups: SummaryAnalysis) -> Iterator[Block]:
 def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
     """Options of the analysis that were given on the command line."""
     blocks = names(flags["--block"])
-    options = {
+    given = _given({
         "unit": flags["--unit"], "whole_plot": names(flags["--whole-plot"]),
         "replicates": flags["--replicates"], "copies": flags["--copies"],
         "error": flags["--error"], "type": flags["--type"], "model": _model(flags["--model"]),
-        "practical": flags["--practical"], "transform": flags["--transform"],
-    }  # fmt: skip
-    given: dict[str, object] = {k: v for k, v in options.items() if v not in (None, "", [])}
+        "practical": flags["--practical"], "transform": flags["--transform"], "alpha": alpha,
+    })  # fmt: skip
     given["block"] = blocks if len(blocks) > 1 else next(iter(blocks), None)
-    return cast("AnovaOptions", given if alpha is None else given | {"alpha": alpha})
+    return cast("AnovaOptions", given)
+
+
+def _given(options: Mapping[str, object]) -> dict[str, object]:
+    """Options that were given on the command line."""
+    return {name: value for name, value in options.items() if value not in (None, "", [])}
 
 
 def _check_report(source: Path, report: Path | None, formats: str) -> None:
@@ -447,9 +447,6 @@ At = Annotated[
 ]
 Confirm = Annotated[
     bool, typer.Option(help="Run the true model there; the run joins the study's surfaces.")
-]
-Commands = Annotated[
-    bool, typer.Option("--allow-commands", help="Let the study run the programs it names.")
 ]
 
 

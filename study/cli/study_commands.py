@@ -44,6 +44,9 @@ Study = Annotated[
 Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; one a core.")]
 Results = Annotated[Path, typer.Option("--results", help="Where results are kept.")]
 Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
+Commands = Annotated[
+    bool, typer.Option("--allow-commands", help="Let the study run the programs it names.")
+]
 #: levels of a factor beyond which a plan lists the ends only
 MANY = 6
 #: rows of a matrix that are looked at on a terminal; of a longer one the first stand for the rest
@@ -54,24 +57,12 @@ REPORTS = Path("reports")
 
 
 def names(text: str | None) -> list[str]:
-    """Read names with commas between them.
-
-    Examples
-    --------
-    >>> names("time, temperature,")
-    ['time', 'temperature']
-    """
+    """Read names with commas between them."""
     return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
 def settings(text: str) -> dict[str, str]:
-    """Read ``thickness=3 mm,C10=5 kPa``.
-
-    Examples
-    --------
-    >>> settings("specimen.height=3 mm, material.C10 = 5 kPa")
-    {'specimen.height': '3 mm', 'material.C10': '5 kPa'}
-    """
+    """Read ``thickness=3 mm,C10=5 kPa``."""
     settings_typed: dict[str, str] = {}
     for part in text.split(","):
         name, equals, value = (piece.strip(" \"'") for piece in part.partition("="))
@@ -245,9 +236,7 @@ def run(
     refine: Annotated[
         bool, typer.Option(help="Refine the mesh under one block for the numerical uncertainty.")
     ] = True,
-    allow_commands: Annotated[
-        bool, typer.Option("--allow-commands", help="Let the study run the programs it names.")
-    ] = False,
+    allow_commands: Commands = False,
     allow_digest: Annotated[
         str, typer.Option(help="Let it run these alone: the digest that study plan prints.")
     ] = "",

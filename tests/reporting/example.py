@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from html import unescape
 from itertools import product
 from typing import Any
 
@@ -316,3 +318,9 @@ def with_failures(data: ReportData) -> ReportData:
 def build(data: ReportData) -> str:
     """Both pages of a report in one document."""
     return printed(*prepare(data).html())
+
+
+def words_of(page: str) -> str:
+    """Text of a page without its style, script and drawings."""
+    read = re.sub(r"<(style|script|svg)\b.*?</\1>", " ", page, flags=re.S)
+    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", read)))

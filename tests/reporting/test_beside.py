@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
-from html import unescape
 
 import pytest
 
@@ -23,6 +21,7 @@ from study.reporting.results.study_answers import (
 )
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect
+from tests.reporting.example import words_of
 
 EVIL = '<script>alert("x")</script>'
 
@@ -42,7 +41,7 @@ def conclusion(
 
 def example(name: str = "second") -> Beside:
     yes, no, open_ = "matters", "no practical difference", "cannot tell"
-    lead = {"end": "lowest", "best_is_better": True}
+    lead = {"end": "lowest"}
     rows = (
         conclusion("material", MATTERS, True, found(yes, 1.9), found(yes, 2.1),
                    same_best=True, best=("mr", "mr"), **lead),
@@ -67,10 +66,6 @@ def page(data: ReportData) -> str:
 def with_beside(data: ReportData, other: Beside) -> str:
     with registry.data_alone():
         return prepare(replace(data, beside=other)).html()[1]
-
-
-def text_of(page: str) -> str:
-    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]+>", " ", page)))
 
 
 def section(page: str) -> str:
@@ -116,7 +111,7 @@ def test_interactions_that_nobody_names_are_counted(small: int, open_ones: int, 
 
 
 def test_answer_box_says_which_conclusions_hold(page: str) -> None:
-    box = text_of(page[page.index('id="answer"') : page.index('id="study"')])
+    box = words_of(page[page.index('id="answer"') : page.index('id="study"')])
     assert (
         "These conclusions hold beside second: for the work error, material matters and space "
         "makes no practical difference. These do not: for the work error, plates. Whether these "
@@ -128,7 +123,7 @@ def test_section_holds_every_number_between_responses_and_assumptions(page: str)
     found = section(page)
     assert page.index('id="r-mu0"') < page.index('<section id="beside">')
     assert '<a href="#beside">Compared with second</a>' in page
-    said = text_of(found).replace("\N{NO-BREAK SPACE}", " ")
+    said = words_of(found).replace("\N{NO-BREAK SPACE}", " ")
     for part in ("1.90 pp", "1.80 to 2.00 pp", "> 100", "95", ".003", "mr (lowest)", "30 mm",
                  "31 mm", "not set", "A warning.", "Only in first: response initial shear modulus",
                  "too few"):  # fmt: skip

@@ -12,8 +12,9 @@ from study.reporting.content.numbers import MISSING, THIN
 from study.reporting.figures import axes
 from study.reporting.figures import convergence_figures as convergence
 from study.reporting.figures import convergence_figures as validation
+from study.reporting.figures.registry import make
 from study.reporting.output.convergence_page import (
-    convergence_figures,
+    convergence_plots,
     sources_tables,
     write_convergence,
 )
@@ -84,9 +85,9 @@ def test_errors_are_distances_to_the_limit() -> None:
 
 @pytest.mark.parametrize("order", [-1.0, 0.0])
 def test_series_without_an_order_are_drawn_without_a_fit(order: float) -> None:
-    found = convergence_figures([cell(order)])
-    assert [figure.name for figure in found] == ["convergence-values"]
-    assert not found[0].missing
+    ((name, plot),) = convergence_plots([cell(order)]).items()
+    assert name == "convergence-values"
+    assert not make(name, plot).missing
 
 
 def test_the_caption_says_how_many_converge() -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import re
-from html import unescape
 from pathlib import Path
 
 import pytest
 
 from study import analyze
 from tests.cli.small import study
+from tests.reporting.example import words_of
 
 TABLE = Path(__file__).parents[2] / "validation" / "statistics" / "battery_life.csv"
 ASKED = ("--response", "life", "--factors", "material,temperature", "--practical", "10")
@@ -21,10 +21,6 @@ SIGNS = {
     "$-$": "\N{MINUS SIGN}", r"$\times$": "\N{MULTIPLICATION SIGN}", r"\textless{}": "<",
     r"\textgreater{}": ">",
 }  # fmt: skip
-
-
-def words_of(page: str) -> str:
-    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", page)))
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +36,7 @@ def media(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     page = (folder / f"{STEM}-details.html").read_text("utf-8")
     result = analyze(TABLE, "life", ["material", "temperature"], practical="10")
     return {
-        "page": words_of(re.sub(r"<svg.*?</svg>", "", page, flags=re.S)),
+        "page": words_of(page),
         "notebook": words_of(result._repr_html_()),
         "prompt": re.sub(r"\s+", " ", repr(result)),
         "terminal": re.sub(r"\s+", " ", shown.out),

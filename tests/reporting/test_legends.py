@@ -25,9 +25,7 @@ def test_cost_against_accuracy_of_many_levels(levels: int) -> None:
     frame["seconds"] = np.geomspace(0.05, 0.2, len(frame))
     frame["mean"] = np.linspace(6.0, 3.0, len(frame))
     frame["front"] = True
-    facts: Any = SimpleNamespace(
-        response=SimpleNamespace(better="lower"), title="relative RMS force error", unit="%"
-    )
+    facts: Any = SimpleNamespace(better="lower", title="relative RMS force error", unit="%")
     data: Any = SimpleNamespace(factors=factors, labels={})
     found = []
 

@@ -17,7 +17,7 @@ from study.reporting.content import (
 )
 from study.reporting.content.recommendation import best_cell, cheaper, recommendation, would_change
 from study.reporting.content.report_facts import Facts, Group, describe, facts, groups
-from study.reporting.results.study_result import Failure, ReportData, ResponseAnalysis
+from study.reporting.results.study_result import Failure, ReportData
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import (
     AnalysisResult,
@@ -63,15 +63,12 @@ def effect(verdict: str, **changes) -> Effect:
 
 
 def error() -> Facts:
-    return Facts(
-        ResponseAnalysis("relative_rms_force_error", "%", better="lower"),
-        "relative RMS force error",
-        "%",
-    )
+    title = "relative RMS force error"
+    return Facts("relative_rms_force_error", "%", better="lower", title=title)
 
 
 def modulus() -> Facts:
-    return Facts(ResponseAnalysis("mu0", "kPa", transform="log"), "initial shear modulus", "kPa")
+    return Facts("mu0", "kPa", transform="log", title="initial shear modulus")
 
 
 def with_result(facts: Facts, assumptions: Assumptions, *, u_num_by_term: bool = False) -> Facts:
@@ -88,7 +85,7 @@ def with_result(facts: Facts, assumptions: Assumptions, *, u_num_by_term: bool =
         DataSummary(0, None, 0.0, none, none, (), 0, ()),
         (),
     )
-    return replace(facts, response=replace(facts.response, result=result))
+    return replace(facts, result=result)
 
 
 def test_matters_names_levels_difference_and_interval():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ import pytest
 from study.reporting.content import methods, sentences
 from study.reporting.content.report_facts import facts
 from study.reporting.results.study_result import Failure, ReportData
-from tests.reporting.example import undrawn, unreplicated
+from tests.reporting.example import undrawn, unreplicated, words_of
 
 #: what no sentence of a report says, and what it says instead
 NOT_USED = {
@@ -35,38 +34,13 @@ NOT_USED = {
 }
 
 
-class Words(HTMLParser):
-    """Text of a page without its style, script and drawings."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.parts: list[str] = []
-        self.skipped = 0
-
-    def handle_starttag(self, tag, attrs):
-        self.skipped += tag in ("style", "script", "svg")
-
-    def handle_endtag(self, tag):
-        self.skipped -= tag in ("style", "script", "svg")
-
-    def handle_data(self, data):
-        if not self.skipped:
-            self.parts.append(data)
-
-
-def words(html: str) -> str:
-    reader = Words()
-    reader.feed(html)
-    return re.sub(r"\s+", " ", " ".join(reader.parts))
-
-
 def breaches(text: str) -> list[str]:
     return [f"{rule}: write {better}" for rule, better in NOT_USED.items() if re.search(rule, text)]
 
 
 def test_no_sentence_has_a_word_that_is_not_used(html: str):
-    assert breaches(words(html)) == []
-    assert breaches(words(undrawn(unreplicated()))) == []
+    assert breaches(words_of(html)) == []
+    assert breaches(words_of(undrawn(unreplicated()))) == []
 
 
 def test_the_list_of_words_finds_a_breach():
@@ -95,7 +69,7 @@ def all_failed(data: ReportData) -> ReportData:
 
 
 def test_a_study_of_which_every_case_failed_has_a_page(data: ReportData):
-    page = words(undrawn(all_failed(data)))
+    page = words_of(undrawn(all_failed(data)))
     assert "All 288 cases failed, so there is nothing to compare." in page
     assert "What 288 of 288 reported: no equilibrium beyond 0.4 mm" in page
     assert "Nothing can be recommended" in page

@@ -25,7 +25,7 @@ from study.reporting.content.numbers import (
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.report_facts import facts as read_facts
 from study.reporting.content.text import clean, listing, name_of, plural_of, term_name
-from study.reporting.results.study_result import Check, ReportData, ResponseAnalysis
+from study.reporting.results.study_result import Check, ReportData
 from study.statistics.analysis import strata
 from study.statistics.analysis.anova_table import Effect, Row
 from study.statistics.analysis.simple_effects import NOT_RESOLVED, REFUSALS
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import NestedUnits
     from study.statistics.analysis.comparisons import Comparisons
-    from study.statistics.analysis.equal_variance import SpreadTest
     from study.statistics.analysis.linear_contrast import Contrast
     from study.statistics.analysis.mixed_model import MixedModel
     from study.statistics.analysis.post_hoc import (
@@ -230,7 +229,7 @@ def judged(item: Facts, data: ReportData) -> Points:
 
 def contrasts(facts: Facts) -> Table | None:
     """Differences of two settings that were asked for by name; None without any."""
-    result = facts.response.result
+    result = facts.result
     if result is None or not result.contrasts:
         return None
     return contrast_table(result.contrasts, facts, result.request.alpha)
@@ -553,7 +552,7 @@ def mixed_blocks(model: MixedModel, response: str, alpha: float) -> Iterator[Blo
             ends: lambda slope: interval(slope.low, slope.high),
         },
     )
-    item = Facts(ResponseAnalysis(response, ""), response, "", model.effects)
+    item = Facts(response, "", title=response, terms=model.effects)
     if model.effects:
         yield from effect_blocks(item, ReportData("table", "", {}, pd.DataFrame(), alpha=alpha))
     if model.contrasts:
@@ -570,14 +569,7 @@ def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> Checks:
     made = [*data.checks, *bad, *_of_cases(data)]
     for facts in all_facts:
         if facts.terms:
-            made += [
-                _normality(facts, data.alpha),
-                _spread(facts, data.alpha),
-                *_sphericity(facts, data),
-                *_additivity(facts, data),
-                *_resolution(facts, data),
-                *_fragile(facts, data),
-            ]
+            made += [replace(check, of=facts.title) for check in _of_response(facts, data)]
         elif not data.surfaces:
             why = facts.warnings[0] if facts.warnings else "no reason was recorded"
             made.append(
@@ -587,16 +579,14 @@ def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> Checks:
     return Checks.of(made)
 
 
-def _of_cases(data: ReportData) -> list[Check]:
-    made = []
+def _of_cases(data: ReportData) -> Iterator[Check]:
     if data.failures:
         finding = sentences.failures(data.failures, len(data.table))
-        made.append(Check("Failed cases", "caution", finding, "See the failure map."))
+        yield Check("Failed cases", "caution", finding, "See the failure map.")
     if data.retried:
         finding = tables.retried_sentence(data.retried)
         where = "They are listed among the failures."
-        made.append(Check("Cases with other settings", "caution", finding, where))
-    return made
+        yield Check("Cases with other settings", "caution", finding, where)
 
 
 def _surface(fitted: FittedSurface, data: ReportData) -> Check:
@@ -612,33 +602,70 @@ def _surface(fitted: FittedSurface, data: ReportData) -> Check:
     return Check(name, outcome, surface_content.accuracy(fitted), "Add runs.", of)
 
 
+def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
+    """Make the checks of one analysis; the last asks whether claims hang on a single block."""
+    yield _normality(facts, data.alpha)
+    yield _spread(facts, data.alpha)
+    if (least := verdicts.least_sphericity(facts)) is not None:
+        finding = f"smallest epsilon {least[1]:.2f}, of {term_name(least[0], data.labels)}"
+        changed = [
+            term_name(row.term, data.labels)
+            for row in facts.rows
+            if row.p is not None and row.p_gg is not None and row.p < data.alpha <= row.p_gg
+        ]
+        decides = f"The correction decides for {listing(changed)}: read the corrected p."
+        mend = decides if changed else "The correction changes no decision."
+        yield Check("Sphericity", "caution" if changed else "pass", finding, mend)
+    tukey, unit = facts.assumptions.non_additivity, clean(data.block) or "block"
+    if tukey is not None and tukey.p is not None and math.isfinite(tukey.p):
+        is_additive = tukey.p >= data.alpha
+        rejected = "not rejected" if is_additive else "rejected"
+        yield Check(
+            f"No interaction between cell and {unit}",
+            "pass" if is_additive else "caution",
+            f"{rejected} by Tukey's one-degree test ({p_phrase(tukey.p)})",
+            f"Effects hold in all {plural_of(unit)} alike."
+            if is_additive
+            else f"Effects grow or shrink with the level of the {unit}: consider the log.",
+        )
+    bounded = [effect for effect in facts.effects if effect.u_num is not None]
+    if bounded or not data.is_table:  # a table has no mesh
+        yield _resolution(facts, data, len(bounded))
+    judged = [effect for effect in facts.effects if effect.lost_without is not None]
+    lost = [
+        f"the claim on {term_name(effect.term, data.labels)} fails if "
+        f"{verdicts.blocks_needed(effect, facts)} is left out"
+        for effect in judged
+        if effect.lost_without
+    ]
+    name = f"Claims hold with any one {facts.block} left out"
+    if lost:
+        claims = "it" if len(lost) == 1 else "them"
+        more = f"Measure more {plural_of(facts.block)} before relying on {claims}."
+        yield Check(name, "caution", listing(lost), more)
+    elif judged:
+        many = {1: "the claim does", 2: "both claims do"}
+        finding = many.get(len(judged), f"all {len(judged)} claims do")
+        yield Check(name, "pass", finding, f"No claim hangs on a single {facts.block}.")
+
+
 def _normality(facts: Facts, alpha: float) -> Check:
     normality, name = facts.assumptions.normality, "Residuals as from a normal distribution"
     if normality is None or normality.rj is None:
         reason = (normality and normality.reason) or "there are no residuals to test"
-        return Check(name, "not applicable", f"Ryan-Joiner: {reason}", of=facts.title)
+        return Check(name, "not applicable", f"Ryan-Joiner: {reason}")
     rejected = verdicts.rejects_normality(facts, alpha)
     finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
     if normality.p_exact is not None:
         finding += f" ({p_phrase(normality.p_exact)})"
     if not rejected:
-        return Check(name, "pass", finding, "The p-values may be read as they are.", facts.title)
-    return Check(
-        name,
-        "caution",
-        finding,
+        return Check(name, "pass", finding, "The p-values may be read as they are.")
+    approximate = (
         "Small p-values are approximate; the verdicts rest on the size of the effect "
         "against what matters."
-        + ("" if facts.ratio else " The log of a positive response often helps."),
-        facts.title,
     )
-
-
-def _untested(tests: Mapping[str, SpreadTest]) -> str:
-    """Why neither test of the spread applies."""
-    reasons = [reason for reason in dict.fromkeys(test.reason for test in tests.values()) if reason]
-    why = listing(reasons) if reasons else "they were not run"
-    return f"neither Bartlett's nor Levene's test applies: {why}"
+    mend = "" if facts.ratio else " The log of a positive response often helps."
+    return Check(name, "caution", finding, approximate + mend)
 
 
 def _spread(facts: Facts, alpha: float) -> Check:
@@ -646,90 +673,37 @@ def _spread(facts: Facts, alpha: float) -> Check:
     tests = facts.assumptions.spread
     applicable = {k: t for k, t in tests.items() if t.statistic is not None}
     if not applicable:
-        return Check(name, "not applicable", _untested(tests), of=facts.title)
+        reasons = [why for why in dict.fromkeys(test.reason for test in tests.values()) if why]
+        why = listing(reasons) if reasons else "they were not run"
+        untested = f"neither Bartlett's nor Levene's test applies: {why}"
+        return Check(name, "not applicable", untested)
     against = [k.capitalize() for k, t in applicable.items() if verdicts.rejects(t, alpha)]
     p_values = listing(
         [f"{k.capitalize()} {p_phrase(verdicts.p_of(t))}" for k, t in applicable.items()]
     )
     if not against:
         finding = f"not rejected ({p_values})"
-        return Check(name, "pass", finding, "One error serves for all cells.", facts.title)
-    return Check(
-        name,
-        "caution",
-        f"rejected by {listing(against)} ({p_values})",
-        "Intervals are too short for the cells that scatter most and too long for the others.",
-        facts.title,
-    )
+        return Check(name, "pass", finding, "One error serves for all cells.")
+    unequal = "Intervals are too short for the cells that scatter most and too long for the others."
+    return Check(name, "caution", f"rejected by {listing(against)} ({p_values})", unequal)
 
 
-def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
-    least = verdicts.least_sphericity(facts)
-    if least is None:
-        return []
-    term, epsilon = least
-    name = "Sphericity"
-    finding = f"smallest epsilon {epsilon:.2f}, of {term_name(term, data.labels)}"
-    changed = [
-        term_name(row.term, data.labels)
-        for row in facts.rows
-        if row.p is not None and row.p_gg is not None and row.p < data.alpha <= row.p_gg
-    ]
-    if changed:
-        return [
-            Check(
-                name,
-                "caution",
-                finding,
-                f"The correction decides for {listing(changed)}: read the corrected p.",
-                facts.title,
-            )
-        ]
-    return [Check(name, "pass", finding, "The correction changes no decision.", facts.title)]
-
-
-def _additivity(facts: Facts, data: ReportData) -> list[Check]:
-    non_additivity = facts.assumptions.non_additivity
-    if non_additivity is None or non_additivity.p is None or not math.isfinite(non_additivity.p):
-        return []
-    p = non_additivity.p
-    name = f"No interaction between cell and {clean(data.block) or 'block'}"
-    if p >= data.alpha:
-        finding = f"not rejected by Tukey's one-degree test ({p_phrase(p)})"
-        units = plural_of(clean(data.block) or "block")
-        return [Check(name, "pass", finding, f"Effects hold in all {units} alike.", facts.title)]
-    return [
-        Check(
-            name,
-            "caution",
-            f"rejected by Tukey's one-degree test ({p_phrase(p)})",
-            f"Effects grow or shrink with the level of the {clean(data.block) or 'block'}: "
-            "consider the log.",
-            facts.title,
-        )
-    ]
-
-
-def _resolution(facts: Facts, data: ReportData) -> list[Check]:
-    """Whether mesh error leaves a verdict open; nothing for a table, which has no mesh."""
+def _resolution(facts: Facts, data: ReportData, bounded: int) -> Check:
+    """Whether mesh error leaves a verdict open, of the effects that it is known of."""
     name = "Effects resolved by the mesh"
-    bounded = [effect for effect in facts.effects if effect.u_num is not None]
     if not bounded:
         finding = "No numerical uncertainty is known."
         mend = "Every claim holds at this mesh: the discretization was not examined."
-        none = Check(name, "not applicable", finding, mend, facts.title)
-        return [] if data.is_table else [none]
+        return Check(name, "not applicable", finding, mend)
     open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
     if not open_ones:
-        finding = f"mesh error, added to the interval, changes no verdict (of {len(bounded)})"
+        finding = f"mesh error, added to the interval, changes no verdict (of {bounded})"
         unbounded = [term_name(e.term, data.labels) for e in facts.effects if e.u_num is None]
         if unbounded:
             finding += f"; no bound is known for {listing(unbounded)}"
             holds = "These verdicts hold" if len(unbounded) > 1 else "That verdict holds"
-            mend = f"{holds} at this mesh; refine further."
-            return [Check(name, "caution", finding, mend, facts.title)]
-        sure = "Finer meshes would change no verdict."
-        return [Check(name, "pass", finding, sure, facts.title)]
+            return Check(name, "caution", finding, f"{holds} at this mesh; refine further.")
+        return Check(name, "pass", finding, "Finer meshes would change no verdict.")
     needed = [
         f"below {bound(effect.u_needed, effect, facts)} for {term_name(effect.term, data.labels)}"
         for effect in open_ones
@@ -740,26 +714,4 @@ def _resolution(facts: Facts, data: ReportData) -> list[Check]:
     mend = (
         f"Refine: mesh error would have to be {listing(needed)}." if needed else "Refine the mesh."
     )
-    return [Check(name, "caution", finding, mend, facts.title)]
-
-
-def _fragile(facts: Facts, data: ReportData) -> list[Check]:
-    """Say which claims fall with one block."""
-    judged = [effect for effect in facts.effects if effect.lost_without is not None]
-    if not judged:
-        return []
-    name = f"Claims hold with any one {facts.block} left out"
-    lost = [
-        f"the claim on {term_name(effect.term, data.labels)} fails if "
-        f"{verdicts.blocks_needed(effect, facts)} is left out"
-        for effect in judged
-        if effect.lost_without
-    ]
-    if not lost:
-        many = {1: "the claim does", 2: "both claims do"}
-        finding = many.get(len(judged), f"all {len(judged)} claims do")
-        sure = f"No claim hangs on a single {facts.block}."
-        return [Check(name, "pass", finding, sure, facts.title)]
-    claims = "it" if len(lost) == 1 else "them"
-    more = f"Measure more {plural_of(facts.block)} before relying on {claims}."
-    return [Check(name, "caution", listing(lost), more, facts.title)]
+    return Check(name, "caution", finding, mend)

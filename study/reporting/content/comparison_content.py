@@ -12,7 +12,6 @@ from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, count, listing, name_of, sentence, term_name
 from study.reporting.results import study_answers
 from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
-from study.reporting.results.study_result import ResponseAnalysis
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS
 
@@ -169,8 +168,7 @@ def _how(row: Conclusion, comparison: Beside) -> str:
 
 def facts_of(row: Conclusion) -> Facts:
     """Response of a conclusion: its title and unit."""
-    unit = clean(row.unit)
-    return Facts(ResponseAnalysis(row.response, unit), response_of(row), unit)
+    return Facts(row.response, clean(row.unit), title=response_of(row))
 
 
 def answer_lines(comparison: Beside | None, labels: Labels = None) -> tuple[str, ...]:
@@ -241,15 +239,14 @@ def only_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
     return tuple(
         sentence(
             f"only in {clean(comparison.names[study])}: {what}{'s' * (len(items) > 1)} "
-            + ", ".join(_only(item, labels) for item in items)
+            + ", ".join(
+                (clean(item.name) if what == "level" else term_name(item.name, labels))
+                + (f" ({clean(item.why, 200)})" if item.why else "")
+                for item in items
+            )
         )
         for (study, what), items in groups.items()
     )
-
-
-def _only(item: OnlyInOne, labels: Labels) -> str:
-    name = clean(item.name) if item.what == "level" else term_name(item.name, labels)
-    return f"{name} ({clean(item.why, 200)})" if item.why else name
 
 
 def shown(rows: Iterable[Conclusion]) -> list[Conclusion]:

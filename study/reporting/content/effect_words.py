@@ -49,17 +49,24 @@ def decimals(effect: Effect) -> int | None:
 
 def size(effect: Effect, facts: Facts) -> str:
     """Largest difference of an effect with its unit, or as a ratio."""
-    number = shown_size(effect)
-    if number == MISSING:
-        return number
-    if effect.is_ratio:
-        return f"{TIMES}{THIN}{number}"
-    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
+    return scaled(shown_size(effect), effect, facts)
+
+
+def scaled(number: str, effect: Effect, facts: Facts) -> str:
+    """Return a number as text with the unit of a difference, or as a ratio."""
+    if number == MISSING or not effect.is_ratio:
+        return with_unit(number, facts.difference_unit)
+    return f"{TIMES}{THIN}{number}"
+
+
+def digits_of(value: float | None, effect: Effect) -> int:
+    """Digits that a size on the scale of an effect needs."""
+    return ratio_digits(value) if effect.is_ratio else 3
 
 
 def shown_size(effect: Effect) -> str:
     """Largest difference or ratio of an effect, without its unit."""
-    digits, places = ratio_digits(effect.range) if effect.is_ratio else 3, decimals(effect)
+    digits, places = digits_of(effect.range, effect), decimals(effect)
     shown = rounded(effect.range, places, digits)
     if shown == MISSING or "<" in shown:
         return shown
@@ -69,16 +76,13 @@ def shown_size(effect: Effect) -> str:
 
 def size_interval(effect: Effect, facts: Facts) -> str:
     """Simultaneous interval of the largest difference."""
-    digits = ratio_digits(effect.range) if effect.is_ratio else 3
     places = decimals(effect)
-    ends = span(effect.low, effect.high, places, digits)
+    ends = span(effect.low, effect.high, places, digits_of(effect.range, effect))
     low, _, high = ends.partition(" to ")
     if low == high:
         # blocks that answer alike to the last digit leave no width to print
         ends = f"narrower than {10.0**-places:.{places}f}" if places is not None else low
-    if ends == MISSING or effect.is_ratio or not facts.difference_unit:
-        return ends
-    return f"{ends}{THIN}{facts.difference_unit}"
+    return ends if effect.is_ratio else with_unit(ends, facts.difference_unit)
 
 
 def practical(effect: Effect, facts: Facts) -> str:
@@ -86,7 +90,7 @@ def practical(effect: Effect, facts: Facts) -> str:
     if effect.practical is None:
         return MISSING
     text = f"{float(f'{effect.practical:.3g}'):g}".replace("-", MINUS)
-    return f"{TIMES}{THIN}{text}" if effect.is_ratio else with_unit(text, facts.difference_unit)
+    return scaled(text, effect, facts)
 
 
 def numerical(effect: Effect, facts: Facts) -> str:
@@ -95,8 +99,11 @@ def numerical(effect: Effect, facts: Facts) -> str:
         return bound(effect.u_num, effect, facts)
     if effect.effect_over_u_num is None or not effect.effect_over_u_num or not effect.range:
         return quantity(effect.u_num, facts.unit, 2)
-    u = math.exp(abs(math.log(effect.range)) / abs(effect.effect_over_u_num))
-    return f"{TIMES}{THIN}{rounded(u, decimals(effect), max(ratio_digits(u) - 1, 3))}"
+    return _bounding(math.exp(abs(math.log(effect.range) / effect.effect_over_u_num)), effect)
+
+
+def _bounding(ratio: float, effect: Effect) -> str:
+    return f"{TIMES}{THIN}{rounded(ratio, decimals(effect), max(ratio_digits(ratio) - 1, 3))}"
 
 
 def with_unit(number: str, unit: str) -> str:
@@ -116,19 +123,15 @@ def over_numerical(effect: Effect) -> str:
 
 def shown_difference(difference: float, effect: Effect, facts: Facts) -> str:
     """Difference (or ratio) of two levels with its unit, rounded to what counts."""
-    digits = ratio_digits(difference) if effect.is_ratio else 3
-    number = rounded(difference, decimals(effect), digits)
-    if effect.is_ratio:
-        return f"{TIMES}{THIN}{number}"
-    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
+    digits = digits_of(difference, effect)
+    return scaled(rounded(difference, decimals(effect), digits), effect, facts)
 
 
 def bound(u: float, effect: Effect, facts: Facts) -> str:
     """Bound of a numerical error in response units, on the scale of the effect."""
     if not effect.is_ratio:
         return with_unit(rounded(u, decimals(effect), 2), facts.difference_unit)
-    ratio = math.exp(u * effect.u_unit)
-    return f"{TIMES}{THIN}{rounded(ratio, decimals(effect), max(ratio_digits(ratio) - 1, 3))}"
+    return _bounding(math.exp(u * effect.u_unit), effect)
 
 
 def change(effect: Effect, facts: Facts) -> str:
@@ -164,6 +167,11 @@ def factors_of(data: ReportData, *roles: str) -> list[str]:
     return [name for name in data.factors if role(data, name) in roles]
 
 
+def choices(data: ReportData, facts: Facts) -> list[Effect]:
+    """Effects of the factors that are choices."""
+    return [effect for effect in facts.effects if role(data, effect.term) == CHOICE]
+
+
 def settings(data: ReportData) -> list[dict[str, str]]:
     """Every combination of the levels of the conditions; one empty one where there are none."""
     names = [n for n in factors_of(data, CONDITION) if len(data.factors[n]) > 1]
@@ -190,9 +198,8 @@ def by_condition(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
         line
         for condition in factors_of(data, CONDITION)
         for facts in all_facts
-        for effect in facts.effects
-        if role(data, effect.term) == CHOICE
-        and (line := _one_condition(condition, effect, facts, data))
+        for effect in choices(data, facts)
+        if (line := _one_condition(condition, effect, facts, data))
     ]
 
 
@@ -219,15 +226,7 @@ def apart(difference: float, effect: Effect) -> float:
 
 
 def together(verdicts: Sequence[str]) -> str:
-    """Verdict of several simple effects: any that matters decides, else all must agree.
-
-    Examples
-    --------
-    >>> together(["no practical difference", "matters"])
-    'matters'
-    >>> together(["no practical difference", "cannot tell"])
-    'cannot tell'
-    """
+    """Verdict of several simple effects: any that matters decides, else all must agree."""
     if MATTERS in verdicts:
         return MATTERS
     if set(verdicts) == {NO_DIFFERENCE}:

@@ -12,13 +12,7 @@ THIN = "\N{NO-BREAK SPACE}"
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Three significant digits, never an exponent for the sizes met in a laboratory.
-
-    Examples
-    --------
-    >>> significant(0.0123456), significant(12345.6), significant(2.0), significant(None)
-    ('0.0123', '12,300', '2.00', '\N{EN DASH}')
-    """
+    """Three significant digits, never an exponent for the sizes met in a laboratory."""
     if value is None or not math.isfinite(value):
         return MISSING
     if value == 0:
@@ -32,13 +26,7 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def p_value(p: float | None) -> str:
-    """Write a p-value: three decimals, no leading zero, bounds at the ends.
-
-    Examples
-    --------
-    >>> p_value(0.0321), p_value(0.0004), p_value(0.9999), p_value(None)
-    ('.032', '< .001', '> .999', '\N{EN DASH}')
-    """
+    """Write a p-value: three decimals, no leading zero, bounds at the ends."""
     if p is None or not math.isfinite(p):
         return MISSING
     if p < 0.0005:
@@ -84,13 +72,7 @@ def percent(fraction: float | None, digits: int = 3) -> str:
 
 
 def level(alpha: float) -> str:
-    """Write the level of an interval.
-
-    Examples
-    --------
-    >>> level(0.05).replace(THIN, " "), level(0.2).replace(THIN, " ")
-    ('95 %', '80 %')
-    """
+    """Write the level of an interval."""
     return f"{100 * (1 - alpha):.4g}{THIN}%"
 
 
@@ -98,11 +80,6 @@ def interval(low: float | None, high: float | None, unit: str = "", digits: int 
     """Write a confidence interval, both ends with the decimals of the larger one.
 
     Ends that would look alike get as many more digits as tell them apart, at most eight in all.
-
-    Examples
-    --------
-    >>> interval(1.4336, 1.4341), interval(9.96, 9.999)
-    ('1.4336 to 1.4341', '9.960 to 9.999')
     """
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
@@ -124,26 +101,14 @@ def _fixed(value: float, decimals: int) -> str:
 
 
 def decimals_that_count(step: float | None) -> int | None:
-    """Decimals that a thousandth of what matters can be read at; None where that is unknown.
-
-    Examples
-    --------
-    >>> decimals_that_count(0.5), decimals_that_count(5), decimals_that_count(None)
-    (3, 2, None)
-    """
+    """Decimals that a thousandth of what matters can be read at; None where that is unknown."""
     if step is None or not math.isfinite(step) or step <= 0:
         return None
     return max(math.floor(-math.log10(step / 1000) + 1e-9), 0)
 
 
 def rounded(value: float | None, decimals: int | None, digits: int = 3) -> str:
-    """Three significant digits, but no finer than ``decimals``; ``< 0.001`` below them.
-
-    Examples
-    --------
-    >>> rounded(0.0912, 3), rounded(0.000267, 3), rounded(0.155, 3), rounded(0.0, 3)
-    ('0.091', '< 0.001', '0.155', '0')
-    """
+    """Three significant digits, but no finer than ``decimals``; ``< 0.001`` below them."""
     if value is None or decimals is None or value == 0 or not math.isfinite(value):
         return significant(value, digits)
     least = 10.0**-decimals
@@ -153,13 +118,7 @@ def rounded(value: float | None, decimals: int | None, digits: int = 3) -> str:
 
 
 def span(low: float | None, high: float | None, decimals: int | None, digits: int = 3) -> str:
-    """Write both ends with the same decimals: as few as tell them apart, at most ``decimals``.
-
-    Examples
-    --------
-    >>> span(1.4336, 1.4341, 4), span(0.0249, 0.2854, 3), span(-3.9e-5, 5.7e-4, 3)
-    ('1.4336 to 1.4341', '0.025 to 0.285', '0.000 to 0.001')
-    """
+    """Write both ends with the same decimals: as few as tell them apart, at most ``decimals``."""
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     if decimals is None:
@@ -174,15 +133,7 @@ def span(low: float | None, high: float | None, decimals: int | None, digits: in
 def inside(
     value: float | None, low: float | None, high: float | None, shown: str, ends: str
 ) -> str:
-    """Write an estimate as finely as its interval where it would else stand outside of it.
-
-    Examples
-    --------
-    >>> inside(1.42716, 1.4271, 1.4272, "1.43", "1.4271 to 1.4272")
-    '1.4272'
-    >>> inside(0.156, 0.026, 0.286, "0.156", "0.026 to 0.286")
-    '0.156'
-    """
+    """Write an estimate as finely as its interval where it would else stand outside of it."""
     places = [len(text.partition(".")[2]) for text in (shown, ends.partition(" to ")[0])]
     if value is None or low is None or high is None or places[1] <= places[0]:
         return shown
@@ -198,13 +149,7 @@ def _decimals(value: float, digits: int) -> int:
 
 
 def f_value(value: float | None, most: float = 1e4) -> str:
-    """F of a table; beyond ``most`` only said to be so, for its digits mean nothing.
-
-    Examples
-    --------
-    >>> f_value(17.9), f_value(7.61e9), f_value(None)
-    ('17.9', '> 10,000', '\N{EN DASH}')
-    """
+    """F of a table; beyond ``most`` only said to be so, for its digits mean nothing."""
     if value is not None and math.isfinite(value) and value > most:
         return f"> {most:,.0f}"
     return significant(value)
@@ -228,13 +173,7 @@ def ratio_digits(value: float | None) -> int:
 
 
 def duration(seconds: float | None) -> str:
-    """Seconds in the unit a person would use.
-
-    Examples
-    --------
-    >>> [duration(s).replace(THIN, " ") for s in (0.02, 5.1, 90, 5400)]
-    ['20 ms', '5.1 s', '1.5 min', '1.5 h']
-    """
+    """Seconds in the unit a person would use."""
     if seconds is None or not math.isfinite(seconds):
         return MISSING
     for limit, size, unit in ((1, 1e-3, "ms"), (60, 1, "s"), (3600, 60, "min")):
@@ -244,13 +183,7 @@ def duration(seconds: float | None) -> str:
 
 
 def case_counts(cases: Mapping[str, int]) -> str:
-    """Cases in one line.
-
-    Examples
-    --------
-    >>> case_counts({"total": 4, "done": 3, "failed": 1, "missing": 0})
-    '4 cases: 3 done, 1 failed, 0 missing'
-    """
+    """Cases in one line."""
     return (
         f"{cases['total']} cases: {cases['done']} done, {cases['failed']} failed, "
         f"{cases['missing']} missing"

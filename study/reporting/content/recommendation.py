@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from study.harness.record.record import cell_names
 from study.reporting.content import effect_words, surface_content
-from study.reporting.content.effect_words import size, size_interval
+from study.reporting.content.effect_words import size, size_interval, with_unit
 from study.reporting.content.numbers import (
     THIN,
     decimals_that_count,
@@ -57,16 +57,16 @@ if TYPE_CHECKING:
 def best_cell(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Name the best cell of the first response that has a better end, and the tie around it."""
     for facts in all_facts:
-        if facts.response.better not in ("lower", "higher"):
+        if facts.better not in ("lower", "higher"):
             continue
         if effect_words.factors_of(data, effect_words.CONDITION, effect_words.UNKNOWN):
             return _best_choice(data, facts)
         ranked = groups(data, facts)
         if not ranked:
             continue
-        if facts.response.better == "higher":
+        if facts.better == "higher":
             ranked = ranked[::-1]
-        word = "lowest" if facts.response.better == "lower" else "highest"
+        word = "lowest" if facts.better == "lower" else "highest"
         mean = quantity(ranked[0].mean, facts.unit)
         return sentence(
             f"the {word} {facts.title} is {mean}, with {describe(ranked[0], data)}"
@@ -80,7 +80,7 @@ def _best_choice(data: ReportData, facts: Facts) -> str:
     chosen = effect_words.factors_of(data, effect_words.CHOICE)
     if not chosen:
         return "No factor is a choice, so nothing is recommended; the effects are what counts."
-    last = facts.response.better == "higher"
+    last = facts.better == "higher"
     best: dict[str, list[str]] = {}
     ties = []
     for setting in effect_words.settings(data):
@@ -159,7 +159,7 @@ def cost_front(
     seconds = answered["seconds"].astype(float).groupby(keys).mean()
     frame["seconds"] = frame["cell"].map(seconds)
     frame = frame.dropna(subset=["seconds"]).sort_values(["seconds", "mean"], kind="stable")
-    sign = -1.0 if facts.response.better == "higher" else 1.0
+    sign = -1.0 if facts.better == "higher" else 1.0
     score = sign * frame["mean"]
     limit = practical_of(facts, frame)
     # a gain of less than a thousandth of what matters is no step
@@ -173,8 +173,6 @@ def recommendation(data: ReportData, facts: Facts) -> str:
     """Say which choices to use: the cheapest within the practical difference of the best.
 
     Conditions get a recommendation each; over what nobody measured the mean is taken.
-
-    Units: data s.
     """
     chosen = effect_words.factors_of(data, effect_words.CHOICE)
     if not chosen:
@@ -193,7 +191,7 @@ def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
     frame = cost_front(data, facts, factors)
     if frame.empty:
         return "no computing times are known, so accuracy alone decides"
-    sign = -1.0 if facts.response.better == "higher" else 1.0
+    sign = -1.0 if facts.better == "higher" else 1.0
     best = frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
     good = frame[frame["within"]]
     # a quarter more time is no reason to give up accuracy
@@ -207,8 +205,7 @@ def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
         return f"{text}; {_why_best(cheap, good)}"
     limit = practical_of(facts, frame)
     gap = rounded(abs(float(best["mean"] - cheap["mean"])), decimals_that_count(limit))
-    if facts.difference_unit:
-        gap += f"{THIN}{facts.difference_unit}"
+    gap = with_unit(gap, facts.difference_unit)
     times = significant(best["seconds"] / max(cheap["seconds"], 1e-9), 2)
     other = listing([clean(best[name]) for name in factors])
     return (
@@ -235,10 +232,8 @@ def cheaper(data: ReportData, facts: Facts) -> str:
     """Say which modelling choice (``model.*``) may be the cheaper one, level against level.
 
     Only factors of the computation are compared: plates or specimens are no choice.
-
-    Units: data s.
     """
-    if not facts.response.better or "seconds" not in data.table:
+    if not facts.better or "seconds" not in data.table:
         return ""
     sentences_of_effects = [_cheaper_level(data, effect, facts) for effect in facts.effects]
     return " ".join(text for text in sentences_of_effects if text)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from study.harness.record.record import answered_often, cell_names
 from study.reporting.content.text import clean, count, listing, name_of
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
-from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova_table import Effect, Row, SimpleEffect
 from study.statistics.analysis.assumptions import Assumptions
 
@@ -27,28 +26,20 @@ _Value = TypeVar("_Value", Effect, SimpleEffect, Row)
 
 def practical_of(facts: Facts, frame: pd.DataFrame) -> float:
     """Smallest difference that matters in the response's unit; 0 where none was declared."""
-    value = facts.response.practical or 0.0
-    return value * abs(float(frame["mean"].mean())) if facts.response.relative else value
+    value = facts.practical or 0.0
+    return value * abs(float(frame["mean"].mean())) if facts.relative else value
 
 
 @dataclass(frozen=True)
-class Facts:
+class Facts(ResponseAnalysis):
     """One response as a report shows it: its analysis, in the order of the design."""
 
-    response: ResponseAnalysis
-    title: str
-    unit: str
     #: Effects with the levels in the order of the design; what is not finite is None.
     terms: tuple[Effect, ...] = ()
     #: Notes of the analysis, or why there is none.
     warnings: tuple[str, ...] = ()
     #: What the blocks are: phantom, batch.
     block: str = "block"
-
-    @property
-    def result(self) -> AnalysisResult | None:
-        """The analysis; None where the response could not be analyzed."""
-        return self.response.result
 
     @property
     def assumptions(self) -> Assumptions:
@@ -66,14 +57,9 @@ class Facts:
         return 0.05 if self.result is None else self.result.request.alpha
 
     @property
-    def name(self) -> str:
-        """Column of the response."""
-        return self.response.name
-
-    @property
     def ratio(self) -> bool:
         """Whether effects are ratios."""
-        return self.response.transform == "log"
+        return self.transform == "log"
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -90,6 +76,11 @@ class Facts:
         """Unit of a difference: percentage points for a response in percent."""
         return "pp" if self.unit == "%" else self.unit
 
+    @property
+    def scale(self) -> str:
+        """Unit of what is analyzed less its mean."""
+        return "log ratio" if self.ratio else self.difference_unit
+
     def row(self, term: str) -> Row | None:
         """Row of the ANOVA table of a term."""
         return next((row for row in self.rows if row.term == term), None)
@@ -101,14 +92,12 @@ def facts(data: ReportData) -> tuple[Facts, ...]:
 
 
 def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
-    title = clean(response.title or name_of(response.name, data.labels))
-    result = response.result
-    if result is None:
-        warned = (response.refused,) if response.refused else ()
-        return Facts(response, title, clean(response.unit), warnings=warned)
+    title, unit = response.title or name_of(response.name, data.labels), clean(response.unit)
+    shown = Facts(**vars(response) | {"title": clean(title), "unit": unit})
+    if (result := response.result) is None:
+        return replace(shown, warnings=(response.refused,) if response.refused else ())
     terms = tuple(_as_designed(effect, data.factors) for effect in result.effects)
-    block = clean(data.block) or "block"
-    return Facts(response, title, clean(response.unit), terms, result.notes, block)
+    return replace(shown, terms=terms, warnings=result.notes, block=clean(data.block) or "block")
 
 
 def _finite(value: _Value) -> _Value:
@@ -194,17 +183,16 @@ class Group:
 
 def groups(data: ReportData, facts: Facts) -> tuple[Group, ...]:
     """Distinct computations of a response, lowest mean first."""
-    frame = cells(data, facts.name)
-    place = _places(data, facts, frame)
-    members: dict[int, list[int]] = {}
-    for row, key in enumerate(place):
-        members.setdefault(key, []).append(row)
-    levels = frame[list(data.factors)].astype(str).to_dict("records")
-    means = frame["mean"].tolist()
-    return tuple(
-        Group(float(means[rows[0]]), tuple({str(k): v for k, v in levels[i].items()} for i in rows))
-        for rows in members.values()
-    )
+    import numpy as np
+
+    frame, factors = cells(data, facts.name), list(data.factors)
+    place = np.array(_places(data, facts, frame))
+    made = []
+    for _, rows in frame.groupby(place, sort=False):
+        levels = rows[factors].astype(str).itertuples(index=False, name=None)
+        members = tuple(dict(zip(factors, level, strict=True)) for level in levels)
+        made.append(Group(float(rows["mean"].iloc[0]), members))
+    return tuple(made)
 
 
 def _places(data: ReportData, facts: Facts, frame: pd.DataFrame) -> list[int]:
@@ -248,13 +236,7 @@ def _words(name: str, levels: Sequence[str], data: ReportData) -> str:
 
 
 def grouped_inputs(inputs: Mapping[str, str]) -> dict[str, str]:
-    """Join inputs with dotted keys into one line for each first part, in the order given.
-
-    Examples
-    --------
-    >>> grouped_inputs({"specimen.shape": "cylinder", "specimen.radius": "25 mm", "mesh": "fine"})
-    {'specimen': 'cylinder, radius 25 mm', 'mesh': 'fine'}
-    """
+    """Join inputs with dotted keys into one line for each first part, in the order given."""
     lines: dict[str, list[str]] = {}
     for key, value in inputs.items():
         part, _, rest = clean(key).partition(".")

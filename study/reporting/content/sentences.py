@@ -51,7 +51,7 @@ def answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
         if data.surfaces:
-            return surface_content.surface_answer(data)
+            return tuple(surface_content.surface_answer(one, data) for one in data.surfaces)
         return ("No response could be analyzed; the reasons stand below.",)
     first = [
         *(verdicts_of(data, facts) for facts in all_facts if facts.terms),
@@ -147,8 +147,7 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
     named: dict[str, list[Effect]] = {
         MATTERS: [], NO_DIFFERENCE: [], NOT_RESOLVED: [], CANNOT_TELL: []
     }  # fmt: skip
-    chosen = [e for e in facts.effects if effect_words.role(data, e.term) == effect_words.CHOICE]
-    for effect in sorted(chosen, key=_magnitude, reverse=True):
+    for effect in sorted(effect_words.choices(data, facts), key=_magnitude, reverse=True):
         named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
     parts = []
     if named[MATTERS]:
@@ -169,7 +168,7 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
         parts.append(f"these data cannot show whether {names} matters")
     if not parts:
         return ""
-    fitted = facts.response.scored_on == FITTED_CURVE
+    fitted = facts.scored_on == FITTED_CURVE
     sample = " (of the curves that were fitted: a fit is no prediction)" if fitted else ""
     title = facts.title if data.is_table else f"the {facts.title}"
     return sentence(f"for {title}{sample}, " + "; ".join(parts))
@@ -212,9 +211,7 @@ def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Say where a factor is immaterial for one response and material for another."""
     by_factor: dict[str, dict[str, Effect]] = {}
     for facts in all_facts:
-        for effect in facts.effects:
-            if effect_words.role(data, effect.term) != effect_words.CHOICE:
-                continue
+        for effect in effect_words.choices(data, facts):
             by_factor.setdefault(effect.term, {})[facts.name] = effect
     titles = {facts.name: facts for facts in all_facts}
     contrasts = [
@@ -262,12 +259,7 @@ def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
         return ""
     if not any(facts.interactions for facts in all_facts):
         return "Interactions are no part of this analysis, so it cannot rule them out."
-    every_factor = [
-        e
-        for facts in all_facts
-        for e in facts.effects
-        if effect_words.role(data, e.term) == effect_words.CHOICE
-    ]
+    every_factor = [e for facts in all_facts for e in effect_words.choices(data, facts)]
     together = {_label(e, data) for e in every_factor if not _may_be_chosen_alone(e)}
     if not together:
         return (

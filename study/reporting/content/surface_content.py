@@ -129,11 +129,6 @@ def title(one: FittedSurface, data: ReportData) -> str:
     return f"{named} at {at}" if at else named
 
 
-def surface_answer(data: ReportData) -> tuple[str, ...]:
-    """Sentences that answer which numbers drive each response, and how sure that is."""
-    return tuple(_answer(one, data) for one in data.surfaces)
-
-
 def would_change(data: ReportData) -> str:
     """Say what would make the answer surer."""
     good = [one.found for one in data.surfaces if one.found is not None]
@@ -161,9 +156,10 @@ def accuracy(one: FittedSurface) -> str:
     rms = loo.rms if hasattr(loo, "rms") else loo.loo_rms
     if _learns_from_others(found):
         runs += ", which learns from those at the other levels,"
+    q2 = f"{model.q2:.3f}" if model.q2 < 0.9995 else "above 0.999"
     return (
         f"A {kind} of {runs} predicts each from all the others within "
-        f"{quantity(rms, clean(one.unit))} (root mean square; Q2 {_q2(found.model.q2)})."
+        f"{quantity(rms, clean(one.unit))} (root mean square; Q2 {q2})."
     )
 
 
@@ -310,7 +306,7 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
         "bound": lambda item: quantity(None if item.range is None else item.range.bound, unit, 2),
         "verdict": lambda item: (
             MISSING
-            if found.practical is None
+            if one.practical is None
             else CANNOT_TELL
             if item.range is None
             else item.range.told
@@ -352,7 +348,8 @@ def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
     return Table.of(_table_name("coefficients", one), model.terms, columns, note=note)
 
 
-def _answer(one: FittedSurface, data: ReportData) -> str:
+def surface_answer(one: FittedSurface, data: ReportData) -> str:
+    """Say which numbers drive a response, and how sure that is."""
     named = sentence(title(one, data)).rstrip(".")
     if one.found is None:
         return f"{named}: no surface could be fitted. {clean(one.refused)}"
@@ -427,10 +424,6 @@ def _extreme(extreme: Extreme, one: FittedSurface) -> str:
 
 def _table_name(kind: str, one: FittedSurface) -> str:
     return " ".join((kind, one.response, *one.labels.values()))
-
-
-def _q2(value: float) -> str:
-    return f"{value:.3f}" if value < 0.9995 else "above 0.999"
 
 
 # Surfaces as a page and a terminal show them, and what optimize, invert and predict answer.

@@ -58,10 +58,7 @@ def fit_rank(levels: Mapping[str, str], data: ReportData) -> tuple[int, ...]:
 
 
 def fits(data: ReportData) -> Table:
-    """Fitted constants over the blocks: median, range, uncertainty, identifiability.
-
-    Units: data N.
-    """
+    """Fitted constants over the blocks: median, range, uncertainty, identifiability."""
     groups: dict[tuple[str, str], list[FittedConstant]] = {}
     for fit in sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant)):
         groups.setdefault((fit_name(fit, data), clean(fit.constant)), []).append(fit)
@@ -116,10 +113,7 @@ def _strongest(items: Sequence[FittedConstant]) -> str:
 
 
 def every_fit(data: ReportData) -> Table:
-    """Every fitted constant with its 95 % interval.
-
-    Units: data N.
-    """
+    """Every fitted constant with its 95 % interval."""
     return Table.of(
         "every-fit",
         sorted(data.fits, key=lambda fit: fit_rank(fit.levels, data)),
@@ -548,10 +542,7 @@ _PLATES = {"nominal": "as said", "rigid": "any rigid motion", "slipping": "rigid
 
 
 def marker_errors(data: ReportData) -> Table:
-    """RMS error of the markers of every case and plate, with the motion of the plate.
-
-    Units: data mm.
-    """
+    """RMS error of the markers of every case and plate, with the motion of the plate."""
     shown = [
         (case, fit)
         for case in sorted(data.markers, key=lambda case: fit_rank(case.levels, data))

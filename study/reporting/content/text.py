@@ -35,13 +35,7 @@ def count(number: int, noun: str, plural: str = "") -> str:
 
 
 def plural_of(noun: str) -> str:
-    """Plural of a noun; a name that is no plain word only gets its s, one letter has levels.
-
-    Examples
-    --------
-    >>> plural_of("batch"), plural_of("phantom"), plural_of("assembly"), plural_of("day")
-    ('batches', 'phantoms', 'assemblies', 'days')
-    """
+    """Plural of a noun; a name that is no plain word only gets its s, one letter has levels."""
     if len(noun) == 1:
         return f"levels of {noun}"
     if noun.endswith(("s", "x", "z", "ch", "sh")):
@@ -63,13 +57,7 @@ def clean(text: object, longest: int = 0) -> str:
 
 
 def name_of(key: str, labels: Mapping[str, str] | None = None) -> str:
-    """Readable name of a factor or a response.
-
-    Examples
-    --------
-    >>> name_of("model.element_order"), name_of("mu0"), name_of("force_at_2.5_mm")
-    ('element order', 'initial shear modulus', 'force at 2.5 mm')
-    """
+    """Readable name of a factor or a response."""
     if labels and key in labels:
         return clean(labels[key])
     if key in _NAMES:
@@ -87,13 +75,7 @@ def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:
 
 
 def listing(items: Sequence[str], word: str = "and") -> str:
-    """Items as in a sentence.
-
-    Examples
-    --------
-    >>> listing(["a"]), listing(["a", "b"]), listing(["a", "b", "c"])
-    ('a', 'a and b', 'a, b and c')
-    """
+    """Items as in a sentence."""
     if len(items) < 2:
         return "".join(items)
     return f"{', '.join(items[:-1])} {word} {items[-1]}"

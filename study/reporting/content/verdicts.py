@@ -10,12 +10,14 @@ from study.reporting.content.blocks import Table
 from study.reporting.content.effect_words import (
     bound,
     decimals,
+    digits_of,
     numerical,
     practical,
     shown_difference,
     shown_size,
     size,
     size_interval,
+    with_unit,
 )
 from study.reporting.content.numbers import (
     MISSING,
@@ -24,7 +26,6 @@ from study.reporting.content.numbers import (
     level,
     p_phrase,
     quantity,
-    ratio_digits,
     rounded,
     span,
 )
@@ -135,9 +136,7 @@ def simple(effect_there: SimpleEffect, effect: Effect, facts: Facts) -> str:
     ends = effect_there.ci_simultaneous if effect_there.verdict == MATTERS else effect_there.ci
     if ends is None:
         return number
-    shown = span(
-        *ends, decimals(effect), ratio_digits(effect_there.difference) if effect.is_ratio else 3
-    )
+    shown = span(*ends, decimals(effect), digits_of(effect_there.difference, effect))
     note = ""
     if effect_there.u and not effect.is_ratio:
         note = f", numerics {PLUS_MINUS}{THIN}{rounded(effect_there.u, decimals(effect), 2)}"
@@ -374,7 +373,7 @@ def _directed(item: Expected, facts: Facts) -> tuple[str, str]:
     """
     factor, labels = next(iter(item.cells[0].items()))
     effect = _effect_of(facts, factor)
-    better = facts.response.better
+    better = facts.better
     if effect is None or (item.kind == "better" and not better):
         return _UNKNOWN, CANNOT_TELL
     named = set(labels.split("\t"))
@@ -437,9 +436,8 @@ def _from(limit: float, facts: Facts) -> str:
 
 
 def _worse(mean: float, facts: Facts) -> float:
-    return -mean if facts.response.better == "higher" else mean
+    return -mean if facts.better == "higher" else mean
 
 
 def _difference(value: float, limit: float, facts: Facts) -> str:
-    number = rounded(value, decimals_that_count(limit or None))
-    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
+    return with_unit(rounded(value, decimals_that_count(limit or None)), facts.difference_unit)

@@ -17,6 +17,7 @@ from study.reporting.figures.axes import (
     WIDTH_IN,
     canvas,
     color_of,
+    one_panel,
     plain_ticks,
     wrap,
 )
@@ -70,8 +71,7 @@ def draw_histogram(frame: pd.DataFrame) -> Canvas:
     """Draw the histogram of signed distances, with mean and middle 90 %."""
     import seaborn as sns
 
-    figure = canvas(WIDTH_IN, 2.8)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 2.8)
     sns.histplot(
         frame, x="deviation_mm", bins=60, color=color_of(0), alpha=0.8, edgecolor="white",
         linewidth=0.3, ax=ax,
@@ -210,8 +210,7 @@ def draw_displacement(frame: pd.DataFrame, displacement: DisplacementResult) -> 
     sns.scatterplot(frame, x="mean_mm", y="difference_mm", s=16, color=color_of(0), ax=limits)
     limits.set(xlabel="mean of both (mm)", ylabel="measured - commanded (mm)", title="agreement")
     for ax in (line, limits):
-        plain_ticks(ax, "x")
-        plain_ticks(ax, "y")
+        plain_ticks(ax)
     return figure
 
 
@@ -269,5 +268,4 @@ def _arrows(ax: Axes, frame: pd.DataFrame) -> None:
         xlabel=f"{first} (mm)", ylabel=f"{second} (mm)", title=f"residuals, {factor:.3g} times",
         aspect="equal", adjustable="datalim",
     )  # fmt: skip
-    plain_ticks(ax, "x")
-    plain_ticks(ax, "y")
+    plain_ticks(ax)

@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 _MOST_TICKS = 9
 
 
+def labeled(words: str, unit: str | None) -> str:
+    """Words of an axis with their unit."""
+    return f"{words} ({unit})" if unit else words
+
+
 def wrap(label: object, width: int = 14, longest: int = 60) -> str:
     """Label of user text over several lines, broken at spaces and hyphens."""
     text = clean(label, longest)
@@ -56,15 +61,16 @@ def name_rows(
             note(ax, line, (0, place), (-3.5, higher), **look)
 
 
-def plain_ticks(ax: Axes, axis: str) -> None:
+def plain_ticks(ax: Axes, axes: str = "xy") -> None:
     """Few ticks, the same decimals on each, no offset and no exponent."""
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-    target = ax.xaxis if axis == "x" else ax.yaxis
-    formatter = ScalarFormatter(useOffset=False, useMathText=False)
-    formatter.set_scientific(False)
-    target.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
-    target.set_major_formatter(formatter)
+    for axis in axes:
+        target = ax.xaxis if axis == "x" else ax.yaxis
+        formatter = ScalarFormatter(useOffset=False, useMathText=False)
+        formatter.set_scientific(False)
+        target.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+        target.set_major_formatter(formatter)
 
 
 def log_places(low: float, high: float) -> list[float]:
@@ -92,17 +98,16 @@ def log_places(low: float, high: float) -> list[float]:
     return [place for place in rounded if low * (1 - 1e-9) <= place <= high * (1 + 1e-9)]
 
 
-def log_ticks(ax: Axes, axis: str, label: Callable[[float], str] = "{:g}".format) -> None:
-    """Label a logarithmic axis, whose limits are final, at two places at least."""
+def log_ticks(ax: Axes, axes: str = "xy", label: Callable[[float], str] = "{:g}".format) -> None:
+    """Label logarithmic axes, whose limits are final, at two places at least."""
     from matplotlib.ticker import NullFormatter
 
-    low, high = sorted(ax.get_xlim() if axis == "x" else ax.get_ylim())
-    places = log_places(low, high)
-    if axis == "x":
-        ax.set_xticks(places, [label(place) for place in places])
-    else:
-        ax.set_yticks(places, [label(place) for place in places])
-    (ax.xaxis if axis == "x" else ax.yaxis).set_minor_formatter(NullFormatter())
+    for name in axes:
+        axis = ax.xaxis if name == "x" else ax.yaxis
+        low, high = sorted(axis.get_view_interval())
+        places = log_places(low, high)
+        axis.set_ticks(places, labels=[label(place) for place in places])
+        axis.set_minor_formatter(NullFormatter())
 
 
 def note(
@@ -123,6 +128,12 @@ def above(ax: Axes, words: str, x: float, **look: Any) -> None:
     """Write small words on the upper edge of axes."""
     usual = {"ha": "center", "va": "bottom", "fontsize": 7.5, "color": MUTED}
     ax.text(x, 1.0, words, transform=ax.get_xaxis_transform(), **{**usual, **look})
+
+
+def one_panel(width_in: float, height_in: float) -> tuple[Canvas, Axes]:
+    """Return an empty figure with its only axes."""
+    figure = canvas(width_in, height_in)
+    return figure, figure.subplots()
 
 
 def panels(

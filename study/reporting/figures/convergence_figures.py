@@ -5,7 +5,7 @@ Everything comes as plain values: a series is the document that ``study converge
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,9 +22,10 @@ from study.reporting.figures.axes import (
     MUTED,
     RULE,
     WIDTH_IN,
-    canvas,
     color_of,
+    labeled,
     log_ticks,
+    one_panel,
     panels,
     plain_ticks,
     wrap,
@@ -51,10 +52,7 @@ DIVERGENT = "divergent"
 
 
 def value_points(cells: Sequence[Document]) -> pd.DataFrame:
-    """One row a mesh: size, value, and what the series says of it.
-
-    Units: cells mm; returns mm.
-    """
+    """One row a mesh: size, value, and what the series says of it."""
     import pandas as pd
 
     rows = [
@@ -100,9 +98,7 @@ def draw_values(frame: pd.DataFrame) -> Canvas:
 
 def _axis(frame: pd.DataFrame) -> str:
     """Name of the quantity with its unit."""
-    quantity = name_of(str(frame["quantity"].iloc[0]))
-    unit = clean(str(frame["unit"].iloc[0]))
-    return f"{quantity} ({unit})" if unit else quantity
+    return labeled(name_of(str(frame["quantity"].iloc[0])), clean(str(frame["unit"].iloc[0])))
 
 
 def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
@@ -146,8 +142,7 @@ def error_points(cells: Sequence[Document]) -> pd.DataFrame:
 
 def draw_errors(frame: pd.DataFrame) -> Canvas:
     """Draw the error against the mesh size in logarithms, with the formal slope beside."""
-    figure = canvas(WIDTH_IN, 3.8)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.8)
     for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
         ax.plot(
             part["mesh_size"], part["error"], marker=MARKERS[k % 7], color=color_of(k),
@@ -172,10 +167,7 @@ def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
 
 
 def front_points(front: Document) -> pd.DataFrame:
-    """Error and cost of every mesh of every cell.
-
-    Units: returns mm.
-    """
+    """Error and cost of every mesh of every cell."""
     import pandas as pd
 
     return pd.DataFrame(front["points"])
@@ -183,8 +175,7 @@ def front_points(front: Document) -> pd.DataFrame:
 
 def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
     """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
-    figure = canvas(WIDTH_IN, 3.8)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.8)
     ax.axhspan(float(frame["error"].clip(lower=1e-12).min()) / 3, accuracy, color=BAND, zorder=0)
     ax.axhline(accuracy, color=MUTED, linewidth=0.8)
     for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
@@ -232,8 +223,7 @@ def _logarithmic(ax: Axes, x: str, y: str) -> None:
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     ax.margins(x=0.12)
-    log_ticks(ax, "x")
-    log_ticks(ax, "y")
+    log_ticks(ax)
 
 
 def _legend(ax: Axes) -> None:
@@ -307,47 +297,44 @@ def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
 def caption(rows: Sequence[Document]) -> str:
     """State in how many cells the model's error shows, and what is not known."""
     judged = [row for row in rows if row["u_val_N"][-1] > 0]
+    rest = len(rows) - len(judged)
+    unjudged = f"; {count(rest, 'cell')} without a known one" if rest else ""
     beyond = sum(abs(row["error_N"][-1]) > row["u_val_N"][-1] for row in judged)
     unknown = sorted({name for row in rows for name in row.get("unknown") or ()})
     lacking = f" Not known, and so left out: {', '.join(unknown)}." if unknown else ""
     block = f" (block {clean(rows[0]['block'], 30)})" if rows[0]["block"] else ""
     return (
         f"At the end of the curve E exceeds its uncertainty in {beyond} of {len(judged)} "
-        f"cells{block}{_unjudged(len(rows) - len(judged))}. Band: u_val, from mesh, uncertain "
+        f"cells{block}{unjudged}. Band: u_val, from mesh, uncertain "
         f"inputs and scatter of the data.{lacking}"
     )
 
 
-def _unjudged(cells: int) -> str:
-    """Say of how many cells no uncertainty is known."""
-    return f"; {count(cells, 'cell')} without a known one" if cells else ""
-
-
 def table(rows: Sequence[Document], block: str) -> Table:
     """Compare every case at the end of its curve."""
-    shown = tuple(
-        (
-            clean(validation_label(row)),
-            clean(row["block"] or MISSING),
-            *(significant(row[name][-1]) for name in _SHOWN),
-            f"{100 * row['outside']:.0f} %",
-            clean(row["verdict"], 200),
-        )
-        for row in rows
+    heads = dict(zip(("E (N)", "u_num", "u_input", "u_data", "u_val"), _SHOWN, strict=True))
+    columns: dict[str, Callable[[Document], str]] = {
+        "cell": lambda row: clean(validation_label(row)),
+        block or "block": lambda row: clean(row["block"] or MISSING),
+        **{
+            head: lambda row, name=name: significant(row[name][-1])  # type: ignore[misc]
+            for head, name in heads.items()
+        },
+        "curve outside": lambda row: f"{100 * row['outside']:.0f} %",
+        "verdict": lambda row: clean(row["verdict"], 200),
+    }
+    return Table.of(
+        "validation",
+        rows,
+        columns,
+        left=2,
+        tail=1,
+        raw=lambda row: (
+            {**row["levels"], "block": row["block"]}
+            | {name: row[name][-1] for name in _SHOWN}
+            | {name: row[name] for name in ("outside", "verdict")}
+        ),
     )
-    raw = tuple(
-        {
-            **dict(row["levels"]),
-            "block": row["block"],
-            **{name: row[name][-1] for name in _SHOWN},
-            "outside": row["outside"],
-            "verdict": row["verdict"],
-        }
-        for row in rows
-    )
-    columns = ("cell", block or "block", "E (N)", "u_num", "u_input", "u_data", "u_val",
-               "curve outside", "verdict")  # fmt: skip
-    return Table("validation", columns, shown, 2, 1, raw=raw)
 
 
 _SHOWN = ("error_N", "u_num_N", "u_input_N", "u_data_N", "u_val_N")

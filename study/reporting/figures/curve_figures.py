@@ -22,6 +22,7 @@ from study.reporting.figures.axes import (
     WIDTH_IN,
     canvas,
     color_of,
+    one_panel,
     panels,
     plain_ticks,
     render,
@@ -66,10 +67,7 @@ def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
 
 def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
     """Draw the first curves with their fits, and residuals below each."""
-    return _draw(panels[:_MOST], title, len(panels))
-
-
-def _draw(panels: Sequence[FitPanel], title: str, total: int) -> Canvas:
+    total, panels = len(panels), panels[:_MOST]
     columns = min(_COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
     figure = canvas(WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN, 0.5 + 3.0 * rows)
@@ -453,7 +451,7 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
         force.set_title(titles[place], fontsize=7.5, y=1.0, va="bottom", linespacing=1.15)
         _ticks(force, residual, place, columns, panels)
         if place % columns == columns - 1 or place == len(panels.panels) - 1:
-            _name_lines(force, residual, panels, place, scales[place], data)
+            _name_lines(residual, panels, place, scales[place], data)
     x_label = "displacement (mm)"
     figure.text(0.45, 0.08 / figure.get_figheight(), x_label, ha="center", fontsize=8.5)
     _legend(figure, panels)
@@ -565,8 +563,7 @@ def _ticks(force: Axes, residual: Axes, place: int, columns: int, panels: CurveP
     """Write numbers at the outer axes only, which hold for all panels of a row or a column."""
     first, last = place % columns == 0, place + columns >= len(panels.panels)
     for ax in (force, residual):
-        plain_ticks(ax, "y")
-        plain_ticks(ax, "x")
+        plain_ticks(ax)
         ax.locator_params(axis="y", nbins=4 if ax is force else 3)
         ax.locator_params(axis="x", nbins=4)
         ax.grid(axis="y", color=RULE, linewidth=0.4)
@@ -580,12 +577,7 @@ def _ticks(force: Axes, residual: Axes, place: int, columns: int, panels: CurveP
 
 
 def _name_lines(
-    force: Axes,
-    residual: Axes,
-    panels: CurvePanels,
-    place: int,
-    scale: PanelScale,
-    data: ReportData,
+    residual: Axes, panels: CurvePanels, place: int, scale: PanelScale, data: ReportData
 ) -> None:
     """Write the level of every line to the right of a row, joined to the end of its residual."""
     rows = panels.rows(panels.panels[place])
@@ -620,8 +612,8 @@ def spread(heights: Sequence[float], distance: float) -> tuple[float, ...]:
     blocks: list[list[float]] = []
     for place in heights:
         blocks.append([place])
-        while len(blocks) > 1 and _low(blocks[-1], distance) - _high(blocks[-2], distance) < (
-            distance
+        while len(blocks) > 1 and (
+            _low(blocks[-1], distance) < _low(blocks[-2], distance) + distance * len(blocks[-2])
         ):
             blocks[-2:] = [blocks[-2] + blocks[-1]]
     return tuple(
@@ -633,10 +625,6 @@ def spread(heights: Sequence[float], distance: float) -> tuple[float, ...]:
 
 def _low(block: Sequence[float], distance: float) -> float:
     return float(np.mean(block)) - distance * (len(block) - 1) / 2
-
-
-def _high(block: Sequence[float], distance: float) -> float:
-    return float(np.mean(block)) + distance * (len(block) - 1) / 2
 
 
 def _legend(figure: Canvas, panels: CurvePanels) -> None:
@@ -660,14 +648,12 @@ def _legend(figure: Canvas, panels: CurvePanels) -> None:
 
 def draw_curve(curve: Curve) -> Canvas:
     """Draw force against displacement from the unloaded origin, load steps as points."""
-    figure = canvas(0.6 * WIDTH_IN, 3.2)
-    ax = figure.subplots()
+    figure, ax = one_panel(0.6 * WIDTH_IN, 3.2)
     places = np.linspace(0.0, curve.displacement_mm[-1], 200)
     ax.plot(places, curve.force_at(places), color=color_of(0))
     ax.plot(curve.displacement_mm, curve.force_N, "o", color=color_of(0), markersize=3)
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     ax.set_xlabel("displacement (mm)")
     ax.set_ylabel("force (N)")
-    plain_ticks(ax, "x")
-    plain_ticks(ax, "y")
+    plain_ticks(ax)
     return figure

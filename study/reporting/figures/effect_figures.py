@@ -27,8 +27,10 @@ from study.reporting.figures.axes import (
     canvas,
     clean_left,
     color_of,
+    labeled,
     name_rows,
     note,
+    one_panel,
     plain_ticks,
     shown,
     word_color_of,
@@ -77,8 +79,7 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     """Draw the main effects on one shared axis, grand mean and practical band behind."""
     center = grand_mean(data, facts)
     practical = next((e.practical for e in facts.effects if e.practical is not None), None)
-    figure = canvas(WIDTH_IN, 3.5)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.5)
     if practical is not None:
         low, high = center - practical / 2, center + practical / 2
         if facts.ratio:
@@ -88,7 +89,10 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
     placed = _connect_levels(ax, frame)
     for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
-        _number_points(ax, group["place"].tolist(), group["mean"].tolist())
+        means = group["mean"].tolist()
+        for place, mean, sign in zip(group["place"], means, _sides(means), strict=True):
+            va = "bottom" if sign > 0 else "top"
+            note(ax, significant(mean), (place, mean), (0, 6 * sign), ha="center", va=va)
         name = clean(name_of(str(factor), data.labels), 30)
         bold = {"fontweight": "bold", "color": word_color_of(index), "fontsize": 8.5}
         above(ax, name, float(group["place"].mean()), **bold)
@@ -99,7 +103,7 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
     ax.margins(y=0.2)
     plain_ticks(ax, "y")
-    ax.set(xlabel="", ylabel=axis_label(facts))
+    ax.set(xlabel="", ylabel=labeled(facts.title, facts.unit))
     ax.tick_params(axis="x", length=0)
     return figure
 
@@ -118,13 +122,6 @@ def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
     return placed
 
 
-def _number_points(ax: Axes, places: Sequence[float], means: Sequence[float]) -> None:
-    """Write its number at the mean of every level of one factor."""
-    for place, mean, side in zip(places, means, _sides(means), strict=True):
-        va = "bottom" if side > 0 else "top"
-        note(ax, significant(mean), (place, mean), (0, 6 * side), ha="center", va=va)
-
-
 def _sides(means: Sequence[float]) -> list[int]:
     """Side of each point on which its number meets no line: 1 above, -1 below."""
     values = np.asarray(means, dtype=float)
@@ -133,17 +130,12 @@ def _sides(means: Sequence[float]) -> list[int]:
     return [1 if v >= (a + b) / 2 else -1 for v, a, b in zip(values, left, right, strict=True)]
 
 
-def axis_label(facts: Facts) -> str:
-    """Name and unit of a response for an axis."""
-    return f"{facts.title} ({facts.unit})" if facts.unit else facts.title
-
-
 def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
     """Every observation of each distinct computation with its rank, best first."""
     import pandas as pd
 
     ranked = groups(data, facts)
-    if facts.response.better == "higher":
+    if facts.better == "higher":
         ranked = ranked[::-1]
     factors = list(data.factors)
     complete = comparable(data, facts.name)
@@ -168,11 +160,10 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
 def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
     count = int(frame["rank"].max()) + 1
-    figure = canvas(WIDTH_IN, 0.8 + 0.24 * count)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.24 * count)
     best = float(frame["cell_mean"].iloc[0])
-    if facts.response.better and practical > 0:
-        sign = -1 if facts.response.better == "higher" else 1
+    if facts.better and practical > 0:
+        sign = -1 if facts.better == "higher" else 1
         ax.axvspan(best, best + sign * practical, color=BAND, zorder=0)
         above(ax, "as good as the best", best + sign * practical / 2)
     means = frame.drop_duplicates("rank")
@@ -182,7 +173,7 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
     ax.set_ylim(count - 0.4, -0.8)
     plain_ticks(ax, "x")
-    ax.set(xlabel=axis_label(facts), ylabel="")
+    ax.set(xlabel=labeled(facts.title, facts.unit), ylabel="")
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     clean_left(ax)
     return figure
@@ -250,7 +241,7 @@ def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Ca
             _upper_ticks(upper, i, j, k, factors[second])
             _numbers(lower, table.T, low, high)
             _lower_ticks(lower, factors[first], j == k - 1)
-    figure.suptitle(axis_label(facts), x=0.01, ha="left", fontsize=8.5)
+    figure.suptitle(labeled(facts.title, facts.unit), x=0.01, ha="left", fontsize=8.5)
     return figure
 
 
@@ -434,8 +425,7 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     several = len(all_facts) > 1
     places, heads = _rows_of(frame, several)
     height = max(places) + 1
-    figure = canvas(WIDTH_IN, 0.75 + 0.27 * height)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.75 + 0.27 * height)
     limited = bool(frame["limited"].all())
     if limited:
         ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)

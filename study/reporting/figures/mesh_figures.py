@@ -14,7 +14,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.reporting.content.numbers import quantity
 from study.reporting.content.text import count, sentence
-from study.reporting.figures.axes import INK, MUTED, WIDTH_IN, canvas, render
+from study.reporting.figures.axes import INK, MUTED, WIDTH_IN, canvas, one_panel, render
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,8 +88,7 @@ def _section(points: Array, faces: Ints, displacement: Array) -> Canvas:
     mirror = np.array([-1.0, 1.0])
     both = np.concatenate((points * mirror, after))
     size = np.ptp(both, axis=0)
-    figure = canvas(WIDTH_IN, float(np.clip(WIDTH_IN * size[1] / size[0], 2.2, 6.5)) + 0.6)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, float(np.clip(WIDTH_IN * size[1] / size[0], 2.2, 6.5)) + 0.6)
     color = _mean(np.linalg.norm(displacement, axis=1), faces)
     _polygons(ax, (points * mirror)[faces], None)
     made = _polygons(ax, after[faces], color)

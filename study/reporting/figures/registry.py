@@ -174,9 +174,8 @@ def contrasts(frame: pd.DataFrame, facts: Facts) -> str:
         ]
         shown = named if len(named) <= 5 else [*named[:5], f"{len(named) - 5} more"]
         finding = f"beyond the margin of error, of {m}: {listing(shown)}"
-    unit = "log ratio" if facts.ratio else facts.difference_unit
-    margin = quantity(float(frame["margin"].iloc[0]), unit)
-    every = quantity(float(frame["simultaneous"].iloc[0]), unit)
+    margin = quantity(float(frame["margin"].iloc[0]), facts.scale)
+    every = quantity(float(frame["simultaneous"].iloc[0]), facts.scale)
     return sentence(
         f"{finding}. Dashed: limit of one contrast, {margin}; dotted: of all together, {every} "
         "(Lenth, simulated); contrasts that follow the shaded envelope look like no effect at all"
@@ -319,7 +318,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         "spread": not is_saturated,
         "contrasts": result.variation.lenth is not None,
         "depth": any(row.response == facts.name for row in data.depths),
-        "front": bool(facts.response.better) and timed,
+        "front": bool(facts.better) and timed,
     }
     chosen = {k: plot for k, plot in plots.items() if has.get(k, True) and k not in without}
     return made(chosen, slug(facts.name), facts.title)
@@ -457,11 +456,10 @@ def _failed_cases(data: ReportData) -> pd.DataFrame:
     frame = data.table[[*factors, "status"]].astype(str)
     block = data.table["block"].astype(str) if "block" in data.table else "all"
     frame = frame.assign(block=block, cell=frame[factors].agg(" \N{MIDDLE DOT} ".join, axis=1))
-    orders = {**{name: list(levels) for name, levels in data.factors.items()}}
-    orders["block"] = list(data.blocks)
-    return frame.sort_values(
-        [*factors, "block"], key=lambda column: column.map(_place_in(orders[str(column.name)]))
-    )
+    orders = {**data.factors, "block": data.blocks}
+    ranks = {name: {label: k for k, label in enumerate(labels)} for name, labels in orders.items()}
+    # a label that is not listed comes last
+    return frame.sort_values(list(ranks), key=lambda column: column.map(ranks[str(column.name)]))
 
 
 def _failures(data: ReportData) -> str:
@@ -469,8 +467,3 @@ def _failures(data: ReportData) -> str:
     failed = sentences.failures(data.failures, len(data.table)).split(". ")[0]
     named = ", ".join(name_of(name, data.labels) for name in data.factors)
     return f"{failed}: large marks; rows are cells ({named}), columns are blocks."
-
-
-def _place_in(order: list[str]) -> Callable[[str], int]:
-    """Index of a label in its order; a label that is not listed comes last."""
-    return lambda label: order.index(label) if label in order else len(order)

@@ -21,8 +21,10 @@ from study.reporting.figures.axes import (
     canvas,
     clean_left,
     color_of,
+    labeled,
     name_rows,
     note,
+    one_panel,
     plain_ticks,
     word_color_of,
     wrap,
@@ -87,8 +89,7 @@ def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
     shown = frame.head(_MOST_BARS)
     figure = canvas(WIDTH_IN, max(3.4, 1.0 + 0.2 * len(shown)))
     pareto, half = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    unit = "log ratio" if facts.ratio else facts.difference_unit
-    label = f"absolute contrast ({unit})" if unit else "absolute contrast"
+    label = labeled("absolute contrast", facts.scale)
     _pareto(pareto, shown, label)
     _half_normal(half, frame, label)
     return figure
@@ -245,8 +246,7 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
     import seaborn as sns
 
-    figure = canvas(WIDTH_IN, 0.9 + 0.22 * len(frame))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.9 + 0.22 * len(frame))
     places = np.arange(len(frame))
     ax.hlines(places, frame["low"], frame["high"], color=color_of(0), linewidth=1.6)
     sns.scatterplot(x=frame["sd"], y=places, color=color_of(0), s=36, linewidth=0, zorder=3, ax=ax)
@@ -255,9 +255,8 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     ax.set_xlim(left=0)
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     clean_left(ax)
-    unit = "log ratio" if facts.ratio else facts.difference_unit
-    shown = f" ({unit})" if unit else ""
-    ax.set_xlabel(f"standard deviation of residuals{shown}, 95 % Bonferroni intervals")
+    label = labeled("standard deviation of residuals", facts.scale)
+    ax.set_xlabel(f"{label}, 95 % Bonferroni intervals")
     plain_ticks(ax, "x")
     return figure
 
@@ -325,20 +324,19 @@ def draw_residuals(
     """
     figure = canvas(WIDTH_IN, 5.7)
     (normal, fits), (histogram, last) = figure.subplots(2, 2)
-    shown, label = thinned(points, data.seed), _label(facts)
+    shown, label = thinned(points, data.seed), labeled("residual", facts.scale)
     _probability(normal, shown, points, facts, data.seed, label)
     _against(fits, shown["fitted"], shown["residual"])
     where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
-    fits.set(title="versus fits", xlabel=f"fit ({where})" if where else "fit", ylabel=label)
+    fits.set(title="versus fits", xlabel=labeled("fit", where), ylabel=label)
     _histogram(histogram, points["residual"].to_numpy(float), label)
     if ordered:
         _in_order(last, shown, label)
     else:
         _against_factors(last, shown, data, label)
-    for ax in (normal, fits, histogram, *([last] if ordered else [])):
-        plain_ticks(ax, "x")
-    for ax in (normal, fits, histogram, last):
-        plain_ticks(ax, "y")
+    for ax in (normal, fits, histogram):
+        plain_ticks(ax)
+    plain_ticks(last, "xy" if ordered else "y")
     return figure
 
 
@@ -348,11 +346,6 @@ def _in_order(ax: Axes, shown: pd.DataFrame, label: str) -> None:
     ax.plot(shown["row"], shown["residual"], "o-" if len(shown) <= MOST_JOINED else "o",
             markersize=3.2, linewidth=0.7, color=color_of(0), markeredgewidth=0)  # fmt: skip
     ax.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
-
-
-def _label(facts: Facts) -> str:
-    unit = "log ratio" if facts.ratio else facts.difference_unit
-    return f"residual ({unit})" if unit else "residual"
 
 
 def _probability(
@@ -392,9 +385,8 @@ def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
 
 def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
     """Draw the residuals at every level of every factor, side by side."""
-    figure = canvas(WIDTH_IN, 3.2)
-    ax = figure.subplots()
-    _against_factors(ax, thinned(points, data.seed), data, _label(facts))
+    figure, ax = one_panel(WIDTH_IN, 3.2)
+    _against_factors(ax, thinned(points, data.seed), data, labeled("residual", facts.scale))
     plain_ticks(ax, "y")
     return figure
 
@@ -439,6 +431,5 @@ def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) 
         title="residual against leverage", xlabel="leverage", ylabel="standardized residual"
     )
     for ax in (cook, leverage):
-        plain_ticks(ax, "x")
-        plain_ticks(ax, "y")
+        plain_ticks(ax)
     return figure

@@ -23,13 +23,14 @@ from study.reporting.figures.axes import (
     canvas,
     clean_left,
     color_of,
+    labeled,
     log_ticks,
     name_rows,
     note,
+    one_panel,
     plain_ticks,
     wrap,
 )
-from study.reporting.figures.effect_figures import axis_label
 from study.reporting.results.study_result import DepthEffect, ReportData
 
 if TYPE_CHECKING:
@@ -76,8 +77,7 @@ def draw_constants(frame: pd.DataFrame) -> Canvas:
     for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
         some = frame[frame["constant"] == name]
         _panel(ax, some, color_of(index))
-        unit = str(some["unit"].iloc[0])
-        ax.set_xlabel(f"{clean(name, 16)} ({unit})" if unit else clean(name, 16))
+        ax.set_xlabel(labeled(clean(name, 16), str(some["unit"].iloc[0])))
     name_rows(axes[0], rows["place"], [wrap(row, 46, 90) for row in rows["row"]])
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     return figure
@@ -114,8 +114,7 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     """Draw the mean response of each cell against its seconds, front stepped and labeled."""
     color_by, shape_by = _styling(frame, data)
     columns, rows = _legend_shape(color_by[0], shape_by[0], data)
-    figure = canvas(WIDTH_IN, 3.7 + _LEGEND_ROW_IN * (rows - 1))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.7 + _LEGEND_ROW_IN * (rows - 1))
     for row in frame.to_dict("records"):
         ax.plot(
             row["seconds"], row["mean"], marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
@@ -125,7 +124,7 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     ax.set_xscale("log")
     front = frame[frame["front"]]
     ax.step(front["seconds"], front["mean"], where="post", color=MUTED, linewidth=0.9)
-    sign = -1.0 if facts.response.better == "higher" else 1.0
+    sign = -1.0 if facts.better == "higher" else 1.0
     best = float(sign * (sign * frame["mean"]).min())
     if practical > 0:
         ax.axhspan(best, best + sign * practical, color="#eef1f4", zorder=0)
@@ -139,7 +138,7 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     _time_ticks(ax, frame)
     plain_ticks(ax, "y")
     ax.set_xlabel("mean computing time of a case")
-    ax.set_ylabel(axis_label(facts))
+    ax.set_ylabel(labeled(facts.title, facts.unit))
     return figure
 
 
@@ -226,8 +225,7 @@ def draw_failures(frame: pd.DataFrame) -> Canvas:
     statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
     rows = list(dict.fromkeys(frame["cell"]))
     columns = list(dict.fromkeys(frame["block"]))
-    figure = canvas(WIDTH_IN, 0.9 + 0.2 * len(rows))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.9 + 0.2 * len(rows))
     for index, status in enumerate(statuses):
         some = frame[frame["status"] == status]
         good = status == "converged"
@@ -265,12 +263,8 @@ def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.D
 
 
 def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
-    """Draw the largest difference of every factor with its interval against depth.
-
-    Units: frame mm.
-    """
-    figure = canvas(WIDTH_IN, 3.6)
-    ax = figure.subplots()
+    """Draw the largest difference of every factor with its interval against depth."""
+    figure, ax = one_panel(WIDTH_IN, 3.6)
     _band(ax, frame, facts)
     depths = sorted(frame["depth_mm"].unique())
     apart = _BESIDE * (depths[-1] - depths[0]) / max(len(depths) - 1, 1)

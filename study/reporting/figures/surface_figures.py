@@ -17,7 +17,9 @@ from study.reporting.figures.axes import (
     WIDTH_IN,
     canvas,
     color_of,
+    labeled,
     name_rows,
+    one_panel,
     panels,
     plain_ticks,
     wrap,
@@ -142,8 +144,7 @@ def _draw_contours(
 ) -> Canvas:  # fmt: skip
     across, up = frame.columns[:2]
     table = frame.pivot_table(index=up, columns=across, values="value")
-    figure = canvas(WIDTH_IN, 4.2)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 4.2)
     x, y, z = table.columns.to_numpy(), table.index.to_numpy(), table.to_numpy()
     filled = ax.contourf(x, y, z, levels=10, cmap="Blues", alpha=0.75)
     ax.contour(x, y, z, levels=filled.levels, colors="white", linewidths=0.6)
@@ -153,8 +154,7 @@ def _draw_contours(
     bar.outline.set_visible(False)
     ax.set_xlabel(_axis(across, fitted, data))
     ax.set_ylabel(_axis(up, fitted, data))
-    plain_ticks(ax, "x")
-    plain_ticks(ax, "y")
+    plain_ticks(ax)
     return figure
 
 
@@ -183,8 +183,7 @@ def _shares_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData
 
 
 def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
-    figure = canvas(WIDTH_IN, 0.8 + 0.36 * len(frame))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.36 * len(frame))
     places = np.arange(len(frame))
     percents = 100 * frame[["total", "low", "high", "alone"]]
     ax.barh(places, percents["total"], color=color_of(0), height=0.55, alpha=0.35)
@@ -228,16 +227,14 @@ def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData)
     ax.set_box_aspect(1)
     ax.set_xlabel(f"run: {_response(fitted, data)}")
     ax.set_ylabel("predicted from the others")
-    plain_ticks(ax, "x")
-    plain_ticks(ax, "y")
+    plain_ticks(ax)
     return figure
 
 
 def _axis(factor: str, fitted: FittedSurface, data: ReportData) -> str:
     unit = clean(fitted.units.get(factor, ""))
-    return clean(name_of(factor, data.labels), 40) + (f" ({unit})" if unit else "")
+    return labeled(clean(name_of(factor, data.labels), 40), unit)
 
 
 def _response(fitted: FittedSurface, data: ReportData) -> str:
-    unit = clean(fitted.unit)
-    return clean(name_of(fitted.response, data.labels), 40) + (f" ({unit})" if unit else "")
+    return labeled(clean(name_of(fitted.response, data.labels), 40), clean(fitted.unit))

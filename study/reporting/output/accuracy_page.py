@@ -29,7 +29,7 @@ from study.reporting.content.numbers import (
 )
 from study.reporting.content.text import clean, count
 from study.reporting.figures import accuracy_figures
-from study.reporting.figures.registry import Plot, make
+from study.reporting.figures.registry import Plot
 from study.reporting.output.write import answer_blocks, write_answer
 
 # What a report says of a scanned surface: its answers in sentences, and its tables.
@@ -195,10 +195,11 @@ def _reference(reference: ReferenceResult) -> Iterator[str]:
         f"{quantity(float(reference.target_error_mm.max()), 'mm')} at the poses."
     )
     still = ", ".join(significant(v, 2) for v in reference.scatter_mm)
+    ratio = fit.rms / float(np.linalg.norm(reference.scatter_mm))
+    less = f"{ratio:.2g} times" if np.isfinite(ratio) else "far"
     yield (
         f"At rest samples scatter by {still} mm along the tracker's axes: "
-        f"{_times(fit.rms / float(np.linalg.norm(reference.scatter_mm)))} less than the poses are "
-        "off, so more samples a pose would help little."
+        f"{less} less than the poses are off, so more samples a pose would help little."
     )
     yield (
         f"Distances between poses, which need no registration, err by "
@@ -207,10 +208,6 @@ def _reference(reference: ReferenceResult) -> Iterator[str]:
     )
     if reference.lever_arm is not None:
         yield _lever_arm(reference.lever_arm, reference)
-
-
-def _times(ratio: float) -> str:
-    return f"{ratio:.2g} times" if np.isfinite(ratio) else "far"
 
 
 def _lever_arm(arm: LeverArm, reference: ReferenceResult) -> str:
@@ -235,18 +232,6 @@ def _lever_arm(arm: LeverArm, reference: ReferenceResult) -> str:
     if open_axes:
         text += f" The body turned too little to tell the arm along {', '.join(open_axes)}."
     return text
-
-
-def tracker_tables(accuracy: TrackerAccuracy) -> list[Table]:
-    """Stages, stops and poses."""
-    made = []
-    if accuracy.distance is not None:
-        made.append(_stages(accuracy.distance, accuracy.alpha))
-    if accuracy.displacement is not None:
-        made.append(_stops(accuracy.displacement))
-    if accuracy.reference is not None:
-        made.append(_tracker_poses(accuracy.reference))
-    return made
 
 
 def _stages(distance: DistanceResult, alpha: float) -> Table:
@@ -305,11 +290,13 @@ def _tracker_poses(reference: ReferenceResult) -> Table:
 
 
 def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
-    """Write the page of a tracker."""
+    """Write the page of a tracker: stages, stops and poses."""
     plots: dict[str, Plot] = {}
+    tables = []
     if (distance := accuracy.distance) is not None:
+        tables.append(_stages(distance, accuracy.alpha))
         dashed = " Dashed: the standard." if distance.standard else ""
-        plots["distance"] = (
+        plots["tracker-distance"] = (
             "Distance by stage",
             lambda: accuracy_figures.distance_points(distance),
             lambda frame: accuracy_figures.draw_distances(frame, distance),
@@ -318,7 +305,8 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
             ),
         )
     if (displacement := accuracy.displacement) is not None:
-        plots["displacement"] = (
+        tables.append(_stops(displacement))
+        plots["tracker-displacement"] = (
             "Measured and commanded displacement",
             lambda: accuracy_figures.displacement_points(displacement),
             lambda frame: accuracy_figures.draw_displacement(frame, displacement),
@@ -328,7 +316,8 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
             ),
         )
     if (reference := accuracy.reference) is not None:
-        plots["reference"] = (
+        tables.append(_tracker_poses(reference))
+        plots["tracker-reference"] = (
             "Errors against the reference",
             lambda: accuracy_figures.reference_points(reference),
             accuracy_figures.draw_reference,
@@ -337,9 +326,7 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
                 "at every pose, and the error of a pose predicted from all others."
             ),
         )
-    figures = [make(f"tracker-{name}", plot) for name, plot in plots.items()]
-    tables = tracker_tables(accuracy)
-    blocks = answer_blocks(tracker_answers(accuracy), figures, tables, accuracy.notes)
+    blocks = answer_blocks(tracker_answers(accuracy), plots, tables, accuracy.notes)
     name, question, document = accuracy.name, accuracy.question, accuracy.to_json()
     return write_answer("tracker accuracy", name, question, blocks, out_dir, document=document)
 
@@ -348,22 +335,21 @@ def write_shape(deviation: ShapeDeviation, out_dir: str | Path) -> Path:
     """Write the page of a scanned surface."""
     frame = accuracy_figures.deviation_points(deviation)
     plots: dict[str, Plot] = {
-        "histogram": (
+        "shape-histogram": (
             "Deviations",
             lambda: frame,
             accuracy_figures.draw_histogram,
             lambda _: "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %.",
         ),
-        "views": (
+        "shape-views": (
             "Deviation over the body",
             lambda: frame,
             accuracy_figures.draw_views,
             lambda _: "Mean deviation of the points in every hexagon that face the viewer.",
         ),
     }
-    figures = [make(f"shape-{name}", plot) for name, plot in plots.items()]
     warnings = (f"simulated part: {deviation.symmetry}", *deviation.notes)
-    blocks = answer_blocks(scan_answers(deviation), figures, scan_tables(deviation), warnings)
+    blocks = answer_blocks(scan_answers(deviation), plots, scan_tables(deviation), warnings)
     question = f"How far is the simulated surface from {deviation.scan}?"
     name, document = deviation.name, deviation.to_json()
     return write_answer("shape deviation", name, question, blocks, out_dir, document=document)

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
-from study.reporting.content.blocks import Block, Document, Figure, Table, Verbatim
+from study.reporting.content.blocks import Block, Document, Table, Verbatim
 from study.reporting.content.numbers import MISSING, general, quantity, significant
 from study.reporting.content.text import clean, name_of, sentence
 from study.reporting.figures import convergence_figures as convergence
-from study.reporting.figures.registry import Plot, make
+from study.reporting.figures.registry import Plot
 from study.reporting.output.write import answer_blocks, write_answer
 
 if TYPE_CHECKING:
@@ -40,23 +40,23 @@ def write_convergence(
     Shapes: window (2, 2), mm.
     """
     cells = list(document.get("cells", [document]))
-    figures = convergence_figures(cells, document.get("fronts", ()), meshes, window)
+    plots = convergence_plots(cells, document.get("fronts", ()), meshes, window)
     tables = [series_table(cells), *sources_tables(cells)]
     warnings = [
         f"{convergence.label_of(cell)}: {text}" if len(cells) > 1 else str(text)
         for cell in cells
         for text in cell.get("warnings") or ()
     ]
-    blocks = answer_blocks(answers(cells, document), figures, tables, warnings)
+    blocks = answer_blocks(answers(cells, document), plots, tables, warnings)
     return write_answer("mesh convergence", name, question, blocks, out_dir, stem="convergence")
 
 
-def convergence_figures(
+def convergence_plots(
     cells: Sequence[Document],
     fronts: Sequence[Document] = (),
     meshes: Meshes = (),
     window: ArrayLike | None = None,
-) -> list[Figure]:
+) -> dict[str, Plot]:
     """Value against size, error against size, error against seconds, meshes."""
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
     plots: dict[str, Plot] = {}
@@ -82,7 +82,7 @@ def convergence_figures(
             lambda _: convergence.draw_meshes(meshes, np.asarray(window, float)),
             lambda _: "The coarsest and the finest mesh, in the same window.",
         )
-    return [make(f"convergence-{name}", plot) for name, plot in plots.items()]
+    return {f"convergence-{name}": plot for name, plot in plots.items()}
 
 
 def _front(front: Document) -> Plot:

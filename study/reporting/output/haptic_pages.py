@@ -14,7 +14,7 @@ from study.laboratory.haptics.tabulated_force import ForceLaw
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
 from study.laboratory.sensors.requirement import sentences as requirement_sentences
 from study.mechanics.material.material import is_dimensionless
-from study.reporting.content.blocks import Figure, Table
+from study.reporting.content.blocks import Table
 from study.reporting.content.numbers import MISSING, significant
 from study.reporting.content.text import clean
 from study.reporting.figures.axes import (
@@ -27,9 +27,10 @@ from study.reporting.figures.axes import (
     color_of,
     log_ticks,
     note,
+    one_panel,
     plain_ticks,
 )
-from study.reporting.figures.registry import Plot, make
+from study.reporting.figures.registry import Plot
 from study.reporting.output.write import answer_blocks, write_answer
 
 if TYPE_CHECKING:
@@ -41,12 +42,6 @@ def write_force_law(
     law: ForceLaw, question: str, out_dir: str | Path, warnings: tuple[str, ...] = ()
 ) -> Path:
     """Write the page of a force law."""
-    blocks = answer_blocks(sentences(law), force_law_figures(law), [constants(law)], warnings)
-    return write_answer("force law", law.name, question, blocks, out_dir)
-
-
-def force_law_figures(law: ForceLaw) -> list[Figure]:
-    """Force, stiffness and gradients; deviations from the simulation."""
     uncertain = law.covariance is not None
     plots: dict[str, Plot] = {
         "force-law": (
@@ -69,14 +64,12 @@ def force_law_figures(law: ForceLaw) -> list[Figure]:
             ),
         ),
     }
-    return [make(name, plot) for name, plot in plots.items()]
+    blocks = answer_blocks(sentences(law), plots, [constants(law)], warnings)
+    return write_answer("force law", law.name, question, blocks, out_dir)
 
 
 def constants(law: ForceLaw) -> Table:
-    """Constants of the table, their range and what first order leaves out there.
-
-    Units: returns kPa, MPa.
-    """
+    """Constants of the table, their range and what first order leaves out there."""
     rows, raw = [], []
     for constant in law.ranges:
         factor, unit = (1.0, "") if is_dimensionless(constant.name) else (1e3, " kPa")
@@ -106,8 +99,26 @@ def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
     tables = [errors(sensors), quantities(sensors)]
     if any(simulation.scatters for simulation in sensors.simulations):
         tables.append(simulations(sensors))
-    answer, figures = requirement_sentences(sensors), requirement_figures(sensors)
-    blocks = answer_blocks(answer, figures, tables, warnings(sensors))
+    limit = 100 * sensors.accuracy
+    plots: dict[str, Plot] = {
+        "requirement-map": (
+            "Position against force accuracy",
+            lambda: map_points(sensors),
+            lambda frame: draw_map(frame, limit),
+            lambda _: (
+                f"Expanded uncertainty (k = {sensors.coverage:g}) with all errors of a "
+                "sensor so many times as large as given; in the green region it is "
+                f"{limit:g} % or less. To first order."
+            ),
+        ),
+        "requirement-parts": (
+            "What each error adds",
+            lambda: part_points(sensors),
+            draw_parts,
+            lambda _: "Standard uncertainty by each error alone; their squares add up.",
+        ),
+    }
+    blocks = answer_blocks(requirement_sentences(sensors), plots, tables, warnings(sensors))
     question = sensors.question or "How accurate must the sensors be?"
     kind = "sensor requirements"
     return write_answer(kind, sensors.name, question, blocks, out_dir, stem="requirement")
@@ -121,30 +132,6 @@ def warnings(sensors: SensorRequirement) -> list[str]:
         for simulation in sensors.simulations
         if not simulation.is_linear
     ]
-
-
-def requirement_figures(sensors: SensorRequirement) -> list[Figure]:
-    """Map of accuracies, and parts of the uncertainty."""
-    limit = 100 * sensors.accuracy
-    plots: dict[str, Plot] = {
-        "map": (
-            "Position against force accuracy",
-            lambda: map_points(sensors),
-            lambda frame: draw_map(frame, limit),
-            lambda _: (
-                f"Expanded uncertainty (k = {sensors.coverage:g}) with all errors of a "
-                "sensor so many times as large as given; in the green region it is "
-                f"{limit:g} % or less. To first order."
-            ),
-        ),
-        "parts": (
-            "What each error adds",
-            lambda: part_points(sensors),
-            draw_parts,
-            lambda _: "Standard uncertainty by each error alone; their squares add up.",
-        ),
-    }
-    return [make(f"requirement-{name}", plot) for name, plot in plots.items()]
 
 
 def errors(sensors: SensorRequirement) -> Table:
@@ -275,8 +262,7 @@ def deviation_points(law: ForceLaw) -> pd.DataFrame:
 
 def draw_deviation(frame: pd.DataFrame) -> Canvas:
     """Draw the law less the simulation at the points kept out, within the error bound."""
-    figure = canvas(WIDTH_IN, 2.2)
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 2.2)
     d, off = frame["displacement_mm"].to_numpy(float), frame["deviation_N"].to_numpy(float)
     bound = float(frame["error_bound_N"].max())
     ax.axhspan(-bound, bound, color=BAND)
@@ -331,8 +317,7 @@ def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
         ax.clabel(limit, fmt=lambda level: f"{level:g} %", fontsize=7.5)
         ax.plot([1], [1], "o", color=INK, markersize=5)
         note(ax, "as given", (1, 1), (6, 5))
-        log_ticks(ax, "x")
-        log_ticks(ax, "y")
+        log_ticks(ax)
         ax.set_title(title)
         ax.set_xlabel("position errors, multiple of those given")
     axes[0].set_ylabel("force errors, multiple of those given")
@@ -359,8 +344,7 @@ def part_points(sensors: SensorRequirement) -> pd.DataFrame:
 def draw_parts(frame: pd.DataFrame) -> Canvas:
     """Draw a group of bars for each error, a bar for each quantity."""
     errors, names = list(dict.fromkeys(frame["error"])), list(dict.fromkeys(frame["quantity"]))
-    figure = canvas(WIDTH_IN, 0.8 + 0.22 * len(errors) * (len(names) + 0.6))
-    ax = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.22 * len(errors) * (len(names) + 0.6))
     height = 0.8 / len(names)
     for k, name in enumerate(names):
         part = frame[frame["quantity"] == name].set_index("error")["percent"]

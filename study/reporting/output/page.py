@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -45,12 +44,8 @@ class Page:
     flag: str = ""
     #: What is missing of a study that is not done.
     unfinished: str = ""
+    #: Of a page whose rest a second one tells.
     footer: Sequence[Sentence] = ()
-
-    @property
-    def is_first(self) -> bool:
-        """Whether a second page tells the rest."""
-        return bool(self.footer)
 
     @cached_property
     def flat(self) -> tuple[Block, ...]:
@@ -172,7 +167,10 @@ def _environment() -> Environment:
         "kind": lambda block: type(block).__name__,
         "said": _said,
         "sub": _subscripts,
-        "term": _heading,
+        # heading of a column, explained where the glossary holds it
+        "term": lambda text: (
+            methods.explained(text) if text in methods.TERMS else _subscripts(text)
+        ),
         "cell": _cell,
         # only drawings that this package rendered pass unescaped
         "drawing": _drawing,
@@ -201,11 +199,6 @@ def _subscripts(text: str) -> Markup:
     parts = re.sub(r"\bu_(num|val|input|D)\b", r"u<sub>\1</sub>", str(escape(text)))
     # escaped first, so nothing but these tags is markup
     return Markup(parts)  # noqa: S704
-
-
-def _heading(text: str) -> Markup:
-    """Heading of a column, explained where the glossary holds it."""
-    return methods.explained(text) if text in methods.TERMS else _subscripts(text)
 
 
 def _cell(text: str, column: str) -> Markup:
@@ -242,11 +235,6 @@ def data_folder(folder: Path, stem: str) -> Path:
 def replace_file(path: Path, text: str) -> None:
     """Write a text beside, then rename: a reader never sees half a file."""
     replace_bytes(path, text.encode())
-
-
-def replace_packed(path: Path, text: str) -> None:
-    """Write a gzip file, the same bytes for the same text."""
-    replace_bytes(path, gzip.compress(text.encode(), 6, mtime=0))
 
 
 def replace_bytes(path: Path, data: bytes) -> None:

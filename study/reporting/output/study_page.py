@@ -48,7 +48,7 @@ from study.reporting.content.text import (
 from study.reporting.figures import convergence_figures, registry, surface_figures
 from study.reporting.figures.registry import slug
 from study.reporting.output.page import Page, Pages, page_names
-from study.reporting.results.study_result import FITTED_CURVE, ReportData, ResponseAnalysis
+from study.reporting.results.study_result import FITTED_CURVE, ReportData
 
 if TYPE_CHECKING:
     from study.harness.execution.local import Worker
@@ -194,9 +194,7 @@ def short_answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...
         *comparison_content.answer_lines(data.beside, data.labels),
         *sentences.left_out(data, all_facts),
         sentences.without_verdict(all_facts),
-        recommendation.best_cell(data, all_facts)
-        if any(f.response.better for f in analyzed)
-        else "",
+        recommendation.best_cell(data, all_facts) if any(f.better for f in analyzed) else "",
         *effect_words.unknowns(data, all_facts),
         *effect_words.by_condition(data, all_facts),
         sentences.interactions(data, all_facts),
@@ -248,7 +246,7 @@ def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     lines = tuple(
         recommendation.recommendation(data, facts)
         for facts in all_facts
-        if facts.terms and facts.response.better and data.table[facts.name].notna().any()
+        if facts.terms and facts.better and data.table[facts.name].notna().any()
     )
     if lines:
         return lines
@@ -304,7 +302,7 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
         ]),
         *blocks_of(data, len(data.blocks)),
         Definition("Cases", [Sentence(f"{computed}, {len(data.table):,} cases")]),
-        Definition("Responses", [Sentence(note(f.response), f.title) for f in all_facts]),
+        Definition("Responses", [Sentence(note(f), f.title) for f in all_facts]),
         Definition("Measurements", [Sentence(" ".join(measured))]),
         *(Definition(key, [Sentence(text)]) for key, text in grouped_inputs(data.inputs).items()),
         *(Definition(key, [Sentence(text)], "assumed") for key, text in data.assumed.items()),
@@ -327,7 +325,7 @@ def blocks_of(data: ReportData, most: int) -> list[Definition]:
     return [Definition("Blocks", [Sentence(f"{len(data.blocks)} ({data.block}): {named}{more}")])]
 
 
-def note(response: ResponseAnalysis) -> str:
+def note(response: Facts) -> str:
     """Say what was declared of a response: its unit, what matters, how it is analyzed."""
     parts = [response.unit] if response.unit else []
     if response.practical is not None:

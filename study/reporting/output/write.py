@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import functools
+import gzip
 import hashlib
 import io
 import json
@@ -40,7 +41,7 @@ from study.reporting.content.methods import paragraph
 from study.reporting.content.numbers import MINUS, MISSING, THIN, TIMES
 from study.reporting.content.report_facts import facts
 from study.reporting.content.text import clean
-from study.reporting.figures.registry import data_alone, slug
+from study.reporting.figures.registry import Plot, data_alone, make, slug
 from study.reporting.output.page import (
     Page,
     Pages,
@@ -49,7 +50,6 @@ from study.reporting.output.page import (
     printed,
     replace_bytes,
     replace_file,
-    replace_packed,
 )
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import CurvePair, ReportData
@@ -89,13 +89,7 @@ _SPECIAL = {
 
 
 def escape(text: object) -> str:
-    r"""Return text in which no character is a command.
-
-    Examples
-    --------
-    >>> escape("50% of $x_1$")
-    '50\\% of \\$x\\_1\\$'
-    """
+    r"""Return text in which no character is a command."""
     return "".join(_SPECIAL.get(character, character) for character in clean(text))
 
 
@@ -153,7 +147,8 @@ def write(
         _numbers(report_data, files)
         replace_file(files / "cases.csv", of_frame(report_data.table))
         if report_data.curves:
-            replace_packed(files / "curves.csv.gz", _points(report_data.curves))
+            packed = gzip.compress(_points(report_data.curves).encode(), 6, mtime=0)
+            replace_bytes(files / "curves.csv.gz", packed)
         if "tex" in chosen:
             replace_file(folder / f"{stem}.tex", _latex(report_data, pages))
     return main_file(folder, stem, chosen)
@@ -231,14 +226,14 @@ def write_answer(
 
 def answer_blocks(
     answer: Iterable[str],
-    figures: Iterable[Figure],
+    plots: Mapping[str, Plot],
     tables: Iterable[Table],
     warnings: Iterable[str] = (),
 ) -> Iterator[Block]:
     """Answer, figures, tables under their names, warnings."""
     yield Heading("Answer", 2, "answer")
     yield from (Sentence(clean(line)) for line in answer)
-    yield from figures
+    yield from (make(name, plot) for name, plot in plots.items())
     for table in tables:
         yield from titled(table)
     if lines := [clean(line) for line in dict.fromkeys(warnings)]:
@@ -348,13 +343,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def safe_cell(value: object) -> object:
-    """Cell for a CSV: numbers stay numbers, text that could be a formula gets a quote.
-
-    Examples
-    --------
-    >>> safe_cell("=1+1"), safe_cell(-1.5), safe_cell("-1.5"), safe_cell(None)
-    ("'=1+1", -1.5, "'-1.5", '')
-    """
+    """Cell for a CSV: numbers stay numbers, text that could be a formula gets a quote."""
     if hasattr(value, "item"):
         value = value.item()
     if value is None or (isinstance(value, float) and not math.isfinite(value)):

@@ -69,8 +69,6 @@ class Conclusion:
     #: {"lowest", "highest", ""}: end of the response that ``best`` names: the better one, or the
     #: highest where no end is better; empty for interactions.
     end: str = ""
-    #: Whether that end is declared better.
-    best_is_better: bool = False
     #: Whether some level leads in both, or lies within what matters of the leading one.
     same_best: bool | None = None
     #: Level that leads in each, among those that both have.
@@ -96,15 +94,7 @@ class Change:
 
     @property
     def sentence(self) -> str:
-        """Say from what to what it changed.
-
-        Examples
-        --------
-        >>> Change("design", "specimen.radius", ("25 mm", "26 mm")).sentence
-        'specimen.radius: from 25 mm to 26 mm'
-        >>> Change("design", "test.steps", (None, "20")).sentence
-        'test.steps: 20, not set before'
-        """
+        """Say from what to what it changed."""
         then, now = self.values
         if then is None:
             return f"{self.key}: {now}, not set before"
