@@ -579,9 +579,9 @@ def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
         if name in described and described[name]["key"] != key:
             # with one specimen left out, both directions fit "all but" it, to other curves
             name = f"{name}, to score {direction.label}"
-        document, cell = fit.fit, task.job.case.cell
-        if direction.role != CONSTANTS and isinstance(cell, CellProblem):
-            document = judged_where_simulated(document, cell, direction.depth_mm)
+        document = fit.fit
+        if direction.role != CONSTANTS:
+            document = judged_where_simulated(document, task.problem, direction.depth_mm)
         described[name] = {**document, "key": key}
     return described or None
 
