@@ -325,7 +325,7 @@ def _of_parameters(task: CaseTask) -> Executed:
             place, end = simulated_at(name)[1], float(answer.curve.displacement_mm[-1])
             if place is not None and place > end * (1 + 1e-9):
                 raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
-            value = response.SimulatedResponse(name).of(answer.curve)
+            value = response.simulated(name, answer.curve)
         if value is None:
             named = nearest(name, answer.values) if answer.values else "it gives a curve alone"
             raise Stopped("failed", f"there is no {name} among the answers ({named})")
