@@ -72,7 +72,7 @@ class ForceModel(Protocol):
 
 def force_model(given: Problem, farthest_mm: float) -> ForceModel:
     """Model of a test: closed form where its deformation is homogeneous, else finite elements."""
-    problem = replace(given, test=given.test.to_depth(farthest_mm))
+    problem = replace(given, test=replace(given.test, displacement_mm=farthest_mm))
     if problem.material.relaxation:
         rule = "is not known to sensors: their rows have positions and forces, and no times"
         raise InputError(Fault("material.relaxation", rule, "leave it out"))
