@@ -121,10 +121,11 @@ def test_recovery_from_indentation(indenter: str, energy: Energy, identifiable: 
 def test_whole_calibration_of_three_constants_in_ten_solves() -> None:
     """All stages counted, on the medium mesh: the coarse one gives the start."""
     setting, true = config(RP3, "medium", steps=20), RP3[2]
-    names = CellProblem.of(setting).material.calibrated_names
+    problem = CellProblem.of(setting)
+    names = problem.material.calibrated_names
     measured = MeasuredCurve("virtual", curve(setting, true))
     start = np.array([3 * v for v in true.values()])
-    parts = [Part("inverse-fem", setting, (measured,))]
+    parts = [Part("inverse-fem", problem, (measured,))]
     found = staged_fit(parts, names, start, fit_task.fitted_model)
     assert found.fit.converged
     assert found.fit.values == pytest.approx(list(true.values()), abs=1e-6 * true["C10"])
