@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import study as package
-from study.laboratory.sensors import force_model
 from tests.cli.small import study
 
 RADIUS_MM = 10.0
@@ -327,13 +326,3 @@ def test_constants_that_no_sensor_tells_apart_are_refused(tmp_path: Path) -> Non
     assert answer.code == 3
     assert "no accuracy of a sensor tells them apart" in answer.err
     assert not (tmp_path / "r").exists()
-
-
-def test_the_model_of_a_test_reaches_beyond_its_end_as_far_as_a_tracker_may_tell(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "plates.toml"
-    path.write_text(PLATES)
-    file = force_model.load_requirement(path)
-    model = force_model.force_model(file.fitted.at(), 1.5 * DEPTH_MM)
-    assert model.problem.test.depth_mm == 1.5 * DEPTH_MM

@@ -8,6 +8,7 @@ import pytest
 
 from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
+from study.laboratory.sensors.force_model import force_model
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.setup.declaration import Length, read_section, section
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat
@@ -40,6 +41,11 @@ def test_base_follows_interface_in_compression_and_holds_in_indentation() -> Non
     made = problem(test=test).at().test
     assert (made.base, made.interface, made.indenter) == ("bonded", "frictionless", Flat(3.0))
     assert problem(test={"kind": "compression"}).at(depth_mm=1.0).test.base == "frictionless"
+
+
+def test_the_model_of_a_force_reaches_beyond_the_end_of_its_test() -> None:
+    """As far as a tracker with errors may tell."""
+    assert force_model(problem().at(), 9.0).problem.test.depth_mm == 9.0
 
 
 def test_shapes_and_synonyms() -> None:
