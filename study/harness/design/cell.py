@@ -21,7 +21,6 @@ from study.mechanics.setup.declaration import field_named, section_of, table_of,
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Enclosed, Specimen, Surface
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem, Setup
-from study.mechanics.setup.test_kind import Test
 from study.mechanics.setup.test_section import TestSection
 
 # Names made of content: the hash of plain values with one spelling.
@@ -232,9 +231,7 @@ class CellProblem(ForwardCell):
     def is_homogeneous(self) -> bool:
         """Whether the deformation is the same everywhere: compression, both faces frictionless."""
         # The closed form is then exact, and space, mesh, order and element shape cannot matter.
-        weight = self.test.gravity
-        test = Test(self.test.kind, None, self.test.interface, self.test.held_below, gravity=weight)
-        return setup.is_homogeneous(test, self.specimen.shape)
+        return setup.is_homogeneous(self.test.loading(), self.specimen.shape)
 
     @property
     def has_closed_form(self) -> bool:
