@@ -21,8 +21,6 @@ from study.harness.runner.staged_fit import TOLERANCES
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.mechanics.forward import finite_element
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import problem_of
 
 Array = NDArray[np.float64]
 ENERGIES: tuple[tuple[str, int | None, dict[str, float]], ...] = (
@@ -44,7 +42,7 @@ def config(model: str, order: int | None, mesh: str) -> dict[str, Any]:
 
 def ours(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[float, int, Array]:
     """Seconds, simulations and constants of our fit."""
-    names = MaterialSection.of(setting).calibrated_names
+    names = CellProblem.of(setting).material.calibrated_names
     began = time.perf_counter()
     model = fit_task.InverseFem(CellProblem.of(setting), [measured], names)
     data = [MeasuredCurve("virtual", measured)]
@@ -60,7 +58,7 @@ def scipys(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[floa
     The relative step is the square root of the solver's own tolerance: smaller ones
     differentiate its noise.
     """
-    names = MaterialSection.of(setting).calibrated_names
+    names = CellProblem.of(setting).material.calibrated_names
     began = time.perf_counter()
     last: Any = None
     solves = 0
@@ -71,7 +69,7 @@ def scipys(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[floa
         constants = dict(zip(names, values.tolist(), strict=True))
         try:
             solution = finite_element.solve(
-                problem_of(setting, constants), gradients=False, warm=last
+                CellProblem.of(setting).at(constants), gradients=False, warm=last
             )
         except EvaluationFailed:
             return np.full(len(measured), 1e3)
@@ -93,7 +91,7 @@ def compare(mesh: str) -> None:
     for model, order, true in ENERGIES:
         setting = config(model, order, mesh)
         began = time.perf_counter()
-        solution = finite_element.solve(problem_of(setting, true), gradients=False)
+        solution = finite_element.solve(CellProblem.of(setting).at(true), gradients=False)
         forward = time.perf_counter() - began
         measured = Curve(solution.curve.displacement_mm, solution.curve.force_N)
         exact = np.array(list(true.values()))
@@ -120,7 +118,9 @@ def main() -> None:
         f"{'scipy s':>10}{'solves':>8}{'error':>10}{'ratio':>7}{'solves':>8}"
         f"{'iteration':>10}"
     )
-    finite_element.solve(problem_of(config(*ENERGIES[0][:2], "coarse"), ENERGIES[0][2]))  # compiles
+    finite_element.solve(
+        CellProblem.of(config(*ENERGIES[0][:2], "coarse")).at(ENERGIES[0][2])
+    )  # compiles
     for mesh in ("coarse", "medium", "fine"):
         compare(mesh)
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from study.ground.curve import Curve
-from study.harness.runner.response import RelativeRmsForceError
+from study.harness.runner.response import relative_rms_force_error
 from study.mechanics.forward.finite_element import CURVE_ERROR
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
@@ -77,7 +77,7 @@ def rows(problem: Problem) -> Iterator[tuple[object, ...]]:
             yield (
                 steps, len(found), 100 * off(cubic), 100 * off(found),
                 100 * found.relative_interpolation_error(),
-                RelativeRmsForceError().between(found, measured), 100 * mismatch,
+                relative_rms_force_error(found, measured), 100 * mismatch,
             )  # fmt: skip
 
 

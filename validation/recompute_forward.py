@@ -54,13 +54,13 @@ def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
     RuntimeError
         If it has no answer.
     """
+    from study.harness.design.cell import CellProblem
     from study.mechanics.forward.closed_form import height_and_area
-    from study.mechanics.setup.setup import problem_of
     from study.mechanics.setup.test_kind import StepSettings
     from study.mechanics.solver.finite_element_solution import solve
     from study.mechanics.solver.newton import Options
 
-    problem = problem_of(job.config, one.constants, depth_mm)
+    problem = CellProblem.of(job.config).at(one.constants, depth_mm)
     if job.closed_form:
         problem = _on_two_elements(problem, height_and_area(problem.specimen)[1])
     test = replace(problem.test, steps=MORE_STEPS * problem.test.steps)

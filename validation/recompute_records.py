@@ -114,7 +114,7 @@ def _job(
         {name: record.response(name) for name in record.responses if _is_of_a_curve(name)},
         tuple(_directions(record, config, data)),
         record.solver.get("name") == _CLOSED_FORM,
-        _sticks(config["test"]),
+        _sticks(config),
         str(record.mesh.get("hash", "")),
     )
 
@@ -129,13 +129,13 @@ def _is_of_a_curve(name: str) -> bool:
     return name in RESPONSES or simulated_at(name)[0] in SIMULATED
 
 
-def _sticks(test: Config) -> bool:
+def _sticks(config: Config) -> bool:
     """Whether an indenter holds what it touches where it meets it: load steps matter then."""
-    from study.mechanics.setup.setup import loading_section
+    from study.harness.design.cell import CellProblem
     from study.mechanics.setup.test_kind import IndenterContact
     from study.mechanics.setup.test_section import TEST_KINDS
 
-    made = loading_section(test).loading().to_depth(1.0)
+    made = CellProblem.of(config).setup.test.to_depth(1.0)
     contacts = TEST_KINDS[made.kind].contacts(made)
     return any(isinstance(one, IndenterContact) and one.is_bonded for one in contacts)
 

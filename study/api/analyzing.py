@@ -567,7 +567,7 @@ def _rescored(record: Record, name: str, depth_mm: float) -> Record:
     for predicted, measured in _pairs(record):
         inside = measured.displacement_mm <= depth_mm * (1 + 1e-9)
         part = Curve(measured.displacement_mm[inside], measured.force_N[inside])
-        values.append(CURVE_RESPONSES[name].between(predicted, part))
+        values.append(CURVE_RESPONSES[name](predicted, part))
     if not values:
         return record
     entry = record.responses[name].copy()

@@ -413,11 +413,8 @@ def require(
     """
     file = load_requirement(source, overrides)
     places = provenance.folders(source, data_root(source))
-    fitted, predicted = (
-        provenance.located(CellProblem.of(tables), places)
-        for tables in (file.fitted, file.predicted)
-    )
-    file = replace(file, fitted=fitted.document(), predicted=predicted.document())
+    fitted, predicted = (provenance.located(p, places) for p in (file.fitted, file.predicted))
+    file = replace(file, fitted=fitted, predicted=predicted)
     workers, tests = jobs or default_jobs(), file.asked.samples * len(file.asked.multiples)
     if progress is not None and tests:
         seconds = tests * SOLUTIONS_A_TEST * Costs().solve_seconds(fitted) / workers

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from study.api.folders import loaded_problem
 from study.ground.errors import Fault, InputError
 from study.harness.design import plausibility
+from study.harness.design.cell import CellProblem
 from study.harness.design.load import load_problem
 from study.harness.execution.task import Task
 from study.harness.record.atomic_files import replaced, write_atomic
@@ -24,8 +25,7 @@ from study.harness.runner.tasks import PING, processes
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.stability import check
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Problem, Tables, problem_of, specimen_of
+from study.mechanics.setup.setup import Problem, Tables
 from study.mechanics.solver.solution import Solution
 from study.reporting.content.blocks import Table, Verbatim
 from study.reporting.figures.axes import shown
@@ -259,12 +259,9 @@ def _solve() -> tuple[str, str]:
         "material": {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.499},
         "model": {"space": "axisymmetric", "mesh_size_mm": 5.0},
     }  # fmt: skip
-    solution = finite_element.solve(problem_of(config))
-    exact = closed_form.compression(
-        specimen_of(config["specimen"]),
-        MaterialSection.of(config).material(),
-        np.array([1.0]),
-    )
+    problem = CellProblem.of(config).at()
+    solution = finite_element.solve(problem)
+    exact = closed_form.compression(problem.specimen, problem.material, np.array([1.0]))
     error = abs(solution.curve.force_N[-1] / exact.force_N[0] - 1)
     finding = f"force within {error:.1e} of the closed form, by {solution.solver}"
     return ("pass" if error < 1e-6 else "fail"), finding

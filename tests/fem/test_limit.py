@@ -190,7 +190,7 @@ def test_pivots_count_what_a_dense_matrix_has() -> None:
 
 def test_slender_columns_are_cautioned_about_before_solving() -> None:
     table = {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.45}
-    material = MaterialSection.of({"material": table})
+    material = MaterialSection.of(table)
 
     def said(height: float, share: float, interface: Interface) -> bool:
         test = Test("compression", share * height, interface, interface)

@@ -30,7 +30,6 @@ from study.harness.external.command import External
 from study.harness.external.exchange import PythonFunction
 from study.harness.runner.fit_problem import fit_key, fit_problem
 from study.harness.runner.fit_task import FitTask, fitted
-from study.mechanics.setup.setup import problem_of
 from tests.waiting import CAP_S, is_alive, until
 
 ROOT = Path(__file__).parents[2]
@@ -102,7 +101,7 @@ format = ["csv"]
 
 
 def problem(**constants):
-    return problem_of(
+    return CellProblem.of(
         {
             "specimen": {"shape": "cylinder", "radius_mm": RADIUS, "height_mm": HEIGHT},
             "test": {"kind": "compression", "interface": "frictionless", "displacement_mm": 5.0},
@@ -113,7 +112,7 @@ def problem(**constants):
                 "incompressible": True,
             },
         }
-    )
+    ).at()
 
 
 def force(d: float) -> float:
@@ -533,7 +532,7 @@ def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
     )
     said = {"version": ("ccx", "-v"), "success": "Job finished", "failure": "*ERROR"}
     made = commands(argv, {"calculix.py": text}, **said)
-    given = problem_of(tables)
+    given = CellProblem.of(tables).at()
     found, document = solve_by_command(made, given, np.array([1.5, 3.75]))
     from study.mechanics.forward.closed_form import compression
 

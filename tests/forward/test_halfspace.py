@@ -14,7 +14,6 @@ from study.harness.runner.fit_problem import fit_problem
 from study.mechanics.forward import finite_element
 from study.mechanics.forward.closed_form import indentation
 from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
-from study.mechanics.setup.setup import problem_of
 
 HIGH = 1e9
 D = np.array([0.1, 1.0, 2.0])
@@ -79,7 +78,9 @@ def calibrated(document: dict[str, Any], measured: Curve) -> fit_task.FitResult:
 
 
 def virtual(config: dict[str, Any]) -> Curve:
-    solution = finite_element.solve(problem_of(config, {"C10": NEO_HOOKEAN}), gradients=False)
+    solution = finite_element.solve(
+        CellProblem.of(config).at({"C10": NEO_HOOKEAN}), gradients=False
+    )
     assert solution.status == "converged", solution.message
     return Curve(solution.curve.displacement_mm, solution.curve.force_N)
 

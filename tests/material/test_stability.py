@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import brentq
 
 from study.ground.errors import InputError
+from study.harness.design.cell import CellProblem
 from study.harness.runner.fit_summary import judged_where_simulated, stability_over
 from study.mechanics.material.homogeneous import UNIAXIAL, response
 from study.mechanics.material.material import Material, is_constant
@@ -17,7 +18,6 @@ from study.mechanics.material.stability import (
     surface_warning,
     tangent,
 )
-from study.mechanics.setup.setup import Setup
 
 RP2 = {"C10": 9.1e-3, "C20": -2.5e-3}  # the closed-form fit of a silicone mix at 20 %
 
@@ -143,7 +143,7 @@ def test_a_fit_is_judged_over_what_is_simulated_with_it(depth, stable):
         "material": {"model": "reduced-polynomial", "order": 2, "incompressible": True},
     }
     fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
-    judged = judged_where_simulated(fit, tables, depth)
+    judged = judged_where_simulated(fit, CellProblem.of(tables), depth)
     assert judged["stable"] == stable
     sentence = "over its data: stable to 0.7; in the simulated test: unstable (Drucker)"
     assert judged["stability"].startswith("stable to 0.7" if stable else sentence)
@@ -151,4 +151,4 @@ def test_a_fit_is_judged_over_what_is_simulated_with_it(depth, stable):
 
 def homogeneous(kind):
     specimen = {"shape": "homogeneous", "area_mm2": 20.0, "height_mm": 10.0}
-    return Setup.of({"specimen": specimen, "test": {"kind": kind}})
+    return CellProblem.of({"specimen": specimen, "test": {"kind": kind}}).setup

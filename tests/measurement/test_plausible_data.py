@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
+from study.harness.design.cell import CellProblem
 from study.mechanics.measurement.conditioning import (
     OFFSET,
     UNLOADED,
@@ -106,9 +107,9 @@ INDENTERS = {
 
 def setup(indenter: str | None) -> Setup:
     if indenter is None:
-        return Setup.of({"specimen": CYLINDER, "test": {"kind": "compression"}})
+        return CellProblem.of({"specimen": CYLINDER, "test": {"kind": "compression"}}).setup
     test = {"kind": "indentation", "indenter": INDENTERS[indenter][0]}
-    return Setup.of({"specimen": CYLINDER, "test": test})
+    return CellProblem.of({"specimen": CYLINDER, "test": test}).setup
 
 
 @pytest.mark.parametrize("indenter", [None, *INDENTERS])
@@ -147,5 +148,5 @@ def test_forces_of_no_soft_material_are_told(
 
 def test_a_bulk_modulus_is_no_fault() -> None:
     gauge = {"shape": "homogeneous", "area_mm2": 1.0, "height_mm": 1.0}
-    pressed = Setup.of({"specimen": gauge, "test": {"kind": "volumetric"}})
+    pressed = CellProblem.of({"specimen": gauge, "test": {"kind": "volumetric"}}).setup
     assert apparent_modulus(pressed, 0.01, 20.0) is None

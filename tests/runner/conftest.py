@@ -15,7 +15,7 @@ from study.harness.execution.supervisor import Inline
 from study.harness.execution.task import Executor
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
-from study.mechanics.setup.setup import specimen_of
+from study.mechanics.setup.geometry import Cylinder
 from tests.runner import fake_worker
 
 
@@ -27,7 +27,7 @@ def fake(jobs: int = 2) -> Executor:
     return Loky(fake_worker.perform, jobs) if kills else Inline(fake_worker.perform)
 
 
-SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+SPECIMEN = Cylinder(25.0, 30.0)
 
 DESIGN = """
 schema = 1
@@ -117,7 +117,7 @@ def make_data(home: Path, mixes: tuple[str, ...] = ("M1", "M2", "M3")) -> Path:
     for (mix, specimen), constants in TRUTH.items():
         if mix not in mixes:
             continue
-        force = closed_form.compression(specimen_of(SPECIMEN), material(*constants), d).force_N
+        force = closed_form.compression(SPECIMEN, material(*constants), d).force_N
         for repeat in (1, 2):
             lines += [
                 f"{mix},{specimen},{repeat},{x:.4f},{f:.10f}" for x, f in zip(d, force, strict=True)

@@ -23,7 +23,6 @@ from study.harness.runner.batch import Progress, Summary, run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.mechanics.forward.closed_form import compression
-from study.mechanics.setup.setup import specimen_of
 
 from . import fake_worker
 from .conftest import DESIGN, SPECIMEN, TRUTH, fake, make_data, material
@@ -83,7 +82,7 @@ def test_constants_and_scores_are_those_of_the_data(clean: Clean) -> None:
 
 def _cross_error(mix: str) -> float:
     d = np.linspace(0.3, 6.0, 50)
-    a, b = (compression(specimen_of(SPECIMEN), material(*TRUTH[mix, s]), d).force_N for s in "AB")
+    a, b = (compression(SPECIMEN, material(*TRUTH[mix, s]), d).force_N for s in "AB")
     difference = np.sqrt(np.mean((a - b) ** 2))
     return float(50 * (difference / np.sqrt(np.mean(a**2)) + difference / np.sqrt(np.mean(b**2))))
 

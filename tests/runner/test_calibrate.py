@@ -21,9 +21,9 @@ from study.harness.runner.fit_problem import FitProblem, fitted_test
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
-from study.mechanics.setup.setup import specimen_of
+from study.mechanics.setup.geometry import Cylinder
 
-SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+SPECIMEN = Cylinder(25.0, 30.0)
 RP2 = {"C10": 7e-3, "C20": 1.5e-3}
 HEAD = """
 schema = 1
@@ -63,7 +63,7 @@ def write(
     """Write closed-form compression tests; ``specimens`` maps labels to stiffness factors."""
     d = np.linspace(0.0, depth, 181)
     material = Material(model, constants, poisson_ratio=0.4995)
-    force = closed_form.compression(specimen_of(SPECIMEN), material, d).force_N
+    force = closed_form.compression(SPECIMEN, material, d).force_N
     rng = np.random.default_rng(seed)
     rows = ["s,r,d,f"]
     for label, stiffness in (specimens or {"A": 1.0}).items():

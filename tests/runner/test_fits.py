@@ -17,17 +17,17 @@ from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask, fitted
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.material.material import Material
-from study.mechanics.setup.setup import specimen_of
+from study.mechanics.setup.geometry import Cylinder
 
 from .fake_worker import BONDED, solve
 
-SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+SPECIMEN = Cylinder(25.0, 30.0)
 DEPTHS = np.linspace(0.3, 6.0, 60)
 
 
 def config(model: str, interface: str, **more: Any) -> dict[str, Any]:
     return {
-        "specimen": SPECIMEN,
+        "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
         "test": {"kind": "compression", "interface": interface, "base": None,
                  "displacement_mm": 6.0, "steps": 10},
         "material": {"model": model, "constants": {}, "poisson_ratio": 0.4995, **more},
@@ -41,7 +41,9 @@ def calibration_of(document: dict[str, Any]) -> FitProblem:
 
 def curve(model: str, constants: dict[str, float]) -> Curve:
     return closed_form.compression(
-        specimen_of(SPECIMEN), Material(model, constants, poisson_ratio=0.4995), DEPTHS
+        SPECIMEN,
+        Material(model, constants, poisson_ratio=0.4995),
+        DEPTHS,
     )
 
 
@@ -117,9 +119,8 @@ def test_equal_problems_of_one_constant_are_solved_once(monkeypatch: pytest.Monk
 
 def _size() -> float:
     from study.mechanics.mesh.mesher import mesh_size
-    from study.mechanics.setup.setup import problem_of
 
-    return mesh_size(problem_of(config("neo-hookean", "bonded"), {"C10": 1.0}).setup)
+    return mesh_size(CellProblem.of(config("neo-hookean", "bonded")).at({"C10": 1.0}).setup)
 
 
 def test_a_solver_that_stops_is_a_rejected_step_and_a_status(

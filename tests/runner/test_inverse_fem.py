@@ -15,8 +15,6 @@ from study.harness.runner.staged_fit import FitPart as Part
 from study.mechanics.calibration.fit import Fit, fit
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.forward import finite_element
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import problem_of
 
 TOLERANCE = TOLERANCES["inverse-fem"]
 NEO_HOOKEAN = ("neo-hookean", None, {"C10": 6e-3})
@@ -43,7 +41,7 @@ def config(energy: Energy, mesh: str = "coarse", steps: int = 10) -> dict[str, A
 
 def curve(setting: dict[str, Any], constants: dict[str, float]) -> Curve:
     """Forces at the load steps that are asked for: others depend on what is interpolated."""
-    solution = finite_element.solve(problem_of(setting, constants), gradients=False)
+    solution = finite_element.solve(CellProblem.of(setting).at(constants), gradients=False)
     assert solution.status == "converged", solution.message
     test = setting["test"]
     asked = test["displacement_mm"] * np.arange(1, test["steps"] + 1) / test["steps"]
@@ -53,7 +51,7 @@ def curve(setting: dict[str, Any], constants: dict[str, float]) -> Curve:
 def fitted(
     setting: dict[str, Any], measured: Curve, start: Any
 ) -> tuple[Fit, fit_task.InverseFem, Any]:
-    names = MaterialSection.of(setting).calibrated_names
+    names = CellProblem.of(setting).material.calibrated_names
     model = fit_task.InverseFem(CellProblem.of(setting), [measured], names)
     data = [MeasuredCurve("virtual", measured)]
     return fit(model, data, names, start, **TOLERANCE), model, names
@@ -123,10 +121,11 @@ def test_recovery_from_indentation(indenter: str, energy: Energy, identifiable: 
 def test_whole_calibration_of_three_constants_in_ten_solves() -> None:
     """All stages counted, on the medium mesh: the coarse one gives the start."""
     setting, true = config(RP3, "medium", steps=20), RP3[2]
-    names = MaterialSection.of(setting).calibrated_names
+    problem = CellProblem.of(setting)
+    names = problem.material.calibrated_names
     measured = MeasuredCurve("virtual", curve(setting, true))
     start = np.array([3 * v for v in true.values()])
-    parts = [Part("inverse-fem", setting, (measured,))]
+    parts = [Part("inverse-fem", problem, (measured,))]
     found = staged_fit(parts, names, start, fit_task.fitted_model)
     assert found.fit.converged
     assert found.fit.values == pytest.approx(list(true.values()), abs=1e-6 * true["C10"])
@@ -171,7 +170,7 @@ def test_bias_of_finer_data_by_mesh(energy: Energy) -> None:
 def test_coverage_of_intervals_over_300_fem_fits() -> None:
     """V42 through the FEM: 95 % intervals hold the truth in at least 91 % of 300 fits."""
     setting, true = config(RP2), np.array(list(RP2[2].values()))
-    names = MaterialSection.of(setting).calibrated_names
+    names = CellProblem.of(setting).material.calibrated_names
     clean, rng = curve(setting, RP2[2]), np.random.default_rng(2011)
     noise = 0.02
     model = fit_task.InverseFem(

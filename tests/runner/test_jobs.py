@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
+from study.harness.design.spec import Case, Treatment
+from study.harness.runner import case
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import fits_of
+from study.harness.runner.fit_problem import fit_problem
+from study.harness.runner.fit_summary import FitResult
+from study.harness.runner.job import CaseJob, CaseTask, FitJob, ScorePair, fits_of
 from study.harness.runner.solve_task import SolveResult, SolveTask, solutions
 
 from .conftest import DESIGN
@@ -62,3 +68,18 @@ def test_where_a_prediction_comes_from_is_said_once(one_mix: Path) -> None:
         text = f'{DESIGN}\n[calibration]\nmethod = "{method}"\n'
         jobs = expand(loads(text, "small.toml"), one_mix).jobs
         assert {j.case.levels["plates"]: j.forward for j in jobs} == expected
+
+
+@pytest.mark.parametrize(("depth", "stable"), [(3.0, True), (7.0, False)])
+def test_a_record_judges_its_fit_over_the_simulated_test(depth: float, stable: bool) -> None:
+    gauge = CellProblem.of({
+        "specimen": {"shape": "homogeneous", "area_mm2": 20.0, "height_mm": 10.0},
+        "test": {"kind": "compression"},
+        "material": {"model": "reduced-polynomial", "order": 2, "incompressible": True},
+    })  # fmt: skip
+    cell = Cell(gauge, "auto")
+    pair = ScorePair("all", None, FitJob.of(fit_problem(cell), (), None, ""), pressed_mm=depth)
+    fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
+    job = CaseJob(Case(Treatment({}, cell), None, cell, "case"), (pair,), "hash")
+    task = CaseTask(job, "study", {}, {pair.fit_key: FitResult("converged", fit)})
+    assert case._fits(task)["all"]["stable"] is stable

@@ -18,7 +18,7 @@ from study.harness.runner.fit_task import FitTask, fitted
 from study.harness.runner.job import Work
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
-from study.mechanics.setup.setup import specimen_of
+from study.mechanics.setup.geometry import Cylinder
 
 DESIGN = """
 schema = 1
@@ -69,9 +69,8 @@ HEIGHTS = """
 
 def measured(path: Path, stiffness: dict[str, float]) -> None:
     d = np.linspace(0, 12, 121)
-    specimen = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
     material = Material("reduced-polynomial", {"C10": 7e-3, "C20": 1e-3}, poisson_ratio=0.4995)
-    force = closed_form.compression(specimen_of(specimen), material, d).force_N
+    force = closed_form.compression(Cylinder(25.0, 30.0), material, d).force_N
     rows = ["s,d,f"]
     for label, factor in stiffness.items():
         rows += [f"{label},{x:.5f},{factor * y:.8f}" for x, y in zip(d, force, strict=True)]

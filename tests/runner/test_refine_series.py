@@ -13,13 +13,13 @@ import pytest
 from study.api.converging import problem_cells, refined
 from study.ground.curve import Curve
 from study.ground.errors import InputError
+from study.harness.design.cell import CellProblem
 from study.harness.design.load import loads, loads_problem
 from study.harness.record.store import Store
 from study.harness.runner.judgement import within
 from study.harness.runner.provenance import located
 from study.harness.runner.refinement import Budget, clamped_corner, formal_order
 from study.harness.runner.solve_task import SolveResult, SolveTask, kept, solved
-from study.mechanics.setup.setup import problem_of
 from study.statistics.convergence.grid_convergence import grid_convergence
 from tests.fem.surfaces import box, write
 
@@ -321,7 +321,7 @@ def test_formal_orders(change: dict[str, dict[str, Any]], order: float, why: str
     config = loads_problem(PROBLEM, "p.toml").problem.document()
     for name, section in change.items():
         config = {**config, name: {**config[name], "base": None, **section}}
-    found = formal_order(problem_of(config))
+    found = formal_order(CellProblem.of(config).at())
     assert found.order == pytest.approx(order, abs=1e-3)
     assert why in found.why
 

@@ -27,7 +27,6 @@ from study.harness.runner.job import Work
 from study.harness.runner.study_refinement import refinement_work
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
-from study.mechanics.setup.setup import specimen_of
 
 from .conftest import DESIGN, SPECIMEN, fake, make_data
 
@@ -145,7 +144,7 @@ def fitted(
     model: str, order: int | None, seed: int, poisson_ratio: float = 0.4995
 ) -> tuple[FitProblem, Curve, FitResult]:
     config = {
-        "specimen": SPECIMEN,
+        "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
         "test": {"kind": "compression", "interface": "frictionless", "base": None,
                  "displacement_mm": 6.0, "steps": 10},
         "material": {"model": model, "constants": {}, "poisson_ratio": poisson_ratio,
@@ -153,7 +152,7 @@ def fitted(
         "model": {},
     }  # fmt: skip
     truth = Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995)
-    exact = closed_form.compression(specimen_of(SPECIMEN), truth, DEPTHS).force_N
+    exact = closed_form.compression(SPECIMEN, truth, DEPTHS).force_N
     noise_N = 0.02 * np.random.default_rng(seed).standard_normal(DEPTHS.size)  # noqa: N806
     problem = fit_problem(Cell(CellProblem.of(config), "auto"))
     measured = Curve(DEPTHS, exact + noise_N)
@@ -210,7 +209,9 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
     for i in range(1, DEPTHS.size):
         drift[i] = 0.8 * drift[i - 1] + random.standard_normal()
     exact = closed_form.compression(
-        specimen_of(SPECIMEN), Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995), DEPTHS
+        SPECIMEN,
+        Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995),
+        DEPTHS,
     ).force_N
     measured = Curve(DEPTHS, exact + 0.02 * drift)
     base = fit_task.fitted(FitTask(problem, (measured,)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
+from study.harness.design.cell import CellProblem
 from study.harness.design.load import load
 from study.harness.runner import expansion, fit_task
 from study.harness.runner.fit_summary import FitResult
@@ -26,11 +27,13 @@ BASIS = np.array([D, 0.1 * D**3, 0.004 * D**5])
 TRUTH = np.array([3.2, -0.75, 0.8])
 HANDED_ON = np.array([3.17, -0.42, 0.0])
 #: a mesh that is coarse already, so that there is one stage, and one that has a cheaper model
-COARSE: dict[str, Any] = {"specimen": {"shape": "cylinder", "height_mm": 30.0, "radius_mm": 15.0},
-                          "test": {"kind": "compression", "displacement_mm": 6.0,
-                                   "interface": "bonded", "base": "bonded", "steps": 10},
-                          "model": {"space": "axisymmetric", "mesh": "coarse"}}  # fmt: skip
-SOLID: dict[str, Any] = {**COARSE, "model": {"space": "3d", "mesh": "coarse"}}
+COARSE = CellProblem.of({
+    "specimen": {"shape": "cylinder", "height_mm": 30.0, "radius_mm": 15.0},
+    "test": {"kind": "compression", "displacement_mm": 6.0, "interface": "bonded"},
+    "material": {"model": "reduced-polynomial", "order": 3, "poisson_ratio": 0.49},
+    "model": {"space": "axisymmetric", "mesh": "coarse"},
+})  # fmt: skip
+SOLID = COARSE.on_mesh(space="3d")
 
 
 def response(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -46,11 +49,9 @@ class Softening:
     """
 
     calls = 0
-    limit = -0.3
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
-        self.limit = config.get("limit", self.limit)
-        self.warm = False
+    def __init__(self, limit: float) -> None:
+        self.limit, self.warm = limit, False
 
     def __call__(self, values: np.ndarray) -> list[Curve]:
         Softening.calls += 1
@@ -62,17 +63,17 @@ class Softening:
         return [Curve(D, force, force_gradient=dict(zip(NAMES, slopes, strict=True)))]
 
 
-def fitted(config: dict[str, Any], start: np.ndarray, **options: Any) -> Staged:
+def fitted(problem: CellProblem, start: np.ndarray, limit: float = -0.3, **options: Any) -> Staged:
     measured = MeasuredCurve("virtual", Curve(D, response(TRUTH)[0] + 0.01 * np.sin(9 * D)))
-    parts = [Part("inverse-fem", config, (measured,))]
+    parts = [Part("inverse-fem", problem, (measured,))]
     Softening.calls = 0
 
     def make(
-        method: str, own: Mapping[str, Any], curves: Any, names: Sequence[str]
+        method: str, own: CellProblem, curves: Any, names: Sequence[str]
     ) -> Callable[..., list[Curve]]:
         if tuple(names) != NAMES:
             raise EvaluationFailed("no forces of a solid of one constant")
-        return Softening(own)
+        return Softening(limit)
 
     return staged_fit(parts, NAMES, start, make, **options)
 
@@ -98,7 +99,7 @@ def test_a_start_without_answer_gives_way_to_halved_constants() -> None:
     ],
 )
 def test_what_is_tried_next(limit: float, tries: int, words: str) -> None:
-    found = fitted({**COARSE, "limit": limit}, HANDED_ON)
+    found = fitted(COARSE, HANDED_ON, limit)
     assert found.fruitless == tries
     assert found.message.endswith(words)
     assert found.evaluations == Softening.calls
@@ -110,7 +111,7 @@ def test_a_start_that_has_an_answer_is_kept_and_nothing_is_said() -> None:
 
 
 def test_where_nothing_has_an_answer_every_start_is_told() -> None:
-    found = fitted({**COARSE, "limit": 1.0}, HANDED_ON)
+    found = fitted(COARSE, HANDED_ON, 1.0)
     assert found.fit.status is Status.start_failed
     assert found.evaluations == Softening.calls == 4
     assert "no longer elliptic" in found.message

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
+from study.harness.design.cell import CellProblem
 from study.harness.runner import virtual_specimens
 from study.harness.runner.virtual_specimens import (
     Generator,
@@ -17,7 +18,6 @@ from study.harness.runner.virtual_specimens import (
 )
 from study.mechanics.forward import finite_element
 from study.mechanics.measurement.measurement_section import MeasurementSpec
-from study.mechanics.setup.setup import problem_of
 
 D = np.linspace(0.1, 6.2, 62)
 REFERENCE = Curve(D, 4 * D, None, {"C20": D**3, "C30": D**5})
@@ -95,7 +95,7 @@ def sagging(stiffer: float) -> Curve:
                      "poisson_ratio": 0.4995},
         "model": {"space": "axisymmetric", "mesh": "coarse"},
     }  # fmt: skip
-    return finite_element.solve(problem_of(tables), gradients=True).curve
+    return finite_element.solve(CellProblem.of(tables).at(), gradients=True).curve
 
 
 def test_a_stiffer_specimen_sags_less() -> None:

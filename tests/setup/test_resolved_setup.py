@@ -7,18 +7,11 @@ from typing import Any
 import pytest
 
 from study.ground.errors import InputError
+from study.harness.design.cell import CellProblem
+from study.laboratory.sensors.force_model import force_model
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.setup.declaration import Length, read_section, section
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import (
-    Setup,
-    indenter_of,
-    loading_section,
-    model_of,
-    problem_of,
-    specimen_of,
-)
 
 CONFIG: dict[str, Any] = {
     "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
@@ -28,8 +21,12 @@ CONFIG: dict[str, Any] = {
 }
 
 
+def problem(**tables: Any) -> CellProblem:
+    return CellProblem.of({**CONFIG, **tables})
+
+
 def test_every_section_arrives() -> None:
-    made = problem_of(CONFIG)
+    made = problem().at()
     assert made.specimen == Cylinder(25.0, 30.0)
     assert (made.test.interface, made.test.base, made.test.steps) == ("bonded", "bonded", 10)
     assert made.material.constants == {"C10": 5e-3}
@@ -41,31 +38,33 @@ def test_every_section_arrives() -> None:
 def test_base_follows_interface_in_compression_and_holds_in_indentation() -> None:
     test = {"kind": "indentation", "displacement_mm": 2.0, "indenter": {"shape": "flat",
             "radius_mm": 3.0}}  # fmt: skip
-    made = loading_section(test).loading().to_depth()
-    assert made.base == "bonded"
-    assert made.interface == "frictionless"
-    assert made.indenter == Flat(3.0)
-    assert loading_section(CONFIG["test"]).loading().to_depth().base == "bonded"
-    assert loading_section({"kind": "compression"}).loading().to_depth(1.0).base == "frictionless"
+    made = problem(test=test).at().test
+    assert (made.base, made.interface, made.indenter) == ("bonded", "frictionless", Flat(3.0))
+    assert problem(test={"kind": "compression"}).at(depth_mm=1.0).test.base == "frictionless"
+
+
+def test_the_model_of_a_force_reaches_beyond_the_end_of_its_test() -> None:
+    """As far as a tracker with errors may tell."""
+    assert force_model(problem().at(), 9.0).problem.test.depth_mm == 9.0
 
 
 def test_shapes_and_synonyms() -> None:
     block = {"shape": "block", "width_mm": 1.0, "depth_mm": 2.0, "height_mm": 3.0}
-    assert specimen_of(block) == Block(1.0, 2.0, 3.0)
-    assert height_and_area(specimen_of(block)) == (3.0, 2.0)
+    assert problem(specimen=block).specimen == Block(1.0, 2.0, 3.0)
+    assert height_and_area(Block(1.0, 2.0, 3.0)) == (3.0, 2.0)
     cone = {"shape": "cone", "half_angle_deg": 30.0, "tip_radius_mm": 1.0, "shaft_radius_mm": None}
-    assert indenter_of(cone) == Cone(30.0, 1.0)
-    assert model_of({"element_shape": "hexahedron"}).element_shape == "tensor"
-    assert model_of({"mesh": None, "mesh_size_mm": 2.0}).mesh_size_mm == 2.0
+    assert problem(test={"kind": "indentation", "indenter": cone}).test.indenter == Cone(30.0, 1.0)
+    assert problem(model={"element_shape": "hexahedron"}).model.element_shape == "tensor"
+    assert problem(model={"mesh": None, "mesh_size_mm": 2.0}).model.mesh_size_mm == 2.0
 
 
 def test_what_is_missing_is_named() -> None:
     with pytest.raises(InputError, match="displacement"):
-        loading_section({"kind": "compression"}).loading().to_depth()
+        problem(test={"kind": "compression"}).at()
     with pytest.raises(InputError, match="constants"):
-        MaterialSection.of({"material": {"model": "neo-hookean", "poisson_ratio": 0.49}}).material()
+        problem(material={"model": "neo-hookean", "poisson_ratio": 0.49}).at()
     with pytest.raises(InputError, match="height_mm"):
-        specimen_of({"shape": "cylinder", "radius_mm": 1.0})
+        problem(specimen={"shape": "cylinder", "radius_mm": 1.0})
 
 
 @pytest.mark.parametrize(
@@ -81,7 +80,7 @@ def test_homogeneous_is_compression_with_both_faces_free(
     changes: dict[str, Any], expected: bool
 ) -> None:
     test = {"kind": "compression", "displacement_mm": 1.0, **changes}
-    assert Setup.of({**CONFIG, "test": test}).is_homogeneous is expected
+    assert problem(test=test).setup.is_homogeneous is expected
 
 
 @section

@@ -233,8 +233,10 @@ def test_which_indenters_make_load_steps_matter(shape: str, interface: str, stic
     # a flat end takes hold of its whole face at once, whatever the steps
     test = {"kind": "indentation", "interface": interface,
             "indenter": {"shape": shape, "radius_mm": 2.0}}  # fmt: skip
-    assert recompute_records._sticks(test) is sticks
-    assert not recompute_records._sticks({"kind": "compression", "interface": "bonded"})
+    cylinder = {"shape": "cylinder", "radius_mm": 9.0, "height_mm": 9.0}
+    assert recompute_records._sticks({"specimen": cylinder, "test": test}) is sticks
+    compressed = {"kind": "compression", "interface": "bonded"}
+    assert not recompute_records._sticks({"specimen": cylinder, "test": compressed})
 
 
 def test_its_scores_are_those_of_the_definitions() -> None:
@@ -245,9 +247,7 @@ def test_its_scores_are_those_of_the_definitions() -> None:
     known, force = d**1.5 + rng.normal(0, 0.05, 40), d**1.4
     found = recompute_forward.scores(force, np.array([d, known]))
     for name, one in CURVE_RESPONSES.items():
-        assert found[name] == pytest.approx(
-            one.between(Curve(d, force), Curve(d, known)), rel=1e-12
-        )
+        assert found[name] == pytest.approx(one(Curve(d, force), Curve(d, known)), rel=1e-12)
 
 
 @pytest.mark.parametrize("monotone", [False, True])

@@ -14,10 +14,10 @@ from study.harness.calibration.resampling import Starts
 from study.harness.record.document import ParameterDocument
 from study.harness.record.record import plain
 from study.harness.runner.fit_summary import WITH_CONSTANTS, status_of
-from study.harness.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
+from study.harness.runner.response import CURVE_RESPONSES, scale_of
 from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.material import material as conversions
-from study.mechanics.material.material import Material
+from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.measured_test import MeasuredTest
 from study.mechanics.measurement.phases import RowCount
 from study.mechanics.setup.setup import Tables
@@ -60,8 +60,7 @@ class CurveFit:
         }
         if self.predicted is not None:
             for name in ("rms_force_error", "relative_rms_force_error"):
-                response = CURVE_RESPONSES[name]
-                errors[name] = response.between(self.predicted, self.measured.curve)
+                errors[name] = CURVE_RESPONSES[name](self.predicted, self.measured.curve)
             force = self.measured.curve.force_N
             left = self.predicted.force_at(self.measured.curve.displacement_mm) - force
             total = float(((force - force.mean()) ** 2).sum())
@@ -237,7 +236,7 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
     return {
         name: {
             "value": scale_of(name) * float(fit.values[i]),
-            "unit": ConstantResponse(name).unit,
+            "unit": unit_shown(name),
             "standard_error": scale_of(name) * float(fit.standard_error[i]),
             "ci95": [scale_of(name) * float(v) for v in fit.ci95[i]],
         }
@@ -265,7 +264,7 @@ def _identified(identified: Identifiability | None) -> dict[str, object] | None:
                     n: _in_kpa(n, direction) * c for n, c in direction.combination.items()
                 },
                 "value": scale_of(first := next(iter(direction.combination))) * direction.value,
-                "unit": ConstantResponse(first).unit,
+                "unit": unit_shown(first),
                 "standard_error": scale_of(first) * direction.standard_error,
                 "relative": direction.relative,
                 "known": direction.is_known,
@@ -327,7 +326,7 @@ def _population(population: Population, labels: Sequence[str]) -> dict[str, obje
     scale = scale_of(population.name)
     return {
         "specimens": population.specimens,
-        "unit": ConstantResponse(population.name).unit,
+        "unit": unit_shown(population.name),
         "mean": scale * population.mean,
         "standard_deviation": scale * population.standard_deviation,
         "between": scale * population.between,

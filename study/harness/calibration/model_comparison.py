@@ -21,7 +21,7 @@ from study.harness.record.record import plain
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import fitted_test
 from study.harness.runner.fit_task import fitted_model
-from study.harness.runner.response import ConstantResponse, scale_of
+from study.harness.runner.response import scale_of
 from study.harness.runner.staged_fit import OPEN, Progress
 from study.mechanics.calibration.fit import Fit, fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
@@ -33,7 +33,7 @@ from study.mechanics.calibration.lack_of_fit import (
     akaike_weights,
 )
 from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.material.material import is_dimensionless
+from study.mechanics.material.material import is_dimensionless, unit_shown
 
 # Constants of one test to first order around those of all tests: one Gauss-Newton step from the
 # common estimate (Rao 1948, Proc. Camb. Phil. Soc. 44, 50), where Wald's statistic rejects too
@@ -249,7 +249,7 @@ class ModelComparison:
             "common": {
                 name: {
                     "value": scale_of(name) * float(self.test.common[i]),
-                    "unit": ConstantResponse(name).unit,
+                    "unit": unit_shown(name),
                     "standard_error": scale_of(name) * float(error[i]),
                 }
                 for i, name in enumerate(names)

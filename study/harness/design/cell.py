@@ -18,10 +18,9 @@ from study.harness.design.forward_model import ForwardCell, PlacedFile
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup import setup
 from study.mechanics.setup.declaration import field_named, section_of, table_of, values_of
-from study.mechanics.setup.geometry import SPECIMENS, Enclosed, Specimen, Surface
+from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Enclosed, Specimen, Surface
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem, Setup
-from study.mechanics.setup.test_kind import Test
 from study.mechanics.setup.test_section import TestSection
 
 # Names made of content: the hash of plain values with one spelling.
@@ -125,13 +124,16 @@ class CellProblem(ForwardCell):
     @classmethod
     def of(cls, document: Mapping[str, object]) -> CellProblem:
         """Read a problem back from its document: what lies on a disk, or is given as numbers."""
-        table = table_of(document, "specimen")
+        table, test = table_of(document, "specimen"), dict(table_of(document, "test"))
         placed = {key: table[key] for key in ("path", "sha256", "height_mm") if key in table}
+        if pressed := table_of(test, "indenter"):
+            kind = INDENTERS[str(pressed["shape"])]
+            test["indenter"] = section_of("test.indenter", kind, pressed)
         return cls(
             section_of("specimen", SPECIMENS[str(table["shape"])], table),
-            setup.loading_section(table_of(document, "test")),
-            MaterialSection.of(document),
-            setup.model_of(table_of(document, "model")),
+            section_of("test", TestSection, test),
+            MaterialSection.of(table_of(document, "material")),
+            section_of("model", Model, table_of(document, "model")),
             PlacedFile(**placed) if placed.get("path") else None,  # type: ignore[arg-type]
         )
 
@@ -229,9 +231,7 @@ class CellProblem(ForwardCell):
     def is_homogeneous(self) -> bool:
         """Whether the deformation is the same everywhere: compression, both faces frictionless."""
         # The closed form is then exact, and space, mesh, order and element shape cannot matter.
-        weight = self.test.gravity
-        test = Test(self.test.kind, None, self.test.interface, self.test.held_below, gravity=weight)
-        return setup.is_homogeneous(test, self.specimen.shape)
+        return setup.is_homogeneous(self.test.loading(), self.specimen.shape)
 
     @property
     def has_closed_form(self) -> bool:

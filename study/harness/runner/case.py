@@ -325,7 +325,7 @@ def _of_parameters(task: CaseTask) -> Executed:
             place, end = simulated_at(name)[1], float(answer.curve.displacement_mm[-1])
             if place is not None and place > end * (1 + 1e-9):
                 raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
-            value = response.SimulatedResponse(name).of(answer.curve)
+            value = response.simulated(name, answer.curve)
         if value is None:
             named = nearest(name, answer.values) if answer.values else "it gives a curve alone"
             raise Stopped("failed", f"there is no {name} among the answers ({named})")
@@ -579,9 +579,9 @@ def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
         if name in described and described[name]["key"] != key:
             # with one specimen left out, both directions fit "all but" it, to other curves
             name = f"{name}, to score {direction.label}"
-        document, cell = fit.fit, task.job.case.cell
-        if direction.role != CONSTANTS and isinstance(cell, CellProblem):
-            document = judged_where_simulated(document, cell, direction.depth_mm)
+        document = fit.fit
+        if direction.role != CONSTANTS:
+            document = judged_where_simulated(document, task.problem, direction.depth_mm)
         described[name] = {**document, "key": key}
     return described or None
 

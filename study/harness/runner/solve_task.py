@@ -38,6 +38,8 @@ class SolveTask:
     looser: float = 1.0
     #: By how much what sticks divides the steps that it takes whatever is asked for.
     more_steps: int = 1
+    #: Whether the derivatives of the force by the constants are wanted.
+    gradients: bool = False
 
     @classmethod
     def of(
@@ -50,7 +52,9 @@ class SolveTask:
     @property
     def key(self) -> str:
         """Name of the solution: a hash of the problem and of the code."""
-        return digest([self.problem.document(), self.looser, self.more_steps, code_version()], 32)
+        more = ["gradients"] if self.gradients else []
+        document = self.problem.document()
+        return digest([document, self.looser, self.more_steps, code_version(), *more], 32)
 
 
 def _no_curve() -> Curve:
@@ -116,7 +120,7 @@ def solved(task: SolveTask) -> SolveResult:
     with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as stream:
         stream.write("5")
     before = peak_MB()
-    solution = finite_element.solve(problem, gradients=False, options=_options(task))
+    solution = finite_element.solve(problem, gradients=task.gradients, options=_options(task))
     return SolveResult(
         status=str(solution.status),
         message=str(solution.message),

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, cast
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 
@@ -408,51 +408,24 @@ def _coarse(setup: Setup) -> dict[str, object] | None:
     return None if few else {"mesh_size_mm": coarser}
 
 
-class StageDocument(TypedDict):
-    """An accepted iteration as it is kept; see ``Iteration``."""
-
-    iteration: int
-    evaluations: int
-    x: list[float]
-    cost: float
-    radius: float
-    damping: float
-    offset: float
-    scale: list[float]
-
-
-class CheckpointDocument(TypedDict):
-    """Accepted iterations by the name of their stage, and the fit that they are of."""
-
-    key: str
-    stages: dict[str, StageDocument]
-
-
 class Checkpoint:
     """Last accepted iteration of every stage of one fit."""
 
     def __init__(self, path: Path | None = None, key: str = "", limits: Limits = NO_LIMITS) -> None:
         self.path, self.key, self.limits = path, key, limits
-        self.stages: dict[str, StageDocument] = {} if path is None else _read(path, key)
+        self.stages: dict[str, Iteration] = {} if path is None else _read(path, key)
 
     def last(self, stage: str) -> Iteration | None:
         """Last accepted iteration of a stage; None where it has not begun."""
-        at = self.stages.get(stage)
-        if at is None:
-            return None
-        return Iteration(
-            at["iteration"], at["evaluations"], np.array(at["x"], float),
-            at["cost"], at["radius"], at["damping"], at["offset"],
-            np.array(at["scale"], float)
-        )  # fmt: skip
+        return self.stages.get(stage)
 
     def keep(self, stage: str, iteration: Iteration) -> None:
         """Keep an accepted iteration."""
         if self.path is None:
             return
-        arrays = {"x": iteration.x.tolist(), "scale": iteration.scale.tolist()}
-        self.stages[stage] = cast(StageDocument, {**vars(iteration), **arrays})
-        text = json.dumps({"key": self.key, "stages": self.stages}, indent=1, allow_nan=False)
+        self.stages[stage] = iteration
+        document = {"key": self.key, "stages": {name: vars(at) for name, at in self.stages.items()}}
+        text = json.dumps(document, indent=1, allow_nan=False, default=np.ndarray.tolist)
         write_atomic(self.path, text.encode())
 
     def clear(self) -> None:
@@ -462,14 +435,16 @@ class Checkpoint:
         self.stages = {}
 
 
-def _read(path: Path, key: str) -> dict[str, StageDocument]:
+def _read(path: Path, key: str) -> dict[str, Iteration]:
     """Stages of a file; none where it is of another fit, or damaged: the fit then starts anew."""
     try:
-        content = cast(CheckpointDocument, read_json(path))
-        stages: dict[str, StageDocument] = content["stages"] if content["key"] == key else {}
-        keys = set(StageDocument.__annotations__)
-        return {name: stored for name, stored in stages.items() if set(stored) == keys}
-    except (StoreError, KeyError, TypeError, AttributeError):
+        content = cast("Mapping[str, Any]", read_json(path))
+        stages = content["stages"] if content["key"] == key else {}
+        return {
+            name: Iteration(**{**at, **{k: np.array(at[k], float) for k in ("x", "scale")}})
+            for name, at in stages.items()
+        }
+    except (StoreError, KeyError, TypeError, ValueError, AttributeError):
         return {}
 
 

@@ -15,7 +15,7 @@ from study.ground.units import parse
 from study.harness.execution.cluster import Client, Cluster
 from study.harness.execution.local import Loky
 from study.harness.execution.task import Document, Executor, Perform
-from study.harness.runner import case, fit_task, solve_task, virtual_specimens
+from study.harness.runner import case, fit_task, solve_task
 from study.harness.runner.job import CaseTask
 from study.harness.runner.provenance import versions
 
@@ -29,7 +29,6 @@ PING = "ping"
 KINDS: dict[type, Perform] = {
     CaseTask: case.perform,
     fit_task.FitTask: fit_task.perform,
-    virtual_specimens.ReferenceTask: virtual_specimens.perform,
     solve_task.SolveTask: solve_task.perform,
     str: lambda task: {"status": "converged"},
 }

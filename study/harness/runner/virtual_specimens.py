@@ -24,18 +24,16 @@ from study.ground.units import parse
 from study.harness.design.cell import CellProblem
 from study.harness.design.spec import Design
 from study.harness.design.study_file import Virtual
-from study.harness.execution.local import Loky
-from study.harness.execution.task import Task
 from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.runner import provenance
 from study.harness.runner.job import TRUTH_SUFFIX
-from study.harness.runner.solve_task import SolveResult
-from study.mechanics.forward import finite_element
+from study.harness.runner.solve_task import SolveTask, by_workers
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.geometry import Block, Enclosed
-from study.mechanics.setup.setup import MeshName, Model, Order, Problem, Setup
+from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
+from study.mechanics.setup.setup import MeshName, Model, Order, Setup
 
 #: what a fit should find
 TRUTH = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)
@@ -143,7 +141,7 @@ def truth(name: str) -> Truth:
 
 
 def reference_curve(
-    setup: Setup,
+    problem: CellProblem,
     material: Truth,
     poisson_ratio: float,
     *,
@@ -151,12 +149,12 @@ def reference_curve(
     virtual: Virtual | None = None,
 ) -> Curve:
     """Solve for the reference force and its gradient, in a worker of one thread."""
-    task = _task(setup, material, poisson_ratio, as_designed, virtual)
+    task = _task(problem, material, poisson_ratio, as_designed, virtual)
     return _solved(task, "the reference curve")
 
 
 def reference_error(
-    setup: Setup,
+    problem: CellProblem,
     material: Truth,
     poisson_ratio: float,
     curve: Curve,
@@ -168,35 +166,40 @@ def reference_error(
 
     The error of the reference itself is less wherever a finer mesh is a better one.
     """
-    task = _task(setup, material, poisson_ratio, as_designed, virtual)
-    coarser = replace(task, refined=task.refined - 1, gradients=False)
+    coarser = _task(problem, material, poisson_ratio, as_designed, virtual, coarser=True)
     other = _solved(coarser, "the reference curve on the next coarser mesh")
     change = other.force_at(curve.displacement_mm) - curve.force_N
     return float(np.abs(change).max() / np.abs(curve.force_N).max())
 
 
 def _task(
-    setup: Setup,
-    material: Truth,
+    problem: CellProblem,
+    truth: Truth,
     poisson_ratio: float,
     as_designed: bool,
     asked_for: Virtual | None,
-) -> ReferenceTask:
-    virtual = asked_for or Virtual()
-    loaded = setup.test if as_designed else replace(setup.test, interface="bonded", base="bonded")
+    *,
+    coarser: bool = False,
+) -> SolveTask:
+    """Solution of a reference curve, or of its next coarser mesh without gradients."""
+    from study.mechanics.mesh.mesher import mesh_size
+
+    virtual, setup = asked_for or Virtual(), problem.setup
+    loaded = problem if as_designed else problem.loaded(interface="bonded", base="bonded")
     # the grid runs a little past the range, as a real test does
-    depth_mm = 1.03 * setup.test.depth_mm
-    test = replace(loaded, steps=virtual.steps, displacement_mm=depth_mm)
-    constants = dict(material.constants)
-    solid = Material(model=material.model, constants=constants, poisson_ratio=poisson_ratio)
+    loaded = loaded.loaded(steps=virtual.steps, displacement_mm=1.03 * setup.test.depth_mm)
+    volume = CompressibilityTable(poisson_ratio=poisson_ratio)
+    solid = MaterialSection(truth.model, None, truth.constants, volume)
     model = _reference_model(setup, virtual, as_designed)
+    made = replace(loaded.alone(), material=solid, model=model, forward=None)
     finer = as_designed and not virtual.chooses_mesh and not setup.is_homogeneous
-    return ReferenceTask(Problem(setup.specimen, test, solid, model), int(finer))
+    if refined := finer - coarser:  # no cell of the design generates its own data
+        made = made.on_mesh(mesh_size_mm=mesh_size(made.setup) / model.mesh_ratio**refined)
+    return SolveTask(made, gradients=not coarser)
 
 
-def _solved(task: ReferenceTask, what: str) -> Curve:
-    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task)])
-    result = SolveResult.from_json(outcome.result)
+def _solved(task: SolveTask, what: str) -> Curve:
+    ((_, result),) = by_workers(1)([task])
     if not result.converged:
         rule = f"{what} failed: {result.message}"
         raise InputError(Fault("virtual specimens", rule))
@@ -223,30 +226,6 @@ def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> Model
     if virtual.mesh is not None:
         return replace(model, mesh=cast(MeshName, virtual.mesh))
     return replace(model, mesh=designed.mesh, mesh_size_mm=designed.mesh_size_mm)
-
-
-@dataclass(frozen=True)
-class ReferenceTask:
-    """The reference problem as it goes to a worker."""
-
-    problem: Problem
-    #: How often its mesh is made finer by one step, so that no cell of the design generates its own
-    #: data; coarser where negative.
-    refined: int
-    #: Whether the derivatives by the constants are wanted.
-    gradients: bool = True
-
-
-def perform(task: ReferenceTask) -> dict[str, object]:
-    """Solve the reference problem: a task for a worker."""
-    problem = task.problem
-    if task.refined:
-        from study.mechanics.mesh.mesher import mesh_size
-
-        size = mesh_size(problem.setup) / problem.model.mesh_ratio**task.refined
-        problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
-    solution = finite_element.solve(problem, gradients=task.gradients)
-    return SolveResult(solution.status, solution.message, solution.curve).to_json()
 
 
 # Virtual specimens: measured curves with known truth, for the demo and for trying a design.
@@ -331,7 +310,7 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     written = []
     several = len(sources) > 1
     for number, (spec, problem) in enumerate(sources):
-        given = (problem.setup, truth(generator.truth), generator.poisson_ratio)
+        given = (problem, truth(generator.truth), generator.poisson_ratio)
         reference = reference_curve(*given, as_designed=several, virtual=design.virtual)
         stated = {}
         if design.virtual is not None:

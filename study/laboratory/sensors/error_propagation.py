@@ -26,7 +26,6 @@ from study.laboratory.sensors.force_model import (
 )
 from study.laboratory.sensors.virtual_test import Changes, Chunk, Sampling, perform
 from study.mechanics.calibration.covariance import scaled_inverse
-from study.mechanics.setup.setup import Setup, Tables
 
 # First-order propagation of sensor errors through a least-squares fit (JCGM 100:2008, 5): a row
 # at displacement d differs by zero + scale_F F + noise_F - F' (offset + scale_d d + noise_d); all
@@ -262,7 +261,10 @@ def simulate(
             owners[key] = multiple
     changes_at: dict[float, Changes] = {multiple: Changes() for multiple in multiples}
     say = progress or (lambda text: None)
-    for done, outcome in enumerate(_executor(sampling.fitted, jobs).run(tasks), start=1):
+    # a closed form is done before processes have started
+    simulated = not sampling.fitted.setup.is_homogeneous
+    place: Executor = Loky(perform, jobs) if simulated else Inline(perform)
+    for done, outcome in enumerate(place.run(tasks), start=1):
         changes_at[owners[outcome.key]].add(_changes(outcome.result))
         if done * TOLD // len(tasks) > (done - 1) * TOLD // len(tasks):
             say(f"{done} of {len(tasks)} parts of the simulated tests")
@@ -297,11 +299,6 @@ def _changes(result: Mapping[str, object]) -> Changes:
         cast("list[float]", result["force_N"]),
         cast("list[str]", result["messages"]),
     )
-
-
-def _executor(tables: Tables, jobs: int) -> Executor:
-    """Take processes for finite elements; a closed form is done before they have started."""
-    return Inline(perform) if Setup.of(tables).is_homogeneous else Loky(perform, jobs)
 
 
 def _simulation(

@@ -15,6 +15,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.design import diagnostics
+from study.harness.design.cell import CellProblem
 from study.harness.design.diagnostics import Faults, read_table
 from study.harness.design.load import default_name, loads_problem
 from study.harness.design.study_file import StudyTable
@@ -30,9 +31,8 @@ from study.mechanics.setup.declaration import (
     number,
     section,
     shown,
-    with_table,
 )
-from study.mechanics.setup.setup import Problem, Tables, is_homogeneous, problem_of
+from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
@@ -70,13 +70,13 @@ class ForceModel(Protocol):
         ...
 
 
-def force_model(tables: Tables, farthest_mm: float) -> ForceModel:
+def force_model(given: Problem, farthest_mm: float) -> ForceModel:
     """Model of a test: closed form where its deformation is homogeneous, else finite elements."""
-    problem = problem_of(with_table(tables, "test", displacement_mm=farthest_mm))
+    problem = replace(given, test=replace(given.test, displacement_mm=farthest_mm))
     if problem.material.relaxation:
         rule = "is not known to sensors: their rows have positions and forces, and no times"
         raise InputError(Fault("material.relaxation", rule, "leave it out"))
-    if is_homogeneous(problem.test, problem.specimen.shape):
+    if problem.setup.is_homogeneous:
         return ClosedForm(problem)
     return Simulated(problem)
 
@@ -281,7 +281,6 @@ def multiplied(
 OWN = ("position", "force", "requirement", "predict")
 #: Tables of the problem that the prediction may replace.
 REPLACEABLE = ("specimen", "test", "model")
-_SHARED = ("specimen", "test", "material", "model")
 
 
 @dataclass(frozen=True)
@@ -291,9 +290,9 @@ class RequirementFile:
     name: str
     question: str
     seed: int
-    #: Resolved tables of the test that gives the constants, and of the one whose force counts.
-    fitted: Tables
-    predicted: Tables
+    #: The test that gives the constants, and the one whose force counts.
+    fitted: CellProblem
+    predicted: CellProblem
     position: PositionAccuracy
     force: ForceAccuracy
     #: Wanted accuracy, and how it is checked.
@@ -334,15 +333,13 @@ def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> Require
 
 def _problem(
     tables: Mapping[str, object], source: str, overrides: Sequence[str], faults: list[Fault]
-) -> Tables | None:
+) -> CellProblem | None:
     """Resolve a problem; None, and its faults, where it has any."""
     try:
-        loaded = loads_problem(diagnostics.dump_toml(tables), source, overrides)
+        return loads_problem(diagnostics.dump_toml(tables), source, overrides).problem
     except InputError as error:
         faults += error.faults
         return None
-    document = loaded.problem.document()
-    return {name: document[name] for name in _SHARED}
 
 
 def _predicted(
@@ -351,7 +348,7 @@ def _predicted(
     source: str,
     overrides: Sequence[str],
     faults: list[Fault],
-) -> Tables | None:
+) -> CellProblem | None:
     """Problem with the tables that ``[predict]`` replaces whole."""
     if not isinstance(table, Mapping):
         faults.append(Fault(f"{source}: predict", "must be a table", "write [predict.test]"))

@@ -20,9 +20,8 @@ from study.laboratory.sensors.error_propagation import (
     sources_of,
 )
 from study.laboratory.sensors.force_model import RequirementFile, force_model, multiplied
-from study.laboratory.sensors.virtual_test import Sampling, depth_of, rows_mm
+from study.laboratory.sensors.virtual_test import Sampling, rows_mm
 from study.mechanics.material.material import is_dimensionless
-from study.mechanics.setup.setup import Setup
 
 #: Multiples of the given errors that the map of accuracies shows, from a tenth to ten times.
 MULTIPLES = np.logspace(-1, 1, 61)
@@ -87,17 +86,17 @@ def sensor_requirement(
     file: RequirementFile, jobs: int, progress: Callable[[str], None] | None = None
 ) -> SensorRequirement:
     """Propagate the errors of both sensors, and check that by simulated tests."""
-    sensors, depth = file.asked, depth_of(file.fitted)
+    sensors, test, prediction = file.asked, file.fitted.at(), file.predicted.at()
     sampling = Sampling(
-        file.fitted, file.predicted, file.position, file.force, sensors.points, sensors.samples,
+        test, prediction, file.position, file.force, sensors.points, sensors.samples,
         file.seed,
     )  # fmt: skip
     _check_reach(file, sampling)
-    fitted = force_model(file.fitted, sampling.farthest_mm)
-    material, rows = fitted.problem.material, rows_mm(depth, sensors.points)
+    fitted = force_model(test, sampling.farthest_mm)
+    material, rows = fitted.problem.material, rows_mm(sampling.depth_mm, sensors.points)
     at = fitted(material.values, rows)
-    end = depth_of(file.predicted)
-    predicted = force_model(file.predicted, end)(material.values, np.array([end]))
+    end = prediction.test.depth_mm
+    predicted = force_model(prediction, end)(material.values, np.array([end]))
     units = ["" if is_dimensionless(name) else "MPa" for name in material.names]
     sources = sources_of(file.position, file.force, at, rows)
     propagation = propagate(material.names, material.values, units, at, sources, predicted)
@@ -112,7 +111,7 @@ def sensor_requirement(
 
 def _check_reach(file: RequirementFile, sampling: Sampling) -> None:
     """Refuse errors with which a test would go through its specimen."""
-    height = Setup.of(file.fitted).height_mm
+    height = file.fitted.height_mm
     for multiple in file.asked.multiples if file.asked.samples else ():
         position, force = multiplied(file.position, file.force, multiple)
         farthest = replace(sampling, position=position, force=force).farthest_mm

@@ -16,7 +16,7 @@ from study.laboratory.sensors.force_model import (
 )
 from study.mechanics.calibration.levenberg_marquardt import Status, levenberg_marquardt
 from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.setup.setup import Setup, Tables
+from study.mechanics.setup.setup import Problem
 
 #: Standard deviations of the noise that the simulated curve reaches beyond the test.
 REACH = 5.0
@@ -35,9 +35,9 @@ MOST_EVALUATIONS = 30
 class Sampling:
     """What a Monte Carlo simulation draws."""
 
-    #: Resolved tables of both tests, with the assumed constants.
-    fitted: Tables
-    predicted: Tables
+    #: Both tests, with the assumed constants.
+    fitted: Problem
+    predicted: Problem
     position: PositionAccuracy
     force: ForceAccuracy
     points: int
@@ -48,7 +48,7 @@ class Sampling:
     @property
     def depth_mm(self) -> float:
         """Displacement of the fitted test."""
-        return depth_of(self.fitted)
+        return self.fitted.test.depth_mm
 
     @property
     def farthest_mm(self) -> float:
@@ -104,7 +104,7 @@ def perform(chunk: Chunk) -> dict[str, object]:
     """Measure and fit the tests of one chunk (in a worker)."""
     sampling, changes = chunk.sampling, Changes()
     test = _Test(sampling, chunk.pseudo_inverse, chunk.xtol)
-    depth = np.array([depth_of(sampling.predicted)])
+    depth = np.array([sampling.predicted.test.depth_mm])
     predicted = force_model(sampling.predicted, float(depth[0]))
     for k in range(chunk.first, chunk.last):
         try:
@@ -117,11 +117,6 @@ def perform(chunk: Chunk) -> dict[str, object]:
         changes.linear.append(linear.tolist())
         changes.force_N.append(float(force))
     return {"status": "done", **asdict(changes)}
-
-
-def depth_of(tables: Tables) -> float:
-    """Displacement of a resolved test in mm."""
-    return Setup.of(tables).test.depth_mm
 
 
 class _Test:

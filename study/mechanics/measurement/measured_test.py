@@ -286,9 +286,9 @@ def apparent_modulus(setup: Setup, displacement_mm: float, force_N: float) -> fl
     --------
     A cylinder of 10 mm radius and 20 mm height, pressed 2 mm by 3.1416 N: 10 kPa over 10 %.
 
-    >>> from study.mechanics.setup.setup import Setup
-    >>> cylinder = {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 20.0}
-    >>> setup = Setup.of({"specimen": cylinder, "test": {"kind": "compression"}})
+    >>> from study.mechanics.setup import geometry, setup
+    >>> cylinder = geometry.Cylinder(10.0, 20.0)
+    >>> setup = setup.Setup(cylinder, setup.Test("compression", None), setup.Model(), 20.0)
     >>> round(apparent_modulus(setup, 2.0, 3.1416), 4)
     0.1
     """

@@ -21,7 +21,6 @@ from study.mechanics.setup.declaration import (
     number,
     section,
     section_of,
-    table_of,
 )
 
 
@@ -87,15 +86,14 @@ class MaterialSection:
     relaxation: tuple[RelaxationKey, ...] = ()
 
     @classmethod
-    def of(cls, resolved: Mapping[str, object]) -> MaterialSection:
-        """Material of resolved tables, in MPa and s."""
-        table = table_of(resolved, "material")
+    def of(cls, table: Mapping[str, object]) -> MaterialSection:
+        """Material of its resolved table, in MPa and s."""
         resistance = section_of("material", CompressibilityTable, table)
         order = cast("int | None", table.get("order"))
         constants = cast("Mapping[str, float]", table.get("constants") or {})
         terms = cast("list[Mapping[str, object]]", table.get("relaxation") or [])
         fading = tuple(RelaxationKey.of(term) for term in terms)
-        return cls(str(table["model"]), order, constants, resistance, fading)
+        return cls(str(table.get("model", "")), order, constants, resistance, fading)
 
     @property
     def calibrated_names(self) -> tuple[str, ...]:

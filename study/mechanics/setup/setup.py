@@ -10,25 +10,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from study.mechanics.material.material import Material
-from study.mechanics.setup.declaration import (
-    DERIVED,
-    Length,
-    finite,
-    section,
-    section_of,
-    table_of,
-    word,
-)
-from study.mechanics.setup.geometry import (
-    INDENTERS,
-    SPECIMENS,
-    Enclosed,
-    FaceMotion,
-    Gravity,
-    Indenter,
-    Specimen,
-)
-from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.declaration import DERIVED, Length, section, word
+from study.mechanics.setup.geometry import Enclosed, Specimen
 from study.mechanics.setup.test_kind import (
     Contact,
     FaceCondition,
@@ -38,7 +21,7 @@ from study.mechanics.setup.test_kind import (
     Test,
     TestKind,
 )
-from study.mechanics.setup.test_section import TEST_KINDS, TestSection
+from study.mechanics.setup.test_section import TEST_KINDS
 
 Space = Literal["axisymmetric", "3d"]
 Order = Literal["linear", "quadratic"]
@@ -100,16 +83,6 @@ class Setup:
     model: Model
     #: Of the specimen; None for a surface whose file has not been looked for.
     height_mm: float | None = None
-
-    @classmethod
-    def of(cls, resolved: Tables) -> Setup:
-        """Make the setup of resolved tables ``specimen``, ``test`` and ``model``, in mm and N."""
-        return cls(
-            specimen_of(table_of(resolved, "specimen")),
-            loading_section(table_of(resolved, "test")).loading(),
-            model_of(table_of(resolved, "model")),
-            known_height_mm(table_of(resolved, "specimen")),
-        )
 
     @property
     def kind(self) -> TestKind:
@@ -192,51 +165,6 @@ def is_homogeneous(test: Test, shape: str) -> bool:
     return weightless and shape in HOMOGENEOUS_SHAPES and TEST_KINDS[test.kind].is_homogeneous(test)
 
 
-def problem_of(
-    resolved: Tables,
-    constants: Mapping[str, float] | None = None,
-    displacement_mm: float | None = None,
-) -> Problem:
-    """Problem of resolved tables. Units: constants MPa."""
-    material = MaterialSection.of(resolved).material(constants)
-    return Setup.of(resolved).problem(material, displacement_mm)
-
-
 def mesh_level(model: Model) -> float:
     """Size of a named mesh over the reference size: 1 on the fine one."""
     return float(model.mesh_ratio**model.level)
-
-
-def specimen_of(resolved: Mapping[str, object]) -> Specimen:
-    """Specimen of its resolved table; a surface found on this machine is read from there."""
-    if resolved.get("path"):
-        resolved = {**resolved, "file": resolved["path"]}
-    return section_of("specimen", SPECIMENS[str(resolved["shape"])], resolved)
-
-
-def model_of(resolved: Mapping[str, object]) -> Model:
-    """Discretization of its resolved table."""
-    return section_of("model", Model, resolved)
-
-
-def loading_section(resolved: Mapping[str, object]) -> TestSection:
-    """Test of its resolved table; its displacement may still be open."""
-    pressed = resolved.get("indenter")
-    made = indenter_of(pressed) if isinstance(pressed, Mapping) and pressed else None
-    moved = resolved.get("motion")
-    besides = section_of("test.motion", FaceMotion, moved) if isinstance(moved, Mapping) else None
-    heavy = resolved.get("gravity")
-    gravity = section_of("test.gravity", Gravity, heavy) if isinstance(heavy, Mapping) else None
-    table = {**resolved, "indenter": made, "motion": besides, "gravity": gravity}
-    return section_of("test", TestSection, table)
-
-
-def indenter_of(resolved: Mapping[str, object]) -> Indenter:
-    """Indenter of its resolved table."""
-    return section_of("test.indenter", INDENTERS[str(resolved["shape"])], resolved)
-
-
-def known_height_mm(resolved: Mapping[str, object]) -> float | None:
-    """Height in mm of a specimen's resolved table; None for a surface that nobody looked for."""
-    height = resolved.get("height_mm")
-    return None if height is None else finite(height)

@@ -8,9 +8,10 @@ is added as a module beside :mod:`study.mechanics.setup.test_kinds` and an entry
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
@@ -257,63 +258,64 @@ class ContactRim:
 Singularity = ClampedCorner | SharpEdge | RoundedEdge | ContactRim
 
 
-class TestKind(Protocol):
+@dataclass(frozen=True, kw_only=True)
+class TestKind(ABC):
     """A kind of test: everything that sets it apart from others, as data."""
 
-    @property
-    def takes_indenter(self) -> bool:
-        """Whether a test of this kind needs an indenter."""
+    __test__ = False  # not a pytest class
 
-    @property
-    def compresses(self) -> bool:
-        """Whether two plates shorten the specimen along its axis, and do nothing else."""
-
-    @property
-    def shears(self) -> bool:
-        """Whether it is a simple shear, which may be preceded by a stretch."""
-
-    @property
-    def strains_locally(self) -> bool:
-        """Whether single places are stretched several times: elements are stabilized there."""
-
-    @property
-    def mode(self) -> str:
-        """Deformation of a homogeneous specimen, one of ``LOADINGS``."""
-
-    @property
-    def needs_homogeneous(self) -> bool:
-        """Whether the test is one of a gauge section, which no finite elements simulate."""
-
-    @property
-    def sense(self) -> float:
-        """Elongation of a homogeneous specimen per displacement: -1 shortens, 1 lengthens."""
+    #: Whether a test of this kind needs an indenter.
+    takes_indenter: bool = False
+    #: Whether two plates shorten the specimen along its axis, and do nothing else.
+    compresses: bool = False
+    #: Whether it is a simple shear, which may be preceded by a stretch.
+    shears: bool = False
+    #: Whether single places are stretched several times: elements are stabilized there.
+    strains_locally: bool = False
+    #: Elongation of a homogeneous specimen per displacement: -1 shortens, 1 lengthens or shears.
+    sense: float = -1.0
+    #: Deformation of a homogeneous specimen, one of ``LOADINGS``.
+    mode: str = "uniaxial"
+    #: Whether the test is one of a gauge section, which no finite elements simulate.
+    needs_homogeneous: bool = False
 
     def usual_base(self, interface: Interface) -> Interface:
-        """Condition of the base where a file leaves it out."""
+        """Condition of the base where a file leaves it out: fixed to what it lies on."""
+        return "bonded"
 
+    @abstractmethod
     def faces(self, test: Test) -> tuple[FaceCondition, ...]:
         """Prescribed motions."""
 
     def contacts(self, test: Test) -> tuple[Contact, ...]:
         """Rigid bodies that the surface may meet."""
+        return ()
 
     def has_middle_plane(self, test: Test) -> bool:
         """Whether the lower half is the mirror image of the upper one."""
+        return False
 
+    @abstractmethod
     def grading(self, test: Test) -> MeshGrading:
         """Where elements are small."""
 
     def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
-        """Load steps of a specimen of some height."""
+        """Load steps of a specimen of some height: shares of it."""
+        largest = settings.largest * height_mm
+        return StepRule(settings, largest, largest)
 
     def is_homogeneous(self, test: Test) -> bool:
         """Whether a cylinder or block deforms the same everywhere, in uniaxial stress."""
+        return False
 
+    @abstractmethod
     def stretches(self, test: Test, height_mm: float) -> Array:
         """Axial stretches in which the material must be stable, shape (n,)."""
 
     def singularities(self, test: Test) -> tuple[Singularity, ...]:
         """Corners and edges that limit the order of the force."""
+        return ()
 
+    @abstractmethod
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
         """Say why a specimen of this height and half-width cannot go through the test."""

@@ -14,7 +14,6 @@ from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion, Indenter
 from study.mechanics.setup.test_kind import (
     AroundContact,
     ClampedCorner,
-    Contact,
     ContactRim,
     FaceCondition,
     IndenterContact,
@@ -26,6 +25,7 @@ from study.mechanics.setup.test_kind import (
     StepRule,
     StepSettings,
     Test,
+    TestKind,
     TowardsPlates,
 )
 
@@ -38,16 +38,10 @@ LEAST_STRETCH = 0.544
 
 
 @dataclass(frozen=True)
-class Compression:
+class Compression(TestKind):
     """Plates approach each other by the displacement; each may be bonded."""
 
-    takes_indenter: bool = False
     compresses: bool = True
-    shears: bool = False
-    strains_locally: bool = False
-    sense: float = -1.0
-    mode: str = "uniaxial"
-    needs_homogeneous: bool = False
 
     def usual_base(self, interface: Interface) -> Interface:
         """Both plates are alike."""
@@ -74,11 +68,6 @@ class Compression:
     def grading(self, test: Test) -> TowardsPlates:
         """Small at the rims of bonded faces."""
         return TowardsPlates(test.interface == "bonded", test.base == "bonded")
-
-    def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
-        """Shares of the height."""
-        largest = settings.largest * height_mm
-        return StepRule(settings, largest, largest)
 
     def is_homogeneous(self, test: Test) -> bool:
         """Between frictionless plates."""
@@ -138,20 +127,11 @@ INDENTATION_STRETCHES = 41
 
 
 @dataclass(frozen=True)
-class Indentation:
+class Indentation(TestKind):
     """An indenter comes down by the displacement; it may keep hold of what it touches."""
 
     takes_indenter: bool = True
-    compresses: bool = False
-    shears: bool = False
     strains_locally: bool = True
-    sense: float = -1.0
-    mode: str = "uniaxial"
-    needs_homogeneous: bool = False
-
-    def usual_base(self, interface: Interface) -> Interface:
-        """Specimens are fixed to what they lie on."""
-        return "bonded"
 
     def faces(self, test: Test) -> tuple[FaceCondition, ...]:
         """Support, and the disc that a bonded flat face moves."""
@@ -167,10 +147,6 @@ class Indentation:
             return ()
         return (IndenterContact(test.indenter, test.interface == "bonded"),)
 
-    def has_middle_plane(self, test: Test) -> bool:
-        """Tell that it is loaded from above alone."""
-        return False
-
     def grading(self, test: Test) -> AroundContact:
         """Small under the indenter."""
         return AroundContact(indenter_of_test(test), test.depth_mm)
@@ -184,10 +160,6 @@ class Indentation:
             return StepRule(settings, largest, largest)
         first, largest = settings.first_touch * length, settings.largest_touch * length
         return StepRule(settings, first, largest, settings.deeper)
-
-    def is_homogeneous(self, test: Test) -> bool:
-        """Never."""
-        return False
 
     def stretches(self, test: Test, height_mm: float) -> Array:
         """About none: larger ones are reached at single places only."""
@@ -246,22 +218,11 @@ GAUGE_SECTION_STRETCHES = 41
 
 
 @dataclass(frozen=True)
-class GaugeSection:
-    """A test of material."""
+class GaugeSection(TestKind):
+    """A test of material; no elements."""
 
-    #: Deformation, one of :data:`study.mechanics.material.homogeneous.LOADINGS`.
-    mode: str
-    #: Elongation per displacement: -1 shortens, 1 lengthens or shears.
     sense: float = 1.0
-    takes_indenter: bool = False
-    compresses: bool = False
-    strains_locally: bool = False
     needs_homogeneous: bool = True
-
-    @property
-    def shears(self) -> bool:
-        """Whether it is a simple shear."""
-        return self.mode == "simple-shear"
 
     def usual_base(self, interface: Interface) -> Interface:
         """Without meaning: nothing holds a gauge section but its own material."""
@@ -271,10 +232,6 @@ class GaugeSection:
         """Return none: no elements."""
         return ()
 
-    def contacts(self, test: Test) -> tuple[Contact, ...]:
-        """Return none."""
-        return ()
-
     def has_middle_plane(self, test: Test) -> bool:
         """Every plane is one."""
         return True
@@ -282,11 +239,6 @@ class GaugeSection:
     def grading(self, test: Test) -> TowardsPlates:
         """Even."""
         return TowardsPlates(False, False)
-
-    def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
-        """Shares of the length."""
-        largest = settings.largest * height_mm
-        return StepRule(settings, largest, largest)
 
     def is_homogeneous(self, test: Test) -> bool:
         """By definition."""
@@ -300,10 +252,6 @@ class GaugeSection:
             return np.linspace(1.0, longest[0], GAUGE_SECTION_STRETCHES)
         return np.linspace(1.0, 1.0 + share, GAUGE_SECTION_STRETCHES)
 
-    def singularities(self, test: Test) -> tuple[Singularity, ...]:
-        """Return none."""
-        return ()
-
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
         """Elements were asked for."""
         rule = "is a test of a gauge section and has a closed form, which finite elements are not"
@@ -312,13 +260,13 @@ class GaugeSection:
 
 #: every test of material by its name in a file
 GAUGE_SECTIONS = {
-    "tension": GaugeSection("uniaxial"),
-    "equibiaxial": GaugeSection("equibiaxial"),
-    "planar": GaugeSection("planar"),
-    "biaxial": GaugeSection("biaxial"),
-    "simple-shear": GaugeSection("simple-shear"),
-    "volumetric": GaugeSection("volumetric", -1.0),
-    "confined-compression": GaugeSection("confined", -1.0),
+    "tension": GaugeSection(),
+    "equibiaxial": GaugeSection(mode="equibiaxial"),
+    "planar": GaugeSection(mode="planar"),
+    "biaxial": GaugeSection(mode="biaxial"),
+    "simple-shear": GaugeSection(mode="simple-shear", shears=True),
+    "volumetric": GaugeSection(mode="volumetric", sense=-1.0),
+    "confined-compression": GaugeSection(mode="confined", sense=-1.0),
 }
 
 
@@ -336,9 +284,9 @@ class PlateMotion(Compression):
 
     compresses: bool = False
 
-    def usual_base(self, interface: Interface) -> Interface:
-        """Specimens are fixed to what they stand on."""
-        return "bonded"
+    usual_base = TestKind.usual_base
+    has_middle_plane = TestKind.has_middle_plane
+    is_homogeneous = TestKind.is_homogeneous
 
     def faces(self, test: Test) -> tuple[FaceCondition, ...]:
         """Prescribe every component above; the face below is held, or slides."""
@@ -353,17 +301,9 @@ class PlateMotion(Compression):
         """Bulging sides may fold onto a plate; the loaded face is held in either case."""
         return (PlateContact("top", True), PlateContact("base", test.base == "bonded"))
 
-    def has_middle_plane(self, test: Test) -> bool:
-        """Tell that only the plate above moves sideways."""
-        return False
-
     def grading(self, test: Test) -> TowardsPlates:
         """Small at the rims of faces that are held."""
         return TowardsPlates(True, test.base == "bonded")
-
-    def is_homogeneous(self, test: Test) -> bool:
-        """Never."""
-        return False
 
     def singularities(self, test: Test) -> tuple[ClampedCorner, ...]:
         """Rim of the loaded face."""
