@@ -140,10 +140,15 @@ def identifiability(names: Sequence[str], values: Array, estimate: Uncertainty) 
         return False, _together(names[first], names[second], worst, ratio)
     if estimate.degrees_of_freedom <= 0:
         return False, "as many constants as points: nothing is left to judge them by"
-    wide = _widest(names, values, estimate)
-    if wide:
+    if wide := _widest(names, values, estimate):
         return False, wide
-    return True, _caution(names, first, second, worst, estimate.condition)
+    caution = ""
+    if abs(worst) > CAUTION_CORRELATION:
+        caution = f"caution: {names[first]} and {names[second]} are correlated by {worst:.4f}"
+    elif estimate.condition > CAUTION_CONDITION:
+        number = float(f"{estimate.condition:.3g}")
+        caution = f"caution: the scaled condition number is {number:,.0f}"
+    return True, caution
 
 
 def verdict_at_end(
@@ -179,14 +184,6 @@ def _widest(names: Sequence[str], values: Array, estimate: Uncertainty) -> str:
     if not ratio[worst] > 2:
         return ""
     return f"the 95 % interval of {names[worst]} is {ratio[worst]:.3g} times as wide as its value"
-
-
-def _caution(names: Sequence[str], first: int, second: int, worst: float, condition: float) -> str:
-    if abs(worst) > CAUTION_CORRELATION:
-        return f"caution: {names[first]} and {names[second]} are correlated by {worst:.4f}"
-    if condition > CAUTION_CONDITION:
-        return f"caution: the scaled condition number is {float(f'{condition:.3g}'):,.0f}"
-    return ""
 
 
 def _listed(names: Sequence[str]) -> str:
