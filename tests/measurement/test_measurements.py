@@ -13,8 +13,15 @@ from study.ground import bounded_file, tabular
 from study.ground.errors import InputError
 from study.harness.design.diagnostics import Faults
 from study.harness.design.resolve import measurements_from
-from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec, Range, Units
+from study.mechanics.measurement.measurement_section import (
+    Columns,
+    MeasurementSpec,
+    Range,
+    Units,
+    csv_pattern,
+)
 from study.mechanics.measurement.reading import read_measurements
+from study.mechanics.setup.declaration import Bad
 from tests.record.samples import Spec
 
 LINE = "d,f\n0,0\n1,2\n2,4\n3,6\n4,8\n"
@@ -183,7 +190,7 @@ def test_range_in_percent_and_from_the_test(tmp_path):
     (tmp_path / "a.csv").write_text(LINE)
     free = read_measurements(Spec(range=None), tmp_path, displacement_mm=4)
     assert free.displacement_mm[[0, -1]].tolist() == [0.8, 4]
-    with pytest.raises(InputError, match="needs the height"):
+    with pytest.raises(InputError, match="needs a specimen with a height"):
         read(tmp_path, LINE, Spec(range=Range("percent", 1, 40)))
 
 
@@ -305,9 +312,11 @@ def test_groups_from_the_names_of_files(tmp_path):
     assert found.blocks == ("S1", "S2")
     assert found.curve("S2").curve.force_N[-1] == 9
     assert list(found.files) == ["conical/indentation-S1.csv", "conical/indentation-S2.csv"]
-    for pattern in ("conical/x-{specimen}.csv", "{a}{a}.csv", "{a b}.csv", "{a.csv", "plain.csv"):
-        with pytest.raises(InputError, match="measurements.files"):
-            read_measurements(replace(spec, files=pattern), tmp_path)
+    with pytest.raises(InputError, match="measurements.files"):
+        read_measurements(replace(spec, files="conical/x-{specimen}.csv"), tmp_path)
+    for pattern in ("{a}{a}.csv", "{a b}.csv", "{a.csv", "plain.csv"):
+        with pytest.raises(Bad, match="group"):
+            csv_pattern(pattern)
 
 
 def test_size_caps(tmp_path, monkeypatch):

@@ -115,23 +115,13 @@ class Measurements:
         loose = [n for n in chosen[0].groups if n not in shared and n not in self.average]
         if loose:
             values = ", ".join(dict.fromkeys(t.groups[loose[0]] for t in chosen))
-            raise InputError(
-                Fault(
-                    "measurements",
-                    f"several tests match {_words(block, where)}: {loose[0]} = {values}",
-                    f"name {loose[0]!r} in `fit` and `score`, or in `average` if its tests are "
-                    "repeats on one specimen",
-                )
-            )
+            rule = f"several tests match {_words(block, where)}: {loose[0]} = {values}"
+            mend = f"name {loose[0]!r} in `fit` and `score`, or in `average` if its tests are "
+            raise InputError(Fault("measurements", rule, f"{mend}repeats on one specimen"))
         places, forces, time = self._rows_of(chosen)
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
         recordings = tuple(test.recorded for test in chosen if test.recorded is not None)
-        curve = Curve(
-            places,
-            forces.mean(axis=0),
-            time_s=time,
-            recorded=recordings,
-        )
+        curve = Curve(places, forces.mean(axis=0), time_s=time, recorded=recordings)
         notes = tuple(note for test in chosen for note in test.notes)
         rows = self._row_count(block, chosen)
         return MeasuredTest(
@@ -177,18 +167,15 @@ class Measurements:
         self, block: str | None = None, **where: Label
     ) -> list[tuple[dict[str, str], Curve]]:
         """Every matching group (labels, averaged curve), repeats averaged."""
-        keep: dict[tuple[tuple[str, str], ...], None] = {}
-        for test in self._matching(block, where):
-            key = tuple((k, v) for k, v in test.groups.items() if k not in self.average)
-            keep.setdefault(key)
+        keys = dict.fromkeys(
+            tuple((k, v) for k, v in test.groups.items() if k not in self.average)
+            for test in self._matching(block, where)
+        )
         out = []
-        for key in keep:
-            groups = dict(key)
+        for groups in map(dict, keys):
             rest = {k: v for k, v in groups.items() if k != self.block}
-            averaged = self.curve(
-                groups.get(self.block) if self.block else None, **{**where, **rest}
-            )
-            out.append((groups, averaged.curve))
+            label = groups.get(self.block) if self.block else None
+            out.append((groups, self.curve(label, **{**where, **rest}).curve))
         return out
 
     def pairs(self, block: str | None = None) -> list[tuple[MeasuredTest, MeasuredTest]]:
@@ -197,15 +184,9 @@ class Measurements:
         Made once for all the materials that are fitted to them.
         """
         if block not in self._paired:
-            self._paired[block] = self._pairs(block)
+            fit, score = (self.curve(block, **dict(side or {})) for side in self.sides[0])
+            self._paired[block] = [(fit, score), (score, fit)] if self.swap else [(fit, score)]
         return self._paired[block]
-
-    def _pairs(self, block: str | None) -> list[tuple[MeasuredTest, MeasuredTest]]:
-        fit, score = dict(self.fit or {}), dict(self.score or self.fit or {})
-        pairs = [(self.curve(block, **fit), self.curve(block, **score))]
-        if self.swap:
-            pairs.append((pairs[0][1], pairs[0][0]))
-        return pairs
 
     @property
     def sides(self) -> list[tuple[Selection | None, Selection | None]]:
@@ -219,13 +200,8 @@ class Measurements:
             chosen_labels[self.block] = (block,)
         for name in chosen_labels:
             if name not in self.tests[0].groups:
-                raise InputError(
-                    Fault(
-                        "measurements",
-                        f"there is no grouping column {name!r}",
-                        nearest(name, self.tests[0].groups),
-                    )
-                )
+                rule = f"there is no grouping column {name!r}"
+                raise InputError(Fault("measurements", rule, nearest(name, self.tests[0].groups)))
         chosen = [t for t in self.tests if all(t.groups[n] in v for n, v in chosen_labels.items())]
         if not chosen:
             raise InputError(self._nothing(block, chosen_labels))
