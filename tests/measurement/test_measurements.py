@@ -131,15 +131,17 @@ def test_numbers_in_a_design_match_labels_in_a_file(tmp_path):
     assert found.curve(r=[1.0]).n_repeats == 2
 
 
-def test_forgotten_repeat_column_is_refused_not_merged(tmp_path):
-    words = refusal(tmp_path, REPEATS, Spec(block="s"))
-    assert "a.csv:7" in words
-    assert "column 'r' changes there" in words
-
-
-def test_selection_without_tests_is_found_when_reading(tmp_path):
-    words = refusal(tmp_path, REPEATS, Spec(average=("r",), fit={"s": "A"}, score={"s": "Q"}))
-    assert "no test matches s = Q" in words
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"block": "s"}, ["a.csv:7", "column 'r' changes there"]),
+        ({"average": ("r",), "fit": {"s": "A"}, "score": {"s": "Q"}}, ["no test matches s = Q"]),
+    ],
+    ids=["forgotten repeats", "selection without tests"],
+)
+def test_tests_are_neither_merged_nor_missed_in_silence(tmp_path, changes, words):
+    shown = refusal(tmp_path, REPEATS, Spec(**changes))
+    assert all(word in shown for word in words)
 
 
 def test_unsorted_and_duplicated_rows_are_mended_and_counted(tmp_path):

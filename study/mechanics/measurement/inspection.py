@@ -234,7 +234,8 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         notes.append("two stretches and two stresses: one biaxial test, first direction first")
     elif kinematic and kinetic:
         d, f = numbers_of[chosen[kinematic]], numbers_of[chosen[kinetic]]
-        first = _first_test(columns, block, groups)
+        keys = list(zip(*(block.column(k) for k in groups), strict=True)) or [()] * len(block.at)
+        first = [row for row, key in enumerate(keys) if key == keys[0]]
         d, f, at = d[first], f[first], [block.at[k] for k in first]
         phases = _place(kinematic, d, f, table, notes)
         placed = [
@@ -278,6 +279,10 @@ class _Block:
     comment: str
     #: Lines between the rows that are none.
     others: list[int]
+
+    def column(self, k: int) -> tuple[str, ...]:
+        """Cells of a column, from 0; empty where a row ends before it."""
+        return tuple(row[k] if k < len(row) else "" for row in self.rows)
 
 
 def _split(line: str, delimiter: str) -> list[str]:
@@ -429,18 +434,14 @@ def _columns(
     words: list[str] = []
     notes: list[str] = []
     for k, name in enumerate(block.names):
-        cells = tuple(row[k] if k < len(row) else "" for row in block.rows)
+        cells = block.column(k)
         values = parsed_numbers(cells, block.decimal, _thousands(block.decimal))
         is_number = bool(np.isfinite(values).all())
         in_row = UNIT_CELL.fullmatch(block.unit_cells[k]) if k < len(block.unit_cells) else None
         match = _NAMED_UNIT.fullmatch(name)
         in_name = match["in"] if match else ""
-        word = (
-            (in_row[1] if in_row else "")
-            or in_name
-            or (match and (match["after"] or match["apart"]))
-            or ""
-        )
+        word = (in_row[1] if in_row else "") or in_name
+        word = word or (match and (match["after"] or match["apart"])) or ""
         unit = _known_unit(word) if word else None
         words.append("" if unit else (in_row[1] if in_row else in_name) or "")
         plain = name if unit is None or match is None or in_row else match["name"]
@@ -555,8 +556,7 @@ def _groups(
     table: dict[str, object],
 ) -> list[int]:
     """Columns whose labels tell tests apart; ``block`` and ``average`` go into the table."""
-    counted = [Counter(row[k] if k < len(row) else "" for row in block.rows)
-               for k in range(len(columns))]  # fmt: skip
+    counted = [Counter(block.column(k)) for k in range(len(columns))]
     several = [
         k for k, column in enumerate(columns)
         if column.name and not _WITHIN.search(column.name)
@@ -571,18 +571,6 @@ def _groups(
     if repeats:
         table["average"] = [columns[k].name for k in repeats]
     return several
-
-
-def _first_test(
-    columns: Sequence[InspectedColumn], block: _Block, groups: Sequence[int]
-) -> list[int]:
-    """Rows of the first test."""
-
-    def key(row: list[str]) -> tuple[str, ...]:
-        return tuple(row[k] if k < len(row) else "" for k in groups)
-
-    first = key(block.rows[0])
-    return [k for k, row in enumerate(block.rows) if key(row) == first]
 
 
 def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
@@ -695,13 +683,9 @@ def _zero_of(
         if abs(float(f[rows].mean())) > OFFSET_SHARE * largest:
             table["zero"] = "fit"
             notes.append(f"the load cell reads {f[rows].mean():.4g} before contact: subtracted")
-    elif (
-        is_far
-        and abs(float(f[0])) > OFFSET_SHARE * largest
-        and (
-            abs(float(f[rows].mean()) - slope * float(moved[rows].mean())) < 0.5 * abs(float(f[0]))
-        )
-    ):
+    elif is_far and (
+        abs(float(f[rows].mean()) - slope * float(moved[rows].mean())) < 0.5 * abs(float(f[0]))
+    ) and abs(float(f[0])) > OFFSET_SHARE * largest:  # fmt: skip
         notes.append(
             f"the first row carries {f[0]:.4g} at {begins:.6g}, as a specimen does that is "
             "unloaded at 0: the recorded zero counts; if it is not, write displacement_zero = "

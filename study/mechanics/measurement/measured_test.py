@@ -111,7 +111,8 @@ class Measurements:
     def curve(self, block: str | None = None, **where: Label) -> MeasuredTest:
         """Average of the tests of one block that match ``where``."""
         chosen = self._matching(block, where)
-        shared = _shared(chosen)
+        every = chosen[0].groups.items()
+        shared = {n: v for n, v in every if all(test.groups[n] == v for test in chosen)}
         loose = [n for n in chosen[0].groups if n not in shared and n not in self.average]
         if loose:
             values = ", ".join(dict.fromkeys(t.groups[loose[0]] for t in chosen))
@@ -218,10 +219,6 @@ class Measurements:
         return Fault("measurements", f"no test matches {_words(block, chosen_labels)}", mend)
 
 
-def _shared(tests: Sequence[SingleTest]) -> dict[str, str]:
-    return {n: v for n, v in tests[0].groups.items() if all(t.groups[n] == v for t in tests)}
-
-
 def _labels(value: Label) -> tuple[str, ...]:
     """Labels wanted, as the text they are in a file (1 and 1.0 are both "1")."""
     values = [value] if isinstance(value, (str, float, int)) else value
@@ -303,24 +300,19 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
             odd.append((place, force, modulus))
     if not odd:
         return measurements
-    return replace(measurements, notes=(*measurements.notes, _sentence(odd, measurements)))
-
-
-def _sentence(odd: list[tuple[float, float, float]], measurements: Measurements) -> str:
-    """Say which forces are meant, and what would make them plausible."""
     place, force, modulus = odd[0]
-    low, high = SOFT_MPA
     factor = _THOUSAND if modulus < low else 1 / _THOUSAND
     likely = low <= modulus * factor <= high
     size = "1000 times larger" if factor > 1 else "1000 times smaller"
     hint = f"; a force {size} would be one of a soft material" if likely else ""
-    return (
+    sentence = (
         f"{', '.join(sorted(measurements.files)[:2])}: {force:.4g} N at {place:.4g} mm means a "
         f"Young's modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ("
         f"{_in_words(low)} to {_in_words(high)}; in {len(odd)} of {len(measurements.tests)} tests)"
         f"{hint}: check "
         "measurements.units and the size of the specimen"
     )
+    return replace(measurements, notes=(*measurements.notes, sentence))
 
 
 def _in_words(modulus_MPa: float) -> str:  # noqa: N803

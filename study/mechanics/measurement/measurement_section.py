@@ -442,6 +442,7 @@ class MeasurementSpec:
 #: what a plate is taken to do: as it was said to move, any rigid motion, and slip besides
 PLATES = ("nominal", "rigid", "slipping")
 
+#: Coordinates of a point: names of three columns.
 Axes = tuple[str, str, str]
 
 _STATE = 'for example "5 %" = { columns = ["x1", "y1", "z1"], displacement = "4 mm" }'
@@ -457,7 +458,8 @@ class MarkedState:
     displacement_mm: float
 
 
-def _axes(value: object) -> Axes:
+def three_columns(value: object) -> Axes:
+    """Read the names of three columns."""
     values = names(value)
     if not isinstance(value, list) or len(values) != 3:
         mend = 'for example ["x0", "y0", "z0"]'
@@ -481,7 +483,7 @@ def _state(label: str, table: object) -> MarkedState:
         raise Bad(f"state {label!r}: {error.faults[0].rule}", error.faults[0].mend) from error
     if not moved > 0:
         raise Bad(f"state {label!r}: its displacement must be above 0", _STATE)
-    return MarkedState(label, _axes(table["columns"]), moved)
+    return MarkedState(label, three_columns(table["columns"]), moved)
 
 
 def _layers(value: object) -> tuple[str, ...]:
@@ -502,7 +504,7 @@ class MarkerSpec:
     #: Table with one row a marker.
     file: Annotated[str, Reads(csv_path, mend='for example file = "markers.csv"')]
     #: Columns of x, y and z in the unloaded specimen.
-    rest: Annotated[Axes, Reads(_axes, mend='for example rest = ["x0", "y0", "z0"]')]
+    rest: Annotated[Axes, Reads(three_columns, mend='for example rest = ["x0", "y0", "z0"]')]
     #: Every state of the test: the same markers, measured again.
     states: Annotated[tuple[MarkedState, ...], Reads(_states, mend=_STATE)]
     unit: Annotated[str, Reads(unit_of_length)] = "mm"
