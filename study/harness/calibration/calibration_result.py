@@ -187,8 +187,8 @@ class CalibrationResult:
             **_moduli(self.material),
             "rss": fit.rss,
             "minima": [
-                {"parameters": in_shown_units(one.names, one.values), "rss": one.rss}
-                for one in self.minima
+                {"parameters": in_shown_units(minimum.names, minimum.values), "rss": minimum.rss}
+                for minimum in self.minima
             ],
             "r_squared": fit.r_squared,
             "aicc": fit.aicc,

@@ -136,8 +136,15 @@ def identifiability(names: Sequence[str], values: Array, estimate: Uncertainty) 
     i, j = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
     first, second, worst = min(int(i), int(j)), max(int(i), int(j)), float(off[i, j])
     if abs(worst) > LIMIT_CORRELATION:
+        # errors that go together leave only first / s1 -+ second / s2 determined
         ratio = float(estimate.standard_error[first] / estimate.standard_error[second])
-        return False, _together(names[first], names[second], worst, ratio)
+        sign, shown = ("+" if worst < 0 else "-"), f"{ratio:.3g}"
+        leading, second_name = names[first], names[second]
+        also = second_name if shown == "1" else f"{shown} {second_name}"
+        return False, (
+            f"{leading} and {second_name} move together: correlation {worst:.4f}; "
+            f"only {leading} {sign} {also} is determined"
+        )
     if estimate.degrees_of_freedom <= 0:
         return False, "as many constants as points: nothing is left to judge them by"
     if wide := _widest(names, values, estimate):
@@ -162,16 +169,6 @@ def verdict_at_end(
         held = [name for name, is_free in zip(names, free, strict=True) if not is_free]
         return False, f"{', '.join(held)} ended at a bound"
     return identifiable, reason
-
-
-def _together(first: str, second: str, correlation: float, ratio: float) -> str:
-    # errors that go together leave only first / s1 -+ second / s2 determined
-    sign, shown = ("+" if correlation < 0 else "-"), f"{ratio:.3g}"
-    also = second if shown == "1" else f"{shown} {second}"
-    return (
-        f"{first} and {second} move together: correlation {correlation:.4f}; "
-        f"only {first} {sign} {also} is determined"
-    )
 
 
 def _widest(names: Sequence[str], values: Array, estimate: Uncertainty) -> str:

@@ -207,35 +207,25 @@ class Population:
 
 def population(fits: Sequence[Fit]) -> tuple[Population, ...]:
     """Mean, scatter and intervals of every constant from fits to one specimen each."""
-    names = fits[0].names if fits else ()
-    found = (_of(name, k, fits) for k, name in enumerate(names))
-    return tuple(one for one in found if one is not None)
-
-
-def _of(name: str, k: int, fits: Sequence[Fit]) -> Population | None:
-    used = [fit for fit in fits if fit.converged and not math.isnan(fit.standard_error[k])]
-    n = len(used)
-    if n < 2:
-        return None
-    values = np.array([fit.values[k] for fit in used])
-    within = float(np.mean([fit.standard_error[k] ** 2 for fit in used]))
-    mean, deviation = float(values.mean()), float(values.std(ddof=1))
-    t = student_t(n - 1)
-    of_mean, of_next = t * deviation / math.sqrt(n), t * deviation * math.sqrt(1 + 1 / n)
-    between = max(deviation**2 - within, 0.0)
-    shrunk = [
-        mean + between / (between + fit.standard_error[k] ** 2) * (float(fit.values[k]) - mean)
-        if any(fit is other for other in used)
-        else math.nan
-        for fit in fits
-    ]
-    return Population(
-        name,
-        n,
-        mean,
-        deviation,
-        math.sqrt(between),
-        (mean - of_mean, mean + of_mean),
-        (mean - of_next, mean + of_next),
-        tuple(map(float, shrunk)),
-    )
+    out = []
+    for k, name in enumerate(fits[0].names if fits else ()):
+        errors = np.array([f.standard_error[k] if f.converged else math.nan for f in fits])
+        used = [i for i, error in enumerate(errors) if not math.isnan(error)]
+        n = len(used)
+        if n < 2:
+            continue
+        every = np.array([fit.values[k] for fit in fits])
+        within = float(np.mean(errors[used] ** 2))
+        mean, deviation = float(every[used].mean()), float(every[used].std(ddof=1))
+        t = student_t(n - 1)
+        of_mean, of_next = t * deviation / math.sqrt(n), t * deviation * math.sqrt(1 + 1 / n)
+        between = max(deviation**2 - within, 0.0)
+        shrunk = [
+            mean + between / (between + error**2) * (float(value) - mean)
+            for value, error in zip(every, errors, strict=True)
+        ]
+        out.append(Population(
+            name, n, mean, deviation, math.sqrt(between), (mean - of_mean, mean + of_mean),
+            (mean - of_next, mean + of_next), tuple(map(float, shrunk)),
+        ))  # fmt: skip
+    return tuple(out)

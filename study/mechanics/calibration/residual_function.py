@@ -48,15 +48,13 @@ def checked_bounds(
         raise InputError(Fault("bounds", f"need low < high for {start.size} parameters"))
     outside = np.flatnonzero((start < pairs[:, 0]) | (start > pairs[:, 1]))
     if outside.size:
+        rules = [
+            f"{start[i]:g} lies outside its bounds {pairs[i, 0]:g} to {pairs[i, 1]:g}"
+            for i in outside
+        ]
+        mend = "start inside them or widen them"
         raise InputError(
-            [
-                Fault(
-                    f"start[{i}]",
-                    f"{start[i]:g} lies outside its bounds {pairs[i, 0]:g} to {pairs[i, 1]:g}",
-                    "start inside them or widen them",
-                )
-                for i in outside
-            ]
+            [Fault(f"start[{i}]", rule, mend) for i, rule in zip(outside, rules, strict=True)]
         )
     return pairs[:, 0].copy(), pairs[:, 1].copy()
 

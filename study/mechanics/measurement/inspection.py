@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array
 from study.ground.bounded_file import (
     is_workbook,
     read_bytes,
@@ -306,7 +306,8 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
     for delimiter in _DELIMITERS:
         is_quoted = delimiter == "comma" and any('"' in line for line in lines[:_LOOKED_AT])
         for decimal in (m for m in (".", ",") if is_quoted or m != _DELIMITERS[delimiter]):
-            pairs = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
+            split = [_split(line, delimiter) for line in lines[:_LOOKED_AT]]
+            pairs = [(len(_places_of_numbers(x, decimal)), sum(map(bool, x))) for x in split]
             width, start = _width_and_start([n for n, _ in pairs])
             if not width:
                 continue
@@ -358,11 +359,6 @@ def _width_and_start(counts: Sequence[int]) -> tuple[int, int]:
         if all(n == width for n in counts[k : k + _BLOCK]):
             return width, k
     return 0, 0
-
-
-def _numbers_in(cells: Sequence[str], decimal: str) -> tuple[int, int]:
-    """How many cells are numbers, and how many are filled."""
-    return len(_places_of_numbers(cells, decimal)), sum(map(bool, cells))
 
 
 def _places_of_numbers(cells: Sequence[str], decimal: str) -> tuple[int, ...]:
@@ -670,10 +666,14 @@ def _zero_of(
     """Where displacement counts from, into the table. Shapes: moved, f (rows,), moved rising."""
     is_far = abs(begins) > 0.01 * float(np.ptp(moved))
     largest = float(np.abs(f).max())
-    rows = _first_rows(moved, f)
+    # the first tenth of the travel to the largest force, at least two rows
+    peak = max(int(np.argmax(np.abs(f - f[0]))), _BLOCK)
+    end = moved[0] + TURN * float(moved[:peak].max() - moved[0])
+    rows = np.flatnonzero(moved[:peak] <= end)
+    rows = rows if rows.size >= _BLOCK else np.arange(_BLOCK)
     slope, scatter = slope_with_error(moved[rows], f[rows])
     away = np.abs(f - f[0])
-    # the first tenth of the travel to the largest force carries none
+    # they carry none
     is_flat = away.argmax() >= _BLOCK and away[rows].max() < NO_FORCE * TURN * away.max()
     if slack_end(moved, f if f[away.argmax()] > 0 else -f) is not None or (
         is_flat and (is_far or abs(slope) <= 2.0 * scatter)
@@ -694,11 +694,3 @@ def _zero_of(
     elif is_far:
         table["displacement_zero"] = "first row"
         notes.append(f"the unloaded specimen is at {begins:.6g}: displacement counts from there")
-
-
-def _first_rows(moved: Array, f: Array) -> Ints:
-    """Rows in the first tenth of the travel to the largest force, at least two."""
-    peak = max(int(np.argmax(np.abs(f - f[0]))), _BLOCK)
-    end = moved[0] + TURN * float(moved[:peak].max() - moved[0])
-    rows = np.flatnonzero(moved[:peak] <= end)
-    return rows if rows.size >= _BLOCK else np.arange(_BLOCK)
