@@ -114,7 +114,7 @@ def document(law: ForceLaw) -> dict[str, object]:
             "deviation_N": law.held_out.deviation_N.tolist(),
         },
         "constant_ranges": [
-            {"name": r.name, "low": r.low, "high": r.high, "largest_N": _finite(r.largest_N)}
+            {**vars(r), "largest_N": r.largest_N if math.isfinite(r.largest_N) else None}
             for r in law.ranges
         ],
         "standard_uncertainty_N": None
@@ -123,10 +123,6 @@ def document(law: ForceLaw) -> dict[str, object]:
         "sentences": sentences(law),
         "version": study.__version__,
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
