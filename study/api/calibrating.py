@@ -31,7 +31,6 @@ from study.mechanics.indentation.indentation_modulus import AnalyticCalibration,
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
 from study.mechanics.measurement import inspection
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
-from study.mechanics.setup.material_section import CompressibilityTable
 from study.reporting.content.calibration_content import calibration_blocks
 from study.reporting.figures.axes import shown
 from study.reporting.figures.curve_figures import FitPanel, draw_fit, fit_figure
@@ -181,12 +180,7 @@ def calibrate(
         raise InputError(Fault("calibration.method", rule, "call study.indentation_modulus"))
     folder = None if results is None else own_folder(Path(results), config.name)
     found = run_calibration(
-        config,
-        root,
-        progress=progress,
-        profiles=profiles,
-        resamples=resamples,
-        folder=folder,
+        config, root, progress=progress, profiles=profiles, resamples=resamples, folder=folder
     )
     if numerics and found.converged:
         bound = numerical_bound(config, root, found.fit, progress)
@@ -248,28 +242,19 @@ def _opened(
     return replace(config, tests=tuple(tests)), root
 
 
-def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:
-    """Write the document of a calibration, its figure and that of the recordings.
-
-    The paths of the first two are returned.
-    """
+def save_calibration(found: CalibrationResult, folder: Path) -> None:
+    """Write the document of a calibration, its figure and that of the recordings."""
     drawn = of_recordings(recording_points(found))
     if drawn.svg:
         write_atomic(folder / "recording.svg", drawn.svg.encode())
-    document, figure = folder / "calibration.json", folder / "calibration.svg"
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
-    write_atomic(document, text.encode())
-    write_atomic(figure, calibration_figure(found).encode())
-    return document, figure
+    write_atomic(folder / "calibration.json", text.encode())
+    figure = fit_figure(panels_of(found), _title(found))
+    write_atomic(folder / "calibration.svg", figure.encode())
 
 
 def _title(found: CalibrationResult) -> str:
     return f"{found.name}: {found.model}, {found.status}, {found.adequacy.verdict} the data"
-
-
-def calibration_figure(found: CalibrationResult) -> str:
-    """Every measured curve with its fit, as SVG."""
-    return fit_figure(panels_of(found), _title(found))
 
 
 # What a recorded file holds.
@@ -418,7 +403,12 @@ def _test_of(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTes
         rule = f"dimitriadis is a series for spheres, got {pressed.shape}"
         mend = 'write theory = "integral-equation"'
         raise InputError(Fault("calibration.theory", rule, mend))
-    nu = _poisson_ratio(test.problem.material.compressibility)
+    volume = test.problem.material.compressibility
+    nu = 0.5 if volume.incompressible else volume.poisson_ratio
+    if nu is None:
+        rule = "the closed form needs Poisson's ratio, got bulk_modulus"
+        mend = "write poisson_ratio = ..., or incompressible = true"
+        raise InputError(Fault("material.bulk_modulus", rule, mend))
     return IndentationTest(
         indenter=pressed,
         layer=Layer(specimen.height_mm, nu, setup.test.base == "bonded"),
@@ -432,32 +422,17 @@ def _test_of(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTes
     )
 
 
-def _poisson_ratio(volume: CompressibilityTable) -> float:
-    if volume.incompressible:
-        return 0.5
-    if volume.poisson_ratio is None:
-        rule = "the closed form needs Poisson's ratio, got bulk_modulus"
-        mend = "write poisson_ratio = ..., or incompressible = true"
-        raise InputError(Fault("material.bulk_modulus", rule, mend))
-    return volume.poisson_ratio
-
-
-def save_moduli(found: AnalyticCalibration, folder: Path) -> tuple[Path, Path]:
-    """Write the document, and a table with one row a curve; returns both paths.
-
-    Units: found MPa, kPa.
-    """
-    document, table = folder / "analytic.json", folder / "moduli.csv"
+def save_moduli(found: AnalyticCalibration, folder: Path) -> None:
+    """Write the document, and a table with one row a curve. Units: found MPa, kPa."""
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
-    write_atomic(document, text.encode())
+    write_atomic(folder / "analytic.json", text.encode())
     out = io.StringIO(newline="")
     writer = csv.writer(out, lineterminator="\n")
     columns = ("E_kPa", "standard_error_kPa", "low_kPa", "high_kPa", "contact_mm")
     writer.writerow(["test", "curve", "status", *columns, "rows", "rows_outside"])
     for test in found.tests:
         writer.writerows([test.test, *_row(one)] for one in test.curves)
-    write_atomic(table, out.getvalue().encode())
-    return document, table
+    write_atomic(folder / "moduli.csv", out.getvalue().encode())
 
 
 def _row(curve: FittedCurve) -> list[object]:

@@ -207,9 +207,7 @@ def refine_within(
         prices = [_price(case_series, level, predicted) for case_series in ongoing]
         order = sorted(range(len(ongoing)), key=lambda i: prices[i])
         spent = accumulate(prices[i] for i in order)
-        ongoing = [
-            ongoing[i] for i, sum_so_far in zip(order, spent, strict=True) if sum_so_far <= left
-        ]
+        ongoing = [ongoing[i] for i, total in zip(order, spent, strict=True) if total <= left]
         steps = [case_series.jobs[level] for case_series in ongoing]
         for refined, step, answer in zip(
             ongoing, steps, compute(steps) if steps else (), strict=True
@@ -294,9 +292,8 @@ def cost_fronts(
     """Error against seconds of every mesh, and which cell reaches the accuracy first."""
     groups: dict[str, list[int]] = {}
     for k, cell in enumerate(cells):
-        groups.setdefault(
-            case_id({k: v for k, v in cell.problem.document().items() if k in _PHYSICS}), []
-        ).append(k)
+        physics = {name: v for name, v in cell.problem.document().items() if name in _PHYSICS}
+        groups.setdefault(case_id(physics), []).append(k)
     names = [" / ".join(cell.levels_of.values()) or f"cell {k + 1}" for k, cell in enumerate(cells)]
     fronts = [
         _front([(names[k], cells[k], judged[k]) for k in members], accuracy)
@@ -315,14 +312,9 @@ def _front(
         return None
     points = {name: _points(name, cell, judgement, value) for name, cell, judgement in members}
     ranked = cost_to_accuracy(points, accuracy)
-    return CostFront(
-        value,
-        u,
-        accuracy,
-        tuple(point for row in points.values() for point in row),
-        tuple(ranked),
-        _answer(ranked, accuracy, u, value),
-    )
+    every = tuple(point for row in points.values() for point in row)
+    answer = _answer(ranked, accuracy, u, value)
+    return CostFront(value, u, accuracy, every, tuple(ranked), answer)
 
 
 def _points(

@@ -177,9 +177,8 @@ def _calibrated(path: Path, number: int) -> ForceLawSource:
     """Test of a finished calibration, with the constants and their covariance."""
     calibration = _document(path)
     tested = _test_of(calibration, path, number)
-    values, errors = _constants(
-        cast("Mapping[str, Mapping[str, object]]", calibration["parameters"])
-    )
+    parameters = cast("Mapping[str, Mapping[str, object]]", calibration["parameters"])
+    values, errors = _constants(parameters)
     rows = cast("Sequence[Sequence[object]]", calibration["correlation"])
     correlation = np.array([[_float(value) for value in row] for row in rows])
     size = np.array(list(errors.values()))
@@ -468,9 +467,7 @@ def export_surface(
     texts = {place: text for function in made for place, text in function.files(folder).items()}
     for place, text in texts.items():
         write_atomic(place, text.encode())
-    missing = tuple(
-        f"{fitted.response}: {fitted.refused}" for fitted in chosen if fitted.found is None
-    )
+    missing = tuple(f"{one.response}: {one.refused}" for one in chosen if one.found is None)
     files = {"files": [str(place) for place in texts], "warnings": list(missing)}
     content = {"functions": [function.document() for function in made], **files}
     lines = tuple(sentence for function in made for sentence in function.sentences())

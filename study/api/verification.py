@@ -148,14 +148,12 @@ def _check_records(folder: Path, verification: Verification) -> None:
     for case_id, input_hash in manifest["cases"].items():
         verification.records += 1
         record = store.read(case_id)
+        differs = None
         if record is None:
-            verification.differences.append(
-                Difference(f"record {case_id}", "damaged or missing", "whole")
-            )
+            differs = Difference(f"record {case_id}", "damaged or missing", "whole")
         elif record.input_hash != input_hash:
-            verification.differences.append(
-                Difference(f"record {case_id}: input", record.input_hash, input_hash)
-            )
+            differs = Difference(f"record {case_id}: input", record.input_hash, input_hash)
+        verification.differences += [differs] if differs else []
 
 
 def _compare_report(home: Path, folder: Path, verification: Verification) -> None:
@@ -230,12 +228,9 @@ def _rounding(first: str, second: str, numbers: Sequence[str], tolerance: float)
     others = _NUMBER.findall(first)
     if _NUMBER.sub("#", first) != _NUMBER.sub("#", second) or len(others) != len(numbers):
         return False
-    pairs = [(_value(a), _value(b)) for a, b in zip(others, numbers, strict=True)]
+    old, new = ([float(v.replace("\u2212", "-")) for v in line] for line in (others, numbers))
+    pairs = zip(old, new, strict=True)
     return all(math.isclose(a, b, rel_tol=tolerance, abs_tol=0.0) for a, b in pairs)
-
-
-def _value(text: str) -> float:
-    return float(text.replace("\u2212", "-"))
 
 
 def _solve_again(

@@ -114,7 +114,7 @@ def _coverage(fits):
         found = fit(predict, data, RP2[1], true)
         assert found.converged
         covered += (found.ci95[:, 0] <= true) & (true <= found.ci95[:, 1])
-        chi += found.reduced_chi_square
+        chi += found.rss / found.degrees_of_freedom
     return covered / fits, chi / fits
 
 

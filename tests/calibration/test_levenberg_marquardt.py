@@ -254,13 +254,13 @@ def test_bounds(bounds, held):
     assert result.x == pytest.approx(other.x, rel=1e-4)
 
 
-def test_bad_starts_and_bounds():
-    with pytest.raises(InputError, match="outside its bounds"):
-        levenberg_marquardt(decay, [1.0, 2.0], bounds=[(2, 3), (0, 9)])
-    with pytest.raises(InputError, match="low < high"):
-        levenberg_marquardt(decay, [1.0, 2.0], bounds=[(3, 2), (0, 9)])
-    with pytest.raises(InputError, match="finite"):
-        levenberg_marquardt(decay, [np.nan, 2.0])
+@pytest.mark.parametrize(
+    ("first", "low", "rule"),
+    [(1, 2, "outside its bounds"), (1, 4, "low < high"), (np.nan, 0, "fin")],
+)
+def test_bad_starts_and_bounds(first, low, rule):
+    with pytest.raises(InputError, match=rule):
+        levenberg_marquardt(decay, [first, 2.0], bounds=[(low, 3), (0, 9)])
 
 
 def test_resume_continues_where_it_stopped():

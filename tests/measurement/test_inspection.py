@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -15,8 +16,10 @@ import study
 from study.cli.app import app
 from study.ground.errors import InputError
 from study.mechanics.measurement.inspection import inspect
+from study.mechanics.measurement.reading import read_measurements
 from tests.measurement import layouts
 from tests.measurement.layouts import AREA, C10, LENGTH, TIME, UP, force
+from tests.record.samples import Spec
 
 ROWS = [["Run of May", None, None], ["t", "Weg", "Kraft"], ["s", "mm", "N"]] + [
     [float(t), float(d), float(f)] for t, d, f in zip(TIME, UP, force(UP), strict=True)
@@ -159,9 +162,10 @@ UGLY: dict[str, tuple[bytes, str]] = {
 }  # fmt: skip
 
 
-def calibrated(folder, content: bytes, kind: str):
+def calibrated(folder, content: bytes, kind: str, change=lambda table: table):
     (folder / "a.csv").write_bytes(content)
-    (folder / "c.toml").write_text(calibration(inspect(folder / "a.csv").toml, kind))
+    table = change(inspect(folder / "a.csv").toml)
+    (folder / "c.toml").write_text(calibration(table, kind))
     return study.calibrate(folder / "c.toml", data=folder).to_json()
 
 
@@ -204,11 +208,10 @@ def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
     ids=["saturated", "slack", "line of results"],
 )
 def test_what_no_reading_mends_is_refused_with_what_to_write(tmp_path, rows, rule):
-    (tmp_path / "a.csv").write_text("d_mm,f_N\n" + rows)
-    table = inspect(tmp_path / "a.csv").toml.replace('displacement_zero = "contact"', "")
-    (tmp_path / "c.toml").write_text(calibration(table, "tension"))
+    content = ("d_mm,f_N\n" + rows).encode()
     with pytest.raises(InputError, match=f"(?s){rule}"):
-        study.calibrate(tmp_path / "c.toml", data=tmp_path)
+        calibrated(tmp_path, content, "tension",
+                   lambda table: table.replace('displacement_zero = "contact"', ""))  # fmt: skip
 
 
 def test_lines_that_are_no_rows_are_named_and_a_single_row_turns_no_sign(tmp_path):
@@ -231,20 +234,19 @@ def test_both_directions_of_a_biaxial_test_are_known(tmp_path):
 def test_a_shear_to_both_sides_and_back_is_one_test(tmp_path):
     """To the right, back, to the left: stress is even in the amount, and so is its constant."""
     shear = 0.5 * np.sin(np.linspace(0, 2 * np.pi, 81))
-    content = written("strain,stress_kPa\n", shear, 2e3 * C10 * shear)
-    (tmp_path / "a.csv").write_text(content)
-    table = inspect(tmp_path / "a.csv").toml.replace('"loading"', '"all"')
-    (tmp_path / "c.toml").write_text(calibration(table, "simple-shear"))
-    made = study.calibrate(tmp_path / "c.toml", data=tmp_path).to_json()
+    content = written("strain,stress_kPa\n", shear, 2e3 * C10 * shear).encode()
+    made = calibrated(
+        tmp_path, content, "simple-shear", lambda table: table.replace('"loading"', '"all"')
+    )
     assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-6)
     assert made["rows"]["used"] == 81
 
 
 def test_a_range_may_begin_below_zero(tmp_path):
-    (tmp_path / "a.csv").write_text(written("d_mm,f_N\n", BOTH, force(BOTH)))
-    table = inspect(tmp_path / "a.csv").toml + '\nrange = ["-3 mm", "5 mm"]'
-    (tmp_path / "c.toml").write_text(calibration(table, "tension"))
-    made = study.calibrate(tmp_path / "c.toml", data=tmp_path).to_json()
+    content = written("d_mm,f_N\n", BOTH, force(BOTH)).encode()
+    made = calibrated(
+        tmp_path, content, "tension", lambda table: table + '\nrange = ["-3 mm", "5 mm"]'
+    )
     assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-5)
     assert made["rows"]["used"] == int(((BOTH >= -3) & (BOTH <= 5)).sum())
 
@@ -319,26 +321,21 @@ def test_numbers_alone_have_no_meaning_but_are_read(tmp_path):
 
 def test_a_falling_position_through_zero_is_placed(tmp_path):
     rows = (f"{4.0 - d:.4f},{-f:.6f}\n" for d, f in zip(UP, force(UP, -1.0), strict=True))
-    (tmp_path / "a.csv").write_text("position_mm,force_N\n" + "".join(rows))
-    found = inspect(tmp_path / "a.csv")
-    assert found.measurements["direction"] == "falling"
-    assert found.measurements["displacement_zero"] == "first row"
-    (tmp_path / "c.toml").write_text(calibration(found.toml, "compression"))
-    made = study.calibrate(tmp_path / "c.toml", data=tmp_path)
-    assert made.fit.values[0] == pytest.approx(C10, rel=1e-5)
-    assert made.fit.n == 41
+    text = "position_mm,force_N\n" + "".join(rows)
+    made = calibrated(tmp_path, text.encode(), "compression")
+    found = inspect(tmp_path / "a.csv").measurements
+    assert (found["direction"], found["displacement_zero"]) == ("falling", "first row")
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-5)
+    assert made["n"] == 41
 
 
 def test_several_sheets_are_named(tmp_path):
-    from study.mechanics.measurement.reading import read_measurements
-    from tests.record.samples import Spec
-
     (tmp_path / "a.xlsx").write_bytes(layouts.workbook({"one": ROWS[1:], "two": ROWS[1:]}))
     spec = Spec(file="a.xlsx", columns={"displacement": "Weg", "force": "Kraft"})
     with pytest.raises(InputError, match="holds several sheets: 'one', 'two'"):
         read_measurements(spec, tmp_path)
-    spec = Spec(file="a.xlsx", columns={"displacement": "Weg", "force": "Kraft"}, sheet="two")
-    assert np.isfinite(read_measurements(spec, tmp_path).curve().curve.force_N).all()
+    second = replace(spec, sheet="two")
+    assert np.isfinite(read_measurements(second, tmp_path).curve().curve.force_N).all()
 
 
 def test_a_sheet_of_a_workbook_is_analyzed(tmp_path):

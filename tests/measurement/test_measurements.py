@@ -13,8 +13,15 @@ from study.ground import bounded_file, tabular
 from study.ground.errors import InputError
 from study.harness.design.diagnostics import Faults
 from study.harness.design.resolve import measurements_from
-from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec, Range, Units
+from study.mechanics.measurement.measurement_section import (
+    Columns,
+    MeasurementSpec,
+    Range,
+    Units,
+    csv_pattern,
+)
 from study.mechanics.measurement.reading import read_measurements
+from study.mechanics.setup.declaration import Bad
 from tests.record.samples import Spec
 
 LINE = "d,f\n0,0\n1,2\n2,4\n3,6\n4,8\n"
@@ -124,15 +131,17 @@ def test_numbers_in_a_design_match_labels_in_a_file(tmp_path):
     assert found.curve(r=[1.0]).n_repeats == 2
 
 
-def test_forgotten_repeat_column_is_refused_not_merged(tmp_path):
-    words = refusal(tmp_path, REPEATS, Spec(block="s"))
-    assert "a.csv:7" in words
-    assert "column 'r' changes there" in words
-
-
-def test_selection_without_tests_is_found_when_reading(tmp_path):
-    words = refusal(tmp_path, REPEATS, Spec(average=("r",), fit={"s": "A"}, score={"s": "Q"}))
-    assert "no test matches s = Q" in words
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"block": "s"}, ["a.csv:7", "column 'r' changes there"]),
+        ({"average": ("r",), "fit": {"s": "A"}, "score": {"s": "Q"}}, ["no test matches s = Q"]),
+    ],
+    ids=["forgotten repeats", "selection without tests"],
+)
+def test_tests_are_neither_merged_nor_missed_in_silence(tmp_path, changes, words):
+    shown = refusal(tmp_path, REPEATS, Spec(**changes))
+    assert all(word in shown for word in words)
 
 
 def test_unsorted_and_duplicated_rows_are_mended_and_counted(tmp_path):
@@ -183,7 +192,7 @@ def test_range_in_percent_and_from_the_test(tmp_path):
     (tmp_path / "a.csv").write_text(LINE)
     free = read_measurements(Spec(range=None), tmp_path, displacement_mm=4)
     assert free.displacement_mm[[0, -1]].tolist() == [0.8, 4]
-    with pytest.raises(InputError, match="needs the height"):
+    with pytest.raises(InputError, match="needs a specimen with a height"):
         read(tmp_path, LINE, Spec(range=Range("percent", 1, 40)))
 
 
@@ -305,9 +314,11 @@ def test_groups_from_the_names_of_files(tmp_path):
     assert found.blocks == ("S1", "S2")
     assert found.curve("S2").curve.force_N[-1] == 9
     assert list(found.files) == ["conical/indentation-S1.csv", "conical/indentation-S2.csv"]
-    for pattern in ("conical/x-{specimen}.csv", "{a}{a}.csv", "{a b}.csv", "{a.csv", "plain.csv"):
-        with pytest.raises(InputError, match="measurements.files"):
-            read_measurements(replace(spec, files=pattern), tmp_path)
+    with pytest.raises(InputError, match="measurements.files"):
+        read_measurements(replace(spec, files="conical/x-{specimen}.csv"), tmp_path)
+    for pattern in ("{a}{a}.csv", "{a b}.csv", "{a.csv", "plain.csv"):
+        with pytest.raises(Bad, match="group"):
+            csv_pattern(pattern)
 
 
 def test_size_caps(tmp_path, monkeypatch):

@@ -181,18 +181,14 @@ def test_a_branch_is_chosen_and_the_other_rows_are_counted(tmp_path, declared, s
     assert f"85 rows read, {rows} used, {85 - rows} set aside: " in notes
     assert "of cycle" in notes
     assert "(lines " in notes
+    with pytest.raises(InputError, match="no loading of cycle 3: it holds loading of cycle 1"):
+        read(tmp_path, branch=3)
 
 
 def test_all_rows_count_where_that_is_written(tmp_path):
     write_cycles(tmp_path, CYCLES[:2])
     count = read(tmp_path, branch="all").curve().rows
     assert (count.read, count.used, dict(count.aside)) == (45, 45, {})
-
-
-def test_a_cycle_that_was_not_recorded_is_refused_by_name(tmp_path):
-    write_cycles(tmp_path)
-    with pytest.raises(InputError, match="no loading of cycle 3: it holds loading of cycle 1"):
-        read(tmp_path, branch=3)
 
 
 def test_a_recording_that_begins_loaded_is_refused_with_its_readings(tmp_path):

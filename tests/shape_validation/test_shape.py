@@ -268,33 +268,23 @@ def test_a_scan_with_holes_is_no_fault_and_what_it_shows_is_said(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("content", "rule"),
+    ("of_what", "content", "rule"),
     [
-        ("x,y,z\n1,2,3\n", "has 1 points"),
-        ("x,y\n1,2\n", "no column 'z'"),
-        ("x,y,z\n" + "1,2,nan\n" * 40, "must be a finite number"),
+        ("scan", "x,y,z\n1,2,3\n", "has 1 points"),
+        ("scan", "x,y\n1,2\n", "no column 'z'"),
+        ("scan", "x,y,z\n" + "1,2,nan\n" * 40, "must be a finite number"),
+        ("scan", None, "there is no file"),
+        ("markers", "x,y,z\n1,2,3\n4,5,6\n", "has 2 markers"),
+        ("markers", "x,y,z,x0\n1,2,3,4\n4,5,6,7\n7,8,9,1\n", "not all of x0, y0, z0"),
+        ("markers", "x,y,z,x0,y0,z0\n" + "1,2,3,1,2,3\n" * 3, "says nothing of points inside"),
     ],
 )
-def test_a_faulty_cloud_is_refused(tmp_path: Path, content: str, rule: str) -> None:
-    surface, _ = moved_egg(tmp_path, MOTION)
-    (tmp_path / "cloud.csv").write_text(content)
-    with pytest.raises(InputError, match=rule):
-        study.shape(surface, tmp_path / "cloud.csv")
-
-
-@pytest.mark.parametrize(
-    ("content", "rule"),
-    [
-        ("x,y,z\n1,2,3\n4,5,6\n", "has 2 markers"),
-        ("x,y,z,x0\n1,2,3,4\n4,5,6,7\n7,8,9,1\n", "not all of x0, y0, z0"),
-        ("x,y,z,x0,y0,z0\n" + "1,2,3,1,2,3\n" * 3, "says nothing of points inside"),
-    ],
-)
-def test_faulty_markers_are_refused(tmp_path: Path, content: str, rule: str) -> None:
+def test_a_faulty_cloud_or_faulty_markers_are_refused(tmp_path, of_what, content, rule) -> None:
     surface, cloud = moved_egg(tmp_path, MOTION)
-    (tmp_path / "marks.csv").write_text(content)
+    if content is not None:
+        (tmp_path / "faulty.csv").write_text(content)
     with pytest.raises(InputError, match=rule):
-        study.shape(surface, cloud, markers=tmp_path / "marks.csv")
+        study.shape(surface, **{"scan": cloud, of_what: tmp_path / "faulty.csv"})
 
 
 def test_a_cloud_without_a_surface_is_refused(tmp_path: Path) -> None:
@@ -304,12 +294,6 @@ def test_a_cloud_without_a_surface_is_refused(tmp_path: Path) -> None:
     strewn = rng.uniform(-400, 400, (450, 3))
     with pytest.raises(InputError, match="stand alone: this is no surface"):
         study.shape(surface, write_csv(tmp_path / "dust.csv", np.vstack([dense, strewn])))
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    surface, _ = moved_egg(tmp_path, MOTION)
-    with pytest.raises(InputError, match="there is no file"):
-        study.shape(surface, tmp_path / "none.ply")
 
 
 def test_points_without_weight_are_set_aside_and_counted(tmp_path: Path) -> None:

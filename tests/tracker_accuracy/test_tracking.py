@@ -230,7 +230,7 @@ LATE = DISTANCE.replace('unit = "mm"', 'unit = "m"', 1)
         (DISTANCE.replace('"50 mm"', "50"), "needs a unit"),
         (DISTANCE.split("[distance]")[0], "nothing says what to compare"),
         (DISTANCE.replace("schema = 1", ""), "schema"),
-        (DISTANCE.replace('"ax", "ay", "az"', '"ax", "ay"'), "must be three columns"),
+        (DISTANCE.replace('"ax", "ay", "az"', '"ax", "ay"'), "must be the columns of x, y and z"),
     ],
     ids=["metres", "marker", "table", "unit", "nothing", "schema", "columns"],
 )

@@ -67,7 +67,6 @@ from study.mechanics.setup.declaration import table_of
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
     from study.mechanics.calibration.identifiability import LikelihoodProfile
-    from study.mechanics.calibration.residual_function import MeasuredCurve
 
 
 # Whether the constants found make a material, and how far it is stable.
@@ -182,11 +181,15 @@ def _start(
     ways = {number: fitted_test("auto", tests[number].problem) for number in fitted}
     closed = [number for number in fitted if ways[number].method == "closed-form"]
     number = (closed or fitted)[0]
-    problem = FitProblem(ways[number].method, (ways[number],))
     part = parts_of(tests, [c for c in in_order(curves) if c.test == number])[0]
     measured = [m.curve for m in part.measured]
     constants: dict[str, float] | None = None
-    for before in _simpler(problem):
+    chain: list[FitProblem] = []  # of problems that lead to this one, the neo-Hookean one first
+    simplest = start_problem(FitProblem(ways[number].method, (ways[number],)))
+    while simplest is not None:
+        chain.insert(0, simplest)
+        simplest = start_problem(simplest)
+    for before in chain:
         begun = before.tests[0].problem
         names, first = fit_task.start_values(begun, measured, constants)
         simpler_part = replace(part, problem=begun)
@@ -199,16 +202,6 @@ def _start(
             raise InputError(Fault("calibration", message, "give constants to start from"))
         constants = simpler.constants()
     return fit_task.start_values(ways[number].problem, measured, constants)
-
-
-def _simpler(problem: FitProblem) -> list[FitProblem]:
-    """Problems whose constants lead to those of a fit, the neo-Hookean one first."""
-    chain: list[FitProblem] = []
-    before = start_problem(problem)
-    while before is not None:
-        chain.insert(0, before)
-        before = start_problem(before)
-    return chain
 
 
 def calibrate(
@@ -253,11 +246,9 @@ def calibrate(
         population=population([specimen.fit for specimen in specimens]),
         cross_validation=cross,
         profiles=_profiles(setting, curves, fit) if profiles and fit.converged else {},
-        bootstrap=(
-            bootstrap(fit, config, curves, resamples, setting.bounds)
-            if resamples and fit.converged
-            else None
-        ),
+        bootstrap=bootstrap(fit, config, curves, resamples, setting.bounds)
+        if resamples and fit.converged
+        else None,
         starts=starts,
         minima=tuple(minimum.fit for minimum in (done, *others)),
         notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
@@ -355,11 +346,6 @@ def _profiles(
     }
 
 
-def _measured(setting: Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:
-    parts = parts_of(setting.tests, in_order(curves))
-    return [curve for part in parts for curve in part.measured]
-
-
 def _implausible_stretches(
     tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]
 ) -> list[tuple[Verdict, str]]:
@@ -396,8 +382,10 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
     judged = list(zip(in_order(curves), fit.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
     lack = lack_of_fit(repeated, len(fit.names)) if fit.converged else None
+    parts = parts_of(setting.tests, in_order(curves))
+    fitted_curves = [curve for part in parts for curve in part.measured]
     judgement = adequacy(
-        fit, _measured(setting, curves), tests=[c.test for c in in_order(curves)], lack=lack,
+        fit, fitted_curves, tests=[c.test for c in in_order(curves)], lack=lack,
         more=_implausible_stretches(setting.tests, curves),
     )  # fmt: skip
     gauges = {setting.tests[c.test].setup.has_no_elements for c in in_order(curves)}
@@ -426,7 +414,7 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         adequacy=judgement,
         lack_of_fit=lack,
         pattern=pattern([c.residual(p) for c, p in judged]),
-        identified=identify(fit, _measured(setting, curves)) if fit.converged else None,
+        identified=identify(fit, fitted_curves) if fit.converged else None,
         next_tests=(
             next_tests(fit, curves, material, setting.tests)
             if fit.converged and material is not None and judgement.describes

@@ -14,7 +14,7 @@ from study.harness.calibration.resampling import Starts
 from study.harness.record.document import ParameterDocument
 from study.harness.record.record import plain
 from study.harness.runner.fit_summary import WITH_CONSTANTS, status_of
-from study.harness.runner.response import CURVE_RESPONSES, scale_of
+from study.harness.runner.response import CURVE_RESPONSES, in_shown_units, scale_of
 from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.material import material as conversions
 from study.mechanics.material.material import Material, unit_shown
@@ -27,11 +27,7 @@ if TYPE_CHECKING:
     from study.harness.calibration.resampling import Bootstrap
     from study.mechanics.calibration.fit import Fit
     from study.mechanics.calibration.fit_influence import Population
-    from study.mechanics.calibration.identifiability import (
-        Direction,
-        Identifiability,
-        LikelihoodProfile,
-    )
+    from study.mechanics.calibration.identifiability import Identifiability, LikelihoodProfile
     from study.mechanics.calibration.lack_of_fit import LackOfFit, ResidualPattern
     from study.mechanics.calibration.residual_function import NuisanceEstimate
     from study.mechanics.material.energy import Converted
@@ -184,7 +180,10 @@ class CalibrationResult:
             "mu0": None if self.material is None else 1e3 * self.material.mu0,
             **_moduli(self.material),
             "rss": fit.rss,
-            "minima": [_minimum(minimum) for minimum in self.minima],
+            "minima": [
+                {"parameters": in_shown_units(minimum.names, minimum.values), "rss": minimum.rss}
+                for minimum in self.minima
+            ],
             "r_squared": fit.r_squared,
             "aicc": fit.aicc,
             "n": fit.n,
@@ -210,7 +209,15 @@ class CalibrationResult:
                 for constant in self.population
             },
             "cross_validation": [part.as_dict() for part in self.cross_validation],
-            "profiles": {n: _profile(_scale(fit, n), p) for n, p in self.profiles.items()},
+            "profiles": {
+                name: {
+                    "interval": [scale * v for v in profile.interval],
+                    "values": scale * np.asarray(profile.values),
+                    "rss": profile.rss,
+                }
+                for name, profile in self.profiles.items()
+                for scale in [_scale(fit, name)]
+            },
             **({} if self.numerical is None else {"numerical": self.numerical}),
             **({} if self.numerics is None else {"numerics": self.numerics}),
             **({} if self.bootstrap is None else {"bootstrap": self.bootstrap.as_dict()}),
@@ -244,12 +251,6 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
     }
 
 
-def _minimum(fit: Fit) -> dict[str, object]:
-    """Constants of one minimum, kPa, and its sum of squares."""
-    values = {name: scale_of(name) * value for name, value in fit.constants().items()}
-    return {"parameters": values, "rss": fit.rss}
-
-
 def _identified(identified: Identifiability | None) -> dict[str, object] | None:
     """Give combinations from the best known to the least, in kPa (exponents plain) and N."""
     if identified is None:
@@ -261,15 +262,16 @@ def _identified(identified: Identifiability | None) -> dict[str, object] | None:
             {
                 "combination": direction.words,
                 "coefficients": {
-                    n: _in_kpa(n, direction) * c for n, c in direction.combination.items()
+                    n: scale_of(first) / scale_of(n) * c for n, c in direction.combination.items()
                 },
-                "value": scale_of(first := next(iter(direction.combination))) * direction.value,
+                "value": scale_of(first) * direction.value,
                 "unit": unit_shown(first),
                 "standard_error": scale_of(first) * direction.standard_error,
                 "relative": direction.relative,
                 "known": direction.is_known,
             }
             for direction in identified.directions
+            for first in [next(iter(direction.combination))]
         ],
         "constants": {
             constant.name: {
@@ -280,11 +282,6 @@ def _identified(identified: Identifiability | None) -> dict[str, object] | None:
             for constant in identified.constants
         },
     }
-
-
-def _in_kpa(name: str, direction: Direction) -> float:
-    """Factor to a coefficient of constants in kPa from that of constants in MPa."""
-    return scale_of(next(iter(direction.combination))) / scale_of(name)
 
 
 def nuisance(fit: Fit) -> dict[str, dict[str, object]]:
@@ -354,12 +351,4 @@ def _serial(fit: Fit) -> dict[str, object] | None:
         "effective_rows": fit.serial.effective_rows,
         "correlation": fit.serial.correlation,
         "inflation": dict(zip(fit.names, fit.serial.inflation.tolist(), strict=True)),
-    }
-
-
-def _profile(scale: float, profile: LikelihoodProfile) -> dict[str, object]:
-    return {
-        "interval": [scale * v for v in profile.interval],
-        "values": scale * np.asarray(profile.values),
-        "rss": profile.rss,
     }

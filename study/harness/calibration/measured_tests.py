@@ -19,7 +19,7 @@ from study.harness.runner.staged_fit import FitPart
 from study.mechanics.calibration.lack_of_fit import Repeated
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
-from study.mechanics.measurement.measured_test import MeasuredTest, Measurements, checked
+from study.mechanics.measurement.measured_test import MeasuredTest, checked
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.setup.calibration_table import Loss
 
@@ -66,23 +66,17 @@ def read_tests(
     curves: list[FitCurve] = []
     notes: list[str] = []
     for number, test in enumerate(tests):
-        data = _read(test, root)
+        setup = test.setup
+        data = checked(read_measurements(
+            test.measurements, root, setup.height_mm, setup.test.displacement_mm, gauge_of(setup),
+            own_rows=True, fits_zero=OFFSET in test.nuisance,
+        ), setup)  # fmt: skip
         notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
             mean = data.curve(specimen, **dict(data.fit or {}))
             weight = _weight(test.weight, mean, f"tests[{number}]")
             curves.append(FitCurve(number, test.file, specimen, mean, test.role, weight, loss))
     return curves, tuple(dict.fromkeys(notes))
-
-
-def _read(test: CalibratedTest, root: Path) -> Measurements:
-    setup = test.setup
-    depth, gauge = setup.test.displacement_mm, gauge_of(setup)
-    rows = read_measurements(
-        test.measurements, root, setup.height_mm, depth, gauge,
-        own_rows=True, fits_zero=OFFSET in test.nuisance,
-    )  # fmt: skip
-    return checked(rows, setup)
 
 
 def _weight(weight: float | str, measured: MeasuredTest, where: str) -> float | Array:

@@ -21,7 +21,7 @@ from study.harness.record.record import plain
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import fitted_test
 from study.harness.runner.fit_task import fitted_model
-from study.harness.runner.response import scale_of
+from study.harness.runner.response import in_shown_units, scale_of
 from study.harness.runner.staged_fit import OPEN, Progress
 from study.mechanics.calibration.fit import Fit, fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
@@ -45,8 +45,14 @@ def linearized_fit(config: CalibrationDesign, root: Path, common: Mapping[str, f
     names, center = tuple(common), np.array(list(common.values()), float)
     parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))
     measured = [curve for part in parts for curve in part.measured]
+    # force and gradient at the measured points, where a line is all that is needed
     base = [
-        _at_points(curve, measured_curve, names)
+        Curve(
+            d := measured_curve.displacement_mm,
+            curve.force_at(d),
+            force_gradient=dict(zip(names, curve.gradients_at(names, d).T, strict=True)),
+            time_s=curve.time_s,
+        )
         for part, model in zip(parts, fit_task.models_of(parts, names), strict=True)
         for curve, measured_curve in zip(model(center), part.curves, strict=True)
     ]
@@ -59,13 +65,6 @@ def linearized_fit(config: CalibrationDesign, root: Path, common: Mapping[str, f
         ]
 
     return with_serial_correlation(fit(predict, measured, names, center), measured)
-
-
-def _at_points(predicted: Curve, measured: Curve, names: tuple[str, ...]) -> Curve:
-    """Force and gradient at the measured points, where a line is all that is needed."""
-    d = measured.displacement_mm
-    slopes = dict(zip(names, predicted.gradients_at(names, d).T, strict=True))
-    return Curve(d, predicted.force_at(d), force_gradient=slopes, time_s=predicted.time_s)
 
 
 # Errors that all points of one test share, such as a load cell's zero and the mesh, as changes of
@@ -104,28 +103,22 @@ def mesh_error(
 
     Shapes: returns (p,), MPa.
     """
-    coarser = _coarser(config)
-    if coarser is None:
-        return np.zeros_like(result.fit.values)
-    # from the same minimum: the distance to another one is no error of the mesh
-    other = calibrate(coarser, root, progress=progress, begin=result.fit.constants())
-    if not other.converged:
-        raise RefusedError("a coarser mesh gives no constants to tell the mesh's error from: "
-                           "take a finer mesh")  # fmt: skip
-    return np.asarray((result.fit.values - other.fit.values) / (_RATIO - 1))
-
-
-def _coarser(config: CalibrationDesign) -> CalibrationDesign | None:
-    """Calibration of one test on a mesh that is coarser; None where there is no mesh."""
     (test,) = config.tests
     if fitted_test("auto", test.problem).method != "inverse-fem":
-        return None
+        return np.zeros_like(result.fit.values)
     coarser = test.setup.model.coarser(_RATIO)
     if coarser is None:
         mend = 'write mesh = "medium" or "fine" in [model]'
         raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))
-    problem = replace(test.problem, model=coarser)
-    return replace(config, tests=(replace(test, problem=problem),))
+    coarse = replace(test, problem=replace(test.problem, model=coarser))
+    # from the same minimum: the distance to another one is no error of the mesh
+    other = calibrate(
+        replace(config, tests=(coarse,)), root, progress=progress, begin=result.fit.constants()
+    )
+    if not other.converged:
+        raise RefusedError("a coarser mesh gives no constants to tell the mesh's error from: "
+                           "take a finer mesh")  # fmt: skip
+    return np.asarray((result.fit.values - other.fit.values) / (_RATIO - 1))
 
 
 #: difference of two curves over the larger force that is rounding
@@ -238,8 +231,8 @@ class ModelComparison:
                     "correlation": result.fit.correlation,
                     "n": result.fit.n,
                     "identifiable": result.fit.identifiable,
-                    "mesh_error": _shown(names, self.systematic[label].mesh),
-                    "zero_error": _shown(names, self.systematic[label].zero),
+                    "mesh_error": in_shown_units(names, self.systematic[label].mesh),
+                    "zero_error": in_shown_units(names, self.systematic[label].zero),
                     "mu0": None if result.material is None else 1e3 * result.material.mu0,
                     "power": self.power[label],
                     "detectable": self.detectable[label],
@@ -304,8 +297,11 @@ def compare(
     test = agreement(list(compared.values()), extra)
     power: dict[str, float] = {}
     detectable: dict[str, float] = {}
+    names = next(iter(fits.values())).fit.names
     for i, label in enumerate(fits):
-        unit = _off(test.common, next(iter(fits.values())).fit.names, i, len(fits))
+        # all moduli of one test are larger by their own size, no exponent is
+        unit = np.zeros((len(fits), len(names)))
+        unit[i] = [0 if is_dimensionless(n) else v for n, v in zip(names, test.common, strict=True)]
         power[label], detectable[label] = test.power(difference * unit), test.detectable(unit)
     return ModelComparison(
         config.name, config.material.model, fits, test, systematic, difference, power,
@@ -430,17 +426,6 @@ def _mirrored(fit: Fit, k: int) -> Fit:
     )  # fmt: skip
 
 
-def _shown(names: tuple[str, ...], moved: Array) -> dict[str, float]:
-    return {n: scale_of(n) * float(m) for n, m in zip(names, moved, strict=True)}
-
-
-def _off(common: Array, names: tuple[str, ...], group: int, groups: int) -> Array:
-    """Difference of one group: all its moduli are larger by their own size, no exponent is."""
-    out = np.zeros((groups, len(names)))
-    out[group] = [0 if is_dimensionless(n) else v for n, v in zip(names, common, strict=True)]
-    return out
-
-
 # Choice between energies: each is fitted to the same tests and weighed by AICc.
 
 #: energies compared: name, order, label
@@ -541,11 +526,7 @@ class EnergyChoice:
                     "not_chosen_because": _unfit(result),
                     "verdict": result.adequacy.verdict,
                     "stable": result.stable,
-                    "held_out": [
-                        c.as_dict()["relative_rms_force_error"]
-                        for c in result.curves
-                        if c.role == "held-out"
-                    ],
+                    "held_out": _held_out_errors(result),
                 }
                 for label, result in self.fits.items()
             ],
@@ -554,13 +535,14 @@ class EnergyChoice:
         return cast("dict[str, object]", plain(content, "energies", {}))
 
 
+def _held_out_errors(result: CalibrationResult) -> list[object]:
+    held = [curve for curve in result.curves if curve.role == "held-out"]
+    return [curve.as_dict()["relative_rms_force_error"] for curve in held]
+
+
 def _held_out_error(result: CalibrationResult) -> float | None:
     """Root mean square of the relative errors of held-out tests, %; None where none is."""
-    errors = [
-        curve.as_dict()["relative_rms_force_error"]
-        for curve in result.curves
-        if curve.role == "held-out"
-    ]
+    errors = _held_out_errors(result)
     if not errors:
         return None
     return float(np.sqrt(np.mean([np.inf if e is None else float(str(e)) ** 2 for e in errors])))

@@ -68,16 +68,13 @@ def parameters_of(
     units: dict[tuple[str, str], list[int]] = {}
     for place, curve in enumerate(curves):
         for key, declared in tests[curve.test].nuisance.items():
-            units.setdefault((key, _unit(declared.each, curve)), []).append(place)
+            unit = {"curve": curve.label, "test": f"tests[{curve.test}]", "all": ""}[declared.each]
+            units.setdefault((key, unit), []).append(place)
     count = {key: sum(other == key for other, _ in units) for key, _ in units}
     return tuple(
         _parameter(tests, curves, key, key if count[key] == 1 else f"{key} [{unit}]", places)
         for (key, unit), places in units.items()
     )
-
-
-def _unit(each: str, curve: FitCurve) -> str:
-    return {"curve": curve.label, "test": f"tests[{curve.test}]", "all": ""}[each]
 
 
 def _parameter(
@@ -112,9 +109,7 @@ def _expected(test: CalibratedTest, key: str) -> float:
         mend = "declare it in the [[tests]] that have plates: nuisance = { friction = ... }"
         raise InputError(Fault("nuisance.friction", rule, mend))
     value = test.nuisance[key].value
-    if value is not None:
-        return value
-    return _input(test.problem, key)
+    return _input(test.problem, key) if value is None else value
 
 
 def _input(test: CellProblem, key: str) -> float:
@@ -163,16 +158,17 @@ class _Simulated(fit_task.InverseFem):
         if key not in self._solutions:
             self(values)
             self._solutions = {key: self._solved_last}
-        return [self._odd(self._solutions[key], grid) for grid in grids]
+        out = []
+        for grid in grids:
+            mirrored = self._at(self._solutions[key], np.abs(grid))
+            sign = np.where(grid < 0, -1.0, 1.0)
+            slopes = {name: sign * slope for name, slope in mirrored.force_gradient.items()}
+            out.append(Curve(grid, sign * mirrored.force_N, force_gradient=slopes))
+        return out
 
     def _solved(self, values: Array) -> Curve:
         self._solved_last = super()._solved(values)
         return self._solved_last
-
-    def _odd(self, curve: Curve, grid: Array) -> Curve:
-        mirrored, sign = self._at(curve, np.abs(grid)), np.where(grid < 0, -1.0, 1.0)
-        slopes = {name: sign * slope for name, slope in mirrored.force_gradient.items()}
-        return Curve(grid, sign * mirrored.force_N, force_gradient=slopes)
 
 
 def reach_of(param: NuisanceParameter, depth_mm: float) -> float:
@@ -218,7 +214,9 @@ class NuisancePredictions:
             [param for param in self._parameters if place in param.curves] for place in places
         ]
         value = {param.name: given.get(param.name, param.expected) for param in self._parameters}
-        points = [_from_origin(m.curve.displacement_mm) for m in part.measured]
+        measured = [m.curve.displacement_mm for m in part.measured]
+        # the unloaded point takes part: an unknown zero is no zero there
+        points = [np.r_[0.0, grid] if grid[0] > 0 else grid for grid in measured]
         depth = max(float(grid[-1]) for grid in points)
         small = _SMALL * depth
         offset = [sum(value[o.name] for o in ones if o.key == OFFSET) for ones in movers]
@@ -301,11 +299,6 @@ class NuisancePredictions:
                 change = _shares(movers, value, mover)
                 gradient[mover.name] = _weighed(change, solved, k, ())[0][:n]
         return Curve(points, force + zero, force_gradient=gradient)
-
-
-def _from_origin(grid: Array) -> Array:
-    """Points of a curve with the unloaded one, at which an unknown zero is no zero."""
-    return np.r_[0.0, grid] if grid[0] > 0 else grid
 
 
 def _shares(
@@ -426,8 +419,7 @@ def with_nuisance(
     fitted = [param for param in parameters if param.is_fitted]
     plain, joint = _settled(task, fitted, first_fit)
     if not joint.converged:
-        names = first_fit.names
-        return replace(_part(joint, names), joint=joint)
+        return replace(_part(joint, first_fit.names), joint=joint)
     carried = [param for param in parameters if not param.is_fitted]
     moved = _moved(task, joint, fitted, carried)
     joint = with_serial_correlation(plain, measured, moved @ moved.T)
@@ -528,24 +520,14 @@ def _moved(
         return np.zeros((joint.values.size, 0))
     values = np.r_[joint.values, [param.expected for param in carried]]
     curves = task.predictions(values, [*fitted, *carried])
-    jacobian = _jacobian(task.measured, curves, joint.names)
+    jacobian, slopes = (
+        np.concatenate([m.slopes(c, names) for m, c in zip(task.measured, curves, strict=True)])
+        for names in (joint.names, [param.name for param in carried])
+    )
     full = np.concatenate([jacobian, pseudo_jacobian(joint.priors, joint.names)])
-    slopes = _jacobian(task.measured, curves, [param.name for param in carried])
     inverse, _ = scaled_inverse(full)
     steps = np.array([param.step for param in carried])
     return np.asarray(-inverse @ jacobian.T @ slopes * steps)
-
-
-def _jacobian(
-    measured: Sequence[MeasuredCurve], curves: Sequence[Curve], names: Sequence[str]
-) -> Array:
-    rows = []
-    for curve_measured, curve in zip(measured, curves, strict=True):
-        used = curve_measured.weights > 0
-        d = curve_measured.curve.displacement_mm[used]
-        slopes = curve.gradients_at(names, d)
-        rows.append(curve_measured.weights[used][:, None] * slopes)
-    return np.concatenate(rows)
 
 
 def _part(joint: Fit, names: tuple[str, ...]) -> Fit:

@@ -227,7 +227,13 @@ class _Conditions:
         serial, rows = fit.serial, fit.n
         if serial is not None:
             rows = serial.rows
-        strains = [_strain_of(curve, tests[curve.test]) for curve in curves]
+        # mean strains of the specimens that are not indented
+        strains = [
+            float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm
+            for curve in curves
+            if (setup := tests[curve.test].setup).height_mm is not None
+            and setup.test.indenter is None
+        ]
         stresses = [
             float(np.abs(curve.measured.curve.force_N).max()) / height_and_area(specimen)[1]
             for curve in curves
@@ -323,14 +329,6 @@ def _slopes(material: Material, kind: str, strain: Array, at: _Conditions) -> Ar
     with np.errstate(all="ignore"):  # NaN says that there is no answer
         state = loading.nominal(material, loading.measure(rules.sense * strain))
     return np.array([at.area_mm2 * state.gradient[n] for n in material.names]).T
-
-
-def _strain_of(curve: FitCurve, test: CalibratedTest) -> float:
-    """Largest mean strain of a measured specimen; 0 of an indented one."""
-    setup = test.setup
-    if setup.height_mm is None or setup.test.indenter is not None:
-        return 0.0
-    return float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm
 
 
 def _information(fit: Fit, jacobian: Array, left: Array, worth: float) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
-from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
+from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.runner import fit_task
 from study.harness.runner.fit_task import Residuals, resampled, residuals_of
 from study.harness.runner.response import in_shown_units
@@ -108,7 +108,12 @@ def bootstrap(
     blocks = () if several else _residuals(fit, parts)
     values = []
     for _ in range(resamples):
-        again = _of_specimens(tests, specimens, rng) if several else _of_rows(parts, blocks, rng)
+        if several:  # as many specimens as there are; each brings all its curves
+            labels = list(specimens)
+            drawn_labels = [labels[k] for k in rng.integers(0, len(labels), len(labels))]
+            again = parts_of(tests, in_order([c for s in drawn_labels for c in specimens[s]]))
+        else:
+            again = _of_rows(parts, blocks, rng)
         search = StagedSearch(fit.names, fit_task.fitted_model, bounds)
         fitted = single_stage("resampled", again, fit.values, search).fit
         if fitted.converged:
@@ -155,15 +160,6 @@ def _of_rows(
         )
         for part in parts
     ]
-
-
-def _of_specimens(
-    tests: Sequence[CalibratedTest], specimens: dict[str, list[FitCurve]], rng: np.random.Generator
-) -> list[FitPart]:
-    """Draw as many specimens as there are, with replacement; each brings all its curves."""
-    labels = list(specimens)
-    drawn = rng.integers(0, len(labels), len(labels))
-    return parts_of(tests, in_order([c for k in drawn for c in specimens[labels[k]]]))
 
 
 # Further starts of a calibration, drawn from its seed: exponents by the energy, moduli by linear

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import study
-from study.laboratory.haptics.haptic_export import SCHEMA
+from study.laboratory.haptics.haptic_export import SCHEMA, rendered
 from study.statistics.surfaces.emulator import BlockedEmulator, Emulator
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_factors import box_points
@@ -106,16 +105,7 @@ class SurfaceFunction:
 
     def python(self) -> str:
         """Python module that imports nothing but math."""
-        environment = Environment(
-            loader=PackageLoader("study.laboratory.haptics"),
-            undefined=StrictUndefined,
-            trim_blocks=True,
-            keep_trailing_newline=True,
-        )
-        template = environment.get_template("surface.py.j2")
-        return template.render(
-            f=self, said=self.sentences(), made_by=f"Made by study {study.__version__}."
-        )
+        return rendered("surface.py.j2", f=self, said=self.sentences())
 
 
 def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:

@@ -63,22 +63,18 @@ def sentences(law: ForceLaw) -> list[str]:
         "and is_tested tells where that is.",
         f"Its slope is continuous but at first touch, where it begins with "
         f"{law.force.slopes[0]:.4g} N/mm.",
-        _monotone(law),
     ]
-    return lines + [_range(law, k) for k in range(len(law.ranges))]
-
-
-def _monotone(law: ForceLaw) -> str:
     if law.limited:
         places = ", ".join(f"{law.displacement_mm[k]:.4g}" for k in law.limited)
-        return f"It rises where the simulation does: its slope is limited at {places} mm."
-    if law.is_monotone:
-        return "It never falls, with the slopes of the simulation."
-    return "The simulated force falls somewhere, and so does the law."
+        lines += [f"It rises where the simulation does: its slope is limited at {places} mm."]
+    elif law.is_monotone:
+        lines += ["It never falls, with the slopes of the simulation."]
+    else:
+        lines += ["The simulated force falls somewhere, and so does the law."]
+    return lines + [_range(constant) for constant in law.ranges]
 
 
-def _range(law: ForceLaw, k: int) -> str:
-    constant = law.ranges[k]
+def _range(constant: ConstantRange) -> str:
     factor, unit = (1.0, "") if is_dimensionless(constant.name) else (1e3, " kPa")
     ends = f"{constant.name} from {factor * constant.low:.4g} to {factor * constant.high:.4g}{unit}"
     if math.isnan(constant.largest_N):
@@ -118,7 +114,7 @@ def document(law: ForceLaw) -> dict[str, object]:
             "deviation_N": law.held_out.deviation_N.tolist(),
         },
         "constant_ranges": [
-            {"name": r.name, "low": r.low, "high": r.high, "largest_N": _finite(r.largest_N)}
+            {**vars(r), "largest_N": r.largest_N if math.isfinite(r.largest_N) else None}
             for r in law.ranges
         ],
         "standard_uncertainty_N": None
@@ -127,20 +123,6 @@ def document(law: ForceLaw) -> dict[str, object]:
         "sentences": sentences(law),
         "version": study.__version__,
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def python_text(law: ForceLaw) -> str:
-    """Python module without imports. Units: law mm, MPa."""
-    return _rendered("force_law.py.j2", law)
-
-
-def c_text(law: ForceLaw) -> str:
-    """C header without includes. Units: law mm, MPa."""
-    return _rendered("force_law.h.j2", law)
 
 
 def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
@@ -154,11 +136,18 @@ def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
     columns = [law.displacement_mm, law.force.values, law.force.slopes]
     columns += [table.values for table in law.gradients.values()]
     writer.writerows([repr(float(v)) for v in row] for row in zip(*columns, strict=True))
-    made = {"json": text, "csv": stream.getvalue(), "py": python_text(law), "h": c_text(law)}
+    made = {"json": text, "csv": stream.getvalue()}
+    made |= {  # a Python module without imports, a C header without includes
+        suffix: rendered(
+            f"force_law.{suffix}.j2", law=law, name=law.name, stem=stem, sentences=sentences(law)
+        )
+        for suffix in ("py", "h")
+    }
     return {folder / f"{stem}.{suffix}": content for suffix, content in made.items()}
 
 
-def _rendered(template: str, law: ForceLaw) -> str:
+def rendered(template: str, **content: object) -> str:
+    """Text of a template of this package; it says what made it."""
     environment = Environment(
         loader=PackageLoader("study.laboratory.haptics"),
         undefined=StrictUndefined,
@@ -168,13 +157,8 @@ def _rendered(template: str, law: ForceLaw) -> str:
     environment.filters["number"] = _number
     environment.filters["folded"] = lambda line, mark: f"\n{mark}".join(textwrap.wrap(line, WIDTH))
     environment.filters["numbers"] = lambda values: ", ".join(map(_number, values))
-    return environment.get_template(template).render(
-        law=law,
-        name=law.name,
-        stem=stem_of(law.name),
-        sentences=sentences(law),
-        made_by=f"Made by study {study.__version__}.",
-    )
+    made_by = f"Made by study {study.__version__}."
+    return environment.get_template(template).render(made_by=made_by, **content)
 
 
 def _number(value: float) -> str:

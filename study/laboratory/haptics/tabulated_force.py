@@ -225,14 +225,11 @@ class ForceLaw:
 def force_table(step_mm: float, force_N: Array, stiffness_N_per_mm: Array) -> TabulatedFunction:  # noqa: N803
     """Tabulate a force, its slopes limited where it would not be monotone."""
     # Shapes: force_N, stiffness_N_per_mm (n + 1,).
-    slopes = np.r_[_first_slope(force_N, stiffness_N_per_mm), stiffness_N_per_mm[1:]]
+    # at first touch it is an estimate from the work, which must not pull
+    limit = max if force_N[1] >= 0 else min
+    slopes = np.r_[limit(float(stiffness_N_per_mm[0]), 0.0), stiffness_N_per_mm[1:]]
     knots = np.asarray(step_mm * np.arange(force_N.size), float)
     return TabulatedFunction(step_mm, force_N, monotone_slopes(knots, force_N, slopes))
-
-
-def _first_slope(force: Array, slopes: Array) -> float:
-    """Slope at first touch: an estimate from the work, which must not pull."""
-    return max(float(slopes[0]), 0.0) if force[1] >= 0 else min(float(slopes[0]), 0.0)
 
 
 def gradient_table(step_mm: float, gradient: Array) -> TabulatedFunction:

@@ -57,10 +57,15 @@ class TriangleSurface:
         return self.points[self.triangles]
 
     @cached_property
+    def _crossed(self) -> Array:
+        """Normal of every triangle, twice as long as its area, shape (m, 3)."""
+        a, b, c = self.corners[:, 0], self.corners[:, 1], self.corners[:, 2]
+        return np.cross(b - a, c - a)
+
+    @cached_property
     def normals(self) -> Array:
         """Unit normal of every triangle, shape (m, 3)."""
-        a, b, c = self.corners[:, 0], self.corners[:, 1], self.corners[:, 2]
-        return _unit(np.cross(b - a, c - a))
+        return _unit(self._crossed)
 
     @cached_property
     def vertex_normals(self) -> Array:
@@ -92,8 +97,7 @@ class TriangleSurface:
     @cached_property
     def areas(self) -> Array:
         """Area of every triangle, shape (m,), mm^2."""
-        a, b, c = self.corners[:, 0], self.corners[:, 1], self.corners[:, 2]
-        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+        return np.asarray(np.linalg.norm(self._crossed, axis=1) / 2)
 
     @cached_property
     def _classes(self) -> tuple[tuple[Ints, cKDTree, float], ...]:

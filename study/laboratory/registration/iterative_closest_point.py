@@ -210,7 +210,11 @@ def register(
 ) -> Registration:
     """Rigid motion that carries a cloud onto a surface. Shapes: cloud (n, 3), mm."""
     _, motion = coarse_registration(surface, cloud, starts)
-    motion = _likelier(surface, _thinned(cloud, COMPARED_POINTS), motion)
+    # The nearest three fifths of a body that is larger all around meet the surface best where it is
+    # pushed to one side. Nearly all of it meet it best in the middle.
+    some = _thinned(cloud, COMPARED_POINTS)
+    _, other = _trimmed(surface, some, motion, 0, SETTLED, NEARLY_ALL)
+    motion = min((motion, other), key=lambda tried: _surprise(surface, tried(some)))
     return _refined(surface, _thinned(cloud, FINE_POINTS), motion)
 
 
@@ -271,21 +275,18 @@ def _trimmed(
             break
         last = rms
         if number < point_steps:
-            step = _point_step(moved[nearest], closest.points[nearest])
+            near, partner = moved[nearest], closest.points[nearest]
+            if on_a_line(partner) or on_a_line(near):  # a single edge fixes a shift alone
+                step = RigidMotion(np.eye(3), (partner - near).mean(axis=0))
+            else:
+                step = fit_pairs(near, partner).motion
         else:
             weights = np.zeros(len(cloud))
             weights[nearest] = 1.0
-            step = _step(moved, closest, weights)
+            system = normal_equations(moved, closest, weights)
+            step = system.motion(system.step(weights))
         motion = step.after(motion)
     return rms, motion
-
-
-def _likelier(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> RigidMotion:
-    """Motion near a given one under which a cloud is likelier."""
-    # The nearest three fifths of a body that is larger all around meet the surface best where it is
-    # pushed to one side. Nearly all of it meet it best in the middle.
-    _, other = _trimmed(surface, cloud, motion, 0, SETTLED, NEARLY_ALL)
-    return min((motion, other), key=lambda motion_tried: _surprise(surface, motion_tried(cloud)))
 
 
 def _surprise(surface: TriangleSurface, cloud: Array) -> float:
@@ -300,18 +301,6 @@ def _surprise(surface: TriangleSurface, cloud: Array) -> float:
     scale = max(float(np.sqrt(np.mean(inside**2))), ROUNDING_SHARE * surface.size)
     normal = inside.size * np.log(np.sqrt(2 * np.pi * np.e) * scale)
     return float(normal + (len(away) - inside.size) * np.log(surface.size))
-
-
-def _point_step(moved: Array, partner: Array) -> RigidMotion:
-    """Motion between points and their closest ones; a shift where those are a single edge."""
-    if on_a_line(partner) or on_a_line(moved):
-        return RigidMotion(np.eye(3), (partner - moved).mean(axis=0))
-    return fit_pairs(moved, partner).motion
-
-
-def _step(moved: Array, closest: Closest, weights: Array) -> RigidMotion:
-    system = normal_equations(moved, closest, weights)
-    return system.motion(system.step(weights))
 
 
 def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Registration:

@@ -285,11 +285,6 @@ class SimulatedBody:
         """Deformed surface."""
         return self.at(1.0)
 
-    @property
-    def largest_displacement_mm(self) -> float:
-        """Largest displacement of a point of the surface."""
-        return float(np.linalg.norm(self.body.displacement, axis=1).max())
-
     @cached_property
     def _interpolator(self) -> LinearNDInterpolator:
         from scipy.interpolate import LinearNDInterpolator
@@ -307,10 +302,8 @@ class SimulatedBody:
         """Displacement of material points, shape (n, 3), mm; nan outside the body."""
         # Between nodes it is linear on tetrahedra of Delaunay, whose error is of the second order
         # in the element size, as that of linear elements.
-        interpolate, symmetry = (
-            self._interpolator,
-            self.symmetry or Symmetry(False, (False,) * 3, 0),
-        )
+        interpolate = self._interpolator
+        symmetry = self.symmetry or Symmetry(False, (False,) * 3, 0)
         signs = np.ones_like(points)
         places = points.copy()
         for k, mirrored in enumerate(symmetry.mirrored):

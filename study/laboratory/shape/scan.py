@@ -65,7 +65,12 @@ def read_scan(path: Path, unit: str, body_size: float) -> Scan:
         rule = f"{int(alone.sum())} of {len(points)} points stand alone: this is no surface"
         raise InputError(Fault(where, rule, "clean the cloud, or scan it more densely"))
     used = points[~alone]
-    _check_unit(used, unit, body_size, where)
+    size = float(np.linalg.norm(np.ptp(used, axis=0)))
+    if not SIZES[0] < size / body_size < SIZES[1]:
+        factor = unit_factor(unit, "length")
+        likely = min(UNITS, key=lambda name: abs(np.log(size / factor * UNITS[name] / body_size)))
+        rule = f"is {size:.4g} mm large, the simulated body {body_size:.4g} mm"
+        raise InputError(Fault(where, rule, f'is it in {likely}? Then say --unit "{likely}"'))
     return Scan(used, int(alone.sum()), path.name)
 
 
@@ -76,16 +81,6 @@ def _points(path: Path, where: str) -> Array:
         table = read_csv(path, required=("x", "y", "z"), source=path.name)
         return np.column_stack([table.numbers(axis) for axis in "xyz"])
     return read_mesh(path, where)[0]
-
-
-def _check_unit(points: Array, unit: str, body_size: float, where: str) -> None:
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    if SIZES[0] < size / body_size < SIZES[1]:
-        return
-    factor = unit_factor(unit, "length")
-    likely = min(UNITS, key=lambda name: abs(np.log(size / factor * UNITS[name] / body_size)))
-    rule = f"is {size:.4g} mm large, the simulated body {body_size:.4g} mm"
-    raise InputError(Fault(where, rule, f'is it in {likely}? Then say --unit "{likely}"'))
 
 
 def read_markers(path: Path, unit: str) -> Markers:

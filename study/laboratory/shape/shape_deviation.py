@@ -229,9 +229,8 @@ def _check_handedness(surface: TriangleSurface, scan: Scan, distance: float) -> 
 def _check_state(body: SimulatedBody, scan: Scan, distance: float, start: RigidMotion) -> None:
     """Refuse a scan that the body at rest, or at another displacement, fits far better."""
     size = body.deformed.size
-    if body.largest_displacement_mm < RESOLUTION_SHARE * size:
-        return
-    if distance < RESOLUTION_SHARE * size:
+    moved = float(np.linalg.norm(body.body.displacement, axis=1).max())
+    if min(moved, distance) < RESOLUTION_SHARE * size:
         return
     others = {
         share: coarse_registration(body.at(share), scan.points, [start])[0]

@@ -7,7 +7,7 @@ of its own, so the line is fitted with errors in both quantities.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +89,11 @@ def analyze_displacement(
     places = np.array([recording.positions[declared.marker][s.rows].mean(axis=0) for s in stops])
     commanded_mm = np.array([commanded[stop.begin] for stop in stops])
     axis, along, off = _straight(places, commanded_mm)
-    repeat = _repeatability(commanded_mm, along)
+    # pooled standard deviation of stops at the same position
+    groups = [along[commanded_mm == value] for value in np.unique(commanded_mm)]
+    freedom = sum(len(group) - 1 for group in groups)
+    squares = sum(((g - g.mean()) ** 2).sum() for g in groups)
+    repeat = float(np.sqrt(squares / freedom)) if freedom else None
     at_home = commanded_mm == commanded_mm[0]
     measured = (along - along[at_home].mean())[~at_home]
     steps = (commanded_mm - commanded_mm[0])[~at_home]
@@ -135,15 +139,6 @@ def _straight(places: Array, commanded_mm: Array) -> tuple[Array, Array, Array]:
     if along @ (commanded_mm - commanded_mm.mean()) < 0:
         axis, along = -axis, -along
     return axis, along, np.linalg.norm(away - np.outer(along, axis), axis=1)
-
-
-def _repeatability(commanded_mm: Array, along: Array) -> float | None:
-    """Pooled standard deviation of stops at the same position."""
-    groups = [along[commanded_mm == value] for value in np.unique(commanded_mm)]
-    freedom = sum(len(group) - 1 for group in groups)
-    if not freedom:
-        return None
-    return float(np.sqrt(sum(((g - g.mean()) ** 2).sum() for g in groups) / freedom))
 
 
 def _ratio(
@@ -249,7 +244,11 @@ def analyze_distance(
     samples = np.linalg.norm(first - second, axis=1)
     standard = _standard(declared, root)
     if standard is not None:
-        _check_unit(float(np.median(samples)), standard)
+        seen = float(np.median(samples))
+        if not 1 / UNIT_RATIO < seen / standard.distance_mm < UNIT_RATIO:
+            rule = f"the markers are {seen:.4g} mm apart, the standard says "
+            mend = 'is [recording] unit right? A factor near 1000 means "m" instead of "mm"'
+            raise InputError(Fault("recording.unit", f"{rule}{standard.distance_mm:.4g}", mend))
     means = np.array([samples[visit.rows].mean() for visit in recording.visits])
     comparison, note = _compared(recording, means, declared.practical, alpha)
     bias, interval = _bias(recording, means, standard, alpha)
@@ -282,14 +281,6 @@ def _standard(declared: DistanceTable, root: Path) -> Standard | None:
     along = apart / distance
     variance = sum(float(along @ sphere.covariance[:3, :3] @ along) for sphere in spheres)
     return Standard(distance, float(np.hypot(np.sqrt(variance), declared.uncertainty)), (*spheres,))
-
-
-def _check_unit(seen: float, standard: Standard) -> None:
-    ratio = seen / standard.distance_mm
-    if not 1 / UNIT_RATIO < ratio < UNIT_RATIO:
-        rule = f"the markers are {seen:.4g} mm apart, the standard says {standard.distance_mm:.4g}"
-        mend = 'is [recording] unit right? A factor near 1000 means "m" instead of "mm"'
-        raise InputError(Fault("recording.unit", rule, mend))
 
 
 def _stage(recording: TrackerRecording, samples: Array, stage: str, alpha: float) -> StageDistance:
@@ -337,17 +328,14 @@ def _compared(
     table = pd.DataFrame({"stage": [v.stage for v in recording.visits], "distance": means})
     scale = ResponseScale(practical=None if practical is None else Threshold(practical))
     number = passes(recording.visits)
-    if number is not None:
-        table["pass"] = [f"pass {k + 1}" for k in number]
-        request = AnalysisRequest(
-            "distance", ("stage",), Blocking(("pass",)), scale=scale, alpha=alpha
-        )
-        return analyze(table, request), (
-            f"stages are compared within each of {int(number.max()) + 1} passes; the error is "
-            "their pass-to-pass variation"
-        )
     request = AnalysisRequest("distance", ("stage",), scale=scale, alpha=alpha)
-    return analyze(table, request), "stages are compared against the scatter between visits"
+    if number is None:
+        return analyze(table, request), "stages are compared against the scatter between visits"
+    table["pass"] = [f"pass {k + 1}" for k in number]
+    return analyze(table, replace(request, layout=Blocking(("pass",)))), (
+        f"stages are compared within each of {int(number.max()) + 1} passes; the error is "
+        "their pass-to-pass variation"
+    )
 
 
 def _drift(recording: TrackerRecording, samples: Array, means: Array, alpha: float) -> Drift | None:
@@ -369,13 +357,10 @@ def _drift(recording: TrackerRecording, samples: Array, means: Array, alpha: flo
     for stage in levels:
         x[stages == stage] -= x[stages == stage].mean()
         y[stages == stage] -= y[stages == stage].mean()
-    return None if not x.any() else _slope(x, y, freedom, (unit, alpha))
-
-
-def _slope(x: Array, y: Array, freedom: int, source: tuple[str, float]) -> Drift:
+    if not x.any():
+        return None
     from scipy.stats import t
 
-    unit, alpha = source
     slope = float(x @ y / (x @ x))
     error = float(np.sqrt(((y - slope * x) ** 2).sum() / freedom / (x @ x)))
     half = float(t.ppf(1 - alpha / 2, freedom)) * error
@@ -444,19 +429,12 @@ class TrackerAccuracy:
 
     def to_json(self) -> Document:
         """Document of ``study tracking --json``; lengths in mm."""
-        document: Document = plain(
-            {
-                "name": self.name,
-                "samples": self.samples,
-                "markers": self.markers,
-                "alpha": self.alpha,
-                "distance": None if self.distance is None else _distance(self.distance),
-                "displacement": (None if self.displacement is None else asdict(self.displacement)),
-                "reference": None if self.reference is None else _reference(self.reference),
-                "notes": list(self.notes),
-                "report": self.report,
-            }
-        )
+        document: Document = plain({
+            **{k: v for k, v in vars(self).items() if k != "question"},
+            "distance": self.distance and _distance(self.distance),
+            "displacement": self.displacement and asdict(self.displacement),
+            "reference": self.reference and _reference(self.reference),
+        })  # fmt: skip
         return document
 
 
@@ -486,27 +464,17 @@ def judge_tracker(declared: TrackingFile, root: Path, name: str) -> TrackerAccur
 
 def _distance(distance: DistanceResult) -> Document:
     standard, comparison = distance.standard, distance.comparison
+    spheres = [sphere.to_json() for sphere in standard.spheres] if standard else []
     return {
-        "markers": distance.markers,
-        "stages": distance.stages,
+        **{k: v for k, v in vars(distance).items() if not k.startswith("sample")},
         "comparison": None if comparison is None else comparison.to_json(),
-        "comparison_note": distance.comparison_note,
-        "drift": distance.drift,
-        "standard": standard
-        and {
-            "distance_mm": standard.distance_mm,
-            "uncertainty_mm": standard.uncertainty_mm,
-            "spheres": [sphere.to_json() for sphere in standard.spheres],
-        },
-        "bias_mm": distance.bias_mm,
-        "bias_interval_mm": distance.bias_interval_mm,
+        "standard": standard and {**vars(standard), "spheres": spheres},
     }
 
 
 def _reference(reference: ReferenceResult) -> Document:
-    values = {f.name: getattr(reference, f.name) for f in fields(reference) if f.name != "fit"}
     return {
-        **values,
+        **{k: v for k, v in vars(reference).items() if k != "fit"},
         "registration": reference.fit.motion.to_json(),
         "residuals_mm": reference.fit.residuals,
         "fiducial_registration_error_mm": reference.fit.rms,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -17,7 +17,7 @@ from study.ground.units import unit_factor
 from study.harness.design import diagnostics
 from study.harness.design.diagnostics import Faults, read_table
 from study.laboratory.registration.rigid import check_places
-from study.mechanics.measurement.measurement_section import csv_path
+from study.mechanics.measurement.measurement_section import Axes, csv_path, three_columns
 from study.mechanics.setup.declaration import (
     Bad,
     Length,
@@ -35,46 +35,32 @@ from study.mechanics.setup.declaration import name as label
 # The file of a tracker study: its tables are classes, and a class's fields are the keys.
 
 SCHEMA = 1
-#: Coordinates of a point: names of three columns.
-Triple = tuple[str, str, str]
 
 
-def triple(value: object) -> Triple:
-    """Read the names of three columns."""
-    if not isinstance(value, list) or len(value) != 3:
-        raise Bad(f"must be three columns, got {shown(value)}", 'for example ["x", "y", "z"]')
-    x, y, z = (label(item) for item in value)
-    if len({x, y, z}) < 3:
-        raise Bad(f"names a column twice, got {shown(value)}")
-    return x, y, z
-
-
-def two_triples(value: object) -> tuple[Triple, Triple]:
-    """Read the columns of two points."""
-    if not isinstance(value, list) or len(value) != 2:
-        raise Bad(f"must be the columns of two points, got {shown(value)}")
-    return triple(value[0]), triple(value[1])
-
-
-def triples(value: object) -> dict[str, Triple]:
+def markers_of(value: object) -> dict[str, Axes]:
     """Read markers: a name and three columns each."""
     if not isinstance(value, Mapping) or not value:
         raise Bad(f"must be a table, got {shown(value)}", 'for example { tip = ["x", "y", "z"] }')
-    return {label(key): triple(columns) for key, columns in value.items()}
+    return {label(key): three_columns(columns) for key, columns in value.items()}
 
 
-def pair(value: object) -> tuple[str, str]:
-    """Read the names of two markers."""
-    if not isinstance(value, list) or len(value) != 2 or value[0] == value[1]:
-        raise Bad(f"must be two markers, got {shown(value)}", 'for example ["tip", "tail"]')
-    return label(value[0]), label(value[1])
+T = TypeVar("T")
 
 
-def two_files(value: object) -> tuple[str, str]:
-    """Read the files of two scanned spheres."""
-    if not isinstance(value, list) or len(value) != 2:
-        raise Bad(f"must be two files, got {shown(value)}", 'for example ["a.csv", "b.csv"]')
-    return csv_path(value[0]), csv_path(value[1])
+def two(what: str, read: Callable[[object], T], mend: str) -> Callable[[object], tuple[T, T]]:
+    """Make the reader of two different things of one kind."""
+
+    def read_two(value: object) -> tuple[T, T]:
+        if not isinstance(value, list) or len(value) != 2 or value[0] == value[1]:
+            raise Bad(f"must be {what}, got {shown(value)}", mend)
+        return read(value[0]), read(value[1])
+
+    return read_two
+
+
+_MARKERS = two("two markers", label, 'for example ["tip", "tail"]')
+_FILES = two("two files", csv_path, 'for example ["a.csv", "b.csv"]')
+_POINTS = two("the columns of two points", three_columns, 'for example [["x1", "y1", "z1"], ...]')
 
 
 @section
@@ -84,7 +70,7 @@ class RecordingTable:
     file: Annotated[str, Reads(csv_path, mend='for example file = "samples.csv"')]
     #: Columns of the coordinates of every marker.
     markers: Annotated[
-        dict[str, Triple], Reads(triples, mend='for example markers = { tip = ["x", "y", "z"] }')
+        dict[str, Axes], Reads(markers_of, mend='for example markers = { tip = ["x", "y", "z"] }')
     ]
     unit: Annotated[str, Reads(unit_of_length, mend='for example unit = "mm"')]
     #: Column of the time stamps, in s.
@@ -98,14 +84,14 @@ class RecordingTable:
 class DistanceTable:
     """``[distance]``: two markers on one rigid body, and how far apart they are known to be."""
 
-    markers: Annotated[tuple[str, str], Reads(pair, mend='for example ["tip", "tail"]')]
+    markers: Annotated[tuple[str, str], Reads(_MARKERS, mend='for example ["tip", "tail"]')]
     #: Known distance, mm.
     reference: Length | None = None
     #: Standard uncertainty of the known distance, mm.
     uncertainty: LengthOrZero = 0.0
     #: Instead: CSV files of points scanned on the spheres of both markers.
-    spheres: Annotated[tuple[str, str] | None, Reads(two_files)] = None
-    columns: Annotated[Triple, Reads(triple)] = ("x", "y", "z")
+    spheres: Annotated[tuple[str, str] | None, Reads(_FILES)] = None
+    columns: Annotated[Axes, Reads(three_columns)] = ("x", "y", "z")
     unit: Annotated[str, Reads(unit_of_length)] = "mm"
     #: Smallest difference of distances that matters, mm.
     practical: Length | None = None
@@ -133,10 +119,10 @@ class ReferenceTable:
     #: Column of the pose; its labels pair with those of the recording.
     stage: Annotated[str, Reads(label, mend="name the column of the pose")]
     #: Columns of the reference's point on the body.
-    position: Annotated[Triple, Reads(triple, mend='for example position = ["x", "y", "z"]')]
+    position: Annotated[Axes, Reads(three_columns, mend='for example position = ["x", "y", "z"]')]
     #: Columns of two more points on the body, beside the first one: they show how it is turned, so
     #: that the lever arm between marker and reference point can be estimated.
-    axes: Annotated[tuple[Triple, Triple] | None, Reads(two_triples)] = None
+    axes: Annotated[tuple[Axes, Axes] | None, Reads(_POINTS)] = None
     unit: Annotated[str, Reads(unit_of_length)] = "mm"
 
 
@@ -204,29 +190,24 @@ def is_tracking(path: str | Path) -> bool:
 def _across(tracking_file: TrackingFile) -> Sequence[Fault]:
     """Faults between tables."""
     faults = Faults()
-    there = tracking_file.recording.markers
+    distance, moved = tracking_file.distance, tracking_file.displacement
+    reference, there = tracking_file.reference, tracking_file.recording.markers
     needed = {
-        "distance.markers": tracking_file.distance.markers if tracking_file.distance else (),
-        "displacement.marker": (tracking_file.displacement.marker,)
-        if tracking_file.displacement
-        else (),
-        "reference.marker": (tracking_file.reference.marker,) if tracking_file.reference else (),
+        "distance.markers": distance.markers if distance else (),
+        "displacement.marker": (moved.marker,) if moved else (),
+        "reference.marker": (reference.marker,) if reference else (),
     }
     for where, markers in needed.items():
         for marker in markers:
             if marker not in there:
                 faults.add(where, f"no marker {marker!r} in [recording]", nearest(marker, there))
-    if not (tracking_file.distance or tracking_file.displacement or tracking_file.reference):
+    if not (distance or moved or reference):
         mend = "write [distance], [displacement] or [reference]"
         faults.add("tracking", "nothing says what to compare the tracker with", mend)
-    if tracking_file.reference and tracking_file.recording.stage is None:
+    if reference and tracking_file.recording.stage is None:
         mend = 'write stage = "COLUMN" in [recording]'
         faults.add("recording.stage", "is missing: poses pair by it", mend)
-    if (
-        tracking_file.distance
-        and tracking_file.distance.reference
-        and tracking_file.distance.spheres
-    ):
+    if distance and distance.reference and distance.spheres:
         faults.add("distance", "has a reference and spheres", "keep the one that is the standard")
     return faults
 
@@ -276,15 +257,13 @@ class TrackerRecording:
 
 def read_recording(declared: RecordingTable, root: Path) -> TrackerRecording:
     """Read what a tracker wrote."""
-    columns = [c for triple in declared.markers.values() for c in triple]
+    columns = [c for axes in declared.markers.values() for c in axes]
     columns += [c for c in (declared.time, declared.stage) if c]
     table = read_csv(
         root / declared.file, required=columns, decimal=declared.decimal, source=declared.file
     )
     factor = unit_factor(declared.unit, "length")
-    positions = {
-        marker: factor * coordinates(table, triple) for marker, triple in declared.markers.items()
-    }
+    positions = {m: factor * coordinates(table, at) for m, at in declared.markers.items()}
     for marker, points in positions.items():
         check_places(points, f"{declared.file}: marker {marker}")
     time = None if declared.time is None else table.numbers(declared.time)
@@ -301,7 +280,7 @@ def read_recording(declared: RecordingTable, root: Path) -> TrackerRecording:
     return TrackerRecording(positions, time, visits_to(labels), table)
 
 
-def coordinates(table: CsvTable, columns: Triple) -> Array:
+def coordinates(table: CsvTable, columns: Axes) -> Array:
     """Coordinates in three columns of a table. Shapes: returns (n, 3)."""
     return np.column_stack([table.numbers(column) for column in columns])
 

@@ -120,10 +120,15 @@ def analyze_reference(
         y /= np.linalg.norm(y, axis=1, keepdims=True)
         turned = np.stack([x, y, np.cross(x, y)], axis=-1)
     away = np.concatenate([part - part.mean(axis=0) for part in parts])
-    errors = _distances(moving) - _distances(fixed)
+    from scipy.spatial.distance import pdist
+
+    errors = np.asarray(pdist(moving) - pdist(fixed))
     lever_arm = _lever_arm(moving, fixed, turned, fit)
     left = fit.rms if lever_arm is None else min(fit.rms, lever_arm.rms_mm)
-    _check_pairs(left, _extent(fixed), f"{declared.file}: {declared.stage}")
+    if left > UNPAIRED_SHARE * _extent(fixed):
+        rule = f"after registration {left:.3g} mm RMS are left over {_extent(fixed):.4g} mm of "
+        where, rule = f"{declared.file}: {declared.stage}", f"{rule}extent: the poses do not pair"
+        raise InputError(Fault(where, rule, "check the order of the poses in both files"))
     targets = target_registration_error(moving, moving, fit.localization_error)
     return ReferenceResult(
         marker=declared.marker,
@@ -171,21 +176,6 @@ def _extent(points: Array) -> float:
     return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
-def _check_pairs(left: float, extent: float, where: str) -> None:
-    """Refuse poses whose residual is no error of a tracker."""
-    if left > UNPAIRED_SHARE * extent:
-        rule = f"after registration {left:.3g} mm RMS are left over {extent:.4g} mm of extent: "
-        rule += "the poses do not pair"
-        raise InputError(Fault(where, rule, "check the order of the poses in both files"))
-
-
-def _distances(points: Array) -> Array:
-    """Distances of all pairs of points."""
-    from scipy.spatial.distance import pdist
-
-    return np.asarray(pdist(points))
-
-
 def _left_out(moving: Array, fixed: Array) -> Array:
     """Error of every pose that a registration of the others predicts, mm."""
     if len(moving) <= FEWEST_POINTS:
@@ -230,7 +220,9 @@ def _lever_arm(
             moving[others], fixed[others], turned[others], motion
         )
         errors.append(arm_without(moving[k : k + 1])[0] - fixed[k] - turned[k] @ own_arm)
-    mean = _mean_rotation(turned)
+    # rotation nearest to all in the sense of least squares
+    u, _, v = np.linalg.svd(turned.mean(axis=0))
+    mean = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     angles = [np.linalg.norm(rotation_vector(mean.T @ turn)) for turn in turned]
     return LeverArm(
         arm_mm=arm,
@@ -266,9 +258,3 @@ def _with_arm(
         np.linalg.pinv(solution.jac.T @ solution.jac, rcond=1e-14)[6:, 6:] * squares / freedom
     )
     return motion_of(solution.x), np.asarray(solution.x[6:]), covariance, squares
-
-
-def _mean_rotation(turned: Array) -> Array:
-    """Rotation nearest to all in the sense of least squares."""
-    u, _, v = np.linalg.svd(turned.mean(axis=0))
-    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)

@@ -105,7 +105,9 @@ def write_recording(declared: TrackingFile, out: Path, errors: Errors | None = N
             radii = _RADIUS_MM + _SCAN_SD_MM * random.standard_normal((_SCANNED, 1))
             cloud = np.asarray(center + radii * normals) / factor
             texts[file] = _csv(distance.columns, [[f"{v:.6g}" for v in row] for row in cloud])
-    return [_write(out / name, text) for name, text in texts.items()]
+    for name, text in texts.items():
+        write_atomic(out / name, text.encode())
+    return [out / name for name in texts]
 
 
 def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[TrackerSample]:
@@ -163,8 +165,3 @@ def _csv(columns: Sequence[str], rows: Sequence[Sequence[str]], delimiter: str =
     writer.writerow(columns)
     writer.writerows(rows)
     return stream.getvalue()
-
-
-def _write(path: Path, text: str) -> Path:
-    write_atomic(path, text.encode())
-    return path

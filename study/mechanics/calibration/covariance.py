@@ -136,14 +136,26 @@ def identifiability(names: Sequence[str], values: Array, estimate: Uncertainty) 
     i, j = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
     first, second, worst = min(int(i), int(j)), max(int(i), int(j)), float(off[i, j])
     if abs(worst) > LIMIT_CORRELATION:
+        # errors that go together leave only first / s1 -+ second / s2 determined
         ratio = float(estimate.standard_error[first] / estimate.standard_error[second])
-        return False, _together(names[first], names[second], worst, ratio)
+        sign, shown = ("+" if worst < 0 else "-"), f"{ratio:.3g}"
+        leading, second_name = names[first], names[second]
+        also = second_name if shown == "1" else f"{shown} {second_name}"
+        return False, (
+            f"{leading} and {second_name} move together: correlation {worst:.4f}; "
+            f"only {leading} {sign} {also} is determined"
+        )
     if estimate.degrees_of_freedom <= 0:
         return False, "as many constants as points: nothing is left to judge them by"
-    wide = _widest(names, values, estimate)
-    if wide:
+    if wide := _widest(names, values, estimate):
         return False, wide
-    return True, _caution(names, first, second, worst, estimate.condition)
+    caution = ""
+    if abs(worst) > CAUTION_CORRELATION:
+        caution = f"caution: {names[first]} and {names[second]} are correlated by {worst:.4f}"
+    elif estimate.condition > CAUTION_CONDITION:
+        number = float(f"{estimate.condition:.3g}")
+        caution = f"caution: the scaled condition number is {number:,.0f}"
+    return True, caution
 
 
 def verdict_at_end(
@@ -159,16 +171,6 @@ def verdict_at_end(
     return identifiable, reason
 
 
-def _together(first: str, second: str, correlation: float, ratio: float) -> str:
-    # errors that go together leave only first / s1 -+ second / s2 determined
-    sign, shown = ("+" if correlation < 0 else "-"), f"{ratio:.3g}"
-    also = second if shown == "1" else f"{shown} {second}"
-    return (
-        f"{first} and {second} move together: correlation {correlation:.4f}; "
-        f"only {first} {sign} {also} is determined"
-    )
-
-
 def _widest(names: Sequence[str], values: Array, estimate: Uncertainty) -> str:
     width = estimate.ci95[:, 1] - estimate.ci95[:, 0]
     # an interval that changes no force by more than this says that the constant is zero
@@ -179,14 +181,6 @@ def _widest(names: Sequence[str], values: Array, estimate: Uncertainty) -> str:
     if not ratio[worst] > 2:
         return ""
     return f"the 95 % interval of {names[worst]} is {ratio[worst]:.3g} times as wide as its value"
-
-
-def _caution(names: Sequence[str], first: int, second: int, worst: float, condition: float) -> str:
-    if abs(worst) > CAUTION_CORRELATION:
-        return f"caution: {names[first]} and {names[second]} are correlated by {worst:.4f}"
-    if condition > CAUTION_CONDITION:
-        return f"caution: the scaled condition number is {float(f'{condition:.3g}'):,.0f}"
-    return ""
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -99,11 +99,6 @@ class Fit:
         """What the search minimized: ``rss`` and the squares of the pseudo-observations."""
         return self.rss + float(np.sum(pseudo_rows(self.priors, self.names, self.values) ** 2))
 
-    @property
-    def reduced_chi_square(self) -> float:
-        """Residual variance rss / (n - p), near 1 where weights are one over the true scatter."""
-        return self.rss / dof if (dof := self.degrees_of_freedom) > 0 else math.nan
-
     def constants(self) -> dict[str, float]:
         """Name -> value."""
         return dict(zip(self.names, self.values.tolist(), strict=True))
@@ -159,18 +154,13 @@ class _Model:
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
         try:
-            return self._evaluated(values)
+            curves = tuple(self.predict(values))
+            self.curves_at[values.tobytes()] = curves
+            pairs = [(m, c) for m, c in zip(self.measured, curves, strict=True) if m.role == "fit"]
+            residuals, rows = zip(*(self._one(m, c) for m, c in pairs), strict=True)
         except EvaluationFailed as error:
             self.failure = str(error)
             raise
-
-    def _evaluated(self, values: Array) -> tuple[Array, Array]:
-        curves = tuple(self.predict(values))
-        if len(curves) != len(self.measured):
-            raise ValueError(f"predict gave {len(curves)} curves for {len(self.measured)} measured")
-        self.curves_at[values.tobytes()] = curves
-        pairs = [(m, c) for m, c in zip(self.measured, curves, strict=True) if m.role == "fit"]
-        residuals, rows = zip(*(self._one(m, c) for m, c in pairs), strict=True)
         prior_rows = pseudo_rows(self.priors, self.names, values)
         return np.concatenate([*residuals, prior_rows]), np.concatenate([*rows, self.slopes])
 
@@ -196,16 +186,11 @@ class _Model:
 
         return accepted
 
-    def measured_forces(self) -> tuple[Array, Array]:
-        """Force and weight of every fitted point."""
-        fitted = [(m, m.weights > 0) for m in self.measured if m.role == "fit"]
-        force = [m.curve.force_N[used] for m, used in fitted]
-        weight = [m.weights[used] for m, used in fitted]
-        return np.concatenate(force), np.concatenate(weight)
-
 
 def _report(result: LMResult, model: _Model) -> Fit:
-    force, weight = model.measured_forces()
+    fitted = [(m, m.weights > 0) for m in model.measured if m.role == "fit"]
+    force = np.concatenate([m.curve.force_N[used] for m, used in fitted])
+    weight = np.concatenate([m.weights[used] for m, used in fitted])
     residual = result.residual[: force.size]
     rss = float(residual @ residual) if residual.size else 2 * result.cost
     estimate = replace(

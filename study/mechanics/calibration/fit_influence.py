@@ -82,29 +82,20 @@ def with_serial_correlation(
         aicc=small_sample_aic(from_rows.deviance, rows, fit.values.size + 1 + int(correlated)),
         serial=serial,
     )
-    return (
-        _judged(corrected, rows + len(fit.priors) - free.size, measured)
-        if free.all()
-        else corrected
-    )
+    if not free.all():
+        return corrected
+    return _judged(corrected, rows + len(fit.priors) - free.size, measured)
 
 
 def _judged(fit: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:
     """Fit with the verdict that its new intervals give."""
     pairs = [(m, c) for m, c in zip(measured, fit.curves, strict=True) if m.role == "fit"]
-    rows = np.concatenate([_gradient(m, c, fit.names) for m, c in pairs])
+    rows = np.concatenate([m.slopes(c, fit.names) for m, c in pairs])
     force = np.concatenate([m.weights * m.curve.force_N for m, _ in pairs])
-    largest = influence(rows, force)
     estimate = Uncertainty(
-        fit.covariance,
-        fit.standard_error,
-        fit.ci95,
-        fit.correlation,
-        fit.condition,
-        fit.values.size,
-        degrees_of_freedom,
-        largest,
-    )
+        fit.covariance, fit.standard_error, fit.ci95, fit.correlation, fit.condition,
+        fit.values.size, degrees_of_freedom, influence(rows, force),
+    )  # fmt: skip
     identifiable, reason = identifiability(fit.names, fit.values, estimate)
     return replace(fit, identifiable=identifiable, reason=reason)
 
@@ -114,7 +105,7 @@ def _series(
 ) -> tuple[list[Series], Array]:
     """Every recording with the influence of its rows on the free constants, and that of priors."""
     pairs = [(m, c) for m, c in zip(measured, fit.curves, strict=True) if m.role == "fit"]
-    rows = [_gradient(m, c, names) for m, c in pairs]
+    rows = [m.slopes(c, names) for m, c in pairs]
     priors = [prior for prior in fit.priors if prior.name in names]
     inverse, _ = scaled_inverse(np.concatenate([*rows, pseudo_jacobian(priors, names)]))
     out = []
@@ -134,12 +125,6 @@ def _series(
             scaled = (weight / even)[:, None] * slopes
             out.append(Series(residual / even, scaled, by_row / weight * even))
     return out, known_covariance(priors, names, inverse)
-
-
-def _gradient(measured: MeasuredCurve, predicted: Curve, names: Sequence[str]) -> Array:
-    used = measured.weights > 0
-    d = measured.curve.displacement_mm[used]
-    return np.asarray(measured.weights[used][:, None] * predicted.gradients_at(names, d))
 
 
 def recorded_rows(
@@ -187,12 +172,12 @@ def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Arr
     place = np.interp(places, rows, np.arange(rows.size, dtype=float))
     left = np.minimum(place.astype(int), max(rows.size - 2, 0))
     share = place - left
-    out = np.zeros((by_point.shape[0], rows.size))
-    for k, values in enumerate(by_point):
-        out[k] = np.bincount(left, values * (1 - share), rows.size)
-        right = np.minimum(left + 1, rows.size - 1)
-        out[k] += np.bincount(right, values * share, rows.size)
-    return out
+    right = np.minimum(left + 1, rows.size - 1)
+    return np.array([
+        np.bincount(left, values * (1 - share), rows.size)
+        + np.bincount(right, values * share, rows.size)
+        for values in by_point
+    ])  # fmt: skip
 
 
 # Specimens as the unit: a constant's mean in the population by Student's t distribution with
@@ -222,35 +207,25 @@ class Population:
 
 def population(fits: Sequence[Fit]) -> tuple[Population, ...]:
     """Mean, scatter and intervals of every constant from fits to one specimen each."""
-    names = fits[0].names if fits else ()
-    found = (_of(name, k, fits) for k, name in enumerate(names))
-    return tuple(one for one in found if one is not None)
-
-
-def _of(name: str, k: int, fits: Sequence[Fit]) -> Population | None:
-    used = [fit for fit in fits if fit.converged and not math.isnan(fit.standard_error[k])]
-    n = len(used)
-    if n < 2:
-        return None
-    values = np.array([fit.values[k] for fit in used])
-    within = float(np.mean([fit.standard_error[k] ** 2 for fit in used]))
-    mean, deviation = float(values.mean()), float(values.std(ddof=1))
-    t = student_t(n - 1)
-    of_mean, of_next = t * deviation / math.sqrt(n), t * deviation * math.sqrt(1 + 1 / n)
-    between = max(deviation**2 - within, 0.0)
-    shrunk = [
-        mean + between / (between + fit.standard_error[k] ** 2) * (float(fit.values[k]) - mean)
-        if any(fit is other for other in used)
-        else math.nan
-        for fit in fits
-    ]
-    return Population(
-        name,
-        n,
-        mean,
-        deviation,
-        math.sqrt(between),
-        (mean - of_mean, mean + of_mean),
-        (mean - of_next, mean + of_next),
-        tuple(map(float, shrunk)),
-    )
+    out = []
+    for k, name in enumerate(fits[0].names if fits else ()):
+        errors = np.array([f.standard_error[k] if f.converged else math.nan for f in fits])
+        used = [i for i, error in enumerate(errors) if not math.isnan(error)]
+        n = len(used)
+        if n < 2:
+            continue
+        every = np.array([fit.values[k] for fit in fits])
+        within = float(np.mean(errors[used] ** 2))
+        mean, deviation = float(every[used].mean()), float(every[used].std(ddof=1))
+        t = student_t(n - 1)
+        of_mean, of_next = t * deviation / math.sqrt(n), t * deviation * math.sqrt(1 + 1 / n)
+        between = max(deviation**2 - within, 0.0)
+        shrunk = [
+            mean + between / (between + error**2) * (float(value) - mean)
+            for value, error in zip(every, errors, strict=True)
+        ]
+        out.append(Population(
+            name, n, mean, deviation, math.sqrt(between), (mean - of_mean, mean + of_mean),
+            (mean - of_next, mean + of_next), tuple(map(float, shrunk)),
+        ))  # fmt: skip
+    return tuple(out)

@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
@@ -103,23 +102,17 @@ def pattern(residuals: Sequence[Array]) -> ResidualPattern | None:
     if n < 8 or power == 0:
         return None
     lag1 = sum(float(r[1:] @ r[:-1]) for r in series) / power
-    above = [r > 0 for r in series]
-    runs = sum(int(np.count_nonzero(a[1:] != a[:-1])) + 1 for a in above)
-    expected, variance = _runs_expected(above)
+    runs, expected, variance = 0, 0.0, 0.0
+    for above in (r > 0 for r in series):
+        size, plus = above.size, int(np.count_nonzero(above))
+        both = 2 * plus * (size - plus)
+        runs += int(np.count_nonzero(above[1:] != above[:-1])) + 1
+        expected += 1 + both / size
+        variance += both * (both - size) / (size * size * (size - 1))
     from scipy.special import erfc
 
     p = float(erfc(abs(runs - expected) / math.sqrt(2 * variance))) if variance > 0 else math.nan
     return ResidualPattern(lag1, runs, expected, p)
-
-
-def _runs_expected(above: Sequence[NDArray[np.bool_]]) -> tuple[float, float]:
-    expected = variance = 0.0
-    for signs in above:
-        n, plus = signs.size, int(np.count_nonzero(signs))
-        both = 2 * plus * (n - plus)
-        expected += 1 + both / n
-        variance += both * (both - n) / (n * n * (n - 1))
-    return expected, max(variance, 0.0)
 
 
 # Whether a model describes the rows that it was fitted to, beside the optimizer's word. Misfit is a
@@ -148,15 +141,6 @@ _MOST_TERMS = 4
 _ROWS_A_TERM = 5
 #: share of the largest force by which a single row must be off to be named
 _OFF = 0.02
-
-
-def _largest_distance(rows: int) -> float:
-    """Distance of a row from its neighbors, in standard deviations, that noise hardly reaches.
-
-    Above the 99.9 % point of the largest distance in simulated noise: 14.3 of 8 rows, 9.6 of 10,
-    6.7 of 20, 5.3 of 50 and 5.1 of 100 (2,000 to 6,000 draws each).
-    """
-    return float(6.0 + 400 / rows**1.8)
 
 
 @dataclass(frozen=True)
@@ -330,11 +314,17 @@ def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
         return []
     largest = float(np.abs(recording.rows.force_N).max())
     size = np.abs(noise.distance * noise.deviation)
-    far = np.abs(noise.distance) > _largest_distance(recording.rows.places.size)
+    # above the 99.9 % point of the largest distance in simulated noise: 14.3 of 8 rows, 9.6 of 10,
+    # 6.7 of 20, 5.3 of 50 and 5.1 of 100 (2,000 to 6,000 draws each)
+    far = np.abs(noise.distance) > 6.0 + 400 / recording.rows.places.size**1.8
     (places,) = np.nonzero(far & (size > _OFF * float(np.abs(recording.predicted_N).max())))
     if not places.size:
         return []
-    rows = tuple(_suspect(recording, int(k)) for k in places)
+    columns = (recording.rows.displacement_mm, recording.rows.force_N, recording.predicted_N)
+    rows = tuple(
+        SuspectRow(recording.label, int(k) + 1, *(float(column[k]) for column in columns))
+        for k in places
+    )
     listed = ", ".join(str(row.row) for row in rows[:8]) + (", ..." if len(rows) > 8 else "")
     gone = float(np.sum(recording.residual[places] ** 2) / np.sum(recording.residual**2))
     mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
@@ -353,16 +343,6 @@ def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
         f"{mend}"
     )
     return [(grade, why, rows)]
-
-
-def _suspect(recording: _Recording, place: int) -> SuspectRow:
-    return SuspectRow(
-        recording.label,
-        place + 1,
-        float(recording.rows.displacement_mm[place]),
-        float(recording.rows.force_N[place]),
-        float(recording.predicted_N[place]),
-    )
 
 
 def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:

@@ -48,15 +48,13 @@ def checked_bounds(
         raise InputError(Fault("bounds", f"need low < high for {start.size} parameters"))
     outside = np.flatnonzero((start < pairs[:, 0]) | (start > pairs[:, 1]))
     if outside.size:
+        rules = [
+            f"{start[i]:g} lies outside its bounds {pairs[i, 0]:g} to {pairs[i, 1]:g}"
+            for i in outside
+        ]
+        mend = "start inside them or widen them"
         raise InputError(
-            [
-                Fault(
-                    f"start[{i}]",
-                    f"{start[i]:g} lies outside its bounds {pairs[i, 0]:g} to {pairs[i, 1]:g}",
-                    "start inside them or widen them",
-                )
-                for i in outside
-            ]
+            [Fault(f"start[{i}]", rule, mend) for i, rule in zip(outside, rules, strict=True)]
         )
     return pairs[:, 0].copy(), pairs[:, 1].copy()
 
@@ -123,6 +121,12 @@ class MeasuredCurve:
         """Weight of every point, shape (n,)."""
         return np.broadcast_to(np.asarray(self.weight, float), (len(self.curve),))
 
+    def slopes(self, predicted: Curve, names: Sequence[str]) -> Array:
+        """Differentiate the weighted residual of every used point by constants, shape (n, p)."""
+        used = self.weights > 0
+        slopes = predicted.gradients_at(names, self.curve.displacement_mm[used])
+        return np.asarray(self.weights[used][:, None] * slopes)
+
 
 def curve_faults(measured: MeasuredCurve) -> list[Fault]:
     """Say what of a curve cannot be fitted."""
@@ -139,24 +143,18 @@ def curve_faults(measured: MeasuredCurve) -> list[Fault]:
     if not (np.all(np.isfinite(weights)) and np.all(weights >= 0)):
         return [Fault(where, "weights must be finite and not negative")]
     used = weights > 0
-    if measured.role == "fit" and np.count_nonzero(used) > 1:
-        if measured.curve.time_s is None:
-            return _force_faults(where, d[used], force[used])
-        # the force of a course in time may fall while it is held
-        if float(d[used] @ force[used]) <= 0:
-            mend = "a force that resists is positive: see `sign` of the measurements"
-            return [Fault(where, "the force does not resist the displacement", mend)]
+    if measured.role != "fit" or np.count_nonzero(used) < 2:
         return []
-    return []
-
-
-def _force_faults(where: str, d: Array, force: Array) -> list[Fault]:
-    if np.ptp(force) <= 1e-9 * np.abs(force).max():
-        return [Fault(where, f"is constant ({force[0]:g} N everywhere): no stiffness to fit")]
-    if float((d - d.mean()) @ (force - force.mean())) <= 0:
-        mend = "a force that resists is positive: see `sign` of the measurements"
-        return [Fault(where, "the force falls as the displacement grows", mend)]
-    return []
+    d, force = d[used], force[used]
+    # the force of a course in time may fall while it is held
+    rule, work = "the force does not resist the displacement", float(d @ force)
+    if measured.curve.time_s is None:
+        if np.ptp(force) <= 1e-9 * np.abs(force).max():
+            return [Fault(where, f"is constant ({force[0]:g} N everywhere): no stiffness to fit")]
+        rule = "the force falls as the displacement grows"
+        work = float((d - d.mean()) @ (force - force.mean()))
+    mend = "a force that resists is positive: see `sign` of the measurements"
+    return [Fault(where, rule, mend)] if work <= 0 else []
 
 
 # Priors of parameters as pseudo-observations (Theil and Goldberger 1961, Int. Econ. Rev. 2, 65).

@@ -123,9 +123,8 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     """
     counts: Counter[str] = Counter()
     if displacement_mm.size < MIN_ROWS:
-        raise InputError(
-            Fault(where, f"has {displacement_mm.size} rows, a curve needs at least {MIN_ROWS}")
-        )
+        rule = f"has {displacement_mm.size} rows, a curve needs at least {MIN_ROWS}"
+        raise InputError(Fault(where, rule))
     every_d, every_f = _turned(displacement_mm, force_N, rules, where, counts)
     phases = phases_of(every_d)
     chosen = rules.branch.of(phases, every_d, every_f, where, is_signed=rules.is_signed)
@@ -246,13 +245,8 @@ def _turned(
     if span <= 1e-12 * max(float(np.abs(f).max()), 1e-300) or np.ptp(d) == 0:
         what = "displacement" if np.ptp(d) == 0 else "force"
         value = d[0] if what == "displacement" else f[0]
-        raise InputError(
-            Fault(
-                where,
-                f"the {what} is constant ({value:.6g}): nothing to fit",
-                "check the columns and the recording",
-            )
-        )
+        rule = f"the {what} is constant ({value:.6g}): nothing to fit"
+        raise InputError(Fault(where, rule, "check the columns and the recording"))
     turn = -1.0 if rules.sign == "negative" else 1.0
     f = turn * f
     is_auto = rules.direction == "auto"
@@ -415,7 +409,10 @@ def slack_end(moved: Array, f: Array) -> float | None:
     travel = float(moved[peak] - moved[0])
     x = (moved[: peak + 1] - moved[0]) / max(travel, 1e-300)
     near = (x >= 0) & (x <= _BEGINNING)
-    x, y = _binned(x[near], f[: peak + 1][near])
+    x, y = x[near], f[: peak + 1][near]
+    if x.size > _MOST_BINS:  # means of neighboring rows
+        parts = np.linspace(0, x.size, _MOST_BINS + 1).astype(int)
+        x, y = (np.add.reduceat(values, parts[:-1]) / np.diff(parts) for values in (x, y))
     if x.size < _CORNER_ROWS:
         return None
 
@@ -441,15 +438,6 @@ def slack_end(moved: Array, f: Array) -> float | None:
     secant = (float(f[peak]) - level) / (1 - place)
     is_late = place > _SLACK and slope > _AT_ONCE * secant
     return float(moved[0]) + place * travel if is_corner and is_late else None
-
-
-def _binned(x: Array, y: Array) -> tuple[Array, Array]:
-    """Means of neighboring rows, of so many at most."""
-    if x.size <= _MOST_BINS:
-        return x, y
-    parts = np.linspace(0, x.size, _MOST_BINS + 1).astype(int)
-    counts = np.diff(parts)
-    return np.add.reduceat(x, parts[:-1]) / counts, np.add.reduceat(y, parts[:-1]) / counts
 
 
 def _check_slack(d: Array, f: Array, way: float, rules: Rules, where: str) -> None:
@@ -658,9 +646,8 @@ def _toe(
     below = np.flatnonzero(f <= rules.toe_N)
     start = int(below[-1]) + 1 if below.size else 0
     if start >= d.size:
-        raise InputError(
-            Fault(where, f"the force never stays above the toe of {rules.toe_N:.4g} N", "lower toe")
-        )
+        rule = f"the force never stays above the toe of {rules.toe_N:.4g} N"
+        raise InputError(Fault(where, rule, "lower toe"))
     contact = float(d[start])
     if start:
         share = (rules.toe_N - f[start - 1]) / (f[start] - f[start - 1])
@@ -675,22 +662,13 @@ def _resample(d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
     spacing = (high - low) / max(rules.points - 1, 1)
     slack = 1e-9 * high
     if d[-1] < high - slack:
-        raise InputError(
-            Fault(
-                where,
-                f"ends at {_place(d[-1], rules)}, the range asks for {_place(high, rules)}",
-                "shorten the range or leave this test out" + _other_unit(float(d[-1]), high),
-            )
-        )
+        rule = f"ends at {_place(d[-1], rules)}, the range asks for {_place(high, rules)}"
+        mend = "shorten the range or leave this test out" + _other_unit(float(d[-1]), high)
+        raise InputError(Fault(where, rule, mend))
     if d[0] > low + slack:
         if d[0] > low + spacing or low < 0:
-            raise InputError(
-                Fault(
-                    where,
-                    f"begins at {_place(d[0], rules)}, the range asks for {_place(low, rules)}",
-                    "raise the lower end of the range",
-                )
-            )
+            rule = f"begins at {_place(d[0], rules)}, the range asks for {_place(low, rules)}"
+            raise InputError(Fault(where, rule, "raise the lower end of the range"))
         # the unloaded origin is part of every curve; it bridges less than one grid step here
         counts["tests whose start was joined to the unloaded origin"] += 1
         d, f = np.r_[0.0, d], np.r_[0.0, f]

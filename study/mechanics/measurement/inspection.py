@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array
 from study.ground.bounded_file import (
     is_workbook,
     read_bytes,
@@ -234,7 +234,8 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         notes.append("two stretches and two stresses: one biaxial test, first direction first")
     elif kinematic and kinetic:
         d, f = numbers_of[chosen[kinematic]], numbers_of[chosen[kinetic]]
-        first = _first_test(columns, block, groups)
+        keys = list(zip(*(block.column(k) for k in groups), strict=True)) or [()] * len(block.at)
+        first = [row for row, key in enumerate(keys) if key == keys[0]]
         d, f, at = d[first], f[first], [block.at[k] for k in first]
         phases = _place(kinematic, d, f, table, notes)
         placed = [
@@ -279,6 +280,10 @@ class _Block:
     #: Lines between the rows that are none.
     others: list[int]
 
+    def column(self, k: int) -> tuple[str, ...]:
+        """Cells of a column, from 0; empty where a row ends before it."""
+        return tuple(row[k] if k < len(row) else "" for row in self.rows)
+
 
 def _split(line: str, delimiter: str) -> list[str]:
     sign = _DELIMITERS[delimiter]
@@ -301,7 +306,8 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
     for delimiter in _DELIMITERS:
         is_quoted = delimiter == "comma" and any('"' in line for line in lines[:_LOOKED_AT])
         for decimal in (m for m in (".", ",") if is_quoted or m != _DELIMITERS[delimiter]):
-            pairs = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
+            split = [_split(line, delimiter) for line in lines[:_LOOKED_AT]]
+            pairs = [(len(_places_of_numbers(x, decimal)), sum(map(bool, x))) for x in split]
             width, start = _width_and_start([n for n, _ in pairs])
             if not width:
                 continue
@@ -353,11 +359,6 @@ def _width_and_start(counts: Sequence[int]) -> tuple[int, int]:
         if all(n == width for n in counts[k : k + _BLOCK]):
             return width, k
     return 0, 0
-
-
-def _numbers_in(cells: Sequence[str], decimal: str) -> tuple[int, int]:
-    """How many cells are numbers, and how many are filled."""
-    return len(_places_of_numbers(cells, decimal)), sum(map(bool, cells))
 
 
 def _places_of_numbers(cells: Sequence[str], decimal: str) -> tuple[int, ...]:
@@ -429,18 +430,14 @@ def _columns(
     words: list[str] = []
     notes: list[str] = []
     for k, name in enumerate(block.names):
-        cells = tuple(row[k] if k < len(row) else "" for row in block.rows)
+        cells = block.column(k)
         values = parsed_numbers(cells, block.decimal, _thousands(block.decimal))
         is_number = bool(np.isfinite(values).all())
         in_row = UNIT_CELL.fullmatch(block.unit_cells[k]) if k < len(block.unit_cells) else None
         match = _NAMED_UNIT.fullmatch(name)
         in_name = match["in"] if match else ""
-        word = (
-            (in_row[1] if in_row else "")
-            or in_name
-            or (match and (match["after"] or match["apart"]))
-            or ""
-        )
+        word = (in_row[1] if in_row else "") or in_name
+        word = word or (match and (match["after"] or match["apart"])) or ""
         unit = _known_unit(word) if word else None
         words.append("" if unit else (in_row[1] if in_row else in_name) or "")
         plain = name if unit is None or match is None or in_row else match["name"]
@@ -555,8 +552,7 @@ def _groups(
     table: dict[str, object],
 ) -> list[int]:
     """Columns whose labels tell tests apart; ``block`` and ``average`` go into the table."""
-    counted = [Counter(row[k] if k < len(row) else "" for row in block.rows)
-               for k in range(len(columns))]  # fmt: skip
+    counted = [Counter(block.column(k)) for k in range(len(columns))]
     several = [
         k for k, column in enumerate(columns)
         if column.name and not _WITHIN.search(column.name)
@@ -571,18 +567,6 @@ def _groups(
     if repeats:
         table["average"] = [columns[k].name for k in repeats]
     return several
-
-
-def _first_test(
-    columns: Sequence[InspectedColumn], block: _Block, groups: Sequence[int]
-) -> list[int]:
-    """Rows of the first test."""
-
-    def key(row: list[str]) -> tuple[str, ...]:
-        return tuple(row[k] if k < len(row) else "" for k in groups)
-
-    first = key(block.rows[0])
-    return [k for k, row in enumerate(block.rows) if key(row) == first]
 
 
 def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
@@ -682,10 +666,14 @@ def _zero_of(
     """Where displacement counts from, into the table. Shapes: moved, f (rows,), moved rising."""
     is_far = abs(begins) > 0.01 * float(np.ptp(moved))
     largest = float(np.abs(f).max())
-    rows = _first_rows(moved, f)
+    # the first tenth of the travel to the largest force, at least two rows
+    peak = max(int(np.argmax(np.abs(f - f[0]))), _BLOCK)
+    end = moved[0] + TURN * float(moved[:peak].max() - moved[0])
+    rows = np.flatnonzero(moved[:peak] <= end)
+    rows = rows if rows.size >= _BLOCK else np.arange(_BLOCK)
     slope, scatter = slope_with_error(moved[rows], f[rows])
     away = np.abs(f - f[0])
-    # the first tenth of the travel to the largest force carries none
+    # they carry none
     is_flat = away.argmax() >= _BLOCK and away[rows].max() < NO_FORCE * TURN * away.max()
     if slack_end(moved, f if f[away.argmax()] > 0 else -f) is not None or (
         is_flat and (is_far or abs(slope) <= 2.0 * scatter)
@@ -695,13 +683,9 @@ def _zero_of(
         if abs(float(f[rows].mean())) > OFFSET_SHARE * largest:
             table["zero"] = "fit"
             notes.append(f"the load cell reads {f[rows].mean():.4g} before contact: subtracted")
-    elif (
-        is_far
-        and abs(float(f[0])) > OFFSET_SHARE * largest
-        and (
-            abs(float(f[rows].mean()) - slope * float(moved[rows].mean())) < 0.5 * abs(float(f[0]))
-        )
-    ):
+    elif is_far and (
+        abs(float(f[rows].mean()) - slope * float(moved[rows].mean())) < 0.5 * abs(float(f[0]))
+    ) and abs(float(f[0])) > OFFSET_SHARE * largest:  # fmt: skip
         notes.append(
             f"the first row carries {f[0]:.4g} at {begins:.6g}, as a specimen does that is "
             "unloaded at 0: the recorded zero counts; if it is not, write displacement_zero = "
@@ -710,11 +694,3 @@ def _zero_of(
     elif is_far:
         table["displacement_zero"] = "first row"
         notes.append(f"the unloaded specimen is at {begins:.6g}: displacement counts from there")
-
-
-def _first_rows(moved: Array, f: Array) -> Ints:
-    """Rows in the first tenth of the travel to the largest force, at least two."""
-    peak = max(int(np.argmax(np.abs(f - f[0]))), _BLOCK)
-    end = moved[0] + TURN * float(moved[:peak].max() - moved[0])
-    rows = np.flatnonzero(moved[:peak] <= end)
-    return rows if rows.size >= _BLOCK else np.arange(_BLOCK)

@@ -111,27 +111,18 @@ class Measurements:
     def curve(self, block: str | None = None, **where: Label) -> MeasuredTest:
         """Average of the tests of one block that match ``where``."""
         chosen = self._matching(block, where)
-        shared = _shared(chosen)
+        every = chosen[0].groups.items()
+        shared = {n: v for n, v in every if all(test.groups[n] == v for test in chosen)}
         loose = [n for n in chosen[0].groups if n not in shared and n not in self.average]
         if loose:
             values = ", ".join(dict.fromkeys(t.groups[loose[0]] for t in chosen))
-            raise InputError(
-                Fault(
-                    "measurements",
-                    f"several tests match {_words(block, where)}: {loose[0]} = {values}",
-                    f"name {loose[0]!r} in `fit` and `score`, or in `average` if its tests are "
-                    "repeats on one specimen",
-                )
-            )
+            rule = f"several tests match {_words(block, where)}: {loose[0]} = {values}"
+            mend = f"name {loose[0]!r} in `fit` and `score`, or in `average` if its tests are "
+            raise InputError(Fault("measurements", rule, f"{mend}repeats on one specimen"))
         places, forces, time = self._rows_of(chosen)
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
         recordings = tuple(test.recorded for test in chosen if test.recorded is not None)
-        curve = Curve(
-            places,
-            forces.mean(axis=0),
-            time_s=time,
-            recorded=recordings,
-        )
+        curve = Curve(places, forces.mean(axis=0), time_s=time, recorded=recordings)
         notes = tuple(note for test in chosen for note in test.notes)
         rows = self._row_count(block, chosen)
         return MeasuredTest(
@@ -177,18 +168,15 @@ class Measurements:
         self, block: str | None = None, **where: Label
     ) -> list[tuple[dict[str, str], Curve]]:
         """Every matching group (labels, averaged curve), repeats averaged."""
-        keep: dict[tuple[tuple[str, str], ...], None] = {}
-        for test in self._matching(block, where):
-            key = tuple((k, v) for k, v in test.groups.items() if k not in self.average)
-            keep.setdefault(key)
+        keys = dict.fromkeys(
+            tuple((k, v) for k, v in test.groups.items() if k not in self.average)
+            for test in self._matching(block, where)
+        )
         out = []
-        for key in keep:
-            groups = dict(key)
+        for groups in map(dict, keys):
             rest = {k: v for k, v in groups.items() if k != self.block}
-            averaged = self.curve(
-                groups.get(self.block) if self.block else None, **{**where, **rest}
-            )
-            out.append((groups, averaged.curve))
+            label = groups.get(self.block) if self.block else None
+            out.append((groups, self.curve(label, **{**where, **rest}).curve))
         return out
 
     def pairs(self, block: str | None = None) -> list[tuple[MeasuredTest, MeasuredTest]]:
@@ -197,15 +185,9 @@ class Measurements:
         Made once for all the materials that are fitted to them.
         """
         if block not in self._paired:
-            self._paired[block] = self._pairs(block)
+            fit, score = (self.curve(block, **dict(side or {})) for side in self.sides[0])
+            self._paired[block] = [(fit, score), (score, fit)] if self.swap else [(fit, score)]
         return self._paired[block]
-
-    def _pairs(self, block: str | None) -> list[tuple[MeasuredTest, MeasuredTest]]:
-        fit, score = dict(self.fit or {}), dict(self.score or self.fit or {})
-        pairs = [(self.curve(block, **fit), self.curve(block, **score))]
-        if self.swap:
-            pairs.append((pairs[0][1], pairs[0][0]))
-        return pairs
 
     @property
     def sides(self) -> list[tuple[Selection | None, Selection | None]]:
@@ -219,13 +201,8 @@ class Measurements:
             chosen_labels[self.block] = (block,)
         for name in chosen_labels:
             if name not in self.tests[0].groups:
-                raise InputError(
-                    Fault(
-                        "measurements",
-                        f"there is no grouping column {name!r}",
-                        nearest(name, self.tests[0].groups),
-                    )
-                )
+                rule = f"there is no grouping column {name!r}"
+                raise InputError(Fault("measurements", rule, nearest(name, self.tests[0].groups)))
         chosen = [t for t in self.tests if all(t.groups[n] in v for n, v in chosen_labels.items())]
         if not chosen:
             raise InputError(self._nothing(block, chosen_labels))
@@ -240,10 +217,6 @@ class Measurements:
                 mend = f"{name}: " + nearest(unknown[0], labels[:50])
                 break
         return Fault("measurements", f"no test matches {_words(block, chosen_labels)}", mend)
-
-
-def _shared(tests: Sequence[SingleTest]) -> dict[str, str]:
-    return {n: v for n, v in tests[0].groups.items() if all(t.groups[n] == v for t in tests)}
 
 
 def _labels(value: Label) -> tuple[str, ...]:
@@ -327,24 +300,19 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
             odd.append((place, force, modulus))
     if not odd:
         return measurements
-    return replace(measurements, notes=(*measurements.notes, _sentence(odd, measurements)))
-
-
-def _sentence(odd: list[tuple[float, float, float]], measurements: Measurements) -> str:
-    """Say which forces are meant, and what would make them plausible."""
     place, force, modulus = odd[0]
-    low, high = SOFT_MPA
     factor = _THOUSAND if modulus < low else 1 / _THOUSAND
     likely = low <= modulus * factor <= high
     size = "1000 times larger" if factor > 1 else "1000 times smaller"
     hint = f"; a force {size} would be one of a soft material" if likely else ""
-    return (
+    sentence = (
         f"{', '.join(sorted(measurements.files)[:2])}: {force:.4g} N at {place:.4g} mm means a "
         f"Young's modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ("
         f"{_in_words(low)} to {_in_words(high)}; in {len(odd)} of {len(measurements.tests)} tests)"
         f"{hint}: check "
         "measurements.units and the size of the specimen"
     )
+    return replace(measurements, notes=(*measurements.notes, sentence))
 
 
 def _in_words(modulus_MPa: float) -> str:  # noqa: N803

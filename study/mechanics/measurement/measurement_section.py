@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -77,7 +77,9 @@ class ColumnLayout:
         first = next((line for line in lines if line.strip()), "")
         delimiter = self.delimiter
         if not self.header:
-            delimiter = delimiter or _shown_by(first, ";" if decimal == "," else ",")
+            marks = (";" if decimal == "," else ",", ";", "\t")
+            named = (name for name, sign in DELIMITERS.items() if sign in marks and sign in first)
+            delimiter = delimiter or next(named, "space")
         mark = "\t" if delimiter == "space" else DELIMITERS[delimiter] or "" if delimiter else ""
         if delimiter == "space":
             lines = ["\t".join(line.split()) for line in lines]
@@ -86,12 +88,6 @@ class ColumnLayout:
             lines.insert(0, mark.join(str(k + 1) for k in range(widest)))
             at.insert(0, at[0] if at else 1)
         return "\n".join(lines), at, mark
-
-
-def _shown_by(line: str, mark: str) -> str:
-    """Name of the delimiter that a line of numbers shows; spaces where it shows no other."""
-    names = [name for name, sign in DELIMITERS.items() if sign in (mark, ";", "\t")]
-    return next((name for name in names if (DELIMITERS[name] or "") in line), "space")
 
 
 #: columns that say how far the specimen was deformed, and their dimension
@@ -349,20 +345,11 @@ def _mark(value: object) -> str:
     return mark
 
 
-#: keys that say how a file is written
-_LAYOUT = ("skip_lines", "comment", "delimiter")
 #: keys that stay out of documents where they say what is usual
-_USUAL = {
-    "header": True,
-    "displacement_zero": None,
-    "direction": "auto",
-    "branch": "auto",
-    "cycle": "loading",
-    "unit_row": None,
-    "thousands": "",
-    "encoding": "",
-    "sheet": "",
-}
+_USUAL = (
+    "skip_lines", "comment", "delimiter", "header", "displacement_zero", "direction", "branch",
+    "cycle", "unit_row", "thousands", "encoding", "sheet",
+)  # fmt: skip
 
 
 @section
@@ -445,10 +432,8 @@ class MeasurementSpec:
         values = asdict(self)
         for key in ("columns", "units"):
             values[key] = {k: v for k, v in values[key].items() if v is not None}
-        for key, usual in _USUAL.items():
-            if values[key] == usual:
-                del values[key]
-        return {k: v for k, v in values.items() if k not in _LAYOUT or v}
+        usual = {f.name: f.default for f in fields(self)}
+        return {k: v for k, v in values.items() if k not in _USUAL or v != usual[k]}
 
 
 # -------------------------------------------------------------------------------------------------
@@ -457,6 +442,7 @@ class MeasurementSpec:
 #: what a plate is taken to do: as it was said to move, any rigid motion, and slip besides
 PLATES = ("nominal", "rigid", "slipping")
 
+#: Coordinates of a point: names of three columns.
 Axes = tuple[str, str, str]
 
 _STATE = 'for example "5 %" = { columns = ["x1", "y1", "z1"], displacement = "4 mm" }'
@@ -472,7 +458,8 @@ class MarkedState:
     displacement_mm: float
 
 
-def _axes(value: object) -> Axes:
+def three_columns(value: object) -> Axes:
+    """Read the names of three columns."""
     values = names(value)
     if not isinstance(value, list) or len(values) != 3:
         mend = 'for example ["x0", "y0", "z0"]'
@@ -496,7 +483,7 @@ def _state(label: str, table: object) -> MarkedState:
         raise Bad(f"state {label!r}: {error.faults[0].rule}", error.faults[0].mend) from error
     if not moved > 0:
         raise Bad(f"state {label!r}: its displacement must be above 0", _STATE)
-    return MarkedState(label, _axes(table["columns"]), moved)
+    return MarkedState(label, three_columns(table["columns"]), moved)
 
 
 def _layers(value: object) -> tuple[str, ...]:
@@ -517,7 +504,7 @@ class MarkerSpec:
     #: Table with one row a marker.
     file: Annotated[str, Reads(csv_path, mend='for example file = "markers.csv"')]
     #: Columns of x, y and z in the unloaded specimen.
-    rest: Annotated[Axes, Reads(_axes, mend='for example rest = ["x0", "y0", "z0"]')]
+    rest: Annotated[Axes, Reads(three_columns, mend='for example rest = ["x0", "y0", "z0"]')]
     #: Every state of the test: the same markers, measured again.
     states: Annotated[tuple[MarkedState, ...], Reads(_states, mend=_STATE)]
     unit: Annotated[str, Reads(unit_of_length)] = "mm"

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.conditioning import (
     OFFSET,
@@ -83,40 +82,37 @@ def read_measurements(
         test_notes += did
         notes_of_test = tuple(f"{recording.where}: {n} {what}" for what, n in result.counts.items())
         tests.append(
-            SingleTest(
-                dict(recording.groups),
-                result.force_N,
-                notes_of_test,
-                result.recorded,
-                result.specimen,
-            )
-        )
-    _check_distinct(tests, faults)
+            SingleTest(dict(recording.groups), result.force_N, notes_of_test, result.recorded,
+                       result.specimen)
+        )  # fmt: skip
+    mend = "give each its own name in braces in `files`, or name what differs"
+    faults.extend(
+        Fault("measurements", f"{n} files hold the same test: {dict(key)}", mend)
+        for key, n in Counter(tuple(test.groups.items()) for test in tests).items()
+        if n > 1
+    )
     if faults:
         raise InputError(capped(faults))
     notes = [*recorded.notes, *first_notes(test_notes), *_summary(done, rules)]
     if rules != usual:
         notes.append(f"the range begins at {rules.low_mm:.4g} mm, where the last test begins")
     own_rows = own_rows and rules.is_raw
-    displacement, time = (
-        (done[0].displacement_mm, done[0].recorded.time_s)
-        if own_rows
-        else _common_grid(done, rules)
-    )
+    # of rows of their own, no grid is common
+    displacement, time = _common_grid(done[:1] if own_rows else done, rules)
     measurements = Measurements(
-        tuple(tests),
-        displacement,
-        getattr(spec, "block", None),
-        tuple(spec.average or ()),
-        spec.fit,
-        spec.score,
-        bool(spec.swap),
-        tuple(notes),
-        dict(recorded.files),
-        time,
-        own_rows,
-    )
-    _check_selections(measurements)
+        tuple(tests), displacement, spec.block, tuple(spec.average or ()), spec.fit, spec.score,
+        bool(spec.swap), tuple(notes), dict(recorded.files), time, own_rows,
+    )  # fmt: skip
+    # a block without its fit or score tests is refused now, not in the middle of a run
+    missing: list[Fault] = []
+    for block in measurements.blocks or (None,):
+        for where in (spec.fit, spec.score):
+            try:
+                _ = None if where is None else measurements.curve(block, **where)
+            except InputError as error:
+                missing.extend(error.faults)
+    if missing:
+        raise InputError(capped(list(dict.fromkeys(missing))))
     return measurements
 
 
@@ -138,7 +134,9 @@ def specimens(
         made = condition_course(d, f, recording.time_s, rules, recording.where)
     else:
         made = condition(d, f, rules, recording.where)
-    longest = _longest(d, gauge)
+    longest = 1.0
+    if gauge is not None and gauge.mode != "simple-shear":
+        longest = 1 + float((gauge.sense * d).max()) / gauge.length_mm
     if "strain" in spec.columns.kinematic and longest > _UNUSUAL:
         notes.append(
             f"{recording.where}: a stretch of {longest:.4g} is unusual: {spec.columns.kinematic}, "
@@ -148,13 +146,9 @@ def specimens(
     made = replace(made, rows=rows, specimen=replace(made.specimen, recording=recording))
     chosen = [p for p in made.specimen.phases if made.specimen.fate[p.rows].min() == 0]
     if recording.time_s is None and (rules.branch.which != "auto" or len(made.specimen.phases) > 1):
+        lines = recording.lines
         words = " and ".join(
-            p.words
-            + (
-                f" (lines {recording.lines[p.first]} to {recording.lines[p.last]})"
-                if recording.lines
-                else ""
-            )
+            p.words + (f" (lines {lines[p.first]} to {lines[p.last]})" if lines else "")
             for p in chosen[:3]
         )
         which = rules.branch.which
@@ -163,25 +157,14 @@ def specimens(
     return made, notes
 
 
-def _longest(d: Array, gauge: Gauge | None) -> float:
-    """Largest stretch of a gauge section that is stretched or shortened."""
-    if gauge is None or gauge.mode == "simple-shear":
-        return 1.0
-    return 1 + float((gauge.sense * d).max()) / gauge.length_mm
-
-
 def _folded(recording: Recording) -> Recording:
     """Rows of a shear to both sides in the order of its amount, in which they are one test."""
     if (recording.kinematic >= 0).all():
         return recording
     order = np.argsort(np.abs(recording.kinematic), kind="stable")
     lines = tuple(recording.lines[k] for k in order) if recording.lines else ()
-    return replace(
-        recording,
-        kinematic=recording.kinematic[order],
-        kinetic=recording.kinetic[order],
-        lines=lines,
-    )
+    far, hard = recording.kinematic[order], recording.kinetic[order]
+    return replace(recording, kinematic=far, kinetic=hard, lines=lines)
 
 
 def _in_place(
@@ -233,16 +216,12 @@ def _common_grid(done: Sequence[Conditioned], rules: Rules) -> tuple[Array, Arra
             rule = f"raw rows lie at other {what} in every test of these measurements"
             mend = "write a number of points, or a [[tests]] table for each test"
             raise InputError(Fault("measurements.points", rule, mend))
-        if not np.allclose(rows.displacement_mm, first.displacement_mm, atol=_same_mm(first)):
+        same_mm = 1e-6 * float(np.abs(first.displacement_mm).max())
+        if not np.allclose(rows.displacement_mm, first.displacement_mm, atol=same_mm):
             rule = "the displacements at these times are others in every test of a block"
             mend = "write a [[tests]] table for each test: every course has an answer of its own"
             raise InputError(Fault("measurements.average", rule, mend))
     return done[0].displacement_mm, first.time_s
-
-
-def _same_mm(course: Curve) -> float:
-    """Return how far displacements may be apart and still be the same."""
-    return 1e-6 * float(np.abs(course.displacement_mm).max())
 
 
 def rules_of(
@@ -278,52 +257,11 @@ def _range(
         return 0.0, np.inf if displacement_mm is None else displacement_mm
     if spec.range is None:
         if displacement_mm is None:
-            raise InputError(
-                Fault(
-                    "measurements.range",
-                    "is missing, and no test.displacement stands for it",
-                    'for example range = ["1 %", "20 %"]',
-                )
-            )
+            rule = "is missing, and no test.displacement stands for it"
+            mend = 'for example range = ["1 %", "20 %"]'
+            raise InputError(Fault("measurements.range", rule, mend))
         return displacement_mm / max(points, 2), displacement_mm
-    if spec.range.kind == "percent" and height_mm is None:
-        raise InputError(
-            Fault(
-                "measurements.range",
-                "in percent needs the height of the specimen",
-                "give specimen.height, or the range in mm",
-            )
-        )
-    low, high = spec.range.in_mm(height_mm)
-    return float(low), float(high)
-
-
-def _check_distinct(tests: Sequence[SingleTest], faults: list[Fault]) -> None:
-    seen = Counter(tuple(test.groups.items()) for test in tests)
-    faults.extend(
-        Fault(
-            "measurements",
-            f"{n} files hold the same test: {dict(key)}",
-            "give each its own name in braces in `files`, or name what differs",
-        )
-        for key, n in seen.items()
-        if n > 1
-    )
-
-
-def _check_selections(measurements: Measurements) -> None:
-    """Find a block without its fit or score tests now, not in the middle of a run."""
-    faults: list[Fault] = []
-    for block in measurements.blocks or (None,):
-        for where in (measurements.fit, measurements.score):
-            if where is None:
-                continue
-            try:
-                measurements.curve(block, **where)
-            except InputError as error:
-                faults.extend(error.faults)
-    if faults:
-        raise InputError(capped(list(dict.fromkeys(faults))))
+    return spec.range.in_mm(height_mm)
 
 
 def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
@@ -357,14 +295,12 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
     several = f"{rows[0]} to {rows[-1]}" if len(rows) > 1 else str(rows[0])
     notes.append(
         f"{len(done)} {'test' if len(done) == 1 else 'tests'} of {several} rows"
-        + _within(rules)
+        + (
+            ""
+            if np.isinf(rules.high_mm)
+            else f" in the range {rules.low_mm:.4g} to {rules.high_mm:.4g} mm"
+        )
         + ", "
         + ("as they were measured" if rules.is_raw else f"resampled at {rules.points} points")
     )
     return notes
-
-
-def _within(rules: Rules) -> str:
-    if np.isinf(rules.high_mm):
-        return ""
-    return f" in the range {rules.low_mm:.4g} to {rules.high_mm:.4g} mm"

@@ -120,7 +120,13 @@ def displacement_and_force(
             return shear * section.length_mm, force
         order = np.argsort(np.abs(shear), kind="stable")
         return np.abs(shear)[order] * section.length_mm, (turned * force)[order]
-    stretch = _stretch(kinematic, deformed, section)
+    stretch = deformed
+    if kinematic == "displacement":
+        stretch = np.asarray(1 + section.sense * deformed / section.length_mm)
+    elif kinematic != "volume_ratio":
+        stretch = np.asarray(_TO_STRETCH[kinematic](deformed))
+    elif section.mode != "confined":
+        stretch = np.asarray(np.cbrt(deformed))
     percent = f'if {kinematic} is in per cent, write units = {{ {kinematic} = "%" }}'
     if not (stretch > 0).all():
         rule = f"{kinematic} of {deformed[np.argmin(stretch)]:g} leaves nothing of the specimen"
@@ -148,14 +154,6 @@ def _checked(kinematic: str, kinetic: str, gauge: Gauge | None, where: str) -> G
             rule = f"a column {column} has no meaning in {gauge.mode} loading"
             raise InputError(Fault(where, rule, f"it belongs to {', '.join(modes)}"))
     return gauge
-
-
-def _stretch(kinematic: str, values: Array, gauge: Gauge) -> Array:
-    if kinematic == "displacement":
-        return np.asarray(1 + gauge.sense * values / gauge.length_mm)
-    if kinematic == "volume_ratio":
-        return np.asarray(values if gauge.mode == "confined" else np.cbrt(values))
-    return np.asarray(_TO_STRETCH[kinematic](values))
 
 
 def _force(kinetic: str, values: Array, stretch: Array, gauge: Gauge) -> Array:
@@ -202,13 +200,9 @@ def locate(name: str, root: Path, *, citation: str = "", where: str = "measureme
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(Fault(where, f"{name!r} cannot be used: {error}")) from error
     if not inside:
-        raise InputError(
-            Fault(
-                where,
-                f"{name!r} leads outside the data root {str(root)!r} through a link",
-                "copy the file there, or name its folder with --data DIR",
-            )
-        )
+        rule = f"{name!r} leads outside the data root {str(root)!r} through a link"
+        mend = "copy the file there, or name its folder with --data DIR"
+        raise InputError(Fault(where, rule, mend))
     if not is_there:
         raise MissingDataError(_missing(f"no file {name!r}", root, citation, where))
     return resolved
@@ -219,17 +213,6 @@ def locate_pattern(
 ) -> list[tuple[str, dict[str, str]]]:
     """Files below the data root that match a pattern such as ``"compression-{specimen}.csv"``."""
     check_relative(pattern, where)
-    names = _FIELD.findall(pattern)
-    bad = [n for n in names if not n.isidentifier()]
-    stray = "{" in _FIELD.sub("", pattern) or "}" in _FIELD.sub("", pattern)
-    if not names or bad or stray or len(set(names)) < len(names):
-        raise InputError(
-            Fault(
-                where,
-                f"must hold distinct names in braces, got {pattern!r}",
-                'for example "compression-{specimen}.csv"; one table is named by `file`',
-            )
-        )
     matches = sorted(_walk(root, "", list(PurePosixPath(pattern).parts), {}))
     if not matches:
         raise MissingDataError(_missing(f"no file matches {pattern!r}", root, citation, where))
@@ -326,9 +309,8 @@ def read_recordings(spec: MeasurementSpec, root: Path) -> Recordings:
 def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str, str]]]:
     """Parse the files; each comes with the group labels that its name carries."""
     citation = spec.citation or ""
-    if spec.file:
-        located: list[tuple[str, dict[str, str]]] = [(spec.file, {})]
-    else:
+    located: list[tuple[str, dict[str, str]]] = [(spec.file or "", {})]
+    if not spec.file:
         located = locate_pattern(spec.files or "", root, citation=citation)
     columns, layout = spec.columns, spec.layout
     required = [columns.column(quantity) for quantity in _recorded(columns)]
@@ -389,9 +371,8 @@ def _split(
     d, f = read[spec.columns.kinematic], read[spec.columns.kinetic]
     time = read.get("time")
     inside = [name for name in groups if name not in labels]
-    _check_file_labels(table, labels)
     keys = list(zip(*(table.text(name) for name in inside), strict=True)) or [()] * d.size
-    _check_labels(table, inside, keys)
+    _check_labels(table, labels, inside, keys)
     rows: dict[tuple[str, ...], list[int]] = {}
     for k, key in enumerate(keys):
         rows.setdefault(key, []).append(k)
@@ -418,46 +399,39 @@ def _split(
         yield Recording(where, ordered, d[members], f[members], when, lines, held)
 
 
-def _check_file_labels(table: CsvTable, labels: Mapping[str, str]) -> None:
-    """Refuse labels in the name of a file that cannot be one, or that are also a column."""
-    for name, label in labels.items():
-        if rule := label_fault(label):
-            raise InputError(Fault(f"{table.source}: name of the file", f"{name}: {rule}"))
-    clash = [name for name in labels if name in table.columns]
-    if clash:
-        rule = f"{clash[0]!r} is both a column and part of the file's name"
-        mend = "rename one of them in the pattern of `files`"
-        raise InputError(Fault(table.source, rule, mend))
-
-
 def _check_time(table: CsvTable, members: Sequence[int], time: Array, where: str) -> None:
     """Refuse times that do not increase: several tests in one, or rows out of order."""
     back = np.flatnonzero(np.diff(time[list(members)]) <= 0)
     if back.size:
         line = table.lines[members[int(back[0]) + 1]]
-        raise InputError(
-            Fault(
-                f"{table.source}:{line}",
-                f"time does not increase from row to row ({where})",
-                "name the column that tells the tests apart in `average` or `block`, or keep one "
-                "of the rows of equal time",
-            )
+        rule = f"time does not increase from row to row ({where})"
+        mend = (
+            "name the column that tells the tests apart in `average` or `block`, or keep one "
+            "of the rows of equal time"
         )
+        raise InputError(Fault(f"{table.source}:{line}", rule, mend))
 
 
-def _check_labels(table: CsvTable, names: Sequence[str], keys: Sequence[tuple[str, ...]]) -> None:
+def _check_labels(
+    table: CsvTable,
+    labels: Mapping[str, str],
+    names: Sequence[str],
+    keys: Sequence[tuple[str, ...]],
+) -> None:
+    """Refuse labels that cannot be one, and those of a file's name that are also a column."""
+    for name, label in labels.items():
+        if rule := label_fault(label):
+            raise InputError(Fault(f"{table.source}: name of the file", f"{name}: {rule}"))
+        if name in table.columns:
+            rule = f"{name!r} is both a column and part of the file's name"
+            mend = "rename one of them in the pattern of `files`"
+            raise InputError(Fault(table.source, rule, mend))
     for key in dict.fromkeys(keys):
         for name, label in zip(names, key, strict=True):
-            rule = label_fault(label)
-            if rule:
-                line = table.lines[keys.index(key)]
-                raise InputError(
-                    Fault(
-                        f"{table.source}:{line}: column {name!r}",
-                        rule,
-                        "every row needs the label of its test, in plain characters",
-                    )
-                )
+            if rule := label_fault(label):
+                where = f"{table.source}:{table.lines[keys.index(key)]}: column {name!r}"
+                mend = "every row needs the label of its test, in plain characters"
+                raise InputError(Fault(where, rule, mend))
 
 
 def _check_one_test(
@@ -479,14 +453,12 @@ def _check_one_test(
     changing = [n for n, c in table.columns.items() if n not in used and c[k] != c[after]]
     steady = [n for n in changing if len({table.columns[n][m] for m in members}) <= len(back) + 1]
     hint = f"; column {steady[0]!r} changes there" if steady else ""
-    raise InputError(
-        Fault(
-            f"{table.source}:{table.lines[after]}",
-            f"the displacement starts again: several tests in one ({where}){hint}",
-            "name the column that tells them apart in `average` (repeats on one specimen) or "
-            "in `block`, `fit` and `score`",
-        )
+    rule = f"the displacement starts again: several tests in one ({where}){hint}"
+    mend = (
+        "name the column that tells them apart in `average` (repeats on one specimen) or "
+        "in `block`, `fit` and `score`"
     )
+    raise InputError(Fault(f"{table.source}:{table.lines[after]}", rule, mend))
 
 
 def _quantity(table: CsvTable, spec: MeasurementSpec, what: str, limit: float) -> Array:
@@ -496,13 +468,9 @@ def _quantity(table: CsvTable, spec: MeasurementSpec, what: str, limit: float) -
     beyond = np.flatnonzero(np.abs(values) > limit / factor)
     if beyond.size:
         k = int(beyond[0])
-        raise InputError(
-            Fault(
-                f"{table.source}:{table.lines[k]}: column {column!r}",
-                f"{values[k]:.6g} {spec.units.unit(what)} is beyond any test of a specimen",
-                "check the cell and measurements.units",
-            )
-        )
+        rule = f"{values[k]:.6g} {spec.units.unit(what)} is beyond any test of a specimen"
+        where = f"{table.source}:{table.lines[k]}: column {column!r}"
+        raise InputError(Fault(where, rule, "check the cell and measurements.units"))
     return values * factor
 
 
@@ -530,13 +498,9 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
         except InputError:
             continue  # the last word of the name is no unit of this dimension
         if not np.isclose(named, factor, rtol=1e-9):
-            raise InputError(
-                Fault(
-                    f"{table.source}: column {column!r}",
-                    f"{who} says {word}, but {unit} is declared in measurements.units",
-                    "declare the unit that the file is in",
-                )
-            )
+            rule = f"{who} says {word}, but {unit} is declared in measurements.units"
+            mend = "declare the unit that the file is in"
+            raise InputError(Fault(f"{table.source}: column {column!r}", rule, mend))
     return factor
 
 
@@ -544,7 +508,5 @@ def capped(faults: Sequence[Fault]) -> list[Fault]:
     """Shorten a long list of faults, and say by how many."""
     if len(faults) <= MAX_FAULTS:
         return list(faults)
-    return [
-        *faults[:MAX_FAULTS],
-        Fault("measurements", f"{len(faults) - MAX_FAULTS} more faults like these"),
-    ]
+    more = Fault("measurements", f"{len(faults) - MAX_FAULTS} more faults like these")
+    return [*faults[:MAX_FAULTS], more]

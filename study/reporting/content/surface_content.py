@@ -214,7 +214,7 @@ def surface_lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
     """Sentences of the section of one surface: accuracy, extremes, what must still be run."""
     found = one.found
     if found is None:
-        return (f"No surface: {clean(one.refused)}",)
+        return (f"No surface: {clean('; '.join(map(str.strip, one.refused.splitlines())))}.",)
     confirm = [
         f"That {name_of(item.factor, data.labels)} matters is claimed once these two were run: "
         + " and ".join(settings(found.runs.settings(at), one, data) for at in item.range.confirm)
