@@ -260,23 +260,34 @@ Singularity = ClampedCorner | SharpEdge | RoundedEdge | ContactRim
 
 @dataclass(frozen=True, kw_only=True)
 class TestKind(ABC):
-    """A kind of test: everything that sets it apart from others, as data."""
+    """A kind of test: everything that sets it apart from others, as data.
+
+    Parameters
+    ----------
+    takes_indenter : bool
+        Whether a test of this kind needs an indenter.
+    compresses : bool
+        Whether two plates shorten the specimen along its axis, and do nothing else.
+    shears : bool
+        Whether it is a simple shear, which may be preceded by a stretch.
+    strains_locally : bool
+        Whether single places are stretched several times: elements are stabilized there.
+    sense : float
+        Elongation of a homogeneous specimen per displacement: -1 shortens, 1 lengthens or shears.
+    mode : str
+        Deformation of a homogeneous specimen, one of ``LOADINGS``.
+    needs_homogeneous : bool
+        Whether the test is one of a gauge section, which no finite elements simulate.
+    """
 
     __test__ = False  # not a pytest class
 
-    #: Whether a test of this kind needs an indenter.
     takes_indenter: bool = False
-    #: Whether two plates shorten the specimen along its axis, and do nothing else.
     compresses: bool = False
-    #: Whether it is a simple shear, which may be preceded by a stretch.
     shears: bool = False
-    #: Whether single places are stretched several times: elements are stabilized there.
     strains_locally: bool = False
-    #: Elongation of a homogeneous specimen per displacement: -1 shortens, 1 lengthens or shears.
     sense: float = -1.0
-    #: Deformation of a homogeneous specimen, one of ``LOADINGS``.
     mode: str = "uniaxial"
-    #: Whether the test is one of a gauge section, which no finite elements simulate.
     needs_homogeneous: bool = False
 
     def usual_base(self, interface: Interface) -> Interface:
