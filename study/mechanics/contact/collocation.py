@@ -263,7 +263,9 @@ def _under_indenter_anywhere(
     problem: Problem, pair: IndenterContact, space: Discretization, mesh: Mesh
 ) -> tuple[ContactPoints, ...]:
     """Points of a whole surface, its base left out, that may meet an indenter."""
-    held = _in_plate(space, mesh, 0.0)
+    base = np.zeros(len(space.nodes), dtype=bool)
+    base[at_level(space, mesh, 0.0)] = True
+    held = np.asarray(base[space.facets].all(axis=1))
     corners = mesh.points[space.facets[~held][:, :3]]
     touch = touch_mm(pair.indenter, corners, mesh.height_mm)
     press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), touch)
@@ -283,13 +285,6 @@ def _onto_plane(
     held = np.array(sorted(prescribed_rates(problem.setup, space, mesh)), dtype=np.int64)
     nodes = np.unique(held[held % space.dim == space.dim - 1] // space.dim)
     return (_on_plate(problem, space, mesh, _plate(problem, pair, mesh), nodes),)
-
-
-def _in_plate(space: Discretization, mesh: Mesh, level: float) -> NDArray[np.bool_]:
-    """Facets that lie in a plate."""
-    held = np.zeros(len(space.nodes), dtype=bool)
-    held[at_level(space, mesh, level)] = True
-    return np.asarray(held[space.facets].all(axis=1))
 
 
 def _on_plate(

@@ -9,7 +9,6 @@ solve the multiplier takes up what the spring carried, so forces do not depend o
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -209,7 +208,7 @@ class ContactPoints:
 
     def stiffness(self, state: ContactState) -> Array:
         """Packed upper stiffness blocks, shape (n_points, m (m + 1) / 2)."""
-        rows, columns = _upper(state.direction.shape[1])
+        rows, columns = np.triu_indices(state.direction.shape[1])
         spring = self.weights * np.where(state.active, self.eps, 0.0)
         blocks = spring[:, None] * state.direction[:, rows] * state.direction[:, columns]
         if state.hessian.any():
@@ -220,12 +219,6 @@ class ContactPoints:
             a, i, b, j = rows // dim, rows % dim, columns // dim, columns % dim
             blocks = blocks - self.shape[:, a] * self.shape[:, b] * curved[:, i, j]
         return np.asarray(blocks)
-
-
-@functools.cache
-def _upper(m: int) -> tuple[Ints, Ints]:
-    """Rows and columns of a packed upper triangle."""
-    return np.triu_indices(m)
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,9 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
         weights = weights * 2 * np.pi * radius
         hoop = np.ascontiguousarray((values / radius).transpose(1, 2, 0))
     element_nodes = basis.element_dofs.T.astype(np.int64)
-    nodes = _node_positions(basis, mesh)
+    nodes = np.array(basis.doflocs.T)
+    if np.isnan(nodes).any():  # scikit-fem gives bubbles no place
+        nodes[np.asarray(basis.interior_dofs)[-1]] = mesh.points[mesh.cells].mean(axis=1)
     pressure_shape, pressure_dofs = _pressure(fem_mesh, basis, model)
     dim = mesh.points.shape[1]
     displacement = (dim * element_nodes[:, :, None] + np.arange(dim)).reshape(ne, -1)
@@ -192,14 +194,6 @@ def interpolation(mesh: Mesh, model: Model, places: Array) -> Callable[[Array], 
     basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=1)
     shapes = basis.probes(np.ascontiguousarray(places.T))
     return lambda values: np.asarray(shapes @ values)
-
-
-def _node_positions(basis: Any, mesh: Mesh) -> Array:
-    nodes = np.array(basis.doflocs.T)
-    bubbles = np.asarray(basis.interior_dofs)
-    if np.isnan(nodes).any():  # scikit-fem gives bubbles no place
-        nodes[bubbles[-1]] = mesh.points[mesh.cells].mean(axis=1)
-    return nodes
 
 
 def _fem_mesh(mesh: Mesh, axisymmetric: bool, shape: str) -> Any:
@@ -456,7 +450,7 @@ def slabs(space: Discretization) -> tuple[Slabs, ...]:
     places = space.nodes[space.element_nodes].mean(axis=1).T
     for count in _COUNTS:
         if space.weights.size >= count * _WORTH:
-            cuts = [_every_second(_cut(place, count)) for place in places]
+            cuts = [(cut[::2], cut[1::2]) for cut in (_cut(place, count) for place in places)]
             separating = [cut for cut in cuts if all(_apart(phase, space) for phase in cut)]
             if separating:
                 return min(separating, key=_gaps)
@@ -471,10 +465,6 @@ def _cut(place: Array, count: int) -> Slabs:
     slab = np.empty(place.size, dtype=np.int64)
     slab[np.argsort(place, kind="stable")] = count * np.arange(place.size) // place.size
     return tuple(np.flatnonzero(slab == i).astype(np.uint32) for i in range(count))
-
-
-def _every_second(cut: Slabs) -> tuple[Slabs, ...]:
-    return cut[::2], cut[1::2]
 
 
 def _halves(cut: Slabs, space: Discretization) -> tuple[Slabs, ...]:

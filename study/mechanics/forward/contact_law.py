@@ -108,15 +108,10 @@ class Layer:
     #: Whether it sticks to the base; it slides without friction otherwise.
     bonded: bool = True
 
-    @property
-    def is_half_space(self) -> bool:
-        """Whether nothing of the base is felt."""
-        return not np.isfinite(self.height_mm)
-
     def coupling(self, places_mm: Array, others_mm: Array) -> Array:
         """Kernel of the integral equation, 1/mm, shape (n, m)."""
         # 2/(pi h) int (1 - K(x)) cos(x s/h) cos(x t/h) dx for places s and t, in mm from the axis.
-        if self.is_half_space:
+        if not np.isfinite(self.height_mm):  # nothing of the base is felt
             return np.zeros((places_mm.size, others_mm.size))
         waves, weights = _missing(self.poisson_ratio, self.bonded)
         first = np.cos(np.outer(places_mm / self.height_mm, waves))

@@ -142,17 +142,10 @@ class PointLaw(IntEnum):
 
 
 class Law(NamedTuple):
-    """What the compiled loop is told of an energy.
-
-    Parameters
-    ----------
-    kind : PointLaw
-        Which law.
-    constants : ndarray, shape (n, k)
-        As this law takes them.
-    """
+    """What the compiled loop is told of an energy: its law, and constants as that takes them."""
 
     kind: PointLaw
+    #: shape (n, k)
     constants: Array
 
 
@@ -237,30 +230,14 @@ class Energy(ABC):
         """Return constants with the given mu0 (MPa) from which a fit starts, those not zero."""
 
     def looks(self, names: Collection[str]) -> list[dict[str, float]]:  # noqa: ARG002
-        """Plain numbers beside which a fit may have another minimum; none by default.
+        """Plain numbers beside which a fit of ``names`` may have another minimum, moduli left out.
 
-        Parameters
-        ----------
-        names : collection of str
-            Constants that are fitted.
-
-        Returns
-        -------
-        list of dict
-            Values of the constants without a unit, moduli left out.
+        By default none.
         """
         return []
 
     def scattered(self, start: Constants, rng: np.random.Generator) -> dict[str, float]:
-        """Draw another start of a fit: plain numbers times or over up to 3, moduli as they are.
-
-        Parameters
-        ----------
-        start : mapping of str to float
-            Constants of the usual start.
-        rng : numpy.random.Generator
-            Where the draws come from.
-        """
+        """Draw a start beside the usual one: plain numbers times or over up to 3, moduli kept."""
         factors = np.exp(rng.uniform(-np.log(3), np.log(3), len(start)))
         return {
             name: value * float(factor) if self.is_dimensionless(name) else value
@@ -268,33 +245,15 @@ class Energy(ABC):
         }
 
     def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """Constants for Abaqus.
-
-        Raises
-        ------
-        InputError
-            If Abaqus has no such energy.
-        """
+        """Constants for Abaqus; an InputError where it has no such energy."""
         raise no_counterpart("abaqus", constants)
 
     def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """Constants for FEBio.
-
-        Raises
-        ------
-        InputError
-            If FEBio has no such energy.
-        """
+        """Constants for FEBio; an InputError where it has no such energy."""
         raise no_counterpart("febio", constants)
 
     def ogden_classical(self, constants: Constants) -> Converted:
-        """Constants of the classical form of Ogden (1972).
-
-        Raises
-        ------
-        InputError
-            If it is not Ogden's energy.
-        """
+        """Constants of the classical form of Ogden (1972); an InputError of another energy."""
         rule = f"ogden-classical is for ogden materials, not {self.name}"
         raise InputError(Fault("convention", rule))
 
@@ -459,15 +418,7 @@ class DeclaredConstants(Energy):
 
 
 def no_counterpart(convention: str, constants: Constants) -> InputError:
-    """Return the error of a code that has no such energy.
-
-    Parameters
-    ----------
-    convention : str
-        Name of the code.
-    constants : mapping of str to float
-        Whose names the message lists.
-    """
+    """Return the error of a code, by its name, that has no energy with these constants."""
     return InputError(
         Fault(
             "convention",

@@ -90,14 +90,10 @@ def _spectral(F: Array) -> tuple[Array, Array, Array]:
 
 
 def _linear_stress(F: Array, mu: float, bulk: float) -> Array:
-    strain, trace = _small_strain(F)
     eye = _identity(F)
+    strain = 0.5 * (F + np.swapaxes(F, 0, 1)) - eye
+    trace = np.trace(strain)
     return np.asarray(2 * mu * (strain - trace / 3 * eye) + bulk * trace * eye)
-
-
-def _small_strain(F: Array) -> tuple[Array, Array]:
-    strain = 0.5 * (F + np.swapaxes(F, 0, 1)) - _identity(F)
-    return strain, np.asarray(np.trace(strain))
 
 
 def _identity(F: Array) -> Array:

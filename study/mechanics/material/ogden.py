@@ -146,7 +146,10 @@ class Ogden(OgdenSeries, IsochoricEnergy):
         for i, (mu, alpha) in enumerate(zip(*ogden_terms(constants), strict=True), start=1):
             z = alpha * log
             gradient[f"mu{i}"] = 2 * log * _phi(z)
-            gradient[f"alpha{i}"] = 2 * mu * log**2 * _phi_slope(z)
+            slope = _series_or(
+                z, lambda k: 1.0 / (k + 2), lambda w: (np.exp(w) * (w - 1) + 1) / w**2
+            )  # of _phi, with its limit 1/2 at zero
+            gradient[f"alpha{i}"] = 2 * mu * log**2 * slope
         return gradient
 
     def always_stable(self, constants: Constants) -> bool:
@@ -193,11 +196,6 @@ def ogden_terms(constants: Constants) -> tuple[Array, Array]:
 def _phi(z: Array) -> Array:
     """(e^z - 1) / z, with its limit 1 at zero."""
     return _series_or(z, lambda k: 1.0 / (k + 1), lambda w: np.expm1(w) / w)
-
-
-def _phi_slope(z: Array) -> Array:
-    """Differentiate :func:`_phi`, with its limit 1/2 at zero."""
-    return _series_or(z, lambda k: 1.0 / (k + 2), lambda w: (np.exp(w) * (w - 1) + 1) / w**2)
 
 
 def _series_or(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Sized
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +43,11 @@ def share_name(number: int) -> str:
 def time_name(number: int) -> str:
     """Name of the time of a term, counted from 1."""
     return f"time{number}"
+
+
+def relaxation_names(terms: Sized) -> tuple[str, ...]:
+    """Names of the shares and times of all terms, in order."""
+    return tuple(f(k) for k in range(1, len(terms) + 1) for f in (share_name, time_name))
 
 
 def is_time(name: str) -> bool:

@@ -26,6 +26,7 @@ from study.mechanics.material.homogeneous import (
 from study.mechanics.material.material import Material
 from study.mechanics.material.relaxation import (
     long_term_share,
+    relaxation_names,
     share_name,
     shares,
     time_name,
@@ -296,7 +297,7 @@ def relaxing(material: Material, loading: str, time_s: Array, measure: Array) ->
     _check(material, loading, time, values)
     if loading == "volumetric" or not material.relaxation:  # K does not relax
         elastic = LOADINGS[loading].nominal(material, values)
-        zero = dict.fromkeys(_relaxation_names(material), np.zeros_like(values))
+        zero = dict.fromkeys(relaxation_names(material.relaxation), np.zeros_like(values))
         return Loaded(elastic.stress, {**elastic.gradient, **zero})
     mode = LOADINGS[loading].mode
     with np.errstate(all="ignore"):  # constants of a fit may overflow: NaN says so
@@ -304,11 +305,6 @@ def relaxing(material: Material, loading: str, time_s: Array, measure: Array) ->
             return _sheared(material, Memory.of(material, time, values, is_shear=True))
         creeps = mode is not CONFINED and not material.incompressible
         return _stretched(material, mode, Memory.of(material, time, values, creeps=creeps))
-
-
-def _relaxation_names(material: Material) -> list[str]:
-    numbers = range(1, len(material.relaxation) + 1)
-    return [name for number in numbers for name in (share_name(number), time_name(number))]
 
 
 def _check(material: Material, loading: str, time: Array, measure: Array) -> None:

@@ -181,7 +181,8 @@ def surface_mesh(setup: Setup) -> Mesh:
     sizes = graded_table(frame.body, field.size_mm, plates) if plates else field
     points, cells = _tetrahedra(frame.body, sizes)
     points = snapped(frame.back(points), [(2, 0.0), (2, found.height_mm)])
-    points = _standing(points, found.height_mm)
+    # both plates are reached: where the ends are round, no node may lie on their poles
+    points[points[:, 2].argmin(), 2], points[points[:, 2].argmax(), 2] = 0.0, found.height_mm
     own = _volume(points, cells)
     lost = abs(own / found.volume_mm3 - 1)
     if lost > _LOST:
@@ -331,14 +332,6 @@ class _RoundedSizes:
 
     def callback(self, dim: int) -> CFunction:
         return self.sizes.callback(dim)
-
-
-def _standing(points: Array, height: float) -> Array:
-    """Let the mesh reach both plates: where the ends are round, no node may lie on their poles."""
-    points = points.copy()
-    lowest, highest = int(points[:, 2].argmin()), int(points[:, 2].argmax())
-    points[lowest, 2], points[highest, 2] = 0.0, height
-    return points
 
 
 def _volume(points: Array, cells: Ints) -> float:

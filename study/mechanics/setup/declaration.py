@@ -89,11 +89,7 @@ class Reads:
 
 def as_written(mend: str = "") -> Reads:
     """Declare a value that is read where what its rule depends on is known."""
-    return Reads(_itself, mend=mend)
-
-
-def _itself(value: object) -> object:
-    return value
+    return Reads(lambda value: value, mend=mend)
 
 
 #: A value that is read later, and may be left out.

@@ -11,7 +11,12 @@ from pydantic import Field
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.energy import FREE, Bounds, DeclaredConstants
 from study.mechanics.material.material import Material, constant_names, energy_named
-from study.mechanics.material.relaxation import RelaxationTerm, share_name, time_name
+from study.mechanics.material.relaxation import (
+    RelaxationTerm,
+    relaxation_names,
+    share_name,
+    time_name,
+)
 from study.mechanics.setup.declaration import (
     Bad,
     Pressure,
@@ -139,7 +144,7 @@ class MaterialSection:
     def material(self, constants: Mapping[str, float] | None = None) -> Material:
         """Material with numbers. Units: constants MPa, s."""
         given = self.constants if constants is None else constants
-        values = {n: v for n, v in given.items() if n not in self._names_of_relaxation}
+        values = {n: v for n, v in given.items() if n not in relaxation_names(self.relaxation)}
         if not values:
             mend = "give them or calibrate"
             raise InputError(Fault("material", "the constants are not known yet", mend))
@@ -152,11 +157,6 @@ class MaterialSection:
             incompressible=volume.incompressible,
             relaxation=tuple(self._terms(given)),
         )
-
-    @property
-    def _names_of_relaxation(self) -> set[str]:
-        numbers = range(1, len(self.relaxation) + 1)
-        return {name for k in numbers for name in (share_name(k), time_name(k))}
 
     def _terms(self, given: Mapping[str, float]) -> Iterator[RelaxationTerm]:
         for k, term in enumerate(self.relaxation, 1):

@@ -85,32 +85,9 @@ Face = Literal["top", "base"]
 
 @dataclass(frozen=True)
 class Test:
-    """How a specimen is loaded.
+    """How a specimen is loaded: a :class:`TestSection` with nothing left to its kind.
 
-    Parameters
-    ----------
-    kind : str
-        One of :data:`study.mechanics.setup.test_section.TEST_KINDS`.
-    displacement_mm : float or None
-        Final displacement, positive; None where the measurements have yet to say it.
-    interface, base : {"frictionless", "bonded"}
-        What holds the specimen where it is loaded, and below.
-    steps : int
-        Displacements at which the force is asked for.
-    indenter : Flat, Cone or Sphere, optional
-        Of a kind that takes one.
-    speed_mm_per_s : float, optional
-        Of the displacement; None where time does not matter.
-    hold_s : float, optional
-        How long the final displacement is held.
-    cycles : int, optional
-        How often it is reached and left again.
-    motion : FaceMotion, optional
-        Motion of the loaded plate besides that along the axis, of a kind that has one.
-    gravity : Gravity, optional
-        Weight of the specimen, which acts before the test begins.
-    prestretch : float, optional
-        Stretch along the normal of the faces before they are sheared.
+    Its displacement is None where the measurements have yet to say it.
     """
 
     __test__ = False  # not a pytest class
@@ -135,31 +112,14 @@ class Test:
 
     @property
     def depth_mm(self) -> float:
-        """Final displacement.
-
-        Raises
-        ------
-        InputError
-            If it is not known.
-        """
+        """Final displacement, which must be known by now."""
         if self.displacement_mm is None:
             mend = "give it, or a measurements.range that ends where the test should"
             raise InputError(Fault("test.displacement", "the test needs a displacement", mend))
         return float(self.displacement_mm)
 
     def to_depth(self, displacement_mm: float | None = None) -> Test:
-        """Return the test with its displacement.
-
-        Parameters
-        ----------
-        displacement_mm : float, optional
-            Where the test has none.
-
-        Raises
-        ------
-        InputError
-            If neither gives one.
-        """
+        """Return the test with a displacement where it has none; one of the two must give it."""
         depth = displacement_mm if self.displacement_mm is None else self.displacement_mm
         deeper = replace(self, displacement_mm=depth)
         return replace(deeper, displacement_mm=deeper.depth_mm)

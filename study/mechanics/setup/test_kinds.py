@@ -153,7 +153,9 @@ class Indentation(TestKind):
 
     def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
         """Shares of the indenter's own length; those of what sticks are small and even."""
-        length = test.depth_mm if test.indenter is None else _length(test)
+        length = test.depth_mm
+        if test.indenter is not None:
+            length = test.indenter.step_length_mm(length)
         if test.interface == "bonded":
             share = settings.held_face if holds_face(test) else settings.sticking
             largest = min(settings.largest * height_mm, share * length)
@@ -188,10 +190,6 @@ class Indentation(TestKind):
             rule = f"the indenter touches up to {reach:g} mm from the axis, beyond"
             mend = "use a smaller indenter or a wider specimen"
             yield Fault("test.indenter", f"{rule} {half_width_mm:g} mm", mend)
-
-
-def _length(test: Test) -> float:
-    return indenter_of_test(test).step_length_mm(test.depth_mm)
 
 
 def holds_face(test: Test) -> bool:

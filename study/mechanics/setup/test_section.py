@@ -19,6 +19,7 @@ from study.mechanics.setup.declaration import (
     measured,
     number,
     section,
+    values_of,
     word,
 )
 from study.mechanics.setup.geometry import FaceMotion, Gravity, Indenter
@@ -84,21 +85,7 @@ class TestSection:
     def loading(self) -> Test:
         """Test that the section describes; its displacement may still be open."""
         pressed = self.indenter if TEST_KINDS[self.kind].takes_indenter else None
-        depth = self.displacement_mm
-        return Test(
-            self.kind,
-            depth,
-            self.interface,
-            self.held_below,
-            self.steps,
-            pressed,
-            self.speed_mm_per_s,
-            self.hold_s,
-            self.cycles,
-            self.motion,
-            self.gravity,
-            self.prestretch,
-        )
+        return Test(**{**values_of(self), "base": self.held_below, "indenter": pressed})  # type: ignore[arg-type]
 
 
 # Course of a test in time: a ramp at one speed, and what follows it, a hold or cycles.

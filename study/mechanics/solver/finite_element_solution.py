@@ -48,11 +48,14 @@ def check(problem: Problem) -> None:
 
     Units: problem mm, MPa.
     """
-    faults = surface_faults(problem.setup)
+    setup, specimen = problem.setup, problem.specimen
+    faults = surface_faults(setup)
     if faults:
         raise InputError(faults)
-    faults = [*_material(problem), *_loading(problem.setup)] or [*size_faults(problem.setup)]
-    doubts = [*_unit(problem.setup, doubted=bool(faults))]
+    solid = body(specimen) if isinstance(specimen, Enclosed) else specimen
+    loading = setup.kind.faults(problem.test, solid.height_mm, solid.half_width_mm)
+    faults = [*_material(problem), *loading] or [*size_faults(setup)]
+    doubts = [*_unit(setup, doubted=bool(faults))]
     if faults or doubts:
         raise InputError([*doubts, *faults])
 
@@ -80,13 +83,6 @@ def _material(problem: Problem) -> Iterator[Fault]:
     if problem.material.relaxation:
         rule = "is of a test in closed form: finite elements know no time"
         yield Fault("material.relaxation", rule, 'write specimen.shape = "homogeneous"')
-
-
-def _loading(setup: Setup) -> Iterator[Fault]:
-    """Say why the specimen cannot go through the test."""
-    specimen = setup.specimen
-    solid = body(specimen) if isinstance(specimen, Enclosed) else specimen
-    return setup.kind.faults(setup.test, solid.height_mm, solid.half_width_mm)
 
 
 def instability(problem: Problem) -> str:
@@ -190,7 +186,8 @@ def follow(
 
 def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None) -> System:
     if warm is not None and warm.warm is not None:
-        system = warm.warm.system.with_material(problem.material)
+        system = warm.warm.system
+        system = replace(system, material=problem.material, latest=replace(system.latest))
         system.kept.forget()
         return system
     return System.build(
@@ -277,7 +274,10 @@ def fields(solution: Solution, step: int = -1) -> Fields:
         raise InputError(Fault("fields", f"no step converged: {solution.message}"))
     system, state = solution.warm.system, solution.warm.steps[step].state
     space, mesh = system.space, system.mesh
-    kind, cells = _cells(space, _upright(mesh.points, mesh.cells))
+    # simplices have a positive volume in VTK; grids have it already
+    simplex = mesh.cells.shape[1] == space.dim + 1
+    upright = turned(mesh.points, mesh.cells.copy()) if simplex else mesh.cells
+    kind, cells = _cells(space, upright)
     used = np.unique(cells)  # bubbles belong to no corner and no side
     F = deformation_gradient(space, system.displacements(state.x))
     # the volume that a linear body sees
@@ -437,11 +437,6 @@ def _pressure(system: System, state: State, J: Array) -> Array:
     shape = np.broadcast_to(space.pressure_shape, (*space.weights.shape, own.shape[1]))
     held = np.einsum("eqk,ek->eq", shape, state.x[own])
     return np.asarray(held + pointwise * (J - 1))
-
-
-def _upright(points: Array, cells: Ints) -> Ints:
-    """Simplices with positive volume, as VTK expects them; grids have it already."""
-    return turned(points, cells.copy()) if cells.shape[1] == points.shape[1] + 1 else cells
 
 
 def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:

@@ -30,7 +30,7 @@ from study.mechanics.solver.newton import (
 )
 from study.mechanics.solver.sensitivity import Loads, StepGradients, linear_rates, step_gradients
 from study.mechanics.solver.solution import LoadedState, Logbook, Solution
-from study.mechanics.solver.system import Assembly, State, System
+from study.mechanics.solver.system import Assembly, Drag, State, System
 
 # -------------------------------------------------------------------------------------------------
 # Past a limit point: the specimen creeps to the next equilibrium through something viscous.
@@ -78,7 +78,8 @@ def solve_through(
     (place, lift), spent = _lifted(system, guess, rough, lifted_from)
     drag, trials = _FIRST, 0
     for _ in range(_STEPS):
-        result = solve_step(system.dragged(drag * weights, place.x), place, rough, lifted_from=lift)
+        dragged = replace(system, drag=Drag(drag * weights, place.x), latest=replace(system.latest))
+        result = solve_step(dragged, place, rough, lifted_from=lift)
         spent += result.iterations
         if not result.converged:
             drag *= _MUCH_MORE
@@ -384,7 +385,9 @@ class LoadPath:
         self.state, self.J, self.min_j = place.state, place.J, place.min_j
         self.previous, self.step_mm = place.previous, place.step_mm
         self.reason = ""
-        self.logbook.forget_jumps()
+        # the way that led past the last step written down is given up, and its jumps with it
+        last_mm = self.logbook.reached[-1] if self.logbook.reached else 0.0
+        self.logbook.snaps = [at for at in self.logbook.snaps if at < last_mm]
 
     def _fill_in(self, error: float) -> None:
         """Add steps in the middle of intervals in which the curve bends.
@@ -454,12 +457,14 @@ class LoadPath:
             result = self._attempt(self.state.displacement_mm + step, newton)
             spent += result.iterations
             if result.converged and (_near(result, self.J) or self._too_short(step / 2)):
-                self._adapt(result.iterations, step)
+                depth = self.state.displacement_mm
+                self.step_mm = self.rule.next_mm(self.step_mm, step, result.iterations, depth)
                 self._accept(result)
                 continue
             self.step_mm = step / 2
             if self._too_short(self.step_mm):
-                through = self._through(target) if self._may_snap() else None
+                may_snap = self.options.snaps and not self._lost()
+                through = self._through(target) if may_snap else None
                 if through is None:
                     self.reason = result.reason
                     return None, spent
@@ -488,10 +493,6 @@ class LoadPath:
         """Whether a step is not worth trying: sooner where the energy's reach has ended."""
         smallest = self.rule.smallest_mm()
         return step_mm < smallest or (step_mm < _BEYOND * smallest and bool(self._lost()))
-
-    def _may_snap(self) -> bool:
-        """Whether to look beyond a limit point: not for an energy that has lost its ellipticity."""
-        return self.options.snaps and not self._lost()
 
     def _lost(self) -> str:
         """Where the energy has lost its ellipticity at the last state, looked at once for each."""
@@ -603,10 +604,6 @@ class LoadPath:
     def _sound(self, guess: State, J: Array, share: float) -> State | None:
         guess.x[self.system.constraints.dofs] = self.system.prescribed(guess.displacement_mm)
         return guess if (share * J < self.system.volume_ratios(guess.x)).all() else None
-
-    def _adapt(self, iterations: int, step: float) -> None:
-        depth = self.state.displacement_mm
-        self.step_mm = self.rule.next_mm(self.step_mm, step, iterations, depth)
 
     def _accept(self, result: NewtonResult) -> None:
         assembly = result.equilibrium()

@@ -207,7 +207,10 @@ def _relative(system: System, state: State, assembly: Assembly) -> float:
 def _measures(system: System, state: State, assembly: Assembly) -> tuple[float, float]:
     """Force and volume that residuals are compared with."""
     reaction = float(np.linalg.norm(assembly.internal[system.constraints.dofs]))
-    floor = system.force_floor(state.displacement_mm)
+    # at first touch there is no reaction yet
+    strain = max(abs(state.displacement_mm) / system.height_mm, 1e-12)
+    whole, mu = system.whole, system.material.mu0
+    floor = max(1e-6 * mu * whole.area_mm2 * strain, 0.5 * mu * whole.touch_mm**2)
     return max(reaction, floor), float(system.space.weights.sum())
 
 

@@ -58,10 +58,6 @@ class ClosedPoints:
         """Rates that n . x lacks where the unknowns move with ``x``, shape (m, k)."""
         return np.asarray(self.target - np.einsum("cd,cdk->ck", self.normals, x[self.dofs]))
 
-    def take_over(self, x: Array) -> None:
-        """Let the pressures carry what the springs do."""
-        self.pressure[:] = self.carried(x)
-
     def carried(self, x: Array) -> Array:
         """Rates of the pressures, those that the springs carry included, shape (m, k)."""
         return np.asarray(self.pressure + self.eps * self.missed(x))
@@ -101,7 +97,8 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
     """
     free, x = system.pattern.free, loads.start.copy()
     closed = _closed_points(system, assembly, loads.targets)
-    older, springs = system.factors_serve(), any(each.among.size for each in closed)
+    older = system.kept.serves(system.latest.touching)
+    springs = any(each.among.size for each in closed)
     if not older:
         system.factorize()
     loaded, sizes, most = np.zeros(x.shape[1]), list[Array](), _CORRECTIONS
@@ -129,7 +126,7 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
                 older = False
         x[free] += system.back_substitute(left[free])
         for each in closed:
-            each.take_over(x)
+            each.pressure[:] = each.carried(x)
     for each in closed:
         each.push(left, -each.eps * each.missed(x))  # the springs hold nothing any more
     left[system.constraints.dofs] = 0.0

@@ -278,6 +278,7 @@ class Logbook:
     warm_steps: list[WarmStep] = field(default_factory=list)
     #: Displacements at which the surface snapped to another equilibrium, mm.
     snaps: list[float] = field(default_factory=list)
+    #: Largest force of a pin over that of the test: zero where the loads balance.
     pinned: float = 0.0
 
     @property
@@ -330,13 +331,10 @@ class Logbook:
         figures = contact_figures(self.system, state, assembly, forces[0])
         self.held.insert(at, (*resultants(self.system, state, forces, sense), figures))
         self.iterations.insert(at, spent)
-        self.pinned = max(self.pinned, _pinned(self.system, assembly, row.force_N))
+        pins = np.abs(assembly.residual[self.system.constraints.pins])
+        if pins.size and row.force_N:
+            self.pinned = max(self.pinned, float(pins.max()) / abs(row.force_N))
         self.warm_steps.insert(at, WarmStep(state, row.constants))
-
-    def forget_jumps(self) -> None:
-        """Drop the jumps past the last step written down: the way that led there is given up."""
-        last_mm = self.reached[-1] if self.reached else 0.0
-        self.snaps = [place for place in self.snaps if place < last_mm]
 
     def around(self, displacement_mm: float) -> tuple[State | None, State]:
         """States next to a displacement; before the first step there is none."""
@@ -532,11 +530,3 @@ class Logbook:
                     f"more than the {100 * self.curve_error:.2g} % asked for: use more steps"
                 )
         return notes
-
-
-def _pinned(system: System, assembly: Assembly, force: float) -> float:
-    """Largest force of a pin over that of the test: zero where the loads balance."""
-    pins = system.constraints.pins
-    if not pins.size or not force:
-        return 0.0
-    return float(np.abs(assembly.residual[pins]).max()) / abs(force)

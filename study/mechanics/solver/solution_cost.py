@@ -33,9 +33,7 @@ from study.mechanics.mesh.structured import (
 )
 from study.mechanics.setup.geometry import (
     Block,
-    Cylinder,
     Enclosed,
-    Homogeneous,
     Indenter,
     Specimen,
 )
@@ -62,14 +60,6 @@ _PER_FACE = 2.3
 
 #: places at which sizes are looked at, on each side of a feature
 _SAMPLES = 80
-
-
-def expected_cells(setup: Setup) -> float:
-    """Cells that a mesh will have: the density of elements is integrated."""
-    grading = setup.grading
-    if isinstance(grading, AroundContact):
-        return _under_indenter(setup, grading.indenter)
-    return _between_plates(setup, grading)
 
 
 def _between_plates(setup: Setup, grading: TowardsPlates) -> float:
@@ -179,14 +169,10 @@ def _places(length: float, at: float, field: SizeField) -> Array:
     """Places from 0 to ``length``, closer around ``at``."""
     away = np.geomspace(0.1 * min(field.finest_mm, length), length, _SAMPLES)
     kept = [at + away, at - away, np.array([0.0, at, length])]
-    kept += [edge + away * sign for edge in _edges(field, at) for sign in (1, -1)]
+    zones = (at + field.feature_mm, field.contact_mm)  # each of one size
+    kept += [end + away * sign for end in zones for sign in (1, -1)]
     every = np.unique(np.concatenate(kept))
     return np.asarray(every[(every >= 0) & (every <= length)])
-
-
-def _edges(field: SizeField, at: float) -> tuple[float, ...]:
-    """Distances where a zone of one size ends."""
-    return (at + field.feature_mm, field.contact_mm)
 
 
 #: part of the machine's memory that one solution may take
@@ -267,7 +253,11 @@ def expected_unknowns(setup: Setup) -> float:
     """Unknowns that a mesh will have; within a factor of 1.5 where there are many."""
     if isinstance(setup.specimen, Enclosed):
         return inside(setup)
-    model, cells = setup.model, expected_cells(setup)
+    model, grading = setup.model, setup.grading
+    if isinstance(grading, AroundContact):
+        cells = _under_indenter(setup, grading.indenter)
+    else:
+        cells = _between_plates(setup, grading)
     dim = 2 if model.space == "axisymmetric" else 3
     pair = _UNKNOWNS[(dim, model.element_shape, model.element_order)]
     return cells * pair[0 if model.formulation == "mixed" else 1]
@@ -342,14 +332,10 @@ def _counting_seconds(setup: Setup, dofs: float) -> float:
     any_mesh, each = _BY_LINES
     if by_gmsh:
         any_mesh, each = _BY_GMSH[setup.model.space]
-        each *= max(1.0, _slenderness(specimen) / _SLENDER)
+        height, half = specimen.height_mm, specimen.half_width_mm
+        longest = max(height, equivalent_radius(specimen) ** 2 / half)
+        each *= max(1.0, longest / min(height, half) / _SLENDER)
     return any_mesh + each * dofs
-
-
-def _slenderness(specimen: Cylinder | Block | Homogeneous) -> float:
-    """Longest over shortest dimension of a cylinder or block, about."""
-    height, half = specimen.height_mm, specimen.half_width_mm
-    return max(height, equivalent_radius(specimen) ** 2 / half) / min(height, half)
 
 
 @functools.lru_cache(maxsize=_COUNTS)

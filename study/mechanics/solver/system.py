@@ -116,13 +116,6 @@ class Latest:
     touching: Flags = field(default_factory=lambda: np.zeros(0, bool))
 
 
-def _local_bulk(setup: Setup) -> float:
-    """Largest local bulk modulus over the shear modulus, see :class:`Internal`."""
-    model = setup.model
-    solid = model.space == "3d" and model.element_order == "quadratic"
-    return LOCAL_BULK if solid and setup.kind.strains_locally else 0.0
-
-
 def _evenness(setup: Setup) -> float:
     """Resistance to uneven volume in simplices under an indenter, see :class:`Internal`."""
     model = setup.model
@@ -197,12 +190,15 @@ class System:
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
         direct = make_solver(pattern, solver, plane=space.dim == 2, corrected=True)
         points = contact_points(problem, space, mesh, folding=folding)
+        model = setup.model
+        solid = model.space == "3d" and model.element_order == "quadratic"
+        local_bulk = LOCAL_BULK if solid and setup.kind.strains_locally else 0.0
         system = cls(
             mesh=mesh,
             space=space,
             whole=WholeSpecimen.of(setup, mesh, float(space.weights.sum())),
             material=problem.material,
-            internal=Internal.on(space, _local_bulk(setup), _evenness(setup)),
+            internal=Internal.on(space, local_bulk, _evenness(setup)),
             constraints=held,
             contact_terms=ContactTerms.at(points, space.dim, pattern),
             tangent=Tangent.of(pattern, space.dofs),
@@ -211,10 +207,6 @@ class System:
         )
         system.seconds["setup"] = time.perf_counter() - start
         return system
-
-    def with_material(self, material: Material) -> System:
-        """Return the same discretization for other constants; solver and arrays are shared."""
-        return replace(self, material=material, latest=replace(self.latest))
 
     def weighing(self, share: float) -> System:
         """Return the same equations with a share of the weight; solver and arrays are shared."""
@@ -228,10 +220,6 @@ class System:
         start = self.internal.stored(self.material, state.x)
         rest = start.total - float(self.weight.forces @ state.x)
         return replace(self, weight=replace(self.weight, energy_at_rest=rest))
-
-    def dragged(self, weights: Array, place: Array) -> System:
-        """Return the same equations with a drag; solver and arrays are shared."""
-        return replace(self, drag=Drag(weights, place), latest=replace(self.latest))
 
     @property
     def contact(self) -> tuple[ContactPoints, ...]:
@@ -277,12 +265,6 @@ class System:
     def sticks(self) -> bool:
         """Whether points that touch are tied to what they touch."""
         return any(isinstance(points, TiedPoints) for points in self.contact)
-
-    def force_floor(self, displacement_mm: float) -> float:
-        """Force that residuals are compared with where there is none yet (first touch), N."""
-        strain = max(abs(displacement_mm) / self.height_mm, 1e-12)
-        floor = 1e-6 * self.material.mu0 * self.whole.area_mm2 * strain
-        return max(floor, 0.5 * self.material.mu0 * self.whole.touch_mm**2)
 
     def start(self) -> State:
         """Return the unloaded state."""
@@ -400,10 +382,6 @@ class System:
         found = self.kept.solve_afresh(self.data, right, weights, tolerance)
         self._count("solve", began)
         return found
-
-    def factors_serve(self) -> bool:
-        """Whether the last factorization is of a tangent near the last assembled one."""
-        return self.kept.serves(self.latest.touching)
 
     def lift_product(self, lift: Array) -> Array:
         """Force of prescribed increments on the free unknowns, contact left out."""

@@ -189,7 +189,8 @@ def _not_one(points: Array, triangles: Ints, edges: Edges, unit: str) -> Iterato
             rule = f"touches itself at {pinched.size} points (first at "
             rule += f"{_place(points[pinched[0]], unit)})"
             yield rule, "separate the parts, or join them by more than a point"
-    if _one_sided(triangles, edges):
+    first, second = np.split(_cover(triangles, edges), 2)
+    if (first == second).any():
         yield "has one side only, as a Moebius strip: inside and outside are not defined", ""
 
 
@@ -221,12 +222,6 @@ def _cover(triangles: Ints, edges: Edges) -> Ints:
     mirror = np.where(edges.agree, b + m, b)
     links = np.vstack([np.column_stack([a, other]), np.column_stack([a + m, mirror])])
     return _components(links, 2 * m)[1]
-
-
-def _one_sided(triangles: Ints, edges: Edges) -> bool:
-    labels = _cover(triangles, edges)
-    m = len(triangles)
-    return bool((labels[:m] == labels[m:]).any())
 
 
 def _outward(points: Array, triangles: Ints, edges: Edges) -> tuple[Ints, tuple[str, ...]]:
