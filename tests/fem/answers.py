@@ -285,6 +285,7 @@ def _fine(case: Manufactured) -> Body:
 
 
 def unit(model: Model, n: int, material: Material) -> Body:
+    """Unit cylinder or unit cube of n cells a side."""
     line = np.linspace(0, 1, n + 1)
     mesh = rectangle(line, line, model) if model.space == "axisymmetric" else unit_cube(n, model)
     return body(*mesh, model, material)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,6 +42,13 @@ def compression(
     """Compression between two like plates."""
     test = Test("compression", displacement_mm, interface, interface, steps=steps)  # type: ignore[arg-type]
     return Problem(specimen, test, material, replace(Model(), **model))  # type: ignore[arg-type]
+
+
+def reached(problem: Problem, **given: Any) -> Solution:
+    """Solution without gradients, every step of which converged."""
+    found = solve(problem, gradients=False, **given)
+    assert found.converged, found.message
+    return found
 
 
 def taylor_slopes(

@@ -13,7 +13,7 @@ from study.mechanics.setup.test_kind import StepSettings
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import Options
 from study.mechanics.solver.solution import Solution
-from tests.fem.problems import LONG, RP2, taylor_slopes
+from tests.fem.problems import LONG, RP2, reached, taylor_slopes
 from tests.fem.test_indentation import NEEDLE, indentation, linear
 
 
@@ -22,9 +22,7 @@ def pressed(indenter: Indenter, nu: float, interface: str, depth: float = 0.2) -
         indenter, depth, material=linear(nu), interface=interface, steps=20, mesh="medium",
         element_order="quadratic",
     )  # fmt: skip
-    found = solve(problem, gradients=False)
-    assert found.converged, found.message
-    return found
+    return reached(problem)
 
 
 def contact_radius(solution: Solution) -> float:
@@ -68,8 +66,7 @@ def test_every_iteration_closes_what_is_held() -> None:
         Cone(44.266, 0.65443), 1.5, specimen=Cylinder(25, 20.8), material=RP2, interface="bonded",
         steps=150, mesh_size_mm=0.1636, element_order="quadratic",
     )  # fmt: skip
-    found = solve(problem, gradients=False)
-    assert found.converged, found.message
+    found = reached(problem)
     assert np.mean(found.newton_iterations) < 6  # it was 11, rising with the depth
 
 
@@ -142,5 +139,4 @@ def test_a_needle_that_sticks_goes_deep(order: str) -> None:
         problem = indentation(
             NEEDLE, 5, interface="bonded", material=material, mesh="coarse", element_order=order
         )
-        found = solve(problem, gradients=False)
-        assert found.converged, found.message
+        reached(problem)

@@ -22,10 +22,9 @@ from study.mechanics.setup.geometry import (
 )
 from study.mechanics.setup.setup import MeshName, Model, Order, Problem
 from study.mechanics.setup.test_kind import Test
-from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.solution_cost import unknowns
 from study.mechanics.surface.closed_surface import body
-from tests.fem.problems import GEL, LONG
+from tests.fem.problems import GEL, LONG, reached
 from tests.fem.surfaces import box, sphere, write
 
 BRAIN = Brain(80, 60, 50, 4, clamp_below_mm=15, press_x_mm=10, press_y_mm=-14)
@@ -38,8 +37,7 @@ def pressed(specimen: Specimen, depth: float, **model: object) -> Problem:
 
 
 def force(problem: Problem) -> tuple[float, float]:
-    found = solve(problem, gradients=False)
-    assert found.status == "converged", found.message
+    found = reached(problem)
     return float(found.curve.force_N[-1]), float(found.base_reaction_N[-1])
 
 

@@ -26,7 +26,7 @@ from study.mechanics.solver.solution import (
     unexplained_work,
 )
 from tests.fem.homogeneous import system_of
-from tests.fem.problems import LONG
+from tests.fem.problems import LONG, reached
 
 MATERIALS = {
     "polynomial": Material("mooney-rivlin", {"C10": 3e-3, "C01": 2e-3}, poisson_ratio=0.499),
@@ -84,8 +84,7 @@ def path(kind: str) -> Problem:
 @pytest.mark.parametrize("kind", ["compression", "needle", "punch", "sphere", "bonded needle"])
 def test_work_is_stored_where_nothing_snaps(kind: str) -> None:
     """Ten load steps leave at most 0.1 % to interpolation; the curve does just that work."""
-    solution = solve(path(kind), gradients=False)
-    assert solution.converged
+    solution = reached(path(kind))
     assert solution.energy.jumps_mm == ()
     assert solution.energy.largest_mismatch < 1e-3
     curve, energy = solution.curve, solution.energy
@@ -143,8 +142,7 @@ def test_an_indenter_that_sticks_gives_no_false_alarm(steps: int) -> None:
     material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.499)
     test = Loading("indentation", 1.0, "bonded", "bonded", steps=steps, indenter=Cone(40.0, 0.5))
     model = Model("axisymmetric", "linear", "simplex", mesh="coarse")
-    solution = solve(Problem(Cylinder(20.0, 15.0), test, material, model), gradients=False)
-    assert solution.converged
+    solution = reached(Problem(Cylinder(20.0, 15.0), test, material, model))
     assert solution.energy.jumps_mm == ()
     assert solution.energy.largest_mismatch < 0.01
 

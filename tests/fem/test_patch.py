@@ -8,16 +8,13 @@ import pytest
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.solver.finite_element_solution import solve
-from study.mechanics.solver.newton import NewtonSettings, Options, solve_step
-from study.mechanics.solver.system import State, System
-from tests.fem.homogeneous import held
+from study.mechanics.solver.newton import Options
 from tests.fem.problems import (
     MOONEY,
     NEO_HOOKEAN,
     RP2,
     YEOH,
     compression,
-    cube,
     grid,
     irregular,
 )
@@ -56,62 +53,6 @@ def test_cylinder_in_3d_keeps_its_area(
     solution = solve(problem, gradients=False)
     # a polygon of straight sides would lose 0.4 %; the adjusted radius loses nothing
     assert solution.curve.force_N[-1] == pytest.approx(-stress * np.pi, rel=1e-8)
-
-
-@pytest.mark.parametrize("order", ["linear", "quadratic"])
-@pytest.mark.parametrize("material", [NEO_HOOKEAN, MOONEY])
-def test_3d_patch_with_a_full_gradient(material: Material, order: str) -> None:
-    """V12: boundary u = (F - I) X for a random F; inside exact, p = K (J - 1) uniform."""
-    rng = np.random.default_rng(11)
-    F = np.eye(3) + 0.1 * rng.standard_normal((3, 3))
-    F *= (1.0005 / np.linalg.det(F)) ** (1 / 3)
-    problem = compression(Cylinder(1, 1), 0.1, material=material, space="3d", element_order=order)
-    system = System.build(problem, cube(3), folding=False)
-    nodes = system.space.nodes
-    rim = np.flatnonzero((np.abs(nodes * (1 - nodes)) < 1e-9).any(axis=1))
-    field = (nodes @ (F - np.eye(3)).T).ravel()
-    if order == "linear":  # a bubble is no nodal value: exact means that it vanishes
-        field.reshape(-1, 3)[len(system.mesh.points) :] = 0.0
-    dofs = np.array([3 * n + i for n in rim for i in range(3)])
-    system = held(system, dofs, field[dofs])
-    start = system.start()
-    target = State(1.0, start.x, start.multipliers)
-    result = solve_step(system, target, NewtonSettings(tolerance=1e-12), lifted_from=start)
-    assert result.converged
-    u, p = np.split(result.state.x, [system.space.n_displacement])
-    np.testing.assert_allclose(u, field, atol=1e-10)
-    np.testing.assert_allclose(p, 1000 * 0.0005, rtol=1e-8)
-
-
-@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
-def test_rigid_motion_has_no_force(space: str) -> None:
-    """V08: an axial shift (and in 3D a rotation) leaves the residual zero."""
-    problem = compression(Cylinder(1, 1), 0.1, space=space)
-    mesh = grid(1, 1, 3, 3) if space == "axisymmetric" else cube(2)
-    system = System.build(problem, mesh, folding=False)
-    x = np.zeros(system.space.n)
-    u = x[: system.space.n_displacement].reshape(-1, system.space.dim)
-    u[:, -1] = 0.37
-    if space == "3d":
-        turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        u += system.space.nodes @ (turn - np.eye(3)).T
-    assembly = system.assemble(State(0.0, x))
-    assert np.abs(assembly.residual).max() < 1e-12
-
-
-def test_newton_converges_quadratically() -> None:
-    """V09: the tangent is consistent, so the residual squares in the last iterations."""
-    problem = compression(Cylinder(25, 50), 2.5, material=NEO_HOOKEAN)
-    system = System.build(problem, grid(25, 50, 8, 16), folding=False)
-    start = system.start()
-    target = State(2.5, start.x, start.multipliers)
-    result = solve_step(system, target, NewtonSettings(tolerance=1e-13), lifted_from=start)
-    history = [r for r in result.residuals if r > 1e-13]
-    orders = [
-        np.log(history[k + 1]) / np.log(history[k])
-        for k in range(len(history) - 3, len(history) - 1)
-    ]
-    assert min(orders) > 1.7
 
 
 def test_superlu_gives_the_same_answer() -> None:

@@ -21,9 +21,8 @@ from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Block, Cylinder, Flat, Specimen
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
-from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.solution_cost import expected_unknowns, unknowns
-from tests.fem.problems import GEL
+from tests.fem.problems import GEL, reached
 
 LEVELS = ("coarse", "medium", "fine")
 BLOCK, FORCE = Block(40, 40, 20), 0.0827
@@ -40,8 +39,7 @@ def punch(
 
 
 def force(problem: Problem) -> float:
-    found = solve(problem, gradients=False)
-    assert found.converged, found.message
+    found = reached(problem)
     return float(found.curve.force_N[-1])
 
 

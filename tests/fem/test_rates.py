@@ -14,8 +14,10 @@ from scipy.linalg import cholesky, eigh, solve_triangular
 
 from study.mechanics.material.material import Material
 from study.mechanics.setup.setup import Model
-from tests.fem.known import Body, body, errors, rectangle, unit_cube
+from tests.fem.answers import unit
+from tests.fem.known import Body, errors
 from tests.fem.manufactured import Manufactured
+from tests.fem.problems import LONG
 
 NEARLY = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0)
 MOONEY = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000.0)
@@ -32,18 +34,11 @@ THEORY = {"linear": (2, 1, 1), "quadratic": (3, 2, 2)}
 MESHES = {"axisymmetric": (4, 8, 16), "3d": (2, 4, 8)}
 
 
-def unit(space: str, n: int, model: Model, material: Material) -> Body:
-    """Unit cylinder or unit cube of n cells a side."""
-    line = np.linspace(0, 1, n + 1)
-    mesh = rectangle(line, line, model) if space == "axisymmetric" else unit_cube(n, model)
-    return body(*mesh, model, material)
-
-
 def rates(case: Manufactured, model: Model, steps: int = 2) -> tuple[np.ndarray, np.ndarray]:
     """Errors on the finest mesh, and the slope of each between successive meshes."""
     found = []
     for n in MESHES[model.space]:
-        made = unit(model.space, n, model, case.material)
+        made = unit(model, n, case.material)
         answer = case.solve(made, steps=steps)
         e = errors(made, answer.x, case.displacement, case.gradient, case.pressure)
         found.append([e.u, e.gradient, e.pressure])
@@ -58,24 +53,16 @@ def show(what: str, model: Model, finest: np.ndarray, slopes: np.ndarray) -> Non
     print(f"\n{what} {names:42} L2 u, H1 u, L2 p: rates {orders}  finest {finest}", end="")
 
 
-@pytest.mark.parametrize(("order", "shape"), list(itertools.product(ORDERS, SHAPES)))
-def test_rates_in_axisymmetric_space(order: str, shape: str) -> None:
-    check_rates("axisymmetric", order, shape, NEARLY)
+#: neo-Hookean in the plane, and Ogden once, in the suite; all pairs in the long verification
+RATES = [
+    pytest.param(*pair, material, marks=() if pair in short else LONG)
+    for material, short in ((NEARLY, PAIRS[:4]), (MOONEY, ()), (OGDEN, PAIRS[2:3]))
+    for pair in PAIRS
+]
 
 
-def test_rates_of_ogden() -> None:
-    check_rates("axisymmetric", "quadratic", "simplex", OGDEN)
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-@pytest.mark.parametrize("material", [NEARLY, MOONEY, OGDEN], ids=lambda m: m.model)
-@pytest.mark.parametrize(("space", "order", "shape"), PAIRS)
+@pytest.mark.parametrize(("space", "order", "shape", "material"), RATES)
 def test_rates(space: str, order: str, shape: str, material: Material) -> None:
-    check_rates(space, order, shape, material)
-
-
-def check_rates(space: str, order: str, shape: str, material: Material) -> None:
     """Finest slope at least that of theory minus 0.1; Q1/P0 pressure excepted."""
     model = Model(space, order, shape)  # type: ignore[arg-type]
     unstable = (order, shape) == ("linear", "tensor")
@@ -122,7 +109,7 @@ def inf_sup(space: str, order: str, shape: str, n: int) -> tuple[float, int]:
     The unit cylinder or cube is held all around: the constant pressure is one such mode, any
     other is a checkerboard. A is the H1 seminorm, M the mass of the pressure, B the divergence.
     """
-    made = unit(space, n, Model(space, order, shape), NEARLY)  # type: ignore[arg-type]
+    made = unit(Model(space, order, shape), n, NEARLY)  # type: ignore[arg-type]
     s, dim = made.space, made.nodes.shape[1]
     A = np.zeros((s.n_displacement, s.n_displacement))
     B, M = np.zeros((s.n - s.n_displacement, s.n_displacement)), None
