@@ -13,7 +13,7 @@ from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import terms_of
 from study.statistics.analysis.normality import anderson_darling, ryan_joiner, shapiro_wilk
 from study.statistics.analysis.sums_of_squares import epsilon_gg, sphericity
-from study.statistics.analysis.unreplicated import half_normal_scores, lenth, orthonormal_contrasts
+from study.statistics.analysis.unreplicated import lenth, orthonormal_contrasts
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_orthonormal_contrasts_of_mixed_levels() -> None:
 
 
 def test_half_normal_scores_are_of_the_absolute_values() -> None:
-    scores = half_normal_scores([-3.0, 1.0, 2.0])
+    scores = lenth([-3.0, 1.0, 2.0]).half_normal
     assert scores[0] > scores[2] > scores[1] > 0
 
 

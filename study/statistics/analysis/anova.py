@@ -43,9 +43,9 @@ from study.statistics.analysis.data import (
     refuse_copied_rows,
     structure_of,
 )
-from study.statistics.analysis.effects import holm
 from study.statistics.analysis.error_ledger import pooled
 from study.statistics.analysis.incomplete_blocks import incomplete_blocks
+from study.statistics.analysis.linear_contrast import with_holm
 from study.statistics.analysis.linear_model import (
     Model,
     Term,
@@ -94,7 +94,7 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
         out.error,
         out.anova,
         Variation(_shares(out), out.lenth, out.summary),
-        holm(out.effects),
+        with_holm(out.effects),
         Detection(
             None if practical is None else out.scale.back(practical),
             out.u_raw,

@@ -48,6 +48,7 @@ from study.statistics.analysis.sums_of_squares import (
     Factored,
     TermSum,
     TwoWayFit,
+    factor,
     fitted,
     influential,
     least_squares,
@@ -110,7 +111,15 @@ class Assumptions:
 
 def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
     """Run the tests of what an analysis assumes; its warnings come with theirs."""
-    tests, warnings = _normality_and_spread(out)
+    if out.crossed is not None and out.replicates != "noise":
+        tests, warnings = _by_contrast(out, out.crossed)
+        warnings = (*out.warnings, *warnings)
+    else:
+        residuals, normality, groups = _of_residuals(out)
+        equal, spread = _spread_tests(residuals, groups)
+        warnings = (*residuals.warnings, *_inapplicable(bartlett=equal, levene=spread))
+        rank = None if groups is None or groups.approximate else fligner(groups.groups)
+        tests = Assumptions(normality, bartlett=equal, levene=spread, fligner=rank)
     fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
     if fit is not None:
         tests = replace(
@@ -120,10 +129,8 @@ def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
             shapiro_wilk=shapiro_wilk(fit.residual),
             influence=influential(fit),
         )
-    tests = replace(
-        tests, sphericity=out.sphericity, robustness=out.robustness, box_cox=out.box_cox
-    )
-    return tests, warnings
+    tests = replace(tests, sphericity=out.sphericity, robustness=out.robustness)
+    return replace(tests, box_cox=out.box_cox), warnings
 
 
 # -------------------------------------------------------------------------------------------------
@@ -141,18 +148,6 @@ _MOST_NUMBERS = 1e7
 #: A block that carries more than this share of the interaction, with this p, is named.
 SHARE_P = 0.05
 _OWN = "each effect is tested against its own interaction with the blocks, whose spreads may differ"
-
-
-def _normality_and_spread(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
-    """Check normality and equal spread; the warnings come with theirs."""
-    if out.crossed is not None and out.replicates != "noise":
-        tests, warnings = _by_contrast(out, out.crossed)
-        return tests, (*out.warnings, *warnings)
-    out, normality, groups = _of_residuals(out)
-    equal, spread = _spread_tests(out, groups)
-    warnings = (*out.warnings, *_inapplicable(bartlett=equal, levene=spread))
-    rank = None if groups is None or groups.approximate else fligner(groups.groups)
-    return Assumptions(normality, bartlett=equal, levene=spread, fligner=rank), warnings
 
 
 def _by_contrast(out: AnalysisOutcome, table: Crossed) -> tuple[Assumptions, tuple[str, ...]]:
@@ -173,7 +168,12 @@ def _by_contrast(out: AnalysisOutcome, table: Crossed) -> tuple[Assumptions, tup
         return unequal, (*warnings, f"normality: not applicable: {tested.warning}")
     if tested.warning:
         warnings.append(f"Ryan-Joiner over blocks: {tested.warning}")
-    warnings += _heavy_block(contrasts, tolerance, table.blocks, out)
+    share = block_share(contrasts, tolerance=tolerance, seed=out.request.seed)
+    if share is not None and share.p < SHARE_P:
+        warnings.append(
+            f"{out.data.block} {table.blocks[share.block]} carries {100 * share.share:.0f} % of "
+            "the interactions with the blocks: see what is special about it"
+        )
     worst = min(tested.rows, key=lambda row: row.p)
     values = contrasts[worst.term][worst.contrast]
     of_worst = ryan_joiner(values, seed=out.request.seed, exact=False, alpha=out.request.alpha)
@@ -185,18 +185,6 @@ def _by_contrast(out: AnalysisOutcome, table: Crossed) -> tuple[Assumptions, tup
         f"contrasts over {tested.blocks} blocks, {worst.term}, p times their number {tested.p:.3g}",
     )
     return replace(unequal, normality=summary, normality_rows=tested.rows), tuple(warnings)
-
-
-def _heavy_block(
-    contrasts: dict[str, Array], tolerance: float, blocks: tuple[str, ...], out: AnalysisOutcome
-) -> list[str]:
-    share = block_share(contrasts, tolerance=tolerance, seed=out.request.seed)
-    if share is None or share.p >= SHARE_P:
-        return []
-    return [
-        f"{out.data.block} {blocks[share.block]} carries {100 * share.share:.0f} % of the "
-        "interactions with the blocks: see what is special about it"
-    ]
 
 
 def is_representative(out: AnalysisOutcome) -> Flags:
@@ -283,7 +271,9 @@ def _of_residuals(
     elif rows.size == out.y.size:
         fit = out.fit
     else:
-        fit = error_ledger.reduced_fit(out.data, out.y, out.terms, rows)
+        extra: list[Term] = [(name,) for name in out.data.blocks]
+        reduced = model_matrix(out.data.layout.take(rows), out.terms, extra=extra)
+        fit = factor(reduced, out.y[rows])
     out, result = _ryan_joiner(out, fit)
     if not result.applicable:
         out = out.warn(f"normality: not applicable: {result.reason}")
@@ -375,11 +365,7 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
 def sensitivity_of(
     data: Data, terms: Sequence[Term], fit: Factored, alpha: float
 ) -> AnalysisSensitivity:
-    """P of every term in the defensible analyses of rows without blocks.
-
-    Ordinary F (Type III), HC3 Wald, Welch-James, and the F of the log response where it is
-    positive.
-    """
+    """P of every term in the defensible analyses of rows without blocks; ordinary F: Type III."""
     p: dict[str, Mapping[str, float | None]] = {
         "ordinary F": _ordinary(fit),
         "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},

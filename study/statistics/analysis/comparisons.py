@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
 from string import ascii_letters
-from typing import TYPE_CHECKING, overload
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,9 +16,6 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.simple_effects import Differences
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -175,17 +172,6 @@ def _legendre(n: int) -> tuple[Array, Array]:
     return nodes, weights
 
 
-def range_cdf(w: Array, k: int) -> Array:
-    """P(range of ``k`` standard normals <= w): k int phi(z) (Phi(z) - Phi(z - w))^(k-1) dz."""
-    from scipy.special import ndtr
-
-    nodes, weights = _legendre(96)
-    z = 9.0 * nodes
-    density = 9.0 * weights * np.exp(-0.5 * z**2) / math.sqrt(2 * math.pi)
-    inner = ndtr(z) - ndtr(z - np.asarray(w)[..., None])
-    return np.asarray(k * (inner ** (k - 1)) @ density)
-
-
 #: degrees of freedom from which a sum over s is its value at 1 in every digit
 _NORMAL = 1e14
 
@@ -221,10 +207,17 @@ def scale_rule(df: float, end: float = math.inf) -> tuple[Array, Array]:
 
 def studentized_range_cdf(q: float, k: int, df: float) -> float:
     """P(studentized range of ``k`` means with ``df`` <= q) (Tukey 1953; Copenhaver 1988)."""
+    from scipy.special import ndtr
+
     if q <= 0:
         return 0.0
     s, weights = scale_rule(float(df))
-    return min(1.0, float(range_cdf(q * s, k) @ weights))
+    # P(range of k standard normals <= w) = k int phi(z) (Phi(z) - Phi(z - w))^(k-1) dz
+    nodes, node_weights = _legendre(96)
+    z = 9.0 * nodes
+    density = 9.0 * node_weights * np.exp(-0.5 * z**2) / math.sqrt(2 * math.pi)
+    inner = ndtr(z) - ndtr(z - (q * s)[:, None])
+    return min(1.0, float((k * (inner ** (k - 1)) @ density) @ weights))
 
 
 @lru_cache(maxsize=1024)
@@ -393,7 +386,11 @@ def pooled_multiplier(
     safe = bonferroni(max(len(estimated), 1), df, alpha)
     if len(estimated) <= 1 or seed is None:
         return safe
-    estimated = estimated[_once(differences, length, estimated)]
+    # first of every set that is one but for its unit: what is equal has the same product with any
+    # numbers, and two of nine digits tell others apart
+    drawn = np.random.default_rng(0).standard_normal((differences.settings.shape[1], 2))
+    product = differences.of(differences.settings @ drawn)[estimated] / length[estimated, None]
+    estimated = estimated[np.unique(product.round(9), axis=0, return_index=True)[1]]
     few = Differences(
         differences.settings, differences.first[estimated], differences.second[estimated]
     )
@@ -406,14 +403,6 @@ def pooled_multiplier(
         normal = (np.abs(few.of(values)) / length[estimated, None]).max(axis=0)
         largest[start : start + n] = normal / np.sqrt(random.chisquare(df, n) / df)
     return min(safe, float(np.quantile(largest, 1 - alpha)))
-
-
-def _once(differences: Differences, length: Array, estimated: Ints) -> Ints:
-    """First of every set of contrasts that are one but for their unit."""
-    # what is equal has the same product with any numbers; two of nine digits tell others apart
-    drawn = np.random.default_rng(0).standard_normal((differences.settings.shape[1], 2))
-    product = differences.of(differences.settings @ drawn)[estimated] / length[estimated, None]
-    return np.asarray(np.unique(product.round(9), axis=0, return_index=True)[1])
 
 
 # -------------------------------------------------------------------------------------------------

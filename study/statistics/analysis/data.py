@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Flags, Ints
+from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.tabular import _NUMBER, _check_names, names_of
 from study.statistics.analysis.linear_model import CellLayout, Term
@@ -66,7 +66,11 @@ def prepare(
     raw = _response(table, response)
     labels = {n: _labels(table[n], n) for n in [*factors, *blocks]}
     keep = np.isfinite(raw)
-    warnings = _missing_warning(keep, response)
+    missing, warnings = np.flatnonzero(~keep), []
+    if missing.size:
+        listed = ", ".join(str(i + 1) for i in missing[:10]) + ", ..." * (missing.size > 10)
+        rows = f"{missing.size} of {keep.size} rows (rows {listed})"
+        warnings.append(f"{response} is missing in {rows}")
     if keep.sum() < 2:
         rule = f"has {int(keep.sum())} values"
         mend = "an analysis needs two rows with a response, and better more"
@@ -146,14 +150,6 @@ def _check_range(values: Array, response: str) -> None:
         rule = f"the values differ by {spread:.3g} at most, and the squares of that vanish"
         mend = f"write {response!r} in a smaller unit"
         raise InputError(Fault(f"column {response!r}", rule, mend))
-
-
-def _missing_warning(keep: Flags, response: str) -> list[str]:
-    lost = np.flatnonzero(~keep)
-    if not lost.size:
-        return []
-    listed = ", ".join(str(i + 1) for i in lost[:10]) + (", ..." if lost.size > 10 else "")
-    return [f"{response} is missing in {lost.size} of {keep.size} rows (rows {listed})"]
 
 
 def _alike(levels: Sequence[str], name: str) -> list[str]:

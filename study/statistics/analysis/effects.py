@@ -19,7 +19,6 @@ from study.statistics.analysis.comparisons import (
     pooled_multiplier,
     studentized_range_quantile,
 )
-from study.statistics.analysis.comparisons import holm as adjusted_p
 from study.statistics.analysis.linear_model import CellLayout, Term, grid, model_matrix, term_name
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
@@ -74,8 +73,10 @@ def term_rows(
     matrix = fit.matrix
     cells = grid(layout, term)
     inner = [t for t in matrix.terms[1:] if set(t) <= set(term)]
+    first = np.zeros(cells.n, dtype=np.int64)
+    padded = CellLayout(layout.levels, {n: cells.codes.get(n, first) for n in layout.levels})
     # the full list of terms decides how each factor is coded, so it is coded as in the fit
-    local = model_matrix(_padded(cells, layout), matrix.terms[1:])
+    local = model_matrix(padded, matrix.terms[1:])
     component = np.zeros((cells.n, matrix.columns.shape[1]))
     mean = np.zeros_like(component)
     mean[:, 0] = 1.0
@@ -102,14 +103,6 @@ def over_complete_settings(layout: CellLayout, fit: Factored, term: Term, rows: 
     centred = cells - cells.mean(axis=1, keepdims=True)
     complete = fit.estimable(centred.reshape(-1, rows.shape[1])).reshape(-1, k).all(axis=1)
     return np.asarray(centred[complete].mean(axis=0)) if complete.any() else rows
-
-
-def _padded(cells: CellLayout, layout: CellLayout) -> CellLayout:
-    """Cells of some factors with the other factors held at their first level."""
-    codes = {
-        name: cells.codes.get(name, np.zeros(cells.n, dtype=np.int64)) for name in layout.levels
-    }
-    return CellLayout(layout.levels, codes)
 
 
 def pooled_estimate(
@@ -612,14 +605,6 @@ def _ends(
     interval: tuple[float, float] | None, back: Callable[[float], float]
 ) -> tuple[float, float] | None:
     return None if interval is None else (back(interval[0]), back(interval[1]))
-
-
-def holm(effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Adjust the p of all terms of one table together (Holm 1979, Scand. J. Statist. 6, 65)."""
-    adjusted = iter(adjusted_p([effect.p for effect in effects if effect.p is not None]).tolist())
-    return tuple(
-        effect if effect.p is None else replace(effect, p_holm=next(adjusted)) for effect in effects
-    )
 
 
 def _resolved(ratio: float) -> str:

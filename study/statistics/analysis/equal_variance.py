@@ -156,22 +156,13 @@ def bartlett(
     k = len(named) - 1
     p_mc = None
     if simulations:
-        p_mc = _monte_carlo_p(_simulated_bartlett(df, design, simulations, seed), t)
+        if design is None:
+            drawn = np.random.default_rng(seed).chisquare(df, size=(simulations, df.size)) / df
+        else:
+            parts = design.draws(simulations, seed)
+            drawn = np.vstack([np.stack([g.var(axis=1, ddof=1) for g in p], axis=1) for p in parts])
+        p_mc = _monte_carlo_p(_bartlett_statistic(drawn, df), t)
     return SpreadTest(t, k, float(chdtrc(k, t)), True, "", "", p_mc, approximate)
-
-
-def _simulated_bartlett(
-    df: Array, design: ResidualDesign | None, simulations: int, seed: int
-) -> Array:
-    if design is None:
-        rng = np.random.default_rng(seed)
-        draws = rng.chisquare(df, size=(simulations, df.size)) / df
-        return _bartlett_statistic(draws, df)
-    parts = [
-        _bartlett_statistic(np.stack([g.var(axis=1, ddof=1) for g in drawn], axis=1), df)
-        for drawn in design.draws(simulations, seed)
-    ]
-    return np.concatenate(parts)
 
 
 def _bartlett_statistic(variance: Array, df: Array) -> Array:

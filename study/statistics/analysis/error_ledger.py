@@ -278,15 +278,12 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
 
 
 def _resamples(out: AnalysisOutcome) -> float:
-    """Factor of the residual sum: resamples of one curve do not average its noise.
+    """Factor of the residual sum: the scatter of refits to noise is the error of the cell itself.
 
-    The scatter over refits is the standard error of the cell itself, however many there are
-    (Efron and Tibshirani 1993, chapter 6); an F of their means would grow with their number.
+    An F of their means would grow with their number (Efron and Tibshirani 1993, chapter 6).
     """
-    if out.replicates != "noise":
-        return 1.0
     counts = np.bincount(out.data.cell)
-    return float(1 / np.mean(1 / counts[counts > 0]))
+    return 1.0 if out.replicates != "noise" else float(1 / np.mean(1 / counts[counts > 0]))
 
 
 def _sparse_ready(out: AnalysisOutcome, fit: Factored) -> bool:
@@ -362,12 +359,3 @@ def within_fit(
 
 def _blocks(data: Data, plots: Ints | None) -> list[Ints]:
     return [data.layout.codes[name] for name in data.blocks] if plots is None else [plots]
-
-
-def reduced_fit(data: Data, y: Array, terms: Sequence[Term], rows: Ints) -> Factored:
-    """Fit of the model's terms (and blocks) to some of the rows.
-
-    Shapes: y (n,).
-    """
-    extra: list[Term] = [(name,) for name in data.blocks]
-    return factor(model_matrix(data.layout.take(rows), terms, extra=extra), y[rows])

@@ -477,7 +477,12 @@ def any_shape(
         if len(groups) == 1 and b >= FEWEST_FOR_SHAPE and m * 2.0 ** (1 - b) <= ONE_SIGN:
             same = differs & (np.abs(np.sign(value).sum(axis=1)) == b)
             for i in np.flatnonzero(same):
-                end = _lognormal_end(value[i] * b, alpha)
+                # end far from zero of the interval of a lognormal mean
+                log = np.log(np.abs(value[i] * b))
+                variance = float(log.var(ddof=1))
+                sigma = math.sqrt(variance / b + variance**2 / (2 * (b - 1)))
+                end = float(log.mean()) + variance / 2 + t_quantile(alpha / 4, b - 1) * sigma
+                end = float(np.sign(value[i, 0])) * math.exp(min(end, 700.0))
                 low, high, wide = ends.get(i, (end, end, 0.0))
                 ends[i] = (min(low, end), max(high, end), wide)
         if not ends:
@@ -577,12 +582,3 @@ def _resampled(part: Array, random: np.random.Generator) -> tuple[Array, Array]:
     rest = math.sqrt(max(spread - skew * slope, 0.0))
     summed = n * second + slope * shift + rest * other
     return shift, (summed - shift**2 / n) / (n - 1)
-
-
-def _lognormal_end(value: Array, alpha: float) -> float:
-    """End far from zero of the interval of a lognormal mean, of values with one sign."""
-    log = np.log(np.abs(value))
-    n, variance = log.size, float(log.var(ddof=1))
-    error = math.sqrt(variance / n + variance**2 / (2 * (n - 1)))
-    end = float(log.mean()) + variance / 2 + t_quantile(alpha / 4, n - 1) * error
-    return float(np.sign(value[0])) * math.exp(min(end, 700.0))

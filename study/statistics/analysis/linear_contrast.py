@@ -6,10 +6,9 @@ of the first kind less that of the second; a factor that a side leaves out is av
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from scipy.special import stdtr
@@ -17,8 +16,9 @@ from scipy.special import stdtr
 from study.ground.arrays import Array
 from study.ground.contrast import Setting, sides_of
 from study.ground.errors import Fault, InputError
+from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.comparisons import block_multiplier, bonferroni, holm
-from study.statistics.analysis.effects import UNEQUAL, Scale, t_quantile
+from study.statistics.analysis.effects import UNEQUAL, Scale, by_components, t_quantile
 from study.statistics.analysis.equal_variance import doubted_variances
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
@@ -52,6 +52,15 @@ class Contrast:
     verdict: str
     why: str = ""
     p_holm: float | None = None
+
+
+HolmTest = TypeVar("HolmTest", Effect, Contrast)
+
+
+def with_holm(tests: Sequence[HolmTest]) -> tuple[HolmTest, ...]:
+    """Adjust the p of all that have one together (Holm 1979, Scand. J. Statist. 6, 65)."""
+    adjusted = iter(holm([test.p for test in tests if test.p is not None]).tolist())
+    return tuple(test if test.p is None else replace(test, p_holm=next(adjusted)) for test in tests)
 
 
 @dataclass(frozen=True)
@@ -116,25 +125,20 @@ def possible_contrasts(
         _judged(text, pair, estimate, (factor, len(estimates)), cells)
         for text, pair, estimate, factor in zip(names, sides, estimates, wide, strict=True)
     ]
-    return _adjusted(judged), faults
-
-
-def _adjusted(contrasts: Sequence[Contrast]) -> tuple[Contrast, ...]:
-    """Contrasts with Holm's p of all of them that have one."""
-    adjusted = iter(holm([contrast.p for contrast in contrasts if contrast.p is not None]).tolist())
-    return tuple(
-        contrast if contrast.p is None else replace(contrast, p_holm=next(adjusted))
-        for contrast in contrasts
-    )
+    return with_holm(judged), faults
 
 
 def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Estimate:
     rows = cells.rows
-    sides = [rows[_holds(rows, setting)] for setting in (first, second)]
-    for side, setting in zip(sides, (first, second), strict=True):
-        if side.empty:
+    sides = []
+    for setting in (first, second):
+        holds = np.ones(len(rows), dtype=bool)
+        for name, level in setting.items():
+            holds &= (rows[name].astype(str) == level).to_numpy()
+        if not holds.any():
             setting_text = ", ".join(f"{name}={level}" for name, level in setting.items())
             raise InputError(Fault(f"contrast {text!r}", f"no row has {setting_text}"))
+        sides.append(rows[holds])
     if "block" not in rows:
         return _of_cells(rows, *sides, resampled=cells.resampled)
     # every cell counts once, whatever its repeats
@@ -143,13 +147,6 @@ def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Esti
     if len(both):
         return _within((means[0][both] - means[1][both]).to_numpy(), cells.resampled)
     return _between(*(mean.to_numpy() for mean in means))
-
-
-def _holds(rows: pd.DataFrame, setting: Setting) -> Array:
-    holds = np.ones(len(rows), dtype=bool)
-    for name, level in setting.items():
-        holds &= (rows[name].astype(str) == level).to_numpy()
-    return holds
 
 
 def _within(differences: Array, resampled: bool) -> _Estimate:
@@ -188,18 +185,13 @@ def _of_cells(
     welch = None
     variances = None if resampled else doubted_variances(rows["y"].to_numpy(), index)
     if variances is not None:
-        # each cell's share of the variance of the difference
         sides = [index[rows.index.get_indexer(side.index)] for side in (first, second)]
         cells = [np.unique(side, return_counts=True) for side in sides]
-        parts = np.concatenate([variances[0][c] / n / len(c) ** 2 for c, n in cells])
-        free = np.concatenate([variances[1][c] for c, _ in cells])
-        total = float(parts.sum())
-        sure = math.isfinite(total) and total > 0
-        welch = (
-            (math.sqrt(total), total**2 / float(np.sum(parts**2 / free)))
-            if sure
-            else (math.inf, 1.0)
-        )
+        # each cell's share of the variance of the difference
+        shares = np.concatenate([1 / (n * len(c) ** 2) for c, n in cells])
+        members = np.concatenate([c for c, _ in cells])
+        error, free = by_components(shares[None], variances[0][members], variances[1][members])
+        welch = float(error[0]), float(free[0])
     return _Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
 
 
@@ -235,14 +227,8 @@ def _judged(
         return Contrast(
             text, back(estimate.value), None, None, estimate.df, None, shown, CANNOT_TELL, why
         )
-    alone, every = (
-        t_quantile(cells.alpha / 2, estimate.df) * estimate.error,
-        multiplier * estimate.error,
-    )
-    ci, wide = (
-        (estimate.value - alone, estimate.value + alone),
-        (estimate.value - every, estimate.value + every),
-    )
+    halves = [m * estimate.error for m in (t_quantile(cells.alpha / 2, estimate.df), multiplier)]
+    ci, wide = ((estimate.value - half, estimate.value + half) for half in halves)
     verdict, why = _verdict(ci, wide, u, scale)
     if estimate.welch is not None and verdict in CLAIMS:
         error, df = estimate.welch

@@ -77,11 +77,6 @@ def term_name(term: Term) -> str:
     return ":".join(term)
 
 
-def sum_contrasts(k: int) -> Array:
-    """Sum-to-zero contrasts of ``k`` levels, shape (k, k-1): the last level is minus the rest."""
-    return np.vstack([np.eye(k - 1), -np.ones((1, k - 1))])
-
-
 def terms_of(factors: Sequence[str], model: Model = "full") -> tuple[Term, ...]:
     """Terms of a model, main effects first.
 
@@ -263,9 +258,10 @@ def number_within(layout: CellLayout, nested: Mapping[str, tuple[str, ...]]) -> 
 def _term_columns(layout: CellLayout, term: Term, present: set[frozenset[str]]) -> Array:
     columns = np.ones((layout.n, 1))
     for name in term:
-        k = len(layout.levels[name])
-        margin_present = frozenset(term) - {name} in present
-        code = sum_contrasts(k) if margin_present else np.eye(k)
+        code = np.eye(len(layout.levels[name]))
+        if frozenset(term) - {name} in present:
+            # sum-to-zero contrasts, shape (k, k-1): the last level is minus the rest
+            code = code[:, :-1] - code[:, -1:]
         coded = code[layout.codes[name]]
         columns = (columns[:, :, None] * coded[:, None, :]).reshape(layout.n, -1)
     return columns

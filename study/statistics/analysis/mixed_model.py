@@ -26,13 +26,12 @@ from study.statistics.analysis.data import Data, prepare
 from study.statistics.analysis.effects import (
     UNEQUAL,
     Scale,
-    holm,
     sampled_estimate,
     size,
     t_quantile,
 )
 from study.statistics.analysis.gate import Rival, judge_terms
-from study.statistics.analysis.linear_contrast import Cells, Contrast
+from study.statistics.analysis.linear_contrast import Cells, Contrast, with_holm
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
 from study.statistics.analysis.linear_model import (
     CellLayout,
@@ -218,7 +217,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         fit.deviance,
         data.y.size,
         tuple(cells.slope(name) for name in covariates),
-        holm(
+        with_holm(
             cells.effects(
                 terms,
                 {t: s.p for t, s in tests.items()},

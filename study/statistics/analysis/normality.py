@@ -170,7 +170,10 @@ def ryan_joiner(
     basis = span(np.ones((n, 1)) / math.sqrt(n) if model_matrix is None else _unit(model_matrix))
     rj = statistic(x)
     count = simulations or default_simulations(n)
-    p_exact = exact_p(rj, basis, count, seed) if exact else None
+    p_exact = None
+    if exact:
+        null = null_rj(basis, count, seed)
+        p_exact = (1 + sum(int(np.count_nonzero(part <= rj)) for part in null)) / (count + 1)
     p_text = minitab_p(rj, n)
     df = n - basis.shape[1]
     warning = f"Ryan-Joiner on {df} residual degrees of freedom has little power" if df < 8 else ""
@@ -224,15 +227,6 @@ def _decision(p_text: str, p_exact: float | None, alpha: float) -> str:
         rejected = p_text.startswith("<") or (not p_text.startswith(">") and float(p_text) < alpha)
         how = f"p {p_text}"
     return f"normality {'rejected' if rejected else 'not rejected'} at {alpha:g} ({how})"
-
-
-def exact_p(rj: float, basis: Array, simulations: int, seed: int) -> float:
-    """Exact p of ``rj`` among residuals of standard normal data.
-
-    Shapes: basis (n, p).
-    """
-    below = sum(int(np.count_nonzero(chunk <= rj)) for chunk in null_rj(basis, simulations, seed))
-    return (1 + below) / (simulations + 1)
 
 
 def null_rj(basis: Array, simulations: int, seed: int) -> Iterator[Array]:

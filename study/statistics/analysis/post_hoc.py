@@ -81,7 +81,10 @@ def coefficient_table(analysis: AnalysisResult) -> CoefficientTable:
     layout = _layout(analysis)
     if layout is None:
         return CoefficientTable(reason="a level of a factor has no row")
-    names = column_names(layout, terms)
+    names: tuple[str, ...] = ("Constant",)
+    for term in terms:  # every level but the last ones
+        levels = product(*(layout.levels[name][:-1] for name in term))
+        names += tuple(f"{':'.join(term)}[{' '.join(combination)}]" for combination in levels)
     if len(names) > MOST_COEFFICIENTS:
         return CoefficientTable(reason=f"{len(names)} coefficients are more than anyone reads")
     block = analysis.data.block
@@ -90,15 +93,6 @@ def coefficient_table(analysis: AnalysisResult) -> CoefficientTable:
     if block is not None and all(str(error).startswith(f"{block}:") for error in tested):
         return _own(analysis, layout, terms, names)
     return CoefficientTable(reason="the strata of the table have different errors")
-
-
-def column_names(layout: CellLayout, terms: tuple[Term, ...]) -> tuple[str, ...]:
-    """Names of the coefficients: the constant, then every level of a term but the last ones."""
-    names = ["Constant"]
-    for term in terms:
-        levels = product(*(layout.levels[name][:-1] for name in term))
-        names += [f"{':'.join(term)}[{' '.join(combination)}]" for combination in levels]
-    return tuple(names)
 
 
 def _layout(analysis: AnalysisResult) -> CellLayout | None:
@@ -177,14 +171,12 @@ def _working(analysis: AnalysisResult, y: Array) -> Array:
 def _table(
     names: tuple[str, ...], beta: Array, error: Array, df: float, inflation: Array | None
 ) -> CoefficientTable:
-    from scipy.special import stdtr
-
     rows = []
     for i, name in enumerate(names):
         se = float(error[i])
         has_error = np.isfinite(se) and se > 0
         t = float(beta[i]) / se if has_error else None
-        p = None if t is None else 2 * float(stdtr(df, -abs(t)))
+        p = None if t is None else two_sided(t, df)
         vif = None if inflation is None or i == 0 else float(inflation[i])
         rows.append(Coefficient(name, float(beta[i]), se if has_error else None, t, p, df, vif))
     return CoefficientTable(tuple(rows))
@@ -217,7 +209,12 @@ def dunnett_of_model(
     means = np.array([sizes[frozenset((name, reference))][0] * (1 if pair.first == name else -1)
                       for name, pair in of_reference])  # fmt: skip
     standard_error = np.array([error[frozenset((name, reference))] for name in others])
-    correlation = _correlation(others, standard_error, error)
+    # correlations of the differences from the reference: 2 cov = var + var - var of the pair
+    between = np.array([[error.get(frozenset(pair), 0.0) for pair in product([name], others)]
+                        for name in others])  # fmt: skip
+    variance = standard_error**2
+    correlation = variance[:, None] + variance - between**2
+    correlation /= 2 * np.outer(standard_error, standard_error)
     names = (reference, *others)
     compared = _dunnett(names, means, standard_error, correlation, df, alpha, seed)
     return compared.as_ratios() if effect.is_ratio else compared
@@ -251,7 +248,14 @@ def _dunnett(
     seed: int,
 ) -> Comparisons:
     """Compare with the first of the names, by correlated t of the differences from it."""
-    largest = _largest_t(correlation, df, seed)
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(seed)
+    parts = []
+    for _ in range(SAMPLES // CHUNK):
+        z = np.abs(rng.standard_normal((CHUNK, len(values))) @ root.T).max(axis=1)
+        parts.append(z / np.sqrt(rng.chisquare(df, CHUNK) / df))
+    largest = np.concatenate(parts)
     half = float(np.quantile(largest, 1 - alpha)) * standard_error
     p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / standard_error]
     ends = zip(means, means - half, means + half, strict=True)
@@ -260,34 +264,6 @@ def _dunnett(
         for name, (d, low, high), p_of_pair in zip(names[1:], ends, p, strict=True)
     )
     return Comparisons("Dunnett", alpha, pairs, {})
-
-
-def _correlation(
-    others: Sequence[str], standard_error: Array, error: dict[frozenset[str], float]
-) -> Array:
-    """Correlations of the differences from the reference: 2 cov = var + var - var of the pair."""
-    k = len(others)
-    correlation = np.eye(k)
-    for i in range(k):
-        for j in range(i):
-            between = error[frozenset((others[i], others[j]))]
-            correlation[i, j] = (standard_error[i] ** 2 + standard_error[j] ** 2 - between**2) / (
-                2 * standard_error[i] * standard_error[j]
-            )
-            correlation[j, i] = correlation[i, j]
-    return correlation
-
-
-def _largest_t(correlation: Array, df: float, seed: int) -> Array:
-    """Largest absolute value of correlated t, simulated, shape (SAMPLES,)."""
-    values, vectors = np.linalg.eigh(correlation)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    rng = np.random.default_rng(seed)
-    parts = []
-    for _ in range(SAMPLES // CHUNK):
-        z = np.abs(rng.standard_normal((CHUNK, len(values))) @ root.T).max(axis=1)
-        parts.append(z / np.sqrt(rng.chisquare(df, CHUNK) / df))
-    return np.concatenate(parts)
 
 
 # -------------------------------------------------------------------------------------------------
@@ -326,20 +302,13 @@ def pairwise(analysis: AnalysisResult) -> tuple[PairwiseDifference, ...]:
     Bonferroni's or Hotelling's multiplier serves, whichever is smaller.
     """
     rows = {row.term: row for row in analysis.anova.rows}
-    return tuple(
-        _one(effect, pair, rows.get(effect.term), analysis)
-        for effect in analysis.effects
-        if effect.is_main
-        for pair in effect.pairs
-    )
-
-
-def _one(
-    effect: Effect, pair: PairDifference, row: Row | None, analysis: AnalysisResult
-) -> PairwiseDifference:
-    method, p = _adjusted(effect, pair, row, analysis)
-    ends = pair.difference, pair.lower, pair.upper
-    return PairwiseDifference(effect.term, pair.first, pair.second, *ends, p, method)
+    compared = []
+    for effect, pair in ((e, pair) for e in analysis.effects if e.is_main for pair in e.pairs):
+        method, p = _adjusted(effect, pair, rows.get(effect.term), analysis)
+        sides = effect.term, pair.first, pair.second
+        ends = pair.difference, pair.lower, pair.upper
+        compared.append(PairwiseDifference(*sides, *ends, p, method))
+    return tuple(compared)
 
 
 def _adjusted(
@@ -347,15 +316,31 @@ def _adjusted(
 ) -> tuple[str, float | None]:
     if row is None or row.error is None or row.df_error is None or row.df_error <= 0:
         return "", None
-    k, alpha = len(effect.levels), analysis.request.alpha
-    size, half = _distances(pair, effect.is_ratio)
+    from scipy.special import fdtrc
+
+    k, alpha, df = len(effect.levels), analysis.request.alpha, row.df_error
+    pairs = k * (k - 1) / 2
     if row.error == "residual":
-        critical = pooled_critical(k, k - 1, row.df_error, True, alpha)
-        return _of_range(size, half, critical, k, row.df_error)
-    if row.error == f"{analysis.data.block}:{effect.term}" and row.df:
-        blocks = round(row.df_error / row.df) + 1
-        return _of_blocks(size, half, own_critical(k, k - 1, blocks, alpha), k, blocks, alpha)
-    return "", None
+        critical = pooled_critical(k, k - 1, df, True, alpha)
+        method = TUKEY
+    elif row.error == f"{analysis.data.block}:{effect.term}" and row.df:
+        df = float(round(df / row.df))
+        # its own variance over blocks: the multiplier that made the interval
+        critical = own_critical(k, k - 1, int(df) + 1, alpha)
+        method = BONFERRONI if critical >= t_quantile(alpha / (2 * pairs), df) else HOTELLING
+    else:
+        return "", None
+    method = TWO_LEVELS if k == 2 else method
+    size, half = _distances(pair, effect.is_ratio)
+    if not (math.isfinite(half) and half > 0):
+        return method, None
+    t = abs(size) / half * critical
+    if method == TUKEY:
+        return method, max(0.0, 1 - studentized_range_cdf(t * math.sqrt(2), k, df))
+    if method == HOTELLING:
+        rest = df + 2 - k
+        return method, float(fdtrc(k - 1, rest, t * t * rest / ((k - 1) * df)))
+    return method, min(1.0, pairs * two_sided(t, df))
 
 
 def _distances(pair: PairDifference, is_ratio: bool) -> tuple[float, float]:
@@ -365,38 +350,8 @@ def _distances(pair: PairDifference, is_ratio: bool) -> tuple[float, float]:
     return pair.difference, (pair.upper - pair.lower) / 2
 
 
-def _of_range(
-    size: float, half: float, critical: float, k: int, df: float
-) -> tuple[str, float | None]:
-    """Tukey's p: that of a studentized range at least this large."""
-    method = TWO_LEVELS if k == 2 else TUKEY
-    if not (math.isfinite(half) and half > 0):
-        return method, None
-    t = abs(size) / half * critical
-    if k == 2:
-        return method, _two_sided(t, df)
-    return method, max(0.0, 1 - studentized_range_cdf(t * math.sqrt(2), k, df))
-
-
-def _of_blocks(
-    size: float, half: float, critical: float, k: int, blocks: int, alpha: float
-) -> tuple[str, float | None]:
-    """Give p with its own variance over blocks, by the multiplier that made the interval."""
-    from scipy.special import fdtrc
-
-    pairs = k * (k - 1) / 2
-    each = t_quantile(alpha / (2 * pairs), blocks - 1)
-    method = TWO_LEVELS if k == 2 else BONFERRONI if critical >= each else HOTELLING
-    if not (math.isfinite(half) and half > 0):
-        return method, None
-    t = abs(size) / half * critical
-    if method != HOTELLING:
-        return method, min(1.0, pairs * _two_sided(t, blocks - 1))
-    df, rest = k - 1, blocks - k + 1
-    return method, float(fdtrc(df, rest, t * t * rest / (df * (blocks - 1))))
-
-
-def _two_sided(t: float, df: float) -> float:
+def two_sided(t: float, df: float) -> float:
+    """Two-sided p of Student's t."""
     from scipy.special import stdtr
 
     return 2 * float(stdtr(df, -abs(t)))

@@ -126,7 +126,9 @@ def _crossed(codes: Sequence[Ints], groups: int) -> _Crossed:
     place = np.empty(q, dtype=np.int64)
     place[order] = np.arange(q)
     size = number[label][order]
-    first = np.arange(q) - _rank_within(label[order])
+    # entries of the same label stand together: the first of them
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(label[order]) != 0]))
+    first = np.repeat(starts, np.diff(np.append(starts, q)))
     batches, entry, offset = [], 0, np.zeros(q, dtype=np.int64)
     for s in np.unique(size):
         here = np.flatnonzero(size == s)
@@ -144,12 +146,6 @@ def _crossed(codes: Sequence[Ints], groups: int) -> _Crossed:
     ]
     factor = np.repeat(np.arange(len(codes)), sizes)[order]
     return _Crossed(columns, factor, tuple(batches), np.concatenate(position), z[:, order])
-
-
-def _rank_within(label: Ints) -> Ints:
-    """Count the entries of the same label before each one; labels stand together."""
-    start = np.flatnonzero(np.concatenate([[True], label[1:] != label[:-1]]))
-    return np.arange(label.size) - np.repeat(start, np.diff(np.append(start, label.size)))
 
 
 @dataclass(frozen=True)

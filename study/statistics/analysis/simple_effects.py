@@ -195,11 +195,19 @@ def simple_effects(
 ) -> SimpleEffects | None:
     """Judge a factor at every setting of the factors that it interacts with."""
     others = partners(factor, matrix.terms)
-    settings = list(_settings(layout, others, only or {}))
+    choices = [
+        [only[name]] if only and only.get(name) in layout.levels[name] else layout.levels[name]
+        for name in others
+    ]
+    indices = [map(layout.levels[n].index, c) for n, c in zip(others, choices, strict=True)]
+    settings = list(product(*indices))
     pairs = list(combinations(range(len(layout.levels[factor])), 2))
     if not pairs or len(settings) * len(pairs) > MOST:
         return None
-    estimates = sample(_differences(factor, layout, matrix, others, settings, pairs))
+    columns = columns_at(factor, layout, matrix, others, settings)
+    start = np.arange(len(settings)) * len(layout.levels[factor])
+    first, second = (np.concatenate([start + pair[side] for pair in pairs]) for side in (0, 1))
+    estimates = sample(Differences(columns, first, second))
     effects = tuple(_effects(factor, layout, others, settings, pairs, estimates, bound, practical))
     if not effects:
         return None
@@ -209,34 +217,6 @@ def simple_effects(
         return judged
     where = "has an empty cell" if lost == 1 else "have an empty cell"
     return replace(judged, why=f"{judged.why}; {lost} of {len(estimates.value)} {where}")
-
-
-def _settings(
-    layout: CellLayout, others: Sequence[str], only: Mapping[str, str]
-) -> Iterator[tuple[int, ...]]:
-    choices = [
-        [layout.levels[name].index(only[name])]
-        if only.get(name) in layout.levels[name]
-        else range(len(layout.levels[name]))
-        for name in others
-    ]
-    yield from product(*choices)
-
-
-def _differences(
-    factor: str,
-    layout: CellLayout,
-    matrix: ModelMatrix,
-    others: Sequence[str],
-    settings: Sequence[tuple[int, ...]],
-    pairs: Sequence[tuple[int, int]],
-) -> Differences:
-    """Combine the coefficients to every difference."""
-    k = len(layout.levels[factor])
-    columns = columns_at(factor, layout, matrix, others, settings)
-    start = np.arange(len(settings)) * k
-    first = np.concatenate([start + i for i, _ in pairs])
-    return Differences(columns, first, np.concatenate([start + j for _, j in pairs]))
 
 
 def columns_at(
@@ -327,8 +307,7 @@ def _together(
     if verdicts == {NO_DIFFERENCE}:
         why = "the interval of every simple effect lies inside the practical band"
         return SimpleEffects(factor, NO_DIFFERENCE, why, effects)
-    needed = _needed(effects, practical)
-    if needed is not None:
+    if (needed := _needed(effects, practical)) is not None:
         open_ones = [e for e in effects if e.verdict == NOT_RESOLVED]
         why = resolution(needed)
         if open_ones and all(e.u is None for e in open_ones):
@@ -392,8 +371,13 @@ def without_each(
         return tuple(effects)
     lost: dict[str, list[str]] = {term: [] for term in claims}
     for name in names:
+        gone = list(claims)
         try:
-            gone = _lost(claims, table[labels != name], analyses)
+            for analyze in analyses:  # the last one that has to be asked decides
+                verdicts = {e.term: e.verdict for e in analyze(table[labels != name])}
+                gone = [term for term in gone if verdicts.get(term) != claims[term]]
+                if not gone:
+                    break
         except StudyError:
             return tuple(effects)  # the rest makes no analysis, so nothing is known
         for term in gone:
@@ -401,14 +385,3 @@ def without_each(
     return tuple(
         replace(e, lost_without=tuple(lost[e.term])) if e.term in lost else e for e in effects
     )
-
-
-def _lost(claims: Mapping[str, str], rows: pd.DataFrame, analyses: Sequence[Analysis]) -> list[str]:
-    """Terms of which some rows do not make the claim, by the last analysis that has to be asked."""
-    gone = list(claims)
-    for analyze in analyses:
-        verdicts = {e.term: e.verdict for e in analyze(rows)}
-        gone = [term for term in gone if verdicts.get(term) != claims[term]]
-        if not gone:
-            break
-    return gone

@@ -40,6 +40,7 @@ from study.statistics.analysis.linear_model import (
     ALIAS_TOLERANCE,
     ModelMatrix,
     Term,
+    complement,
     model_matrix,
     span,
     term_name,
@@ -207,67 +208,37 @@ def _even(whole: Factored, data: Data, plots: Plots) -> list[tuple[str, Array]]:
     parts = [] if plots.nested else [(str(data.block), data.layout.codes[str(data.block)])]
     bases, before = [], mean
     for name, code in [*parts, (plots.name, plots.code)]:
-        basis = _beyond(before, np.eye(int(code.max()) + 1)[code])
+        basis = complement(before, np.eye(int(code.max()) + 1)[code])
         bases.append((name, basis))
         before = np.hstack([before, basis])
     return bases
-
-
-def _beyond(before: Array, columns: Array) -> Array:
-    """Orthonormal basis of what ``columns`` add to the orthonormal ``before``."""
-    left = columns / np.linalg.norm(columns, axis=0)
-    for _ in range(2):
-        left = left - before @ (before.T @ left)
-    return span(left)
 
 
 def _strata(
     out: AnalysisOutcome, matrix: ModelMatrix, plots: Plots, bases: list[tuple[str, Array]]
 ) -> list[Stratum]:
     n = out.y.size
-    shifted = out.y - out.y[0]
-    done = np.ones((n, 1)) / np.sqrt(n)
-    strata = []
-    for name, basis in bases:
-        fit = _projected(matrix, basis @ (basis.T @ shifted), basis, None)
-        strata.append(Stratum(name, fit, (), basis.shape[1] - fit.rank))
-        done = np.hstack([done, basis])
-    rest = shifted - done @ (done.T @ shifted)
-    rest = rest - done @ (done.T @ rest)
-    fit = _projected(matrix, rest, None, done)
-    strata.append(Stratum("residual", fit, (), n - done.shape[1] - fit.rank))
-    return strata
-
-
-def _projected(
-    matrix: ModelMatrix, y: Array, inside: Array | None, outside: Array | None
-) -> Factored:
-    """Fit of the model's columns projected on a stratum (or off all earlier ones)."""
+    within = np.hstack([np.ones((n, 1)) / np.sqrt(n), *(basis for _, basis in bases)])
     scale = np.linalg.norm(matrix.columns, axis=0)
     scale[scale == 0] = 1.0
-    x = matrix.columns / scale
-    if inside is not None:
-        x = inside @ (inside.T @ x)
-    if outside is not None:
-        x = x - outside @ (outside.T @ x)
-        x = x - outside @ (outside.T @ x)
-    # what rounding leaves of a column that has no part here must not look like a direction
-    x[:, np.linalg.norm(x, axis=0) < ALIAS_TOLERANCE] = 0.0
-    q = span(x)
-    z = q.T @ y
-    residual = y - q @ z
-    return Factored(
-        matrix,
-        q,
-        q.T @ x,
-        scale,
-        z,
-        q @ z,
-        residual,
-        float(residual @ residual),
-        float(y @ y),
-        0.0,
-    )
+    strata = []
+    for name, basis in [*bases, ("residual", within)]:
+        x, y = matrix.columns / scale, out.y - out.y[0]
+        if basis is within:  # off all earlier strata, twice: the first time rounding is left
+            for _ in range(2):
+                x, y = x - within @ (within.T @ x), y - within @ (within.T @ y)
+        else:
+            x, y = basis @ (basis.T @ x), basis @ (basis.T @ y)
+        # what rounding leaves of a column that has no part here must not look like a direction
+        x[:, np.linalg.norm(x, axis=0) < ALIAS_TOLERANCE] = 0.0
+        q = span(x)
+        z = q.T @ y
+        residual = y - q @ z
+        rss, tss = float(residual @ residual), float(y @ y)
+        fit = Factored(matrix, q, q.T @ x, scale, z, q @ z, residual, rss, tss, 0.0)
+        size = n - within.shape[1] if basis is within else basis.shape[1]
+        strata.append(Stratum(name, fit, (), size - fit.rank))
+    return strata
 
 
 def _place(

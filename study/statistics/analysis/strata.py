@@ -341,16 +341,6 @@ class OwnTerm:
     warning: str = ""
 
 
-def single_noise(table: Crossed) -> Crossed:
-    """Let resamples of one curve scatter as their mean does.
-
-    The scatter over refits is the standard error of the fit itself, however many there are
-    (Efron and Tibshirani 1993, chapter 6); that of their mean would fall with their number.
-    """
-    mean = table.y.mean(axis=1, keepdims=True)
-    return replace(table, y=mean + np.sqrt(table.y.shape[1]) * (table.y - mean))
-
-
 def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
     """Fit of the terms to the means of the cells."""
     return factor(model_matrix(table.layout, terms), table.y.mean(axis=1))
@@ -412,7 +402,10 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
         return None
     out = out.warn(*table.warnings)
     if out.replicates == "noise":
-        table = single_noise(table)
+        # the scatter over refits is the standard error of the fit itself, however many there are
+        # (Efron and Tibshirani 1993, chapter 6); that of their mean would fall with their number
+        mean = table.y.mean(axis=1, keepdims=True)
+        table = replace(table, y=mean + np.sqrt(table.y.shape[1]) * (table.y - mean))
     full = int(np.prod([len(table.layout.levels[f]) for f in data.factors]))
     fewer = table.cells.size < np.unique(data.cell).size
     empty = full - table.cells.size if fewer or out.structure.empty_cells else 0

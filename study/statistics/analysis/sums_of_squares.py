@@ -101,20 +101,13 @@ def fitted(model: Factorization, y: Array) -> Factored:
 
 def term_sums(fit: Factored, kind: str) -> list[TermSum]:
     """Sum of squares of every term but the intercept."""
-    return [_term_sum(fit, i, kind) for i in range(1, len(fit.matrix.terms))]
-
-
-def _term_sum(fit: Factored, i: int, kind: str) -> TermSum:
-    space = fit.space(i, kind)
-    part = space.basis.T @ fit.z
-    return TermSum(
-        fit.matrix.terms[i],
-        space.basis.shape[1],
-        float(part @ part),
-        space.basis,
-        space.nominal_df,
-        space.aliases,
-    )
+    sums = []
+    for i in range(1, len(fit.matrix.terms)):
+        space = fit.space(i, kind)
+        df, part = space.basis.shape[1], space.basis.T @ fit.z
+        sums.append(TermSum(fit.matrix.terms[i], df, float(part @ part), space.basis,
+                            space.nominal_df, space.aliases))  # fmt: skip
+    return sums
 
 
 # a residual this small beside the total is rounding, no error term
@@ -401,6 +394,8 @@ def sphericity(contrasts: Array) -> SphericityResult:
     Mauchly (1940); Anderson (2003), 10.7.4; Huynh and Feldt (1976). With d = 1 sphericity
     holds by construction.
     """
+    from scipy.special import chdtrc
+
     d, b = contrasts.shape
     s = np.atleast_2d(np.cov(contrasts))
     gg = epsilon_gg(s)
@@ -418,19 +413,12 @@ def sphericity(contrasts: Array) -> SphericityResult:
     log_w = float(logdet - d * math.log(np.trace(s) / d))
     factor = 1 - (2 * d * d + d + 2) / (6 * d * (b - 1))
     chi2, df = -(b - 1) * factor * log_w, d * (d + 1) // 2 - 1
-    p = _mauchly_p(max(chi2, 0.0), d, b - 1, factor)
-    return SphericityResult(math.exp(log_w), chi2, df, p, gg, hf)
-
-
-def _mauchly_p(chi2: float, d: int, n: int, rho: float) -> float:
-    """P with the second term of the expansion (Anderson 2003, section 10.7.4)."""
-    from scipy.special import chdtrc
-
-    df = d * (d + 1) // 2 - 1
+    # p with the second term of the expansion (Anderson 2003, section 10.7.4)
     top = (d + 2) * (d - 1) * (d - 2) * (2 * d**3 + 6 * d**2 + 3 * d + 2)
-    second = top / (288 * (n * d * rho) ** 2)
-    first = float(chdtrc(df, chi2))
-    return min(1.0, max(0.0, first + second * (float(chdtrc(df + 4, chi2)) - first)))
+    second = top / (288 * ((b - 1) * d * factor) ** 2)
+    first, later = (float(chdtrc(free, max(chi2, 0.0))) for free in (df, df + 4))
+    p = min(1.0, max(0.0, first + second * (later - first)))
+    return SphericityResult(math.exp(log_w), chi2, df, p, gg, hf)
 
 
 # -------------------------------------------------------------------------------------------------

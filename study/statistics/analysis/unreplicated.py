@@ -116,6 +116,9 @@ def lenth(
     The rule t(m/3) of the paper gives 2.0 % instead of 5 % at m = 7; here the limits are
     quantiles of simulated null contrasts.
     """
+    from scipy.special import ndtri
+    from scipy.stats import rankdata
+
     values = np.asarray(contrasts, dtype=float)
     m = values.size
     labels = tuple(names) if names is not None else tuple(str(i + 1) for i in range(m))
@@ -133,22 +136,11 @@ def lenth(
         pse * float(np.quantile(single, 1 - alpha)),
         pse * float(np.quantile(largest, 1 - alpha)),
         tuple(np.asarray(p).tolist()),
-        tuple(half_normal_scores(values).tolist()),
+        # half-normal scores Phi^-1(0.5 + 0.5 (r - 0.5)/m) of the absolute values (Daniel 1959)
+        tuple(ndtri(0.5 + 0.5 * (rankdata(np.abs(values)) - 0.5) / m).tolist()),
         simulations,
         seed,
     )
-
-
-def half_normal_scores(values: ArrayLike) -> Array:
-    """Half-normal scores Phi^-1(0.5 + 0.5 (r - 0.5)/m) of the absolute values (Daniel 1959).
-
-    Shapes: values (m,).
-    """
-    from scipy.special import ndtri
-    from scipy.stats import rankdata
-
-    size = np.abs(np.asarray(values, dtype=float))
-    return np.asarray(ndtri(0.5 + 0.5 * (rankdata(size) - 0.5) / size.size))
 
 
 def orthonormal_contrasts(layout: CellLayout, terms: Sequence[Term]) -> tuple[list[str], Array]:

@@ -13,7 +13,7 @@ order is believed was chosen by the simulation of ``validation/bounds.py``.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
@@ -221,7 +221,16 @@ def _weighted_fit(h: Array, f: Array, weight: Array) -> tuple[float, float, floa
     """Order, limit, slope and scatter of one weighted fit."""
     from scipy.optimize import minimize_scalar
 
-    solve = _linear_part(h, f, weight)
+    root = np.sqrt(weight / weight.sum())
+    x, y = h / h[-1], f - f[0]
+
+    def solve(p: float) -> tuple[Array, float]:
+        """Limit and slope by linear least squares at an order, with the sum of squares."""
+        columns = np.column_stack([root, root * x**p])
+        coefficients, *_ = np.linalg.lstsq(columns, root * y, rcond=None)
+        rest = root * y - columns @ coefficients
+        return coefficients, float(rest @ rest)
+
     orders = np.geomspace(_LOWEST, _HIGHEST, 120)
     best = int(np.argmin([solve(p)[1] for p in orders]))
     low, high = orders[max(best - 1, 0)], orders[min(best + 1, orders.size - 1)]
@@ -232,32 +241,6 @@ def _weighted_fit(h: Array, f: Array, weight: Array) -> tuple[float, float, floa
     (limit, slope), rss = solve(p)
     scatter = math.sqrt(rss * h.size / (h.size - 3))
     return p, float(limit + f[0]), float(slope / h[-1] ** p), scatter
-
-
-def _linear_part(h: Array, f: Array, weight: Array) -> Callable[[float], tuple[Array, float]]:
-    """Limit and slope by linear least squares at a given order, with the sum of squares."""
-    root = np.sqrt(weight / weight.sum())
-    x, y = h / h[-1], f - f[0]
-
-    def solve(p: float) -> tuple[Array, float]:
-        columns = np.column_stack([root, root * x**p])
-        coefficients, *_ = np.linalg.lstsq(columns, root * y, rcond=None)
-        rest = root * y - columns @ coefficients
-        return coefficients, float(rest @ rest)
-
-    return solve
-
-
-def _fitted_half_width(h: Array, f: Array, tolerance: float, p: float) -> float:
-    """Sum over the values of what an error of the tolerance does to the fitted order."""
-    if tolerance == 0:
-        return 0.0
-    moved = 0.0
-    for k in range(h.size):
-        changed = f.copy()
-        changed[k] += tolerance
-        moved += abs(_least_squares(h, changed)[0] - p)
-    return moved
 
 
 @dataclass(frozen=True)
@@ -368,16 +351,13 @@ def grid_convergence(
     """
     h, f = _checked(sizes, values, formal_order, tolerance)
     bounds = series_bounds(h, f, formal_order, tolerance)
-    behaviour, u, limit = str(bounds.kind), float(bounds.u), None
+    behaviour, limit, consistent = str(bounds.kind), None, True
+    if behaviour == "monotone" and h.size > 3:
+        bounds, limit, consistent = _fitted(h, f, formal_order, tolerance)
+    u, used, factor = (float(v) for v in (bounds.u, bounds.order_used, bounds.factor))
     order, low, high = (float(v) for v in (bounds.order, bounds.low, bounds.high))
-    used, factor = float(bounds.order_used), float(bounds.factor)
-    limited, consistent = bool(bounds.limited), True
+    limited = bool(bounds.limited)
     if behaviour in ("monotone", "two meshes"):
-        if h.size > 3:
-            fit = _fitted(h, f, formal_order, tolerance)
-            order, low, high, limit = fit.order, fit.low, fit.high, fit.limit
-            used, factor, limited, u = fit.used, fit.factor, fit.limited, fit.u
-            consistent = fit.consistent
         if limit is None or limited:
             limit = _limit_by_pair(h, f, used if limited else order)
     elif behaviour == "oscillatory":
@@ -393,7 +373,6 @@ def grid_convergence(
         verdict = _monotone_verdict((low, order, high), formal_order, factor, limited, consistent)
     elif behaviour == "two meshes":
         verdict = f"two meshes: order assumed, {used:.3g}, factor {factor:g}"
-    warnings = _ratio_warnings(h) + ([] if limit is None else _far_warnings(float(f[0]), limit))
     return ConvergenceResult(
         qoi, unit, tuple(h.tolist()), tuple(f.tolist()), behaviour,
         observed_order=order if behaviour == "monotone" and carried else None,
@@ -407,7 +386,7 @@ def grid_convergence(
         order_used=used if ordered else None,
         gci_coarse=gci[1],
         order_interval=(low, high) if math.isfinite(high) and high > low else None,
-        warnings=tuple(warnings),
+        warnings=tuple(_warnings(h, float(f[0]), limit)),
     )  # fmt: skip
 
 
@@ -428,26 +407,17 @@ def _indices(
     return (fine, coarse), float(by_coarse / ((h[1] / h[0]) ** used * by_fine))
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """Order and bound of four or more meshes by least squares."""
+def _fitted(
+    h: Array, f: Array, formal: float | None, tolerance: float
+) -> tuple[MeshBounds, float, bool]:
+    """Bound of a monotone series of four or more meshes by least squares, and its limit.
 
-    order: float
-    low: float
-    high: float
-    limit: float
-    used: float
-    factor: float
-    limited: bool
-    u: float
-    #: Whether the two finest triples of meshes agree in order.
-    consistent: bool
-
-
-def _fitted(h: Array, f: Array, formal: float | None, tolerance: float) -> _Fit:
-    """Bound of a monotone series of four or more meshes."""
+    The last is whether the two finest triples of meshes agree in order.
+    """
     order, limit, slope, scatter = _least_squares(h, f)
-    half = _fitted_half_width(h, f, tolerance, order)
+    # sum over the values of what an error of the tolerance does to the fitted order
+    moved = tolerance * np.eye(h.size if tolerance else 0)
+    half = sum(abs(_least_squares(h, f + error)[0] - order) for error in moved)
     low, high = max(order - half, 0.0), order + half
     carried = half <= RESOLVED_ORDER
     triples = [float(observed_order(h[i : i + 3], f[i : i + 3])) for i in (0, 1)]
@@ -464,7 +434,8 @@ def _fitted(h: Array, f: Array, formal: float | None, tolerance: float) -> _Fit:
     u = max(factor * error + scatter + misfit, tolerance)
     if not carried:  # the finest change may be small by accident: what else changed counts
         u = max(u, float(np.ptp(f[:3])))
-    return _Fit(order, low, high, limit, float(used), factor, bool(limited), u, consistent)
+    parts = ("monotone", u, order, low, high, used, factor, limited)
+    return MeshBounds(*map(np.asarray, parts)), limit, consistent
 
 
 def _limit_by_pair(h: Sequence[float] | Array, f: Sequence[float] | Array, order: float) -> float:
@@ -550,25 +521,18 @@ def _checked(
     return h[order], f[order]
 
 
-def _ratio_warnings(h: Array) -> list[str]:
-    ratios = h[1:] / h[:-1]
-    if ratios.min() >= _MIN_RATIO - 1e-12:
-        return []
-    return [
-        f"refinement ratio {ratios.min():.3g} is below {_MIN_RATIO}: "
-        "noise of the mesh is amplified in the order"
-    ]
-
-
-def _far_warnings(finest: float, extrapolated: float) -> list[str]:
-    """Say where the limit is an extrapolation by more than a study should rest on."""
-    if not extrapolated or abs(finest - extrapolated) <= FAR * abs(extrapolated):
-        return []
-    off = abs(finest / extrapolated - 1)
-    return [
-        f"the finest value, {finest:.6g}, is {100 * off:.3g} % from its extrapolated value, "
-        f"{extrapolated:.6g}: refine further before either is used"
-    ]
+def _warnings(h: Array, finest: float, limit: float | None) -> Iterator[str]:
+    """Small ratios of the sizes, and a limit farther off than a study should rest on."""
+    if (ratio := (h[1:] / h[:-1]).min()) < _MIN_RATIO - 1e-12:
+        yield (
+            f"refinement ratio {ratio:.3g} is below {_MIN_RATIO}: "
+            "noise of the mesh is amplified in the order"
+        )
+    if limit and abs(finest - limit) > FAR * abs(limit):
+        yield (
+            f"the finest value, {finest:.6g}, is {100 * abs(finest / limit - 1):.3g} % from its "
+            f"extrapolated value, {limit:.6g}: refine further before either is used"
+        )
 
 
 @dataclass(frozen=True)
@@ -660,14 +624,5 @@ def compare(
              for v in parts.values()]  # fmt: skip
     total = np.sqrt(sum(u**2 for u in uncertainties))
     unknown = tuple(name for name, v in parts.items() if v is None)
-    return ValidationComparison(
-        d,
-        s,
-        m,
-        s - m,
-        uncertainties[0],
-        uncertainties[1],
-        uncertainties[2],
-        np.asarray(total),
-        unknown,
-    )
+    num, inputs, data = uncertainties
+    return ValidationComparison(d, s, m, s - m, num, inputs, data, np.asarray(total), unknown)

@@ -527,15 +527,11 @@ class BlockedEmulator:
         return np.asarray(t * values.std(axis=0, ddof=1) / np.sqrt(b))
 
 
-def fit_blocks(runs: Runs, seed: int = 0) -> BlockedEmulator:
-    """Fit an emulator to the runs of each block."""
-    found = {name: fit_emulator(_of_block(runs, name), seed) for name in _blocks(runs)}
-    return BlockedEmulator(runs, found)
-
-
 def fit_own(runs: Runs) -> Emulator | BlockedEmulator:
     """Fit an emulator to runs, one for each block where there are several."""
-    return fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+    if len(set(runs.blocks)) < 2:
+        return fit_emulator(runs)
+    return BlockedEmulator(runs, {b: fit_emulator(_of_block(runs, b)) for b in _blocks(runs)})
 
 
 def fit_blocks_together(

@@ -316,18 +316,6 @@ def level_by_residual(surface: QuadraticPolynomial, covariance: Array, df: int) 
     return member
 
 
-def region_of(member: Member, at: Array) -> Region:
-    """Confidence region of a stationary point over the box. Shapes: at (k,)."""
-    points = np.vstack([box_points(at.size, SEARCHED), np.clip(at, -1, 1)])
-    inside = points[member(points)]
-    nowhere = np.full(at.size, np.nan)
-    low, high = (inside.min(axis=0), inside.max(axis=0)) if len(inside) else (nowhere, nowhere)
-    faces = [np.array(points) for _ in range(2 * at.size)]
-    for side, face in enumerate(faces):
-        face[:, side // 2] = -1.0 if side % 2 else 1.0
-    return Region(low, high, any(bool(member(face).any()) for face in faces))
-
-
 # A quadratic surface fitted to runs, and what may be said of it.
 
 #: smallest Q2 at which effects are carried by a quadratic
@@ -459,13 +447,11 @@ def fit_quadratic(runs: Runs, alpha: float = 0.05) -> QuadraticSurface:
     single = replace(runs, coded=settings, response=means, blocks=(), u_num=None)
     columns = factorize(second_order(single.levels()), settings)
     b = columns.coefficients(means)
-    terms = [
-        SurfaceTerm(label, float(c)) for label, c in zip(_labels(runs, columns), b, strict=True)
-    ]
+    terms = _estimates(_labels(runs, columns), b, np.zeros_like(b), 0, alpha)
     notes = ["no p: a deterministic surface has misfit, not noise"]
     copies = runs.response.size - means.size
     notes += [f"{copies} copies of deterministic runs count once"] if copies else []
-    return _surface(runs, columns, means, tuple(terms), "none", notes=notes)
+    return _surface(runs, columns, means, terms, "none", notes=notes)
 
 
 def _with_replicates(
@@ -519,9 +505,13 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
         lack=against_blocks(columns.complement(), table), notes=notes,
     )  # fmt: skip
     surfaces = [QuadraticPolynomial(columns.terms, c, len(runs.factors)) for c in each.T]
+    tests = {}
+    for j, name in enumerate(runs.names):
+        of_factor = [i for i, term in enumerate(columns.terms) if j in term.factors]
+        tests[name] = against_blocks(columns.alone(of_factor), table)
     return replace(
         found,
-        factor_tests=_factor_tests(runs, columns, table),
+        factor_tests={name: test for name, test in tests.items() if test is not None},
         stationary=_with_region(
             found.stationary, level_by_blocks(surfaces) if blocks > len(runs.factors) else None
         ),
@@ -548,19 +538,19 @@ def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints, alpha: float) -> Qu
 
 
 def _with_region(point: StationaryPoint | None, member: Member | None) -> StationaryPoint | None:
+    """Point with the part of the box that its confidence region takes."""
     if point is None or member is None:
         return point
-    return replace(point, region=region_of(member, point.at))
-
-
-def _factor_tests(runs: Runs, columns: ModelColumns, table: Array) -> dict[str, FRatioTest]:
-    found = {}
-    for j, name in enumerate(runs.names):
-        own = [i for i, term in enumerate(columns.terms) if j in term.factors]
-        test = against_blocks(columns.alone(own), table)
-        if test is not None:
-            found[name] = test
-    return found
+    k = point.at.size
+    points = np.vstack([box_points(k, SEARCHED), np.clip(point.at, -1, 1)])
+    inside = points[member(points)]
+    nowhere = np.full(k, np.nan)
+    low, high = (inside.min(axis=0), inside.max(axis=0)) if len(inside) else (nowhere, nowhere)
+    faces = [np.array(points) for _ in range(2 * k)]
+    for side, face in enumerate(faces):
+        face[:, side // 2] = -1.0 if side % 2 else 1.0
+    leaves = any(bool(member(face).any()) for face in faces)
+    return replace(point, region=Region(low, high, leaves))
 
 
 def _labels(runs: Runs, columns: ModelColumns) -> list[str]:
@@ -624,15 +614,12 @@ def _surface(
         residual = max(residual, df * (ROUNDING * float(np.abs(response).max())) ** 2)
         covariance = columns.model.unscaled_covariance[:count, :count] * residual / df
         point = _with_region(point, level_by_residual(polynomial, covariance, df))
+    aliases = []
+    for term, parts in columns.aliases:
+        labels = [(part.label(runs.names), weight) for part, weight in parts]
+        parts_text = [x if abs(w - 1) < 1e-9 else f"{w:.3g} {x}" for x, w in labels]
+        aliases.append(f"{term.label(runs.names)} = {' + '.join(parts_text)}")
     return QuadraticSurface(
         runs, polynomial, terms, {}, error, loo, lack, point,
-        _alias_list(runs, columns), (*notes, *said), covariance, df,
+        tuple(aliases), (*notes, *said), covariance, df,
     )  # fmt: skip
-
-
-def _alias_list(runs: Runs, columns: ModelColumns) -> tuple[str, ...]:
-    def summed(parts: tuple[tuple[Term, float], ...]) -> str:
-        labels = [(term.label(runs.names), weight) for term, weight in parts]
-        return " + ".join(label if abs(w - 1) < 1e-9 else f"{w:.3g} {label}" for label, w in labels)
-
-    return tuple(f"{term.label(runs.names)} = {summed(parts)}" for term, parts in columns.aliases)

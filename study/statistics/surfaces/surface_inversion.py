@@ -116,7 +116,9 @@ def agreeing(
         for side, end in enumerate((search.low[j], search.high[j])):
             for branch in branches:
                 found = search.profile_end(int(j), float(end), branch, largest)
-                is_open[side, j] |= search.is_at_end(found[-1])
+                # whether a free coordinate stands at an end of what was run
+                room = np.minimum(found[-1] - search.low, search.high - found[-1])[search.free]
+                is_open[side, j] |= bool(room.min() < NEAR_END)
                 members += found[1:]
     points = np.array(members)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -228,11 +230,6 @@ class _Search:
         steps[np.arange(free.size), free] = STEP
         values = self.model.value(np.vstack([at + steps, at - steps]))
         return np.asarray((values[: free.size] - values[free.size :]).T / (2.0 * STEP))
-
-    def is_at_end(self, at: Array) -> bool:
-        """Whether a free coordinate stands at an end of what was run."""
-        room = np.minimum(at - self.low, self.high - at)[self.free]
-        return bool(room.min() < NEAR_END)
 
     def profile_end(self, j: int, end: float, best: Array, largest: float) -> list[Array]:
         """Members of the set on the way from the best one to an end of an input."""
