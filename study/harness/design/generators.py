@@ -27,11 +27,6 @@ def fractional(
     """Two-level fractional factorial with given generators.
 
     Shapes: returns (runs, factors).
-
-    Examples
-    --------
-    >>> fractional(["A", "B", "C"], {"C": (-1, ["A", "B"])}).astype(int).tolist()
-    [[-1, -1, -1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]]
     """
     from pydoe import fracfact
 
@@ -94,11 +89,6 @@ def box_behnken(count: int) -> Array:
     blocks are all pairs.
 
     Shapes: returns (runs, count).
-
-    Examples
-    --------
-    >>> [len(box_behnken(count)) for count in range(3, 11)]
-    [13, 25, 41, 49, 57, 113, 97, 161]
     """
     pairs = tuple(itertools.combinations(range(1, count + 1), 2))
     runs = [
@@ -168,14 +158,7 @@ def _contrasts(size: int) -> Array:
 
 
 def efficiency(rows: Sequence[Row], sizes: Sequence[int], words: Sequence[Word]) -> float:
-    """D-efficiency: det(X'X)^(1/p) / n, 1 for an orthogonal design and 0 where terms are aliased.
-
-    Examples
-    --------
-    >>> half = [(0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 0)]
-    >>> round(efficiency(half, (2, 2, 2), [(0,), (1,), (2,)]), 12)
-    1.0
-    """
+    """D-efficiency: det(X'X)^(1/p) / n, 1 for an orthogonal design, 0 where terms are aliased."""
     x = model_columns(np.array(rows), sizes, words)
     sign, log = np.linalg.slogdet(x.T @ x)
     aliased = sign <= 0 or np.linalg.matrix_rank(x) < x.shape[1]
@@ -272,12 +255,6 @@ def resolution(runs: Array) -> int | None:
     """Length of the shortest constant product; None where there is none (a full factorial).
 
     Shapes: runs (runs, factors).
-
-    Examples
-    --------
-    >>> half = np.array([[-1, -1, 1], [-1, 1, -1], [1, -1, -1], [1, 1, 1]], dtype=float)
-    >>> resolution(half)
-    3
     """
     return next((len(w) for w in _words(runs.shape[1]) if abs(_column(runs, w).mean()) == 1), None)
 
@@ -350,11 +327,5 @@ def _words_of(word: GeneratorWord, names: Sequence[str]) -> str:
 
 
 def clear_order(order: int | None) -> int | None:
-    """Highest order of terms that are free of one another at a resolution; None for all.
-
-    Examples
-    --------
-    >>> clear_order(3), clear_order(4), clear_order(5), clear_order(None)
-    (1, 1, 2, None)
-    """
+    """Highest order of terms that are free of one another at a resolution; None for all."""
     return None if order is None else max(1, (order - 1) // 2)

@@ -95,13 +95,7 @@ _DIMENSIONS = {
 
 
 def may_vary(key: str) -> bool:
-    """Whether a dotted key may be a factor or stand in a preset.
-
-    Examples
-    --------
-    >>> may_vary("model.space"), may_vary("material.C30"), may_vary("model.spce")
-    (True, True, False)
-    """
+    """Whether a dotted key may be a factor or stand in a preset."""
     plain = re.sub(f"^{_REPLACED}", "", key)
     table, _, name = plain.partition(".")
     return plain in VARYING or (table == "material" and is_constant_key(name)) or is_parameter(key)
@@ -195,13 +189,7 @@ def _belongs(table: str, ruling: object, key: str) -> bool:
 
 
 def with_units(tables: Table, path: str = "") -> dict[str, object]:
-    """Copy tables whose bare numbers, where a key has a dimension, are in mm, N, MPa, deg and s.
-
-    Examples
-    --------
-    >>> with_units({"specimen": {"radius": 25, "height": "3 cm"}, "test": {"steps": 4}})
-    {'specimen': {'radius': '25 mm', 'height': '3 cm'}, 'test': {'steps': 4}}
-    """
+    """Copy tables whose bare numbers, where a key has a dimension, are in mm, N, MPa, deg and s."""
     made: dict[str, object] = {}
     for name, value in tables.items():
         made[name] = _measured(_key_meant(f"{path}{name}"), value, f"{path}{name}.")

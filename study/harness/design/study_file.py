@@ -57,13 +57,7 @@ AT_DISPLACEMENT = ("force_at", "stiffness_at")
 
 
 def simulated_at(name: str) -> tuple[str, float | None]:
-    """Split the name of a response at a displacement into the response and the place in mm.
-
-    Examples
-    --------
-    >>> simulated_at("force_at_2.5_mm"), simulated_at("work")
-    (('force_at', 2.5), ('work', None))
-    """
+    """Split the name of a response at a displacement into the response and the place in mm."""
     for start in AT_DISPLACEMENT:
         place = name.removeprefix(f"{start}_").removesuffix("_mm")
         if name == f"{start}_{place}_mm":
@@ -146,13 +140,7 @@ REMEDIES = {
 
 
 def response_unit(name: str) -> str | None:
-    """Find the unit of a response: "" for a plain number, None if there is no such response.
-
-    Examples
-    --------
-    >>> response_unit("C10"), response_unit("stiffness_at"), response_unit("force_at_2.5_mm")
-    ('kPa', 'N/mm', 'N')
-    """
+    """Find the unit of a response: "" for a plain number, None if there is no such response."""
     if name in RESPONSES:
         return RESPONSES[name]
     if is_simulated(name):
