@@ -90,7 +90,8 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
             labels_of.setdefault(_moved(fault, places), []).append(cell_levels.label)
     for fault, labelled in labels_of.items():
         is_general = len(labelled) == count or fault.where.startswith(("presets.", "factors."))
-        where = "" if is_general else f" (in {_listed(labelled)})"
+        more = f" and {len(labelled) - 1} more cells" if len(labelled) > 1 else ""
+        where = "" if is_general else f" (in {labelled[0]}{more})"
         faults.add(fault.where, fault.rule + where, fault.mend)
     _check_left(design, faults)
     if not faults:  # a level that cannot be read would be missed here once more
@@ -135,10 +136,6 @@ def _check_same_names(design: Design, cells: Sequence[Cell], faults: Faults) -> 
     if key is not None and key.partition(".")[2] not in names:
         rule = f"names {key}, which no cell has"
         faults.add("replicates.key", rule, "give it a value in [parameters]: seed = 1")
-
-
-def _listed(labels: Sequence[str]) -> str:
-    return labels[0] + (f" and {len(labels) - 1} more cells" if len(labels) > 1 else "")
 
 
 def _places(design: Design, levels: Sequence[Level], presets: Presets) -> dict[str, str]:
