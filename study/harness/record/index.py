@@ -169,12 +169,9 @@ class RecordIndex:
     def is_stale(self) -> bool:
         """Whether the file says something else than is known."""
         new = any(self._known.get(name) != entry for name, entry in self._fresh.items())
-        return self._altered or new or self._is_racy
-
-    @property
-    def _is_racy(self) -> bool:
-        """Whether some entry is not believed for being as young as the file."""
-        return any(entry.stamp.changed_ns >= self._written_ns for entry in self._known.values())
+        # an entry as young as the file is not believed
+        racy = any(entry.stamp.changed_ns >= self._written_ns for entry in self._known.values())
+        return self._altered or new or racy
 
     def text(self) -> str:
         """Everything that is known, sealed."""
