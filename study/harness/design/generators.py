@@ -231,7 +231,6 @@ def _ratio(inverse: Array, old: Array, new: Array) -> Array:
 
 # What a two-level design cannot tell apart, found by brute force over products of its columns.
 
-GeneratorWord = tuple[int, ...]
 ROMAN = ("", "I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X", "XI", "XII")
 
 
@@ -240,13 +239,13 @@ class Alias:
     """Two terms of order 1 or 2 that a design correlates."""
 
     #: Columns of the factors in each.
-    term: GeneratorWord
-    other: GeneratorWord
+    term: Word
+    other: Word
     #: Correlation of their columns; 1 or -1 where nothing tells them apart.
     r: float
 
 
-def defining_words(runs: Array) -> tuple[GeneratorWord, ...]:
+def defining_words(runs: Array) -> tuple[Word, ...]:
     """Products of columns that are constant over all runs, shortest first; runs (runs, factors)."""
     return tuple(word for word in _words(runs.shape[1]) if abs(_column(runs, word).mean()) == 1)
 
@@ -272,16 +271,16 @@ def aliases(runs: Array) -> tuple[Alias, ...]:
     )
 
 
-def _words(count: int, longest: int | None = None) -> Iterator[GeneratorWord]:
+def _words(count: int, longest: int | None = None) -> Iterator[Word]:
     for length in range(1, (longest or count) + 1):
         yield from itertools.combinations(range(count), length)
 
 
-def _column(runs: Array, word: GeneratorWord) -> Array:
+def _column(runs: Array, word: Word) -> Array:
     return np.asarray(runs[:, list(word)].prod(axis=1), dtype=float)
 
 
-def term_name(word: GeneratorWord, names: Sequence[str]) -> str:
+def term_name(word: Word, names: Sequence[str]) -> str:
     """Name of a term as an analysis writes it: ``"A"`` or ``"A:B"``."""
     return ":".join(names[i] for i in word)
 
@@ -299,10 +298,10 @@ def defining_relation(runs: Array, names: Sequence[str]) -> str:
 def sentences(runs: Array, names: Sequence[str]) -> list[str]:
     """Alias table in words: what cannot be told from what, main effects first."""
     # Shapes: runs (runs, factors).
-    partners: dict[GeneratorWord, list[Alias]] = {}
+    partners: dict[Word, list[Alias]] = {}
     for alias in aliases(runs):
         partners.setdefault(alias.term, []).append(alias)
-    named: set[GeneratorWord] = set()
+    named: set[Word] = set()
     out = []
     for term, correlated in partners.items():
         whole = [a for a in correlated if abs(abs(a.r) - 1) < 1e-12]
@@ -320,7 +319,7 @@ def sentences(runs: Array, names: Sequence[str]) -> list[str]:
     return out
 
 
-def _words_of(word: GeneratorWord, names: Sequence[str]) -> str:
+def _words_of(word: Word, names: Sequence[str]) -> str:
     if len(word) == 1:
         return f"the effect of {names[word[0]]}"
     return "the interaction of " + " and ".join(names[i] for i in word)

@@ -109,13 +109,7 @@ def suggestion(key: str) -> str:
 
 
 def dimension(key: str) -> str | None:
-    """Dimension of a dotted key, ``"number"`` for a plain one, None where it has no value.
-
-    Examples
-    --------
-    >>> dimension("specimen.height"), dimension("material.C20")
-    ('length', 'pressure')
-    """
+    """Dimension of a dotted key, ``"number"`` for a plain one, None where it has no value."""
     last = key.rpartition(".")[2]
     if key in ("measurements.displacement", "measurements.force"):
         return "length" if last == "displacement" else "force"
@@ -133,11 +127,6 @@ def lay(tables: Table, settings: Table) -> dict[str, object]:
 
     A key takes away what cannot stand beside it: ``mesh`` a ``mesh_size`` (and the other
     ways round), a shape the sizes of another shape, an energy the constants of another.
-
-    Examples
-    --------
-    >>> lay({"model": {"mesh": "fine", "space": "3d"}}, {"model.mesh_size": "2 mm"})
-    {'model': {'space': '3d', 'mesh_size': '2 mm'}}
     """
     merged = copy.deepcopy(dict(tables))
     for key, value in settings.items():

@@ -205,13 +205,6 @@ class Worker:
 
     It may start long before its first call, with what that call will import. A death, or
     arguments that cannot be sent, cost nothing but the time: the call is then made here.
-
-    Examples
-    --------
-    >>> with Worker(dict) as worker:
-    ...     later = worker.begin(max, [2, 3])
-    ...     later()
-    3
     """
 
     def __init__(self, prepare: Callable[[], object]) -> None:

@@ -136,12 +136,6 @@ def answer(files: Text, displacement_mm: Array, reaches: bool = True) -> Program
     return at_points(columns, displacement_mm, facts, reaches)
 
 
-def of_curve(curve: Curve, displacement_mm: Array, reaches: bool) -> ProgramAnswer:
-    """Answer of a curve whose columns the study file names. Shapes: displacement_mm (n,)."""
-    columns = {DISPLACEMENT: curve.displacement_mm, FORCE: curve.force_N}
-    return at_points(columns, displacement_mm, {}, reaches)
-
-
 def at_points(
     columns: Mapping[str, Array],
     displacement_mm: Array,
@@ -222,7 +216,10 @@ class PythonFunction:
 
     def __call__(self, case: Mapping[str, object]) -> object:
         """Call it; whatever it raises is a case without an answer."""
-        function = _unpickled(self.text)
+        import cloudpickle
+
+        with UserImports():  # made anew: a case knows nothing of what another one left in it
+            function: Function = cloudpickle.loads(base64.b64decode(self.text))
         try:
             return function(_attributed(case))  # type: ignore[arg-type]
         except Exception as error:  # noqa: BLE001 - a function of the user may raise anything
@@ -261,15 +258,6 @@ class PythonFunction:
                    for k, v in returned.items()}  # fmt: skip
         values = {k: quantity_in(v, units.get(k, ""), k) for k, v in scalars.items()}
         return ParameterAnswer(values, curve)
-
-
-def _unpickled(text: str) -> Function:
-    """Make the function anew: a case knows nothing of what another one left in it."""
-    import cloudpickle
-
-    with UserImports():
-        function: Function = cloudpickle.loads(base64.b64decode(text))
-    return function
 
 
 class _Attributed(dict[str, object]):

@@ -62,12 +62,7 @@ STATUSES = (
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Result of one case, or the reason why there is none.
-
-    Notes
-    -----
-    Two records are equal when their JSON is.
-    """
+    """Result of one case, or the reason why there is none; equal when its JSON is."""
 
     case_id: str
     study: str
