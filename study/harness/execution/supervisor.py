@@ -303,8 +303,11 @@ class Supervisor:
 
     def _answered(self, busy: list[Desk], done: Done) -> list[Outcome]:
         """Outcome of the next task that ends, if one does before somebody may be late."""
+        now = time.monotonic()
+        ends = [desk.started + limit for desk in busy if (limit := self._limit(desk)) is not None]
+        patience = min(max(min(ends, default=math.inf) - now, 0.0), LONGEST_WAIT_S)
         try:
-            ticket, answer = done.get(timeout=self._patience(busy))
+            ticket, answer = done.get(timeout=patience)
         except queue.Empty:
             return []
         desk = next((d for d in busy if d.ticket is ticket), None)
@@ -345,12 +348,6 @@ class Supervisor:
         for task in tasks:
             self.ready.give_back(task)
         return []
-
-    def _patience(self, busy: list[Desk]) -> float:
-        """Seconds until somebody may be late."""
-        now = time.monotonic()
-        ends = [desk.started + limit for desk in busy if (limit := self._limit(desk)) is not None]
-        return min(max(min(ends, default=math.inf) - now, 0.0), LONGEST_WAIT_S)
 
     def _limit(self, desk: Desk) -> float | None:
         """Seconds that a slot may take for what it does: to be up, then its task."""

@@ -77,6 +77,11 @@ def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
     material, test = problem.material, problem.test
     bulk = material.bulk
     indenter = None if test.indenter is None else _section(test.indenter)
+    size_mm = None  # that our own mesh would have
+    if not problem.setup.has_no_elements:
+        from study.mechanics.mesh.mesher import mesh_size
+
+        size_mm = float(mesh_size(problem.setup))
     return {
         "schema": SCHEMA,
         "specimen": _section(problem.specimen),
@@ -94,7 +99,7 @@ def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
             "mu0_MPa": material.mu0,
             "bulk_modulus_MPa": bulk if math.isfinite(bulk) else None,
         },
-        "model": {**_section(problem.model), "mesh_size_mm": _mesh_size(problem)},
+        "model": {**_section(problem.model), "mesh_size_mm": size_mm},
         "displacement_mm": [float(d) for d in displacement_mm],
     }
 
@@ -103,15 +108,6 @@ def _section(value: object) -> dict[str, Json]:
     words = {"shape": getattr(value, "shape", None)}
     shaped = {k: v for k, v in words.items() if v is not None}
     return cast("dict[str, Json]", plain({**shaped, **values_of(value)}))
-
-
-def _mesh_size(problem: Problem) -> float | None:
-    """Element size in mm that our own mesh would have."""
-    if problem.setup.has_no_elements:
-        return None
-    from study.mechanics.mesh.mesher import mesh_size
-
-    return float(mesh_size(problem.setup))
 
 
 def context_of(request: Mapping[str, object]) -> dict[str, object]:
