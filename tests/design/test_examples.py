@@ -30,24 +30,6 @@ def conical() -> Design:
     return load.load(DESIGNS / "conical-indentation.toml")
 
 
-def test_the_ecoflex_matrix(ecoflex: Design) -> None:
-    cells = ecoflex.treatments
-    assert len(cells) == 4 * 2 * 2 * 2
-    assert cells[0].label == "neo-hookean / frictionless / axisymmetric / linear"
-    assert cells[-1].label == "reduced-polynomial-3 / bonded / 3d / quadratic"
-    assert [f.name for f in ecoflex.factors] == [
-        "material",
-        "plates",
-        "model.space",
-        "model.element_order",
-    ]
-    assert (ecoflex.name, ecoflex.seed, ecoflex.assumed) == (
-        "ecoflex-compression",
-        2011,
-        ("test.interface",),
-    )
-
-
 def test_sections_are_plain_values_in_mm_and_mpa(ecoflex: Design) -> None:
     config = ecoflex.treatments[-1].cell.document()
     assert config["specimen"] == {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}

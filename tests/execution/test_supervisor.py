@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import queue
-
 import pytest
 
-from study.harness.execution.supervisor import Answer, ReadyQueue, Supervisor
+from study.harness.execution.supervisor import Answer, Done, ReadyQueue, Supervisor
 from study.harness.execution.task import Task
 
 
@@ -16,9 +14,7 @@ class Liar:
     def __init__(self, answers: list[str]) -> None:
         self.answers, self.killed = answers, 0
 
-    def start(
-        self, payloads: list[object], done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
-    ) -> bool | None:
+    def start(self, payloads: list[object], done: Done, ticket: object) -> bool | None:
         done.put((ticket, Answer(self.answers.pop(0))))
         return None
 
@@ -40,9 +36,3 @@ def test_an_answer_that_is_no_result_costs_its_own_case_alone(bad: str) -> None:
     (crashed,) = [one.result for one in outcomes if one.result["status"] == "crashed"]
     assert "answer" in crashed["message"]
     assert slot.killed == 3
-
-
-def test_one_more_try_is_enough() -> None:
-    slot = Liar(["{", GOOD])
-    (outcome,) = Supervisor(ReadyQueue([Task("a", lambda results: {})], {}), [slot]).outcomes()
-    assert outcome.result["status"] == "converged"

@@ -27,7 +27,6 @@ from study.harness.design.parameters import ParameterProblem
 from study.harness.external import answers, command, exchange
 from study.harness.external.answers import NoAnswer, values_of_files
 from study.harness.external.command import External
-from study.harness.external.exchange import PythonFunction
 from study.harness.runner.fit_problem import fit_key, fit_problem
 from study.harness.runner.fit_task import FitTask, fitted
 from tests.waiting import CAP_S, is_alive, until
@@ -159,7 +158,6 @@ def answer(facts: str) -> External:
         (script("import os; os.kill(os.getpid(), 11)"), "failed", "return code -11"),
         (script("import os; os.symlink('/etc/hostname', 'curve.csv')"), "failed", "no curve.csv"),
         (script("import os; os.symlink('/dev/zero', 'curve.csv')"), "failed", "is a link"),
-        (script("import os; os.mkfifo('curve.csv')"), "failed", "is no file but a pipe"),
         (script("import os; os.mkdir('curve.csv')"), "failed", "is no file but a folder"),
         (script("open('curve.csv', 'wb').truncate(10**10)"), "failed", "return code 1"),
         (script("open('curve.csv', 'wb').truncate(10**9)"), "failed", "holds more than 20 MB"),
@@ -170,7 +168,6 @@ def answer(facts: str) -> External:
             "failed",
             "10000 columns",
         ),
-        (script(WRITES.format(CURVE.replace("8", "1e308"))), "failed", "beyond 1e+30"),
         (script(WRITES.format(CURVE.replace("8", "-1e308"))), "failed", "beyond 1e+30"),
         (script(WRITES.format(CURVE.replace("8", "inf"))), "not-converged", "finite"),
         (
@@ -180,8 +177,6 @@ def answer(facts: str) -> External:
         ),
         (script(WRITES.format(CURVE.replace("3,8", "5e-324,8"))), "failed", "rise"),
         (script(WRITES.format("displacement_mm,force_N\n5e-324,1\n1e-323,2\n5,3\n")), "failed", ""),
-        (answer("'[' * 100_000"), "failed", "facts.json: is not valid JSON"),
-        (answer("'{\"elements\": -5}'"), "failed", "elements must be a whole number"),
         (answer("'{\"elements\": 1e300}'"), "failed", "elements must be a whole number"),
         (answer('\'{"dofs": "many"}\''), "failed", "dofs must be a whole number"),
         (answer("'{\"dofs\": true}'"), "failed", "dofs must be a whole number"),
@@ -375,15 +370,6 @@ def test_forces_of_the_shipped_closed_form_are_those_of_ours():
     np.testing.assert_allclose(found.curve.force_N, [force(d) for d in POINTS], rtol=1e-12)
     assert found.gradients == ("C10", "C20")
     assert document["steps"][0]["code"] == 0
-
-
-def test_a_function_gives_what_a_program_gives():
-    def model(asked):
-        return [force(d) for d in asked["displacement_mm"]]
-
-    request = exchange.request(problem(C10=C10), POINTS)
-    found = PythonFunction.of(model, "1").solve(request, POINTS, {})
-    np.testing.assert_array_equal(found.curve.force_N, [force(d) for d in POINTS])
 
 
 @pytest.fixture

@@ -112,7 +112,10 @@ SERIES = {**NUMERICAL, "mesh_size": [2.0, 1.0], "series": [1.25, 1.2], "formal_o
 
 #: a stored file, what a study writes there, and how it is read
 KINDS: dict[str, tuple[Any, Callable[[Store], object]]] = {
-    "study": (dict(manifest(cases={"a1": "h-a1"})), lambda store: store.read_manifest()),
+    "study": (
+        dict(manifest(cases={"a1": "h-a1"}, versions={"numpy": "2"})),
+        lambda store: store.read_manifest(),
+    ),
     "fits/f1": (FIT | FITTED, lambda store: store.read_fit("f1")),
     "solves/s1": (SOLUTION, lambda store: store.read_solution("s1")),
     "numerical": (

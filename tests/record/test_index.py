@@ -54,14 +54,6 @@ def settled(path: Path) -> None:
         store.survey(WANTED)
 
 
-def test_a_survey_reads_no_record_that_the_index_knows(tmp_path: Path, read: list[str]) -> None:
-    settled(tmp_path)
-    read.clear()
-    found = Store(tmp_path).survey(WANTED)
-    assert found.done == CASES
-    assert read == []
-
-
 def test_whatever_differs_is_read_again(tmp_path: Path, read: list[str]) -> None:
     settled(tmp_path)
     victim = tmp_path / "cases" / "b2" / "record.json"

@@ -148,27 +148,6 @@ def test_what_a_newer_version_wrote_is_refused_and_left_alone(tmp_path: Path, vi
     assert not list(tmp_path.rglob("*.corrupt-*"))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"cases": ["a"]},
-        {"design": 3},
-        {"notes": [1.5]},
-        {"versions": {"numpy": [1]}},
-        {"name": None},
-    ],
-)
-def test_a_sealed_file_of_another_shape_is_no_manifest(
-    tmp_path: Path, change: dict[str, object]
-) -> None:
-    """Its checksum is right, so that only its shape tells that no study wrote it."""
-    said: list[str] = []
-    store = Store(tmp_path, warn=said.append)
-    store.write_json("study", {**manifest(), **change})
-    assert store.read_manifest() is None
-    assert "study.json: is not what a study writes there" in said[0]
-
-
 def test_what_is_no_file_is_not_read(tmp_path: Path) -> None:
     """A pipe has no end, and a device may have none."""
     said: list[str] = []

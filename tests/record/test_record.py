@@ -123,12 +123,6 @@ def test_wrong_content_is_refused_cleanly(text):
         Record.from_json(text, "here")
 
 
-@given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)))
-def test_any_bytes_as_a_record(data):
-    with pytest.raises(StoreError):
-        Record.from_json(data)
-
-
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | finite | st.text(max_size=8),
     lambda inner: (

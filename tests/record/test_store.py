@@ -112,14 +112,9 @@ def test_a_disk_that_is_full_costs_what_it_cannot_take_alone(tmp_path):
                 raise OSError(28, "No space left on device")
             super().write(path, data)
 
-    with pytest.raises(StoreError, match="No space left"):
+    with pytest.raises(StoreError, match="No space left.*unharmed.*run again"):
         run(tmp_path, Full(), followed=True)
     assert {one.case_id for one in Store(tmp_path).read_all()} == set(CASES[:-1])
-
-
-def test_disk_full_says_what_to_do(tmp_path):
-    with pytest.raises(StoreError, match="No space left.*unharmed.*run again"):
-        run(tmp_path, FailingDisk(4))
 
 
 @pytest.mark.parametrize("damage", [b"", b"{", b"\0" * 50, b"\xff", b'{"schema":1}'])
@@ -127,19 +122,13 @@ def test_a_damaged_record_is_set_aside_and_queued_again(tmp_path, clean, damage)
     run(tmp_path)
     victim = tmp_path / "cases" / "b2" / "record.json"
     victim.write_bytes(damage or victim.read_bytes()[:100])
+    (tmp_path / "fits" / "f1.json").write_text("{}")
     looker = Store(tmp_path)
     assert looker.survey(WANTED).missing == ("b2",)
     assert victim.exists()  # a reader without the lock moves nothing
     store = run(tmp_path)
-    assert "renamed to record.json.corrupt-1" in store.warnings[0]
+    assert any("renamed to record.json.corrupt-1" in said for said in store.warnings)
     assert (victim.parent / "record.json.corrupt-1").exists()
-    assert state(tmp_path) == clean[0]
-
-
-def test_damaged_fit_and_manifest_are_computed_again(tmp_path, clean):
-    run(tmp_path)
-    (tmp_path / "fits" / "f1.json").write_text("{}")
-    run(tmp_path)
     assert state(tmp_path) == clean[0]
 
 
@@ -226,13 +215,6 @@ def test_second_runner_is_refused_and_a_dead_one_forgotten(tmp_path):
     with Store(tmp_path).lock():
         pass  # the lock of a killed runner dies with it
     assert Store(tmp_path).running() is None
-
-
-def test_the_lock_is_released_when_the_run_raises(tmp_path):
-    with pytest.raises(KeyboardInterrupt), Store(tmp_path).lock():
-        raise KeyboardInterrupt
-    with Store(tmp_path).lock():
-        pass
 
 
 @pytest.mark.parametrize("name", ["../x", "A", "", "a/b", "a.b", "x" * 81, "a\0", "-a"])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated, Literal
 
 from study.ground import units
 from study.ground.errors import nearest
+from study.harness.design import overlay
 from study.harness.design.cell import CellProblem
 from study.harness.design.diagnostics import Faults, entries, noted, read_table, with_values
 from study.mechanics.measurement.measurement_section import MeasurementSpec
@@ -72,24 +74,21 @@ class NuisanceTable:
     each: Annotated[str | None, Reads(choice("curve", "test", "all"))] = None
 
 
-def nuisance_from(
-    table: object, dimension: Callable[[str], str | None], path: str, faults: Faults
-) -> dict[str, NuisanceInput]:
+def nuisance_from(table: object, path: str, faults: Faults) -> dict[str, NuisanceInput]:
     """Read the declarations of nuisance parameters, by key."""
     inputs: dict[str, NuisanceInput] = {}
     for key, raw in _flat(entries(table, path, faults)).items():
         where = f"{path}.{key}"
-        measured = noted(_dimension(dimension), key, where, faults)
+        measured = noted(_dimension, key, where, faults)
         written = raw if isinstance(raw, Mapping) else {"uncertainty": raw}
         read = read_table(NuisanceTable, written, where, faults)
         if measured is None:
             continue
-        reader = _uncertainty(measured, key)
-        uncertainty, relative = (
-            (None, False)
-            if read.uncertainty is None
-            else noted(reader, read.uncertainty, f"{where}.uncertainty", faults) or (None, False)
-        )
+        given = None
+        if read.uncertainty is not None:
+            reader = partial(_uncertainty, measured, key)
+            given = noted(reader, read.uncertainty, f"{where}.uncertainty", faults)
+        uncertainty, relative = given or (None, False)
         value = _value(key, read.value, measured, where, faults)
         usual, each = ("fitted", _OWN[key][1]) if key in _OWN else ("propagated", "all")
         treat = read.treat or usual
@@ -126,39 +125,31 @@ def _flat(table: Mapping[str, object]) -> dict[str, object]:
     return out
 
 
-def _dimension(of: Callable[[str], str | None]) -> Callable[[object], str]:
-    def read(key: object) -> str:
-        name = str(key)
-        if name in _OWN:
-            return _OWN[name][0]
-        table = name.rpartition(".")[0]
-        dimension = of(name) if table in _TABLES else None
-        is_input = table != "material" or name.endswith((".poisson_ratio", ".bulk_modulus"))
-        if dimension is None or not is_input:
-            usual = (*_OWN, "specimen.height", "specimen.radius", "specimen.area",
-                     "specimen.length", "material.poisson_ratio",
-                     "material.bulk_modulus")  # fmt: skip
-            raise Bad("is no nuisance parameter", nearest(name[:80], usual))
-        return dimension
-
-    return read
+def _dimension(key: object) -> str:
+    name = str(key)
+    if name in _OWN:
+        return _OWN[name][0]
+    table = name.rpartition(".")[0]
+    dimension = overlay.dimension(name) if table in _TABLES else None
+    is_input = table != "material" or name.endswith((".poisson_ratio", ".bulk_modulus"))
+    if dimension is None or not is_input:
+        usual = (*_OWN, "specimen.height", "specimen.radius", "specimen.area",
+                 "specimen.length", "material.poisson_ratio", "material.bulk_modulus")  # fmt: skip
+        raise Bad("is no nuisance parameter", nearest(name[:80], usual))
+    return dimension
 
 
-def _uncertainty(dimension: str, key: str) -> Callable[[object], tuple[float, bool]]:
-    """Reader of a standard uncertainty: its value, and whether it is a share of the value."""
-
-    def read(value: object) -> tuple[float, bool]:
-        share = isinstance(value, str) and value.strip().endswith("%")
-        if dimension == "number" and not share:
-            return number(0.0)(value), False
-        size = units.parse(value, "ratio" if share else dimension)
-        if size <= 0:
-            raise Bad(f"must be above 0, got {shown(value)}")
-        if share and key in (OFFSET, ZERO):
-            raise Bad(f"cannot be a share, got {shown(value)}", 'for example "0.02 N" or "0.1 mm"')
-        return size, share
-
-    return read
+def _uncertainty(dimension: str, key: str, value: object) -> tuple[float, bool]:
+    """Read a standard uncertainty: its value, and whether it is a share of the value."""
+    share = isinstance(value, str) and value.strip().endswith("%")
+    if dimension == "number" and not share:
+        return number(0.0)(value), False
+    size = units.parse(value, "ratio" if share else dimension)
+    if size <= 0:
+        raise Bad(f"must be above 0, got {shown(value)}")
+    if share and key in (OFFSET, ZERO):
+        raise Bad(f"cannot be a share, got {shown(value)}", 'for example "0.02 N" or "0.1 mm"')
+    return size, share
 
 
 def _value(key: str, raw: object, dimension: str, where: str, faults: Faults) -> float | None:
@@ -175,11 +166,7 @@ def _value(key: str, raw: object, dimension: str, where: str, faults: Faults) ->
         return noted(number(0, 1, closed=True, mend=mend), raw, f"{where}.value", faults)
     if raw is None:
         return 0.0
-
-    def read(value: object) -> float:
-        return units.parse(value, dimension)
-
-    return noted(read, raw, f"{where}.value", faults)
+    return noted(partial(units.parse, dimension=dimension), raw, f"{where}.value", faults)
 
 
 Role = Literal["fit", "held-out"]

@@ -297,13 +297,7 @@ def _children(value: dict[str, object] | list[object]) -> Iterable[object]:
 def flatten(
     table: Mapping[str, object], prefix: str = "", whole: Collection[str] = ()
 ) -> dict[str, object]:
-    """Dotted keys of nested tables; an empty table stays, as does one that is a value as a whole.
-
-    Examples
-    --------
-    >>> flatten({"model": {"space": "3d"}, "model.mesh": "fine"})
-    {'model.space': '3d', 'model.mesh': 'fine'}
-    """
+    """Dotted keys of nested tables; an empty table stays, as does one that is a whole value."""
     flat: dict[str, object] = {}
     for key, value in _leaves(table, prefix, whole):
         if key in flat:
@@ -343,13 +337,7 @@ def split_key(key: str) -> list[str]:
 
 
 def parse_override(text: str) -> tuple[list[str], object]:
-    """Key and value of ``"key=value"``; the value is TOML, or else a bare text.
-
-    Examples
-    --------
-    >>> parse_override("model.mesh_size=2 mm"), parse_override("test.steps=5")
-    ((['model', 'mesh_size'], '2 mm'), (['test', 'steps'], 5))
-    """
+    """Key and value of ``"key=value"``; the value is TOML, or else a bare text."""
     key, equals, value = text.partition("=")
     if not equals:
         rule = f"must be key=value, got {text[:80]!r}"
@@ -402,16 +390,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def dump_toml(tables: Mapping[str, object]) -> str:
-    """Canonical TOML of nested tables: one spelling for equal content, read back identically.
-
-    Examples
-    --------
-    >>> print(dump_toml({"schema": 1, "model": {"space": "3d"}}), end="")
-    schema = 1
-    <BLANKLINE>
-    [model]
-    space = "3d"
-    """
+    """Canonical TOML of nested tables: one spelling for equal content, read back identically."""
     return _block(tables, ()).lstrip("\n")
 
 

@@ -248,13 +248,7 @@ def grouped(table: Table, parts: Collection[str] = RANGE_KEYS) -> dict[str, obje
 
 
 def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
-    """Copy of a table with a key set, in the place of its old value or of the parts of a range.
-
-    Examples
-    --------
-    >>> set_whole({"a.low": 1, "a.high": 2, "b": [3, 4]}, "a", [5, 6])
-    {'a': [5, 6], 'b': [3, 4]}
-    """
+    """Copy of a table with a key set, in the place of its old value or of the parts of a range."""
     old = {key, *(f"{key}.{part}" for part in (*RANGE_KEYS, *DISTRIBUTION_KEYS))}
     copied: dict[str, object] = {}
     for old_key, old_value in table.items():

@@ -102,13 +102,7 @@ def _files(value: object) -> tuple[str | tuple[str, str], ...]:
 
 
 def target_and_source(file: str | tuple[str, str]) -> tuple[str, str]:
-    """Name of a file in the folder of a case, and its path beside the design.
-
-    Examples
-    --------
-    >>> target_and_source("solvers/a.py"), target_and_source(("model.inp", "model.inp.j2"))
-    (('a.py', 'solvers/a.py'), ('model.inp', 'model.inp.j2'))
-    """
+    """Name of a file in the folder of a case, and its path beside the design."""
     if isinstance(file, str):
         return file.replace("\\", "/").rpartition("/")[2], file
     return file[0], file[1]

@@ -27,11 +27,6 @@ def fractional(
     """Two-level fractional factorial with given generators.
 
     Shapes: returns (runs, factors).
-
-    Examples
-    --------
-    >>> fractional(["A", "B", "C"], {"C": (-1, ["A", "B"])}).astype(int).tolist()
-    [[-1, -1, -1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]]
     """
     from pydoe import fracfact
 
@@ -94,11 +89,6 @@ def box_behnken(count: int) -> Array:
     blocks are all pairs.
 
     Shapes: returns (runs, count).
-
-    Examples
-    --------
-    >>> [len(box_behnken(count)) for count in range(3, 11)]
-    [13, 25, 41, 49, 57, 113, 97, 161]
     """
     pairs = tuple(itertools.combinations(range(1, count + 1), 2))
     runs = [
@@ -168,14 +158,7 @@ def _contrasts(size: int) -> Array:
 
 
 def efficiency(rows: Sequence[Row], sizes: Sequence[int], words: Sequence[Word]) -> float:
-    """D-efficiency: det(X'X)^(1/p) / n, 1 for an orthogonal design and 0 where terms are aliased.
-
-    Examples
-    --------
-    >>> half = [(0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 0)]
-    >>> round(efficiency(half, (2, 2, 2), [(0,), (1,), (2,)]), 12)
-    1.0
-    """
+    """D-efficiency: det(X'X)^(1/p) / n, 1 for an orthogonal design, 0 where terms are aliased."""
     x = model_columns(np.array(rows), sizes, words)
     sign, log = np.linalg.slogdet(x.T @ x)
     aliased = sign <= 0 or np.linalg.matrix_rank(x) < x.shape[1]
@@ -248,7 +231,6 @@ def _ratio(inverse: Array, old: Array, new: Array) -> Array:
 
 # What a two-level design cannot tell apart, found by brute force over products of its columns.
 
-GeneratorWord = tuple[int, ...]
 ROMAN = ("", "I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X", "XI", "XII")
 
 
@@ -257,13 +239,13 @@ class Alias:
     """Two terms of order 1 or 2 that a design correlates."""
 
     #: Columns of the factors in each.
-    term: GeneratorWord
-    other: GeneratorWord
+    term: Word
+    other: Word
     #: Correlation of their columns; 1 or -1 where nothing tells them apart.
     r: float
 
 
-def defining_words(runs: Array) -> tuple[GeneratorWord, ...]:
+def defining_words(runs: Array) -> tuple[Word, ...]:
     """Products of columns that are constant over all runs, shortest first; runs (runs, factors)."""
     return tuple(word for word in _words(runs.shape[1]) if abs(_column(runs, word).mean()) == 1)
 
@@ -272,12 +254,6 @@ def resolution(runs: Array) -> int | None:
     """Length of the shortest constant product; None where there is none (a full factorial).
 
     Shapes: runs (runs, factors).
-
-    Examples
-    --------
-    >>> half = np.array([[-1, -1, 1], [-1, 1, -1], [1, -1, -1], [1, 1, 1]], dtype=float)
-    >>> resolution(half)
-    3
     """
     return next((len(w) for w in _words(runs.shape[1]) if abs(_column(runs, w).mean()) == 1), None)
 
@@ -295,16 +271,16 @@ def aliases(runs: Array) -> tuple[Alias, ...]:
     )
 
 
-def _words(count: int, longest: int | None = None) -> Iterator[GeneratorWord]:
+def _words(count: int, longest: int | None = None) -> Iterator[Word]:
     for length in range(1, (longest or count) + 1):
         yield from itertools.combinations(range(count), length)
 
 
-def _column(runs: Array, word: GeneratorWord) -> Array:
+def _column(runs: Array, word: Word) -> Array:
     return np.asarray(runs[:, list(word)].prod(axis=1), dtype=float)
 
 
-def term_name(word: GeneratorWord, names: Sequence[str]) -> str:
+def term_name(word: Word, names: Sequence[str]) -> str:
     """Name of a term as an analysis writes it: ``"A"`` or ``"A:B"``."""
     return ":".join(names[i] for i in word)
 
@@ -322,10 +298,10 @@ def defining_relation(runs: Array, names: Sequence[str]) -> str:
 def sentences(runs: Array, names: Sequence[str]) -> list[str]:
     """Alias table in words: what cannot be told from what, main effects first."""
     # Shapes: runs (runs, factors).
-    partners: dict[GeneratorWord, list[Alias]] = {}
+    partners: dict[Word, list[Alias]] = {}
     for alias in aliases(runs):
         partners.setdefault(alias.term, []).append(alias)
-    named: set[GeneratorWord] = set()
+    named: set[Word] = set()
     out = []
     for term, correlated in partners.items():
         whole = [a for a in correlated if abs(abs(a.r) - 1) < 1e-12]
@@ -343,18 +319,12 @@ def sentences(runs: Array, names: Sequence[str]) -> list[str]:
     return out
 
 
-def _words_of(word: GeneratorWord, names: Sequence[str]) -> str:
+def _words_of(word: Word, names: Sequence[str]) -> str:
     if len(word) == 1:
         return f"the effect of {names[word[0]]}"
     return "the interaction of " + " and ".join(names[i] for i in word)
 
 
 def clear_order(order: int | None) -> int | None:
-    """Highest order of terms that are free of one another at a resolution; None for all.
-
-    Examples
-    --------
-    >>> clear_order(3), clear_order(4), clear_order(5), clear_order(None)
-    (1, 1, 2, None)
-    """
+    """Highest order of terms that are free of one another at a resolution; None for all."""
     return None if order is None else max(1, (order - 1) // 2)

@@ -235,13 +235,7 @@ def _start(factors: Sequence[Factor], runs: int, seed: int) -> Array:
 
 
 def share_of(index: int, count: int) -> float:
-    """Share that stands for one of some listed levels.
-
-    Examples
-    --------
-    >>> share_of(0, 2), share_of(1, 2)
-    (0.25, 0.75)
-    """
+    """Share that stands for one of some listed levels."""
     return (index + 0.5) / count
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.errors import nearest
 from study.harness.design import generators
-from study.harness.design import generators as aliases
 from study.harness.design.diagnostics import Faults, flatten, is_known, noted
 from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
 from study.harness.design.spec import Factor, Scheme
@@ -223,15 +222,9 @@ def _nests(tables: Sequence[Nested], request: Request) -> Nests | None:
     for i, table in enumerate(tables):
         where, before = f"design.nested[{i}]", len(faults)
         factor_named = partial(_known, by_name)
-        child = (
-            noted(factor_named, table.factor, f"{where}.factor", faults)
-            if is_known(table.factor)
-            else None
-        )
-        parent = (
-            noted(factor_named, table.within, f"{where}.within", faults)
-            if is_known(table.within)
-            else None
+        child, parent = (
+            noted(factor_named, value, f"{where}.{key}", faults) if is_known(value) else None
+            for key, value in (("factor", table.factor), ("within", table.within))
         )
         if child is None or parent is None or not is_known(table.levels):
             sound = False
@@ -401,20 +394,20 @@ def _smallest(request: Request, resolution: int) -> Made:
 def _verified(request: Request, runs: Array, least: int | None) -> Made:
     """Scheme of a fraction whose resolution was found by brute force, not believed."""
     factors, labels = request.factors, [factor.name for factor in request.factors]
-    verified = aliases.resolution(runs)
+    verified = generators.resolution(runs)
     if verified is not None and verified < (least or 3):
-        rule = f"give resolution {verified}: {aliases.defining_relation(runs, labels)}"
+        rule = f"give resolution {verified}: {generators.defining_relation(runs, labels)}"
         mend = "main effects would be one another; generate with more factors"
         request.fault("generators", rule, mend)
     count = 2 ** len(factors)
-    word = "full" if verified is None else aliases.ROMAN[verified]
+    word = "full" if verified is None else generators.ROMAN[verified]
     summary = (
         f"two-level fractional factorial: {len(runs)} of {count} cells, resolution {word}, "
         f"verified over all {count - 1} products of columns"
     )
     scheme = Scheme(
-        "fractional", _rows(runs), summary, tuple(aliases.sentences(runs, labels)), verified,
-        aliases.defining_relation(runs, labels),
+        "fractional", _rows(runs), summary, tuple(generators.sentences(runs, labels)), verified,
+        generators.defining_relation(runs, labels),
     )  # fmt: skip
     return factors, scheme
 
@@ -465,14 +458,14 @@ class PlackettBurman:
             return request.nothing
         labels = [factor.name for factor in request.factors]
         runs = generators.plackett_burman(len(labels))
-        verified = aliases.resolution(runs)
+        verified = generators.resolution(runs)
         if verified is not None and verified < 3:
             request.fault("kind", f"the design of {len(labels)} factors has aliased effects")
         summary = (
             f"Plackett-Burman: {len(runs)} of {2 ** len(labels)} cells; main effects are free of "
             "one another (verified), and each is mixed with interactions"
         )
-        aliased = tuple(aliases.sentences(runs, labels))
+        aliased = tuple(generators.sentences(runs, labels))
         return request.factors, Scheme(self.kind, _rows(runs), summary, aliased, verified)
 
 

@@ -90,7 +90,8 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
             labels_of.setdefault(_moved(fault, places), []).append(cell_levels.label)
     for fault, labelled in labels_of.items():
         is_general = len(labelled) == count or fault.where.startswith(("presets.", "factors."))
-        where = "" if is_general else f" (in {_listed(labelled)})"
+        more = f" and {len(labelled) - 1} more cells" if len(labelled) > 1 else ""
+        where = "" if is_general else f" (in {labelled[0]}{more})"
         faults.add(fault.where, fault.rule + where, fault.mend)
     _check_left(design, faults)
     if not faults:  # a level that cannot be read would be missed here once more
@@ -135,10 +136,6 @@ def _check_same_names(design: Design, cells: Sequence[Cell], faults: Faults) -> 
     if key is not None and key.partition(".")[2] not in names:
         rule = f"names {key}, which no cell has"
         faults.add("replicates.key", rule, "give it a value in [parameters]: seed = 1")
-
-
-def _listed(labels: Sequence[str]) -> str:
-    return labels[0] + (f" and {len(labels) - 1} more cells" if len(labels) > 1 else "")
 
 
 def _places(design: Design, levels: Sequence[Level], presets: Presets) -> dict[str, str]:
@@ -265,13 +262,7 @@ def _check_noise(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
 
 
 def is_constant(response: str) -> bool:
-    """Whether a response is a constant or mu0, which a fit gives without a prediction.
-
-    Examples
-    --------
-    >>> is_constant("mu0"), is_constant("C10"), is_constant("work_error"), is_constant("work")
-    (True, True, False, False)
-    """
+    """Whether a response is a constant or mu0, which a fit gives without a prediction."""
     return response not in _NO_CONSTANT and not is_simulated(response)
 
 
@@ -309,17 +300,7 @@ def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] 
 
 
 def from_tables(tables: Mapping[str, object]) -> str:
-    """Text of a file that holds some tables: its own keys, texts with units or bare numbers.
-
-    Examples
-    --------
-    >>> print(from_tables({"specimen": {"shape": "cylinder", "radius": 25.0}}), end="")
-    schema = 1
-    <BLANKLINE>
-    [specimen]
-    shape = "cylinder"
-    radius = "25.0 mm"
-    """
+    """Text of a file that holds some tables: its own keys, texts with units or bare numbers."""
     return diagnostics.dump_toml({"schema": 1, **overlay.with_units(tables)})
 
 
@@ -373,13 +354,7 @@ def file_kind(path: str | Path) -> str:
 
 
 def default_name(source: str) -> str:
-    """Name of a study that has none: that of its file.
-
-    Examples
-    --------
-    >>> default_name("designs/My study.toml")
-    'My-study'
-    """
+    """Name of a study that has none: that of its file."""
     stem = Path(source).stem if "\0" not in source else ""
     return re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-")[:80] or "study"
 
@@ -575,13 +550,7 @@ def _check_asked(tables: Table, faults: Faults) -> None:
 
 
 def template(name: str = "template") -> str:
-    """Text of a commented, valid file to start from.
-
-    Examples
-    --------
-    >>> template().startswith("# A study")
-    True
-    """
+    """Text of a commented, valid file to start from."""
     return (
         resources.files("study.harness.design").joinpath(f"{name}.toml").read_text(encoding="utf-8")
     )

@@ -95,13 +95,7 @@ _DIMENSIONS = {
 
 
 def may_vary(key: str) -> bool:
-    """Whether a dotted key may be a factor or stand in a preset.
-
-    Examples
-    --------
-    >>> may_vary("model.space"), may_vary("material.C30"), may_vary("model.spce")
-    (True, True, False)
-    """
+    """Whether a dotted key may be a factor or stand in a preset."""
     plain = re.sub(f"^{_REPLACED}", "", key)
     table, _, name = plain.partition(".")
     return plain in VARYING or (table == "material" and is_constant_key(name)) or is_parameter(key)
@@ -115,13 +109,7 @@ def suggestion(key: str) -> str:
 
 
 def dimension(key: str) -> str | None:
-    """Dimension of a dotted key, ``"number"`` for a plain one, None where it has no value.
-
-    Examples
-    --------
-    >>> dimension("specimen.height"), dimension("material.C20")
-    ('length', 'pressure')
-    """
+    """Dimension of a dotted key, ``"number"`` for a plain one, None where it has no value."""
     last = key.rpartition(".")[2]
     if key in ("measurements.displacement", "measurements.force"):
         return "length" if last == "displacement" else "force"
@@ -139,11 +127,6 @@ def lay(tables: Table, settings: Table) -> dict[str, object]:
 
     A key takes away what cannot stand beside it: ``mesh`` a ``mesh_size`` (and the other
     ways round), a shape the sizes of another shape, an energy the constants of another.
-
-    Examples
-    --------
-    >>> lay({"model": {"mesh": "fine", "space": "3d"}}, {"model.mesh_size": "2 mm"})
-    {'model': {'space': '3d', 'mesh_size': '2 mm'}}
     """
     merged = copy.deepcopy(dict(tables))
     for key, value in settings.items():
@@ -195,13 +178,7 @@ def _belongs(table: str, ruling: object, key: str) -> bool:
 
 
 def with_units(tables: Table, path: str = "") -> dict[str, object]:
-    """Copy tables whose bare numbers, where a key has a dimension, are in mm, N, MPa, deg and s.
-
-    Examples
-    --------
-    >>> with_units({"specimen": {"radius": 25, "height": "3 cm"}, "test": {"steps": 4}})
-    {'specimen': {'radius': '25 mm', 'height': '3 cm'}, 'test': {'steps': 4}}
-    """
+    """Copy tables whose bare numbers, where a key has a dimension, are in mm, N, MPa, deg and s."""
     made: dict[str, object] = {}
     for name, value in tables.items():
         made[name] = _measured(_key_meant(f"{path}{name}"), value, f"{path}{name}.")

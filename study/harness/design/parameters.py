@@ -53,13 +53,7 @@ def parameter_name(name: object) -> str:
 
 
 def is_parameter(key: str) -> bool:
-    """Whether a dotted key is one of ``[parameters]``.
-
-    Examples
-    --------
-    >>> is_parameter("parameters.viscosity"), is_parameter("parameters.low")
-    (True, False)
-    """
+    """Whether a dotted key is one of ``[parameters]``."""
     table, _, name = key.partition(".")
     if table != "parameters":
         return False

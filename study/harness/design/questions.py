@@ -509,7 +509,9 @@ def terms_of(scheme: Scheme, factors: Sequence[Factor]) -> tuple[str, ...] | Non
     columns = {f.name: c for f, c in zip(factors, zip(*scheme.rows, strict=True), strict=True)}
     independent: list[str] = []
     for factor in factors:
-        if not any(_same(columns[factor.name], columns[other]) for other in independent):
+        column = columns[factor.name]
+        others = [columns[other] for other in independent]
+        if not any(_determines(column, other) and _determines(other, column) for other in others):
             independent.append(factor.name)
     parents = {
         child: parent
@@ -530,7 +532,3 @@ def _determines(column: Sequence[int], other: Sequence[int]) -> bool:
     """Whether the level of one factor says the level of another."""
     pairs = set(zip(column, other, strict=True))
     return len(pairs) == len(set(column))
-
-
-def _same(column: Sequence[int], other: Sequence[int]) -> bool:
-    return _determines(column, other) and _determines(other, column)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from study.ground.errors import InputError
-from study.harness.design import overlay, plausibility
+from study.harness.design import plausibility
 from study.harness.design.calibration_section import (
     CalibratedTest,
     CalibrationDesign,
@@ -385,9 +385,9 @@ def resolve_calibration(
     is_read = bool(problems) and not any(is_about(fault, "material") for fault in faults)
     names = problems[0].calibrated_names if is_read else None
     bounds = _bounds(file.calibration, names, faults)
-    shared = nuisance_from(file.nuisance, overlay.dimension, "nuisance", faults)
+    shared = nuisance_from(file.nuisance, "nuisance", faults)
     nuisances = [
-        nuisance_from(test.nuisance, overlay.dimension, f"tests[{i}].nuisance", faults)
+        nuisance_from(test.nuisance, f"tests[{i}].nuisance", faults)
         for i, test in enumerate(file.tests)
     ]
     if faults:

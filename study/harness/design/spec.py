@@ -290,12 +290,12 @@ class Design:
     @property
     def roles(self) -> dict[str, str]:
         """Role of every factor: as declared, else unknown where all its keys are assumed."""
-        return {f.name: self._usual_role(f) for f in self.factors} | dict(self.analysis.roles)
-
-    def _usual_role(self, factor: Factor) -> str:
+        usual: dict[str, str] = {}
         assumed = tuple(f"{key}." for key in self.assumed)
-        is_covered = bool(factor.keys) and all(f"{k}.".startswith(assumed) for k in factor.keys)
-        return "unknown" if is_covered else "choice"
+        for factor in self.factors:
+            covered = [f"{key}.".startswith(assumed) for key in factor.keys]
+            usual[factor.name] = "unknown" if covered and all(covered) else "choice"
+        return usual | dict(self.analysis.roles)
 
 
 @dataclass(frozen=True)
@@ -342,11 +342,6 @@ class Case:
     def levels(self) -> Mapping[str, str]:
         """Label of every factor."""
         return self.treatment.levels
-
-    @property
-    def is_refinable(self) -> bool:
-        """Whether its answer has a numerical error that a refinement shows."""
-        return not self.problem.is_homogeneous
 
     @property
     def label(self) -> str:

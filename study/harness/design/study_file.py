@@ -6,8 +6,9 @@ The declarations of a problem's tables stand in ``setup``, those of measured fil
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 from pydantic import Field
@@ -57,13 +58,7 @@ AT_DISPLACEMENT = ("force_at", "stiffness_at")
 
 
 def simulated_at(name: str) -> tuple[str, float | None]:
-    """Split the name of a response at a displacement into the response and the place in mm.
-
-    Examples
-    --------
-    >>> simulated_at("force_at_2.5_mm"), simulated_at("work")
-    (('force_at', 2.5), ('work', None))
-    """
+    """Split the name of a response at a displacement into the response and the place in mm."""
     for start in AT_DISPLACEMENT:
         place = name.removeprefix(f"{start}_").removesuffix("_mm")
         if name == f"{start}_{place}_mm":
@@ -146,13 +141,7 @@ REMEDIES = {
 
 
 def response_unit(name: str) -> str | None:
-    """Find the unit of a response: "" for a plain number, None if there is no such response.
-
-    Examples
-    --------
-    >>> response_unit("C10"), response_unit("stiffness_at"), response_unit("force_at_2.5_mm")
-    ('kPa', 'N/mm', 'N')
-    """
+    """Find the unit of a response: "" for a plain number, None if there is no such response."""
     if name in RESPONSES:
         return RESPONSES[name]
     if is_simulated(name):
@@ -184,19 +173,15 @@ def _response_name(value: object) -> str:
     return value
 
 
-def _parameter_key(mend: str) -> Callable[[object], str]:
-    """Reader of a dotted key of ``[parameters]``."""
-
-    def read(value: object) -> str:
-        if not isinstance(value, str) or not is_parameter(value):
-            raise Bad(f"must be a key of [parameters], got {shown(value)}", f"for example {mend}")
-        return value
-
-    return read
+def _parameter_key(example: str, value: object) -> str:
+    """Read a dotted key of ``[parameters]``."""
+    if not isinstance(value, str) or not is_parameter(value):
+        raise Bad(f"must be a key of [parameters], got {shown(value)}", f"for example {example}")
+    return value
 
 
-_refined_key = _parameter_key('key = "parameters.h"; [model] is refined without a key')
-_seed_key = _parameter_key('key = "parameters.seed"')
+_refined_key = partial(_parameter_key, 'key = "parameters.h"; [model] is refined without a key')
+_seed_key = partial(_parameter_key, 'key = "parameters.seed"')
 
 
 def _share(value: object) -> float:
@@ -209,17 +194,16 @@ def _share(value: object) -> float:
     return number(0, 1, mend='for example "1 %"')(value)
 
 
-def _count(low: int, high: int, why: str) -> Callable[[object], int]:
-    """Reader of a number of repeats; below ``low`` the reason is told."""
-    whole = integer(0, high)
+def _count(low: int, high: int, why: str, value: object) -> int:
+    """Read a number of repeats; below ``low`` the reason is told."""
+    count = integer(0, high)(value)
+    if count < low:
+        raise Bad(f"must be at least {low}, got {shown(value)}: with fewer {why}")
+    return count
 
-    def read(value: object) -> int:
-        count = whole(value)
-        if count < low:
-            raise Bad(f"must be at least {low}, got {shown(value)}: with fewer {why}")
-        return count
 
-    return read
+_seeds = partial(_count, *SEEDS, "the scatter of the mesh is not known")
+_resamples = partial(_count, *RESAMPLES, "the scatter of the fits is not known")
 
 
 def _formats(value: object) -> tuple[str, ...]:
@@ -305,8 +289,8 @@ class Converge:
 class Replicates:
     """What is computed several times for an error term; at most one of the two."""
 
-    mesh_seeds: Annotated[int, Reads(_count(*SEEDS, "the scatter of the mesh is not known"))] = 0
-    noise: Annotated[int, Reads(_count(*RESAMPLES, "the scatter of the fits is not known"))] = 0
+    mesh_seeds: Annotated[int, Reads(_seeds)] = 0
+    noise: Annotated[int, Reads(_resamples)] = 0
     #: Parameter that is the seed of a stochastic simulation, and how many a cell has.
     key: Annotated[str | None, Reads(_seed_key)] = None
     n: Annotated[int, Reads(integer(2, MOST_SEEDS))] = 2

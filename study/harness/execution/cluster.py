@@ -28,7 +28,7 @@ from typing import Protocol
 from study.ground.bounded_file import MAX_BYTES, read_existing
 from study.ground.errors import Fault, InputError, RefusedError, SchedulerLostError
 from study.harness.execution.local import Process
-from study.harness.execution.supervisor import Answer, ReadyQueue, Supervisor
+from study.harness.execution.supervisor import Answer, Done, ReadyQueue, Supervisor
 from study.harness.execution.task import Outcome, Perform, Results, Task, check_limit, stopped_late
 
 #: seconds to reach a scheduler, and those after which one that is silent is taken for gone
@@ -286,7 +286,7 @@ def _watched(
     unwanted: Callable[[], bool],
 ) -> Answer:
     """Answer of a process, or what became of it."""
-    done: queue.SimpleQueue[tuple[object, Answer]] = queue.SimpleQueue()
+    done: Done = queue.SimpleQueue()
     process.start(payloads, done, None)
     ends = time.monotonic() + (float("inf") if limit_s is None else limit_s)
     while True:
@@ -373,8 +373,6 @@ def end_run(run: str) -> None:
 
 # The workers of a cluster as one run uses them: every thread of theirs is a slot.
 
-#: where the outcome of a slot's task is put
-Done = queue.SimpleQueue[tuple[object, Answer]]
 #: seconds between two looks at the workers
 LOOK_S = 1.0
 #: seconds for the workers to end the processes of a run that is over
@@ -559,7 +557,10 @@ class Crew:
         except Exception as error:
             raise SchedulerLostError(_lost(error)) from error
         for address in [address for address in self.workers if address not in there]:
-            self._lost_worker(self.workers.pop(address))
+            worker = self.workers.pop(address)
+            for slot in self.slots:
+                if slot.worker is worker and slot.future is not None:
+                    slot.lose(f"lost with its worker {address}")
         new = [a for a in there if a not in self.workers and a not in self._strangers]
         different = self._differences(new) if new else {}
         self._strangers |= set(different)
@@ -570,11 +571,6 @@ class Crew:
         for address in usable:
             self.workers[address] = ClusterWorker(address, max(there[address], 1))
         return different
-
-    def _lost_worker(self, worker: ClusterWorker) -> None:
-        for slot in self.slots:
-            if slot.worker is worker and slot.future is not None:
-                slot.lose(f"lost with its worker {worker.address}")
 
     def _differences(self, addresses: Sequence[str]) -> dict[str, str]:
         """Ask workers for their versions; say of each with other ones what differs."""

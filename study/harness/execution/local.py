@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
 import re
 import signal
 import sys
@@ -22,7 +21,7 @@ from types import TracebackType
 from typing import Protocol, TypeVar
 
 from study.ground.working_folder import SafeChildren
-from study.harness.execution.supervisor import Answer, ReadyQueue, Supervisor
+from study.harness.execution.supervisor import Answer, Done, ReadyQueue, Supervisor
 from study.harness.execution.task import Outcome, Perform, Results, Task, answers, check_limit
 
 #: one thread a worker, set before numpy loads: workers times threads must not exceed the cores,
@@ -101,12 +100,7 @@ class Process:
             self._executor, self._up = pool, pool.submit(os.getpid)
         return pool
 
-    def start(
-        self,
-        payloads: Sequence[object],
-        done: queue.SimpleQueue[tuple[object, Answer]],
-        ticket: object,
-    ) -> bool:
+    def start(self, payloads: Sequence[object], done: Done, ticket: object) -> bool:
         """Begin some tasks; a process that is not up yet is waited for by a thread."""
         pool = self._executor or self.open()
         up = self._up
@@ -123,14 +117,17 @@ class Process:
         return True
 
     def _hand_over(
-        self,
-        pool: ProcessPool,
-        payloads: Sequence[object],
-        done: queue.SimpleQueue[tuple[object, Answer]],
-        ticket: object,
+        self, pool: ProcessPool, payloads: Sequence[object], done: Done, ticket: object
     ) -> None:
         def ended(future: Future[str]) -> None:
-            done.put((ticket, _judged(future)))
+            """Answer with what the future gave, or with how its process died."""
+            answer = Answer(death="stopped")
+            with contextlib.suppress(CancelledError):
+                error = future.exception()
+                answer = Answer(death=cause_of_death(str(error)))
+                if error is None:
+                    answer = Answer(future.result())
+            done.put((ticket, answer))
 
         try:
             future = pool.submit(answers, self._perform, payloads)
@@ -178,16 +175,6 @@ def serve_quietly(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _judged(future: Future[str]) -> Answer:
-    """Answer of a future that ended: what it gave, or how its process died."""
-    with contextlib.suppress(CancelledError):
-        error = future.exception()
-        if error is None:
-            return Answer(future.result())
-        return Answer(death=cause_of_death(str(error)))
-    return Answer(death="stopped")
-
-
 def cause_of_death(message: str) -> str:
     """How a process died, in a few words.
 
@@ -218,13 +205,6 @@ class Worker:
 
     It may start long before its first call, with what that call will import. A death, or
     arguments that cannot be sent, cost nothing but the time: the call is then made here.
-
-    Examples
-    --------
-    >>> with Worker(dict) as worker:
-    ...     later = worker.begin(max, [2, 3])
-    ...     later()
-    3
     """
 
     def __init__(self, prepare: Callable[[], object]) -> None:

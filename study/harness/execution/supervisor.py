@@ -182,15 +182,14 @@ class Answer:
     began: bool = False
 
 
+#: where a slot puts the ticket of its tasks, and what it says of them
+Done = queue.SimpleQueue[tuple[object, Answer]]
+
+
 class Slot(Protocol):
     """Room for one task at a time, whose death, hang or bug costs that task alone."""
 
-    def start(
-        self,
-        payloads: Sequence[object],
-        done: queue.SimpleQueue[tuple[object, Answer]],
-        ticket: object,
-    ) -> bool | None:
+    def start(self, payloads: Sequence[object], done: Done, ticket: object) -> bool | None:
         """Begin some tasks, at once: whatever blocks does so elsewhere."""
         # Puts ``(ticket, answer)`` on the queue when it ends. Returns whether it also does so when
         # it begins, for a worker that is still to come up.
@@ -211,10 +210,6 @@ class Desk:
     started: float = 0.0
     began: bool = False
     group: str = ""
-
-
-def _is_result(content: object) -> bool:
-    return isinstance(content, dict) and isinstance(content.get("status"), str)
 
 
 @dataclass
@@ -241,7 +236,7 @@ class Supervisor:
     def outcomes(self) -> Generator[Outcome, None, None]:
         """Yield every outcome as it comes; kills all slots when closed."""
         desks = [Desk(slot) for slot in self.slots]
-        done: queue.SimpleQueue[tuple[object, Answer]] = queue.SimpleQueue()
+        done: Done = queue.SimpleQueue()
         try:
             while len(self.ready) or any(desk.tasks for desk in desks):
                 desks += [Desk(slot) for slot in self.arrivals()]
@@ -258,7 +253,7 @@ class Supervisor:
             for desk in desks:
                 desk.slot.kill()
 
-    def _hand_out(self, desks: list[Desk], done: queue.SimpleQueue[tuple[object, Answer]]) -> None:
+    def _hand_out(self, desks: list[Desk], done: Done) -> None:
         for desk in desks:
             task = None if desk.tasks else self.ready.take(desk.group)
             if task is None:
@@ -306,12 +301,13 @@ class Supervisor:
             or (sum(running) + task.memory_MB <= self.memory_MB)
         )
 
-    def _answered(
-        self, busy: list[Desk], done: queue.SimpleQueue[tuple[object, Answer]]
-    ) -> list[Outcome]:
+    def _answered(self, busy: list[Desk], done: Done) -> list[Outcome]:
         """Outcome of the next task that ends, if one does before somebody may be late."""
+        now = time.monotonic()
+        ends = [desk.started + limit for desk in busy if (limit := self._limit(desk)) is not None]
+        patience = min(max(min(ends, default=math.inf) - now, 0.0), LONGEST_WAIT_S)
         try:
-            ticket, answer = done.get(timeout=self._patience(busy))
+            ticket, answer = done.get(timeout=patience)
         except queue.Empty:
             return []
         desk = next((d for d in busy if d.ticket is ticket), None)
@@ -330,7 +326,7 @@ class Supervisor:
             return self._died(desk, tasks, seconds, str(error))
         if not isinstance(results, list) or len(results) != len(tasks):
             results = [None]
-        if not all(map(_is_result, results)):
+        if not all(isinstance(r, dict) and isinstance(r.get("status"), str) for r in results):
             return self._died(desk, tasks, seconds, "a worker's answer is no result")
         each = seconds / len(tasks)
         return [Outcome(t.key, result, each) for t, result in zip(tasks, results, strict=True)]
@@ -352,12 +348,6 @@ class Supervisor:
         for task in tasks:
             self.ready.give_back(task)
         return []
-
-    def _patience(self, busy: list[Desk]) -> float:
-        """Seconds until somebody may be late."""
-        now = time.monotonic()
-        ends = [desk.started + limit for desk in busy if (limit := self._limit(desk)) is not None]
-        return min(max(min(ends, default=math.inf) - now, 0.0), LONGEST_WAIT_S)
 
     def _limit(self, desk: Desk) -> float | None:
         """Seconds that a slot may take for what it does: to be up, then its task."""

@@ -12,7 +12,7 @@ import re
 import resource
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -429,15 +429,15 @@ def _table(text: str, name: str) -> Mapping[str, object]:
         return content
     header, rows = table_rows(text, name)
     if [cell.lower() for cell in header[:2]] == ["name", "value"]:
-        return {row[0]: _with_unit(row) for row in rows if len(row) > 1}
+        return {
+            row[0]: {"value": row[1], "unit": row[2]} if len(row) > 2 and row[2] else row[1]
+            for row in rows
+            if len(row) > 1
+        }
     if len(rows) != 1 or len(rows[0]) != len(header):
         rule = f"has {len(rows)} rows below {len(header)} names, of which there may be one"
         raise NoAnswer("failed", f"{name}: {rule}; or write name,value in every row")
     return dict(zip(header, rows[0], strict=True))
-
-
-def _with_unit(row: Sequence[str]) -> object:
-    return {"value": row[1], "unit": row[2]} if len(row) > 2 and row[2] else row[1]
 
 
 def _last_in(text: str, pattern: str) -> str | None:

@@ -429,9 +429,11 @@ class External:
             if section.curve is None:
                 curve = exchange.answer(curve_files(folder), displacement_mm, section.reaches)
             else:
-                curve = exchange.of_curve(
-                    curve_of(section.curve, folder), displacement_mm, section.reaches
-                )
+                given = curve_of(section.curve, folder)
+                columns = {
+                    exchange.DISPLACEMENT: given.displacement_mm, exchange.FORCE: given.force_N
+                }  # fmt: skip
+                curve = exchange.at_points(columns, displacement_mm, {}, section.reaches)
             return replace(curve, values=values)
 
         def call(function: PythonFunction) -> ProgramAnswer:
@@ -463,18 +465,13 @@ class External:
         """Call the function, or run the commands with their templates and the file of the case."""
         began, section = time.perf_counter(), self.section
         if section.model == "python":
-            answer = call(self._called)
-            return Solved(answer, time.perf_counter() - began)
+            if self.function is None:
+                raise NoAnswer("failed", "no function was given: study.run(..., forward=f)")
+            return Solved(call(self.function), time.perf_counter() - began)
         contents, rendered = self.rendered(context())
         contents[file[0]] = json.dumps(file[1], indent=1)
         answer, document, folder = run_commands(section, contents, read, self.digest)
         return Solved(answer, time.perf_counter() - began, document, folder, rendered)
-
-    @property
-    def _called(self) -> PythonFunction:
-        if self.function is None:
-            raise NoAnswer("failed", "no function was given: study.run(..., forward=f)")
-        return self.function
 
     def rendered(self, case: Mapping[str, object]) -> tuple[dict[str, str], dict[str, str]]:
         """Files of the folder of a case, and those that were rendered."""

@@ -77,6 +77,11 @@ def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
     material, test = problem.material, problem.test
     bulk = material.bulk
     indenter = None if test.indenter is None else _section(test.indenter)
+    size_mm = None  # that our own mesh would have
+    if not problem.setup.has_no_elements:
+        from study.mechanics.mesh.mesher import mesh_size
+
+        size_mm = float(mesh_size(problem.setup))
     return {
         "schema": SCHEMA,
         "specimen": _section(problem.specimen),
@@ -94,7 +99,7 @@ def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
             "mu0_MPa": material.mu0,
             "bulk_modulus_MPa": bulk if math.isfinite(bulk) else None,
         },
-        "model": {**_section(problem.model), "mesh_size_mm": _mesh_size(problem)},
+        "model": {**_section(problem.model), "mesh_size_mm": size_mm},
         "displacement_mm": [float(d) for d in displacement_mm],
     }
 
@@ -103,15 +108,6 @@ def _section(value: object) -> dict[str, Json]:
     words = {"shape": getattr(value, "shape", None)}
     shaped = {k: v for k, v in words.items() if v is not None}
     return cast("dict[str, Json]", plain({**shaped, **values_of(value)}))
-
-
-def _mesh_size(problem: Problem) -> float | None:
-    """Element size in mm that our own mesh would have."""
-    if problem.setup.has_no_elements:
-        return None
-    from study.mechanics.mesh.mesher import mesh_size
-
-    return float(mesh_size(problem.setup))
 
 
 def context_of(request: Mapping[str, object]) -> dict[str, object]:
@@ -134,12 +130,6 @@ def answer(files: Text, displacement_mm: Array, reaches: bool = True) -> Program
     columns = {name: column_of(header, rows, name, CURVE_FILE) for name in names}
     facts = _facts(files.get(FACTS_FILE, "{}"))
     return at_points(columns, displacement_mm, facts, reaches)
-
-
-def of_curve(curve: Curve, displacement_mm: Array, reaches: bool) -> ProgramAnswer:
-    """Answer of a curve whose columns the study file names. Shapes: displacement_mm (n,)."""
-    columns = {DISPLACEMENT: curve.displacement_mm, FORCE: curve.force_N}
-    return at_points(columns, displacement_mm, {}, reaches)
 
 
 def at_points(
@@ -222,7 +212,10 @@ class PythonFunction:
 
     def __call__(self, case: Mapping[str, object]) -> object:
         """Call it; whatever it raises is a case without an answer."""
-        function = _unpickled(self.text)
+        import cloudpickle
+
+        with UserImports():  # made anew: a case knows nothing of what another one left in it
+            function: Function = cloudpickle.loads(base64.b64decode(self.text))
         try:
             return function(_attributed(case))  # type: ignore[arg-type]
         except Exception as error:  # noqa: BLE001 - a function of the user may raise anything
@@ -261,15 +254,6 @@ class PythonFunction:
                    for k, v in returned.items()}  # fmt: skip
         values = {k: quantity_in(v, units.get(k, ""), k) for k, v in scalars.items()}
         return ParameterAnswer(values, curve)
-
-
-def _unpickled(text: str) -> Function:
-    """Make the function anew: a case knows nothing of what another one left in it."""
-    import cloudpickle
-
-    with UserImports():
-        function: Function = cloudpickle.loads(base64.b64decode(text))
-    return function
 
 
 class _Attributed(dict[str, object]):

@@ -347,13 +347,7 @@ class ConfirmedRow(TypedDict):
 
 
 class CurveKey(NamedTuple):
-    """Name of a curve of a record: ``measured`` or ``predicted``, and which one.
-
-    Examples
-    --------
-    >>> str(CurveKey("measured", "B")), CurveKey.of("predicted:A+B")
-    ('measured:B', CurveKey(role='predicted', label='A+B'))
-    """
+    """Name of a curve of a record: ``measured`` or ``predicted``, and which one."""
 
     role: str
     label: str
@@ -380,16 +374,7 @@ _LARGEST = 2**63
 
 
 def fault_of(content: object, kind: type) -> str:
-    """Say where a content is not such a document.
-
-    Examples
-    --------
-    >>> from study.harness.record.document import Quantity
-    >>> fault_of({"value": 1.5, "unit": "N"}, Quantity)
-    ''
-    >>> fault_of({"value": "1.5"}, Quantity)
-    'its value should be a valid number'
-    """
+    """Say where a content is not such a document; empty if it is one."""
     try:
         _validator(kind).validate_python(content)
     except ValidationError as error:

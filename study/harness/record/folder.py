@@ -70,7 +70,10 @@ class SealedFolder:
         if self._locked:  # the whole of a run holds it, and its parts as well
             yield self
             return
-        self._make(self.path)
+        try:
+            self._system.make_folder(self.path)
+        except OSError as error:
+            raise write_error(self.path, error) from error
         with atomic_files.exclusive(self.path):
             self._locked = True
             try:
@@ -162,12 +165,6 @@ class SealedFolder:
         except NotRegularError as error:
             self._set_aside(path, str(error))
             return None
-
-    def _make(self, folder: Path) -> None:
-        try:
-            self._system.make_folder(folder)
-        except OSError as error:
-            raise write_error(folder, error) from error
 
     def _set_aside(self, path: Path, why: str) -> None:
         """Rename a damaged file; a reader without the lock leaves it to the next runner."""

@@ -31,13 +31,7 @@ _DIGITS = 16
 
 
 def libraries_of(versions: Mapping[str, str]) -> dict[str, str]:
-    """Leave the versions of libraries alone.
-
-    Examples
-    --------
-    >>> libraries_of({"study": "1+ab", "python": "3.11.7", "numpy": "2.2.1"})
-    {'numpy': '2.2.1'}
-    """
+    """Leave the versions of libraries alone."""
     return {name: version for name, version in versions.items() if name not in _OTHERS}
 
 
@@ -64,13 +58,7 @@ class OtherLibraries:
 
 
 def differences(then: Mapping[str, str], now: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """List the libraries that differ, each with both versions.
-
-    Examples
-    --------
-    >>> differences({"numpy": "1.26.4", "gmsh": "4.13"}, {"numpy": "2.2.1", "gmsh": "4.13"})
-    {'numpy': ('1.26.4', '2.2.1')}
-    """
+    """List the libraries that differ, each with both versions."""
     old, new = libraries_of(then), libraries_of(now)
     names = dict.fromkeys([*old, *new])
     pairs = {name: (old.get(name, "none"), new.get(name, "none")) for name in names}
@@ -181,12 +169,9 @@ class RecordIndex:
     def is_stale(self) -> bool:
         """Whether the file says something else than is known."""
         new = any(self._known.get(name) != entry for name, entry in self._fresh.items())
-        return self._altered or new or self._is_racy
-
-    @property
-    def _is_racy(self) -> bool:
-        """Whether some entry is not believed for being as young as the file."""
-        return any(entry.stamp.changed_ns >= self._written_ns for entry in self._known.values())
+        # an entry as young as the file is not believed
+        racy = any(entry.stamp.changed_ns >= self._written_ns for entry in self._known.values())
+        return self._altered or new or racy
 
     def text(self) -> str:
         """Everything that is known, sealed."""

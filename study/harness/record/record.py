@@ -62,12 +62,7 @@ STATUSES = (
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Result of one case, or the reason why there is none.
-
-    Notes
-    -----
-    Two records are equal when their JSON is.
-    """
+    """Result of one case, or the reason why there is none; equal when its JSON is."""
 
     case_id: str
     study: str
@@ -284,13 +279,7 @@ REPLICATES = {"mesh_seed": 1, "noise_seed": 0, "replicate": 1}
 
 
 def is_repeat(extra: Mapping[str, object]) -> bool:
-    """Whether a case repeats another one for an error term.
-
-    Examples
-    --------
-    >>> is_repeat({}), is_repeat({"mesh_seed": 1}), is_repeat({"noise_seed": 1})
-    (False, False, True)
-    """
+    """Whether a case repeats another one for an error term."""
     return any(replicate(extra, name) != first for name, first in REPLICATES.items())
 
 

@@ -55,8 +55,42 @@ _MADE_WITH = "made_with"
 ENDS_WITH_CONSTANTS = (CONVERGED, "at-edge", "at-kink")
 
 
-class ResultFolder(ManifestFolder):
-    """Results folder in which each result keeps the name of the libraries that made it."""
+def _fault_of_fit(fit: StoredFitDocument) -> str:
+    """Say why cases cannot use a fit that they share; empty if they can."""
+    if fit["status"] in ENDS_WITH_CONSTANTS and not fit.get("values"):
+        return "it has no values"
+    if set(fit.get("names", ())) != fit.get("values", {}).keys():
+        return "its names are not those of its values"
+    if "curve" not in fit:
+        return fault_of_fits({"fit": fit}, needed=())
+    if "solver" not in fit:
+        return "it has no solver"
+    return fault_of_fits({"fit": fit}, needed=()) or _fault_of_curve(fit["curve"])
+
+
+def _fault_of_solution(solution: SolutionDocument) -> str:
+    """Say why a series cannot use a solution; empty if it can."""
+    if solution["status"] != CONVERGED:
+        return _fault_of_curve(solution["curve"]) if solution.get("curve") else ""
+    lost = [key for key in ("curve", "elements", "dofs") if key not in solution]
+    return f"it has no {lost[0]}" if lost else _fault_of_curve(solution["curve"])
+
+
+def _fault_of_curve(written: Mapping[str, object]) -> str:
+    try:
+        curve = Curve.from_dict(written)
+    except (TypeError, ValueError, LookupError, ArithmeticError) as error:
+        return f"its curve cannot be read ({error})"
+    return fault_of_curves({CurveKey("predicted", "force"): curve})
+
+
+def laid_by(input_hash: str) -> str:
+    """Name of the file of a record that another one took the place of."""
+    return f"record-{hashlib.sha256(input_hash.encode()).hexdigest()[:16]}.json"
+
+
+class Store(ManifestFolder):
+    """Records, shared fits and manifests of one study, each with the libraries that made it."""
 
     #: name of the libraries that make what is written now, and whether nothing else counts
     _libraries = ""
@@ -98,44 +132,6 @@ class ResultFolder(ManifestFolder):
         result = cast("dict[str, object]", document)
         made_with = result.pop(_MADE_WITH, "")
         return None if self._strict and made_with != self._libraries else result
-
-
-def _fault_of_fit(fit: StoredFitDocument) -> str:
-    """Say why cases cannot use a fit that they share; empty if they can."""
-    if fit["status"] in ENDS_WITH_CONSTANTS and not fit.get("values"):
-        return "it has no values"
-    if set(fit.get("names", ())) != fit.get("values", {}).keys():
-        return "its names are not those of its values"
-    if "curve" not in fit:
-        return fault_of_fits({"fit": fit}, needed=())
-    if "solver" not in fit:
-        return "it has no solver"
-    return fault_of_fits({"fit": fit}, needed=()) or _fault_of_curve(fit["curve"])
-
-
-def _fault_of_solution(solution: SolutionDocument) -> str:
-    """Say why a series cannot use a solution; empty if it can."""
-    if solution["status"] != CONVERGED:
-        return _fault_of_curve(solution["curve"]) if solution.get("curve") else ""
-    lost = [key for key in ("curve", "elements", "dofs") if key not in solution]
-    return f"it has no {lost[0]}" if lost else _fault_of_curve(solution["curve"])
-
-
-def _fault_of_curve(written: Mapping[str, object]) -> str:
-    try:
-        curve = Curve.from_dict(written)
-    except (TypeError, ValueError, LookupError, ArithmeticError) as error:
-        return f"its curve cannot be read ({error})"
-    return fault_of_curves({CurveKey("predicted", "force"): curve})
-
-
-def laid_by(input_hash: str) -> str:
-    """Name of the file of a record that another one took the place of."""
-    return f"record-{hashlib.sha256(input_hash.encode()).hexdigest()[:16]}.json"
-
-
-class Store(ResultFolder):
-    """Records, shared fits and manifests of one study."""
 
     def write(self, record: Record, *, followed: bool = False) -> None:
         """Store a record, whole or not at all."""

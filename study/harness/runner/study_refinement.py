@@ -171,7 +171,7 @@ def every_cell(work: Work) -> list[CaseJob]:
 
 def meshed_cells(work: Work) -> list[CaseJob]:
     """List those whose answer depends on a mesh: their deformation is not homogeneous."""
-    return [job for job in every_cell(work) if job.case.is_refinable]
+    return [job for job in every_cell(work) if not job.case.problem.is_homogeneous]
 
 
 def _refinements(work: Work, job: CaseJob, costs: Costs) -> int:
