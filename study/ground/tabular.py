@@ -286,10 +286,7 @@ def _rows(
 
 
 def _even(rows: list[list[str]], width: int) -> int:
-    """Remove empty cells beyond the header, in place; return the number of rows that had some.
-
-    A header with such cells of its own makes no row of the file uneven.
-    """
+    """Remove empty cells beyond the header in place; count the rows that had more than it."""
     count = 0
     usual = len(rows[0])
     for row in rows:

@@ -174,13 +174,7 @@ class Progress:
 
     @property
     def counted(self) -> str:
-        """Cases and calibrations in words.
-
-        Examples
-        --------
-        >>> Progress(7, 10, 0, 1.0, 2.0, "", fits_done=4, fits=4).counted
-        '3/6 cases, 4/4 calibrations'
-        """
+        """Cases and calibrations in words: ``3/6 cases, 4/4 calibrations``."""
         cases = f"{self.done - self.fits_done}/{self.total - self.fits} cases"
         return cases + (f", {self.fits_done}/{self.fits} calibrations" if self.fits else "")
 
@@ -410,10 +404,7 @@ def _case_task(work: Work, job: CaseJob, results: Results) -> CaseTask:
 
 @contextlib.contextmanager
 def _terminate_is_interrupt() -> Iterator[None]:
-    """SIGTERM and SIGHUP stop a run as Ctrl-C does, but for a SIGHUP that nohup ignores.
-
-    Only the main thread may listen to signals.
-    """
+    """Let SIGTERM, and SIGHUP without nohup, stop a run of the main thread as Ctrl-C does."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -130,10 +130,7 @@ class Costs:
 
 
 def fit_calls(problem: FitProblem) -> int:
-    """Count the calls of another program in a fit: each evaluation and one for every constant.
-
-    A program that writes its gradients takes fewer; nobody knows before it has run.
-    """
+    """Count the calls of another program in a fit, as if it wrote no gradients."""
     external = sum(test.method == "external" for test in problem.tests)
     return external * _evaluations(problem.material.calibrated_names)
 

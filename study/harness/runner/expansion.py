@@ -75,10 +75,7 @@ def meshed(cell: Cell, seed: int) -> Cell:
 
 
 def _reseeded(cases: Sequence[Case], design: Design, name: str) -> tuple[tuple[Case, Origin], ...]:
-    """Every case with several values of the parameter that seeds a stochastic simulation.
-
-    No two cells share a seed, so that the cases of a cell are true replicates.
-    """
+    """Every case with several seeds of a stochastic simulation, which no two cells share."""
     count = design.replicates.n
     _check_count(len(cases) * count)
     made = []
@@ -103,11 +100,7 @@ def _seeds(design: Design, case: Case, count: int) -> list[int]:
 
 
 def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
-    """Cases whose fits see resampled noise.
-
-    The fit itself stays a case of its own: it is what the study is about, and replicates
-    tell how far to trust it.
-    """
+    """Cases whose fits see resampled noise, beside the case of the fit itself."""
     _check_count(len(jobs) * (1 + design.replicates.noise))
     numbers = range(1, design.replicates.noise + 1)
     return tuple(_again(job, design.seed, number) for job in jobs for number in numbers)
@@ -465,10 +458,7 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
 
 
 def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
-    """Give the cases of each cell their anchor: the fit of the first case's first direction.
-
-    The anchor decides the last digits of a prediction and is therefore part of its identity.
-    """
+    """Give a cell's cases its anchor, which decides last digits: its first direction's fit."""
     jobs = tuple(unanchored)
     groups = [
         digest([job.case.cell.content_key, job.depth_mm], 32) if _may_share_a_start(job) else ""

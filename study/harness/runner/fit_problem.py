@@ -87,10 +87,7 @@ class Forwards:
 
 
 def check_templates(problem: ForwardCell, case_id: str) -> None:
-    """Render the templates of a case before anything runs: what is wrong with them is told now.
-
-    Constants that a fit has yet to find stand as 1 MPa.
-    """
+    """Render the templates of a case before anything runs, constants to be fitted as 1 MPa."""
     external = External.of(problem)
     if external is None or not external.section.rendered:
         return

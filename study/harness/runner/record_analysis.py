@@ -51,10 +51,7 @@ def effects_of_records(
     response: ResponseSpec,
     numerical: Sequence[NumericalUncertainty] = (),
 ) -> tuple[Effect, ...]:
-    """Effects alone of :func:`analyze_records`, which is given the same.
-
-    Nothing is checked of the assumptions, and no block is left out in turn.
-    """
+    """Effects alone of :func:`analyze_records`: no checks, and no block left out in turn."""
     rows, request, _ = _asked(design, records, response, numerical, (), {})
     return effects(rows, request)
 
@@ -119,10 +116,7 @@ def _asked(
 
 
 def specimens_of(design: Design, records: Sequence[Record]) -> int | None:
-    """Count the specimens that a study measured; None for what was simulated alone.
-
-    That says nothing of specimens, and needs none.
-    """
+    """Count the specimens that a study measured; None for what was simulated alone."""
     blocks = {record.block for record in records} - {None}
     return max(len(blocks), 1) if design.is_measured else None
 
