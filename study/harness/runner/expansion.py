@@ -15,7 +15,6 @@ from study.ground.canonical import canonical, digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem, plain
-from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
 from study.harness.record.record import Record
 from study.harness.runner import provenance
@@ -155,11 +154,6 @@ def held_out(
     return "specimen" if sees_the_scored and blocks >= FEWEST_BLOCKS else None
 
 
-def distinct_tests(problems: Iterable[ForwardCell]) -> tuple[CellProblem, ...]:
-    """List the tests of a study: its different specimens, tests and measurements."""
-    return tuple({_name(p): p for p in problems if isinstance(p, CellProblem)}.values())
-
-
 def _without_specimen(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
@@ -210,7 +204,10 @@ def _name(problem: CellProblem) -> str:
 def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     """List every case and every fit of a design."""
     cells = design.treatments
-    data = DataCache(data_root, distinct_tests(cell.cell.problem for cell in cells))
+    problems = [cell.cell.problem for cell in cells]
+    # its different specimens, tests and measurements
+    tests = {_name(p): p for p in problems if isinstance(p, CellProblem)}
+    data = DataCache(data_root, tuple(tests.values()))
     blocks = _common_blocks(cells, data)
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found

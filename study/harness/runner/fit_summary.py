@@ -60,8 +60,13 @@ class PredictedCurve:
     @classmethod
     def of(cls, solution: Solution, seconds: float = 0.0) -> PredictedCurve:
         """Prediction of a solution, without the gradients that nobody reads from the store."""
-        curve = solution.curve.without_gradients()
-        return cls(curve, mesh_document(solution), solver_document(solution), seconds)
+        mesh: MeshDocument = {
+            "dofs": int(solution.dofs),
+            "elements": int(solution.elements),
+            "hash": str(solution.mesh_hash),
+            "mesh_size_mm": float(solution.mesh_size_mm),
+        }
+        return cls(solution.curve.without_gradients(), mesh, solver_document(solution), seconds)
 
     def to_json(self) -> dict[str, object]:
         """Plain data, for the store and for workers."""
@@ -77,16 +82,6 @@ class PredictedCurve:
             cast(SolverDocument, document["solver"]),
             values=cast("Mapping[str, float]", document.get("named_values", {})),
         )
-
-
-def mesh_document(solution: Solution) -> MeshDocument:
-    """Describe the mesh of a solution for the record."""
-    return {
-        "dofs": int(solution.dofs),
-        "elements": int(solution.elements),
-        "hash": str(solution.mesh_hash),
-        "mesh_size_mm": float(solution.mesh_size_mm),
-    }
 
 
 def solver_document(solution: Solution) -> SolverDocument:

@@ -245,18 +245,14 @@ def solving(
     """Make the computation of the meshes of problems, for :func:`refine`."""
 
     def compute(planned: Sequence[PlannedMesh]) -> list[SolveResult]:
-        progress(_announced(planned))
+        foretold = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
+        sizes = ", ".join(dict.fromkeys(f"{mesh.mesh_size_mm:.3g}" for mesh in planned[:4]))
+        cost = f", about {sum(foretold):.2g} s of computing" if foretold else ""
+        several = "s" if len(planned) > 1 else ""
+        progress(f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}")
         return solutions(solve, [mesh.task for mesh in planned])
 
     return compute
-
-
-def _announced(planned: Sequence[PlannedMesh]) -> str:
-    foretold = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
-    sizes = ", ".join(dict.fromkeys(f"{mesh.mesh_size_mm:.3g}" for mesh in planned[:4]))
-    cost = f", about {sum(foretold):.2g} s of computing" if foretold else ""
-    several = "s" if len(planned) > 1 else ""
-    return f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}"
 
 
 # Single numbers of a curve whose convergence is judged: peak force, root mean square, work.
