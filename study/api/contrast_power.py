@@ -219,15 +219,11 @@ def _detections(
         )
         return []
     u = 0.0 if known_scatter is None else known_scatter[1]
-    choices = (
-        [(sd, "as given")]
-        if sd
-        else []
-        if known_scatter is None
-        else [(known_scatter[0], "of the results")]
-    )
-    choices = choices or [(share * practical, f"assumed: {share:g} of what matters")
-                          for share in ASSUMED]  # fmt: skip
+    choices = [(share * practical, f"assumed: {share:g} of what matters") for share in ASSUMED]
+    if sd:
+        choices = [(sd, "as given")]
+    elif known_scatter is not None:
+        choices = [(known_scatter[0], "of the results")]
     cells = len(design.treatments)
     powers = (0.8, 0.9)
     return [

@@ -146,10 +146,7 @@ _SHAPES = {3: "triangles", 4: "quadrilaterals"}
 def meshes(
     cells: Sequence[SeriesJudgement], problems: Sequence[ForwardCell]
 ) -> tuple[list[tuple[str, Array, NDArray[np.int64]]], Array | None]:
-    """Coarsest and finest plane mesh of cells with different meshes, and the window to see.
-
-    Shapes: returns (n, 2), mm; returns (2, 2).
-    """
+    """Coarsest and finest plane mesh (n, 2) of cells, and the window (2, 2) to see, mm."""
     from study.mechanics.mesh.mesher import build_mesh
 
     drawn: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
@@ -171,10 +168,7 @@ def meshes(
 
 
 def near(made: Problem) -> Array:
-    """Corner of the section that matters: under an indenter, or where plate and side meet.
-
-    Shapes: returns (2, 2), mm.
-    """
+    """Corner that matters, (2, 2), mm: under an indenter, or where plate and side meet."""
     height, area = height_and_area(made.specimen)
     radius = float(np.sqrt(area / np.pi))
     if made.test.indenter is not None:

@@ -131,10 +131,7 @@ def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
 
 
 def difference_of(practical: Practical, response: Array) -> float | None:
-    """Read the smallest difference that matters, in the unit of a response.
-
-    Shapes: response (n,).
-    """
+    """Read the smallest difference that matters, in the unit of a response (n,)."""
     limit = threshold(practical)
     return None if limit is None else limit.on_scale(float(response.mean()), "none")
 
@@ -151,10 +148,7 @@ def remarks(runs: Runs, surface: str) -> list[str]:
 
 
 def kind_of(runs: Runs, surface: str) -> str:
-    """Return the kind that is asked for; the design chooses where that is left to it.
-
-    Composite designs have three or five settings a factor.
-    """
+    """Kind that is asked for, or that of the design: composites have three or five settings."""
     if surface != "auto":
         return surface
     if _few(runs):
@@ -397,10 +391,7 @@ def _surfaces_at(
     makers: Sequence[Callable[[], Runs]],
     practical: Practical,
 ) -> list[FittedSurface]:
-    """Surface at every combination of labels, or why there is none.
-
-    Where there are no labels a table is alone, and what keeps its surface is raised.
-    """
+    """Surface at every combination of labels, or why there is none; raised without labels."""
     every: list[Runs | StudyError] = []
     for made_of in makers:
         try:
@@ -522,10 +513,7 @@ def is_numeric(design: Design) -> bool:
 def surfaces(
     design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
 ) -> tuple[FittedSurface, ...]:
-    """Fit every response of a design over its ranges, at every combination of the other levels.
-
-    A run without an answer is left out and said; it is never imputed.
-    """
+    """Fit all responses over the ranges at every combination of levels, without unanswered runs."""
     if not is_numeric(design):
         return ()
     originals = [record for record in records if not is_repeat(record.extra)]

@@ -204,10 +204,7 @@ def check_stale(work: Work, store: Store, stale: str) -> list[str]:
 
 
 def mixed_meshes(work: Work, store: Store) -> list[str]:
-    """Warn of cells whose cases were computed on meshes that should be one and are not.
-
-    The same problem gives the same mesh; another one is the work of another gmsh or machine.
-    """
+    """Warn of cells whose meshes should be one and are not: the work of another gmsh or machine."""
     meshes = store.meshes(work.input_hashes)
     meshes_of: dict[str, set[str]] = defaultdict(set)
     labels: dict[str, str] = {}

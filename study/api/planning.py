@@ -43,37 +43,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.harness.runner.batch import Progress
-    from study.harness.runner.job import CaseJob, Work
+    from study.harness.runner.job import Work
 
 
 # Seconds that a study still needs: its refinements, its controls, and what was noted.
 
 #: seconds between two notes for other shells: nobody reads them faster
 NOTED_S = 0.2
-
-
-def controls_of(work: Work, store: Store) -> list[CaseJob]:
-    """Cells of the spaces' control that have no solution yet."""
-    plain = work.plain()
-    hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    return upcoming(plain, store.on_demand(hashes), lambda task: is_kept(task, store))
-
-
-def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:
-    """Wall time of the cells of the spaces' control."""
-    costs = Costs()
-    seconds_each = [costs.solve_seconds(job.case.tested, job.depth_mm) for job in controls]
-    return costs.side_by_side(seconds_each, workers)
-
-
-def refinement_seconds(work: Work, store: Store, workers: int) -> float:
-    """Wall time of the refined cases; none where the cells themselves are a series of meshes."""
-    plain = work.plain()
-    if own_series(plain, {}):
-        return 0.0
-    finer = refinement_work(plain)
-    todo = missing(finer, store)
-    return Costs().total_seconds(open_fits(todo, store), todo, workers)
 
 
 def noted_progress(
@@ -237,10 +213,18 @@ def _counted(
     todo = missing(work, store)
     fits = open_fits(todo, store)
     costs = Costs()
-    controls = controls_of(work, store)
+    plain = work.plain()
+    # cells of the spaces' control that have no solution yet
+    hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
+    controls = upcoming(plain, store.on_demand(hashes), lambda task: is_kept(task, store))
     seconds = costs.total_seconds(fits, todo, workers)
-    seconds += refinement_seconds(work, store, workers)
-    seconds += control_seconds(controls, workers)
+    if not own_series(plain, {}):  # else the cells themselves are a series of meshes
+        finer = missing(refinement_work(plain), store)
+        seconds += Costs().total_seconds(open_fits(finer, store), finer, workers)
+    each = Costs()
+    seconds += each.side_by_side(
+        [each.solve_seconds(job.case.tested, job.depth_mm) for job in controls], workers
+    )
     found_models = externals(job.case.problem for job in work.jobs)
     commands = [program for program in found_models if program.section.model == "command"]
     memory = workers * max(

@@ -138,10 +138,7 @@ def unknown_factors(at: Iterable[str], factors: Sequence[str]) -> list[Fault]:
 
 
 def number_in_unit(factor: Factor, setting: Setting) -> Array:
-    """Read settings in the unit of the factor's range.
-
-    Shapes: setting (m,).
-    """
+    """Read settings (m,) in the unit of the factor's range."""
     kind, unit = overlay.dimension(factor.name), "" if factor.span is None else factor.span.unit
     if not isinstance(setting, str):
         return np.atleast_1d(np.asarray(setting, dtype=np.float64))

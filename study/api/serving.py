@@ -265,10 +265,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 def report_file(reports: Path, address: str) -> Path | None:
-    """File of a report that an address names, links followed.
-
-    None if it leaves the folder of the reports, is hidden, or is no file of a report.
-    """
+    """File of a report that an address names, links followed; None if hidden or outside."""
     try:
         parts = unquote(address.removeprefix("/reports/"), errors="strict").split("/")
         path = reports.joinpath(*parts).resolve(strict=True)

@@ -48,10 +48,7 @@ class SolvedProblem(Shown, Solution):
     """What :func:`study.solve` returns: a :class:`Solution` that can be shown."""
 
     def to_frame(self) -> pd.DataFrame:
-        """Curve with one row a load step.
-
-        Units: returns MPa.
-        """
+        """Curve with one row a load step, stresses in MPa."""
         import pandas as pd
 
         curve = self.curve
@@ -300,10 +297,7 @@ def write_vtu(solution: Solution, path: str | Path, *, whole: bool = False) -> N
 
 
 def write_picture(solution: Solution, path: str | Path) -> None:
-    """Draw the mesh of a solution before and after its deformation.
-
-    Where a column buckles the whole of it is drawn, moved into the mode by a tenth of its height.
-    """
+    """Draw both meshes of a solution; a buckling column whole, moved by a tenth of its height."""
     points, cells, moved = solution.points, solution.cells, solution.displacement
     bent, warm = solution.instability, solution.warm
     if bent is not None and warm is not None and not solution.converged:

@@ -291,10 +291,7 @@ def sheets_of(data: bytes, source: str) -> dict[str, Sequence[Sequence[object]]]
 
 
 def sheet_text(data: bytes, source: str, sheet: str = "", decimal: str = ".") -> tuple[str, str]:
-    """Sheet of a workbook as tab-separated text, and what was read; the only one if none is named.
-
-    Line numbers of the text are the numbers of the rows in the sheet.
-    """
+    """Named or only sheet as tab-separated text with its line numbers, and what was read."""
     sheets = sheets_of(data, source)
     filled = [name for name, rows in sheets.items() if rows]
     if sheet and sheet not in sheets:

@@ -16,13 +16,7 @@ Setting = Mapping[str, str]
 
 
 def sides_of(text: str, levels: Mapping[str, Sequence[str]]) -> tuple[Setting, Setting]:
-    """Read the two settings that a contrast compares.
-
-    Examples
-    --------
-    >>> sides_of("stiff - soft", {"material": ("soft", "stiff")})
-    ({'material': 'stiff'}, {'material': 'soft'})
-    """
+    """Read the two settings that a contrast such as ``stiff - soft`` compares."""
     parts = re.split(r"\s+[-\N{MINUS SIGN}]\s+", text.strip())
     if len(parts) != 2:
         mend = 'for example "material=stiff - material=soft"'

@@ -375,9 +375,7 @@ def _jumps(knots: Array, force: Array, slope: Array) -> Array:
 
 
 def hermite_work(knots: Array, force: Array, slope: Array) -> Array:
-    """Integral of the cubic Hermite polynomial of every interval.
-
-    Shapes: knots (n,), mm; force, slope (n,), N/mm; returns (n - 1,), N mm.
+    """Work (n - 1,), N mm, of cubic Hermite intervals: knots mm, force N, slope N/mm, all (n,).
 
     Examples
     --------

@@ -90,10 +90,7 @@ _AT_ROUNDING = 2
 
 
 def settled(search: _Search, what: str, *, by_lines: bool = False) -> _Search:
-    """Give back a search that has converged; refuse one that ended by its number of steps.
-
-    ``by_lines`` says that the search is one by L-BFGS-B, which may end at rounding.
-    """
+    """Give back a search that converged, or ended at rounding where it is one ``by_lines``."""
     if not search.success and not (by_lines and search.status == _AT_ROUNDING):
         raise RefusedError(f"{what}: the search has not converged ({search.message})")
     return search

@@ -286,10 +286,7 @@ def _rows(
 
 
 def _even(rows: list[list[str]], width: int) -> int:
-    """Remove empty cells beyond the header, in place; return the number of rows that had some.
-
-    A header with such cells of its own makes no row of the file uneven.
-    """
+    """Remove empty cells beyond the header in place; count the rows that had more than it."""
     count = 0
     usual = len(rows[0])
     for row in rows:
@@ -479,7 +476,12 @@ def read_tidy_csv(
     )  # fmt: skip
     _check_names(table.source, list(table.columns), response, factors, others, covariates)
     labels = list(dict.fromkeys([*factors, *others]))
-    faults = [fault for name in labels for fault in _empty_labels(table, name)]
+    faults = [
+        Fault(table.place(k, name), "the level is empty")
+        for name in labels
+        for k, cell in enumerate(table.text(name))
+        if not cell
+    ]
     values: dict[str, Array] = {}
     for name in (response, *covariates):
         try:
@@ -526,11 +528,6 @@ def _check_names(
             faults.append(Fault("block", f"{name!r} cannot also be a factor or another block"))
     if faults:
         raise InputError(faults)
-
-
-def _empty_labels(table: CsvTable, name: str) -> list[Fault]:
-    cells = table.text(name)
-    return [Fault(table.place(k, name), "the level is empty") for k, c in enumerate(cells) if not c]
 
 
 def _check_clash(table: CsvTable, name: str) -> None:

@@ -148,26 +148,12 @@ def parse(text: object, dimension: str) -> float:
 
 
 def unit_factor(unit: str, dimension: str) -> float:
-    """Return how many internal units one ``unit`` is.
-
-    Units: unit N/mm.
-
-    Examples
-    --------
-    >>> unit_factor("kN", "force")
-    1000.0
-    """
+    """Return how many internal units one ``unit`` is."""
     return float(_factor(unit, dimension))
 
 
 def parse_percent(text: str) -> float:
-    """Percentage in a text such as ``"1 %"``, in percent.
-
-    Examples
-    --------
-    >>> parse_percent("20 %")
-    20.0
-    """
+    """Percentage in a text such as ``"1 %"``, in percent."""
     number, unit = split(text)
     if unit != "%":
         raise _fault(f"is not a percentage, got {text!r}", 'write, for example, "20 %"')
@@ -175,13 +161,7 @@ def parse_percent(text: str) -> float:
 
 
 def split(text: str) -> tuple[float, str]:
-    """Separate number and unit of a text; the unit stays as written.
-
-    Examples
-    --------
-    >>> split("5 % of mean")
-    (5.0, '% of mean')
-    """
+    """Separate number and unit of a text such as ``5 % of mean``; the unit stays as written."""
     match = _QUANTITY.fullmatch(text.strip(" \t")) if isinstance(text, str) else None
     if match is None or len(text) > MAX_LENGTH or not math.isfinite(float(match[1])):
         raise _fault(f"is not a number with a unit, got {text!r}", 'write, for example, "2 pp"')
@@ -189,20 +169,14 @@ def split(text: str) -> tuple[float, str]:
 
 
 def parse_number(text: str) -> float:
-    """Finite plain number in a text, by the strict grammar.
-
-    Examples
-    --------
-    >>> parse_number("-1.5e3")
-    -1500.0
-    """
+    """Finite plain number in a text, by the strict grammar."""
     if _NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
         return value
     raise _fault(f"is not a finite number, got {text[:MAX_LENGTH]!r}", "")
 
 
 def converted(value: float, unit: str, into: str) -> float:
-    """Value of one unit in another of the same dimension; ``""`` and ``"1"`` are plain numbers.
+    """Value of one unit in another of its dimension; ``""`` and ``"1"`` are plain numbers.
 
     Examples
     --------
@@ -246,13 +220,7 @@ def is_known(unit: str) -> bool:
 
 
 def to_display(value: float, unit: str) -> tuple[float, str]:
-    """Value and unit as people read them: MPa become kPa, others stay.
-
-    Examples
-    --------
-    >>> to_display(0.005, "MPa")
-    (5.0, 'kPa')
-    """
+    """Value and unit as people read them: MPa become kPa, others stay."""
     shown, factor = TO_DISPLAY.get(unit, (unit, 1.0))
     return value * factor, shown
 

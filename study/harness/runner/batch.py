@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from study.harness.design.cell import Cell, tested
+from study.harness.design.cell import CellProblem, tested
 from study.harness.design.study_file import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
 from study.harness.execution.task import Document, Executor, Outcome, Results, Task
 from study.harness.external.command import check_allowed
@@ -128,12 +128,14 @@ def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob,
     cell, what = job.case.cell, ""
     for change in changes:
         if change == SMALLER_STEPS:
-            cell, what = _with_steps(cell)
+            old = tested(cell.problem).test.steps
+            new = STEPS_FACTOR * old  # in the test of the calibration too
+            cell = cell.changed(partial(CellProblem.loaded, steps=new))
+            what = f"{new} load steps instead of {old}"
         elif change == FINER_MESH:
-            old = base_size_mm(job)
-            size = old / work.design.converge.ratio
+            size = base_size_mm(job) / work.design.converge.ratio
             cell = cell.sized(size)
-            what = f"elements of {size:.4g} mm instead of {old:.4g} mm"
+            what = f"elements of {size:.4g} mm instead of {base_size_mm(job):.4g} mm"
         elif change == LONGER_LIMIT:
             what = f"a limit {LIMIT_FACTOR:g} times as long"
         else:
@@ -142,13 +144,6 @@ def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob,
         return job, what
     made = case_job(replace(job.case, cell=cell), work, job.origin)
     return replace(made, input_hash=job.input_hash), what
-
-
-def _with_steps(cell: Cell) -> tuple[Cell, str]:
-    """Copy a cell with smaller load steps, in the test of the calibration too."""
-    old = tested(cell.problem).test.steps
-    new = STEPS_FACTOR * old
-    return cell.changed(lambda p: p.loaded(steps=new)), f"{new} load steps instead of {old}"
 
 
 #: what may go better next time: memory and time depend on the machine
@@ -174,13 +169,7 @@ class Progress:
 
     @property
     def counted(self) -> str:
-        """Cases and calibrations in words.
-
-        Examples
-        --------
-        >>> Progress(7, 10, 0, 1.0, 2.0, "", fits_done=4, fits=4).counted
-        '3/6 cases, 4/4 calibrations'
-        """
+        """Cases and calibrations in words: ``3/6 cases, 4/4 calibrations``."""
         cases = f"{self.done - self.fits_done}/{self.total - self.fits} cases"
         return cases + (f", {self.fits_done}/{self.fits} calibrations" if self.fits else "")
 
@@ -410,10 +399,7 @@ def _case_task(work: Work, job: CaseJob, results: Results) -> CaseTask:
 
 @contextlib.contextmanager
 def _terminate_is_interrupt() -> Iterator[None]:
-    """SIGTERM and SIGHUP stop a run as Ctrl-C does, but for a SIGHUP that nohup ignores.
-
-    Only the main thread may listen to signals.
-    """
+    """Let SIGTERM, and SIGHUP without nohup, stop a run of the main thread as Ctrl-C does."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -294,7 +294,18 @@ def executed(task: CaseTask) -> Executed:
             _check_fit(task.fit(direction), direction)
         if not isinstance(task.job.case.problem, CellProblem):
             return _of_parameters(task)
-        return _predicted(task) if task.job.origin.predicts else Executed(_refitted(task))
+        if task.job.origin.predicts:
+            return _predicted(task)
+        # a fit to resampled noise: its constants, and no prediction
+        return Executed(
+            replace(
+                task.record("converged", ""),
+                responses=_wanted(task, _constants(task), {}),
+                parameters=_parameters(task),
+                fit=_fits(task),
+                timings=_seconds(task, []),
+            )
+        )
     except Stopped as stop:
         seconds = time.perf_counter() - began
         record, cause = task.record(stop.status, str(stop), seconds=seconds), stop.cause
@@ -398,17 +409,6 @@ def _predicted(task: CaseTask) -> Executed:
         },
     )
     return Executed(whole, predictions[-1].folder)
-
-
-def _refitted(task: CaseTask) -> Record:
-    """Record of a fit to resampled noise: its constants, and no prediction."""
-    return replace(
-        task.record("converged", ""),
-        responses=_wanted(task, _constants(task), {}),
-        parameters=_parameters(task),
-        fit=_fits(task),
-        timings=_seconds(task, []),
-    )
 
 
 def _constants(task: CaseTask) -> dict[str, Quantity]:

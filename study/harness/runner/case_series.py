@@ -44,17 +44,7 @@ def half_width(
     formal: float | None,
     end: Literal["coarsest", "finest"] = "coarsest",
 ) -> tuple[str, float]:
-    """Behaviour of a series from coarse to fine, and half-width for one of its end meshes.
-
-    Units: sizes mm.
-
-    Examples
-    --------
-    >>> half_width([1.4, 1.2, 1.1], [4.0, 2.0, 1.0], 1.0, "finest")[0]
-    'monotone'
-    >>> round(half_width([1.1, 1.0], [2.0, 1.0], 2.0)[1], 6)
-    0.780381
-    """
+    """Behaviour of a series from coarse to fine, and half-width for an end mesh; sizes in mm."""
     order = assumed_order(formal) if len(values) == 2 else formal
     result = grid_convergence(sizes, values, formal_order=order)
     bound = result.u_num if end == "finest" else result.bound_of(values[0])
@@ -312,10 +302,7 @@ def places_of(curve: Curve) -> Array:
 
 
 def force_at_places(record: Record) -> Array:
-    """Predicted force of the first direction at :data:`PLACES` of the measured curve, N.
-
-    Without a measured curve the places are those of the prediction, from its first load step on.
-    """
+    """Predicted force of the first direction at :data:`PLACES` of the curve it is scored on, N."""
     pair, predicted = record.first_pair(), record.first_prediction()
     if predicted is None:
         raise StoreError(

@@ -122,20 +122,12 @@ class Costs:
         return self.memory_MB(job.case.problem) if simulated else 0.0
 
     def _estimate(self, problem: CellProblem, depth_mm: float | None) -> tuple[float, float]:
-        key = same_model(problem)
+        document = problem.document()  # of all that differ in their material alone
+        key = digest([{k: document[k] for k in ("specimen", "test", "model")}])
         if key not in self._known:
             seconds, memory, spent = _estimated(problem, depth_mm, self._patience_s)
             self._known[key], self._patience_s = (seconds, memory), self._patience_s - spent
         return self._known[key]
-
-
-def fit_calls(problem: FitProblem) -> int:
-    """Count the calls of another program in a fit: each evaluation and one for every constant.
-
-    A program that writes its gradients takes fewer; nobody knows before it has run.
-    """
-    external = sum(test.method == "external" for test in problem.tests)
-    return external * _evaluations(problem.material.calibrated_names)
 
 
 def _evaluations(names: Sequence[str]) -> int:
@@ -144,10 +136,15 @@ def _evaluations(names: Sequence[str]) -> int:
 
 
 def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
-    """Count the calls of other programs in some fits and cases."""
+    """Count the calls of other programs in cases, and in fits as if these wrote no gradients."""
     external_cases = (job for job in cases if job.forward == "external" and job.origin.predicts)
     predicted = sum(job.predictions for job in external_cases)
-    return predicted + sum(fit_calls(fit.problem) for fit in fits)
+    return predicted + sum(
+        _evaluations(fit.problem.material.calibrated_names)
+        for fit in fits
+        for test in fit.problem.tests
+        if test.method == "external"
+    )
 
 
 def _scales(names: Sequence[str]) -> bool:
@@ -161,12 +158,6 @@ def _from_anchor(problem: CellProblem) -> float:
     if _scales(problem.calibrated_names) and not setup.test.weight_N_mm3:
         return _SCALED
     return _FROM_ANCHOR_INDENTED if setup.kind.takes_indenter else _FROM_ANCHOR
-
-
-def same_model(problem: CellProblem) -> str:
-    """Name of all that differ in their material alone."""
-    document = problem.document()
-    return digest([{k: document[k] for k in ("specimen", "test", "model")}])
 
 
 def _estimated(

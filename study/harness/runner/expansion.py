@@ -15,7 +15,6 @@ from study.ground.canonical import canonical, digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem, plain
-from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
 from study.harness.record.record import Record
 from study.harness.runner import provenance
@@ -75,10 +74,7 @@ def meshed(cell: Cell, seed: int) -> Cell:
 
 
 def _reseeded(cases: Sequence[Case], design: Design, name: str) -> tuple[tuple[Case, Origin], ...]:
-    """Every case with several values of the parameter that seeds a stochastic simulation.
-
-    No two cells share a seed, so that the cases of a cell are true replicates.
-    """
+    """Every case with several seeds of a stochastic simulation, which no two cells share."""
     count = design.replicates.n
     _check_count(len(cases) * count)
     made = []
@@ -103,11 +99,7 @@ def _seeds(design: Design, case: Case, count: int) -> list[int]:
 
 
 def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
-    """Cases whose fits see resampled noise.
-
-    The fit itself stays a case of its own: it is what the study is about, and replicates
-    tell how far to trust it.
-    """
+    """Cases whose fits see resampled noise, beside the case of the fit itself."""
     _check_count(len(jobs) * (1 + design.replicates.noise))
     numbers = range(1, design.replicates.noise + 1)
     return tuple(_again(job, design.seed, number) for job in jobs for number in numbers)
@@ -162,11 +154,6 @@ def held_out(
     return "specimen" if sees_the_scored and blocks >= FEWEST_BLOCKS else None
 
 
-def distinct_tests(problems: Iterable[ForwardCell]) -> tuple[CellProblem, ...]:
-    """List the tests of a study: its different specimens, tests and measurements."""
-    return tuple({_name(p): p for p in problems if isinstance(p, CellProblem)}.values())
-
-
 def _without_specimen(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
@@ -217,7 +204,10 @@ def _name(problem: CellProblem) -> str:
 def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     """List every case and every fit of a design."""
     cells = design.treatments
-    data = DataCache(data_root, distinct_tests(cell.cell.problem for cell in cells))
+    problems = [cell.cell.problem for cell in cells]
+    # its different specimens, tests and measurements
+    tests = {_name(p): p for p in problems if isinstance(p, CellProblem)}
+    data = DataCache(data_root, tuple(tests.values()))
     blocks = _common_blocks(cells, data)
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
@@ -465,10 +455,7 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
 
 
 def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
-    """Give the cases of each cell their anchor: the fit of the first case's first direction.
-
-    The anchor decides the last digits of a prediction and is therefore part of its identity.
-    """
+    """Give a cell's cases its anchor, which decides last digits: its first direction's fit."""
     jobs = tuple(unanchored)
     groups = [
         digest([job.case.cell.content_key, job.depth_mm], 32) if _may_share_a_start(job) else ""

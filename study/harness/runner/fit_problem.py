@@ -79,18 +79,16 @@ class Forwards:
         words = [argv[0] for argv in section.argv]
         # a program that should say its version and is missing says none, which is no fault
         words += filter(command.path_of, section.version[:1])
+        programs = {word: command.path_of(word) for word in words}
         files = map(target_and_source, section.files)
         return ForwardFiles(
-            tuple({word: _program_sha(word) for word in words}.items()),
+            tuple((word, _sha_of(path) if path else "") for word, path in programs.items()),
             tuple((target, _text(source, self._places)) for target, source in files),
         )
 
 
 def check_templates(problem: ForwardCell, case_id: str) -> None:
-    """Render the templates of a case before anything runs: what is wrong with them is told now.
-
-    Constants that a fit has yet to find stand as 1 MPa.
-    """
+    """Render the templates of a case before anything runs, constants to be fitted as 1 MPa."""
     external = External.of(problem)
     if external is None or not external.section.rendered:
         return
@@ -104,11 +102,6 @@ def check_templates(problem: ForwardCell, case_id: str) -> None:
     material = {**table_of(request, "material"), "constants_MPa": names}
     context = exchange.context_of({**request, "material": material, **problem.own_tables()})
     external.rendered({"case_id": case_id, **context})
-
-
-def _program_sha(word: str) -> str:
-    path = command.path_of(word)
-    return "" if path is None else _sha_of(path)
 
 
 _sha_of = functools.cache(sha256_of)

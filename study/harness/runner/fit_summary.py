@@ -60,8 +60,13 @@ class PredictedCurve:
     @classmethod
     def of(cls, solution: Solution, seconds: float = 0.0) -> PredictedCurve:
         """Prediction of a solution, without the gradients that nobody reads from the store."""
-        curve = solution.curve.without_gradients()
-        return cls(curve, mesh_document(solution), solver_document(solution), seconds)
+        mesh: MeshDocument = {
+            "dofs": int(solution.dofs),
+            "elements": int(solution.elements),
+            "hash": str(solution.mesh_hash),
+            "mesh_size_mm": float(solution.mesh_size_mm),
+        }
+        return cls(solution.curve.without_gradients(), mesh, solver_document(solution), seconds)
 
     def to_json(self) -> dict[str, object]:
         """Plain data, for the store and for workers."""
@@ -77,16 +82,6 @@ class PredictedCurve:
             cast(SolverDocument, document["solver"]),
             values=cast("Mapping[str, float]", document.get("named_values", {})),
         )
-
-
-def mesh_document(solution: Solution) -> MeshDocument:
-    """Describe the mesh of a solution for the record."""
-    return {
-        "dofs": int(solution.dofs),
-        "elements": int(solution.elements),
-        "hash": str(solution.mesh_hash),
-        "mesh_size_mm": float(solution.mesh_size_mm),
-    }
 
 
 def solver_document(solution: Solution) -> SolverDocument:
@@ -110,11 +105,7 @@ WITH_CONSTANTS: Collection[str] = ("converged", "at-edge", "at-kink")
 
 
 def status_of(fit: Fit) -> FitStatus:
-    """How a fit ended, in the words of every verb.
-
-    ``at-edge`` and ``at-kink`` are ends with constants that describe the data as well as the
-    model can, and without standard errors.
-    """
+    """How a fit ended, in the words of every verb."""
     if fit.status is Status.at_edge:
         return "at-edge"
     if fit.status is Status.at_kink:
@@ -228,10 +219,7 @@ def _stability(
 
 
 def judged_where_simulated(fit: FitDocument, problem: CellProblem, depth_mm: float) -> FitDocument:
-    """Fit that is unstable, or not elliptic, in the test that is simulated, though not in its data.
-
-    A prediction beyond the stretches of the data is one beyond what they say of the material.
-    """
+    """Fit with what makes it unstable or not elliptic in the simulated test, beyond its data."""
     if not fit.get("stable", False):
         return fit
     material = problem.material.material(fit["values"])
@@ -291,10 +279,7 @@ USUAL_EVALUATIONS = 8
 
 
 class InverseExternal:
-    """Curves of an external forward model for the optimizer.
-
-    The program is asked for the forces at the measured displacements themselves.
-    """
+    """Curves of an external forward model at the measured displacements, for the optimizer."""
 
     def __init__(
         self, problem: CellProblem, measured: Sequence[Curve], names: Sequence[str]

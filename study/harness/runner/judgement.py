@@ -342,10 +342,7 @@ def judge(
 def with_sources(
     judgement: SeriesJudgement, series: RefinementSeries, solve: Solver
 ) -> SeriesJudgement:
-    """Add the errors of load steps, solver and choice of a mesh on the coarsest to those of meshes.
-
-    What another mesh of the problem's own size moves widens the uncertainty on that mesh.
-    """
+    """Add errors of steps, solver and choice of a mesh to those of the problem's own mesh."""
     rows, warnings = other_sources(series.problem, series.good[0].mesh_size_mm, solve)
     table = one_table(judgement.quantities, rows)
     given, key = judgement.given, ("another mesh", judgement.main.qoi)

@@ -61,12 +61,9 @@ _PACKAGES = ("numpy", "scipy", "numba", "scikit-fem", "gmsh", "pypardiso", "mkl"
 
 @functools.cache
 def code_version() -> str:
-    """Version of the package and a hash of the code that decides a number.
+    """Version of the package and a hash of the syntax, without docstrings, that decides a number.
 
     It is kept beside the compiled files until one of the sources changes on the disk.
-
-    The hash is taken of the syntax without docstrings, so that comments and
-    formatting may change without sending a finished study back to work.
     """
     root = Path(__file__).resolve().parents[2]
     state, cache = _state(root), root / "__pycache__" / "code-version"
@@ -74,7 +71,11 @@ def code_version() -> str:
         cached_state, version = cache.read_text(encoding="ascii").split()
         if cached_state == state:
             return version
-    version = f"{study.__version__}+{_code_hash(root)}"
+    sha = hashlib.sha256()
+    for path, tree in _numeric_files(root):
+        sha.update(str(path.relative_to(root)).encode())
+        sha.update(_code_only(tree).encode())
+    version = f"{study.__version__}+{sha.hexdigest()[:12]}"
     with contextlib.suppress(OSError, StoreError):  # an installation that may not be written to
         cache.parent.mkdir(exist_ok=True)
         write_atomic(cache, f"{state} {version}".encode("ascii"))
@@ -86,15 +87,6 @@ def _state(root: Path) -> str:
     files = sorted(root.rglob("*.py"))
     facts = [(str(p), s.st_size, s.st_mtime_ns) for p in files for s in [p.stat()]]
     return hashlib.sha256(repr((study.__version__, facts)).encode()).hexdigest()
-
-
-def _code_hash(root: Path) -> str:
-    """Hash of the syntax of the numeric files."""
-    sha = hashlib.sha256()
-    for path, tree in _numeric_files(root):
-        sha.update(str(path.relative_to(root)).encode())
-        sha.update(_code_only(tree).encode())
-    return sha.hexdigest()[:12]
 
 
 def versions() -> dict[str, str]:

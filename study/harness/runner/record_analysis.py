@@ -51,10 +51,7 @@ def effects_of_records(
     response: ResponseSpec,
     numerical: Sequence[NumericalUncertainty] = (),
 ) -> tuple[Effect, ...]:
-    """Effects alone of :func:`analyze_records`, which is given the same.
-
-    Nothing is checked of the assumptions, and no block is left out in turn.
-    """
+    """Effects alone of :func:`analyze_records`: no checks, and no block left out in turn."""
     rows, request, _ = _asked(design, records, response, numerical, (), {})
     return effects(rows, request)
 
@@ -70,7 +67,7 @@ def _asked(
     """Rows to analyze, what is asked of them, and what was left out of them."""
     if not any(record.converged for record in records):
         raise InputError(f"no case has an answer for {response.name}")
-    spec = design.analysis
+    spec, blocks = design.analysis, {record.block for record in records} - {None}
     given: AnovaOptions = {
         "type": spec.type,
         "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
@@ -79,11 +76,11 @@ def _asked(
         "seed": design.seed,
         "practical": response.practical,
         "transform": response.transform,
-        "specimens": specimens_of(design, records),
+        # what was simulated alone says nothing of specimens, and needs none
+        "specimens": max(len(blocks), 1) if design.is_measured else None,
     }
     given.update(cast("AnovaOptions", {k: v for k, v in options.items() if v is not None}))
-    several = len({record.block for record in records} - {None}) > 1
-    block = given.get("block") or ("block" if several else None)
+    block = given.get("block") or ("block" if len(blocks) > 1 else None)
     names = [f.name for f in design.factors]
     factors = list(factors) or [f.name for f in design.factors if len(f.levels) > 1]
     whole, gaps = table(list(records)), tuple[str, ...]()
@@ -116,15 +113,6 @@ def _asked(
         exact=given.get("exact", True),
     )  # fmt: skip
     return whole, request, (*rows.notes, *gaps)
-
-
-def specimens_of(design: Design, records: Sequence[Record]) -> int | None:
-    """Count the specimens that a study measured; None for what was simulated alone.
-
-    That says nothing of specimens, and needs none.
-    """
-    blocks = {record.block for record in records} - {None}
-    return max(len(blocks), 1) if design.is_measured else None
 
 
 #: spread over the meshes of a cell, over the response, below which the mesh does not enter

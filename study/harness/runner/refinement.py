@@ -245,18 +245,14 @@ def solving(
     """Make the computation of the meshes of problems, for :func:`refine`."""
 
     def compute(planned: Sequence[PlannedMesh]) -> list[SolveResult]:
-        progress(_announced(planned))
+        foretold = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
+        sizes = ", ".join(dict.fromkeys(f"{mesh.mesh_size_mm:.3g}" for mesh in planned[:4]))
+        cost = f", about {sum(foretold):.2g} s of computing" if foretold else ""
+        several = "s" if len(planned) > 1 else ""
+        progress(f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}")
         return solutions(solve, [mesh.task for mesh in planned])
 
     return compute
-
-
-def _announced(planned: Sequence[PlannedMesh]) -> str:
-    foretold = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
-    sizes = ", ".join(dict.fromkeys(f"{mesh.mesh_size_mm:.3g}" for mesh in planned[:4]))
-    cost = f", about {sum(foretold):.2g} s of computing" if foretold else ""
-    several = "s" if len(planned) > 1 else ""
-    return f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}"
 
 
 # Single numbers of a curve whose convergence is judged: peak force, root mean square, work.
@@ -423,27 +419,14 @@ def _edge_size(problem: Problem) -> float:
 
 
 def edge_rules(setup: Setup) -> bool:
-    """Whether all error comes from a sharp edge around which every mesh looks the same.
-
-    The size at the edge is the size of the mesh then: how many elements lie elsewhere says
-    nothing of it.
-    """
+    """Whether all error comes from a sharp edge, where the size at the edge is that of the mesh."""
     pressed = setup.test.indenter
     sharp = isinstance(pressed, Flat) and not pressed.edge_radius_mm
     return sharp and setup.model.space == "axisymmetric"
 
 
 def clamped_corner(nu: float) -> float:
-    """Exponent lambda of the displacement at a right angle between a bonded and a free face.
-
-    Root of ``(3 - 4 nu) sin^2(pi lambda / 2) = 4 (1 - nu)^2 - lambda^2`` (Williams 1952,
-    J. Appl. Mech. 19, 526).
-
-    Examples
-    --------
-    >>> round(clamped_corner(0.3), 4), round(clamped_corner(0.5), 4)
-    (0.7112, 0.5946)
-    """
+    """Exponent where a bonded meets a free face (Williams 1952, J. Appl. Mech. 19, 526)."""
     from scipy.optimize import brentq
 
     def mismatch(s: float) -> float:
@@ -519,16 +502,7 @@ def series_sizes(
 def by_elements(
     sizes: Sequence[float], elements: Sequence[int], space: str, *, anchor: int = -1
 ) -> list[float]:
-    """Sizes h = (V / N)^(1/d) of meshes with N elements, scaled to the size of one of them.
-
-    What counts is the ratio, and the elements a mesh really has decide it (Celik et al. 2008):
-    whole numbers of cells never give exactly the ratio that was asked for.
-
-    Examples
-    --------
-    >>> by_elements([2.0, 1.0], [100, 441], "axisymmetric")
-    [2.1, 1.0]
-    """
+    """Sizes h = (V / N)^(1/d) of N elements, scaled to one of them (Celik et al. 2008)."""
     if min(elements) <= 0 or len(set(elements)) < len(elements):
         return list(sizes)
     power = 1 / (3 if space == "3d" else 2)

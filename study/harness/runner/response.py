@@ -19,34 +19,20 @@ KPA = 1000.0
 
 @dataclass(frozen=True)
 class Scored:
-    """One scored curve of a case: all that a response may look at.
+    """One scored curve of a case: all that a response may look at."""
 
-    Parameters
-    ----------
-    measured : Curve or None
-        What was measured; None in a study of simulations alone.
-    predicted : Curve or None
-        What the model says; None for a fit to resampled residuals, which predicts nothing.
-    constants : mapping of str to float
-        Constants of the material in MPa, exponents plain.
-    mu0 : float or None
-        Initial shear modulus in MPa, where it is known.
-    """
-
+    #: None in a study of simulations alone.
     measured: Curve | None
+    #: None for a fit to resampled residuals, which predicts nothing.
     predicted: Curve | None = None
+    #: Constants of the material in MPa, exponents plain.
     constants: Mapping[str, float] = field(default_factory=dict)
+    #: Initial shear modulus in MPa, where it is known.
     mu0: float | None = None
 
 
 def residual_N(predicted: Curve, measured: Curve) -> Array:  # noqa: N802
-    """Predicted less measured force at the measured points, N, shape (n,).
-
-    Parameters
-    ----------
-    predicted, measured : Curve
-        The predicted one has to reach as far as the measured one, which has the n points.
-    """
+    """Predicted less measured force at the n measured points, N, shape (n,)."""
     return predicted.force_at(measured.displacement_mm) - measured.force_N
 
 
@@ -56,15 +42,7 @@ def rms_force_error(predicted: Curve, measured: Curve) -> float:
 
 
 def relative_rms_force_error(predicted: Curve, measured: Curve) -> float:
-    """RMS of the difference over the RMS of the measured force, %.
-
-    Examples
-    --------
-    >>> measured = Curve(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
-    >>> predicted = Curve(np.array([1.0, 2.0]), np.array([3.3, 4.4]))
-    >>> round(relative_rms_force_error(predicted, measured), 10)
-    10.0
-    """
+    """RMS of the difference over the RMS of the measured force, %."""
     scale = float(np.sqrt(np.mean(measured.force_N**2)))
     return 100 * rms_force_error(predicted, measured) / scale
 
@@ -97,14 +75,7 @@ _POINTS = 400
 
 
 def simulated(response: str, curve: Curve) -> float:
-    """Value of a response of a predicted curve alone; one at a displacement has it in its name.
-
-    Examples
-    --------
-    >>> curve = Curve(np.array([1.0, 2.0]), np.array([3.0, 8.0]))
-    >>> [simulated(name, curve) for name in ("peak_force", "force_at_1.5_mm", "work")]
-    [8.0, 5.5, 7.0]
-    """
+    """Value of a response of a predicted curve alone; one at a displacement has it in its name."""
     name, place = simulated_at(response)
     if place is not None:
         ordinate = curve.stiffness_at if name == "stiffness_at" else curve.force_at

@@ -6,7 +6,6 @@ import contextlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -16,7 +15,7 @@ from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.harness.design.cell import CellProblem
 from study.harness.execution.local import Loky
-from study.harness.execution.task import Executor, Results, Task
+from study.harness.execution.task import Executor, Task, ready
 from study.harness.external.command import External
 from study.harness.record.folder import own_folder
 from study.harness.record.store import Store
@@ -57,10 +56,6 @@ class SolveTask:
         return digest([document, self.looser, self.more_steps, code_version(), *more], 32)
 
 
-def _no_curve() -> Curve:
-    return Curve(np.zeros(0), np.zeros(0))
-
-
 @dataclass(frozen=True)
 class SolveResult:
     """What became of a solution."""
@@ -68,7 +63,7 @@ class SolveResult:
     #: ``"converged"``, or the reason why not.
     status: str
     message: str = ""
-    curve: Curve = field(default_factory=_no_curve)
+    curve: Curve = field(default_factory=lambda: Curve(np.zeros(0), np.zeros(0)))
     elements: int = 0
     dofs: int = 0
     #: Name of the mesh by its content.
@@ -173,16 +168,11 @@ def by_workers(jobs: int, executor: Executor | None = None) -> Solver:
     """Solve on several worker processes; a worker that dies costs its own solution only."""
 
     def solve(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
-        work = [Task(task.key, partial(_as_is, task)) for task in tasks]
+        work = [Task(task.key, ready(task)) for task in tasks]
         for outcome in (executor or Loky(perform, jobs)).run(work):
             yield outcome.key, SolveResult.from_json(outcome.result)
 
     return solve
-
-
-def _as_is(task: SolveTask, results: Results) -> SolveTask:
-    """Payload of a task that needs no other's result."""
-    return task
 
 
 def kept(solve: Solver, store: Store) -> Solver:

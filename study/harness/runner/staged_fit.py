@@ -69,19 +69,7 @@ def gentler(
     start: Array,
     bounds: Sequence[tuple[float, float]] | None = None,
 ) -> list[Start]:
-    """List a start and what may be tried after it, each one once.
-
-    Shapes: start (p,), MPa.
-
-    Examples
-    --------
-    >>> for one in gentler(("C10", "C20"), np.array([3.0, -0.4])):
-    ...     print(one.values, one.words)
-    [ 3.  -0.4] the start values
-    [ 3.  -0.2] the higher constants halved
-    [ 3.  -0.1] the higher constants halved twice
-    [3. 0.] the neo-Hookean constant alone
-    """
+    """List a start (p,), MPa, and what may be tried after it, each one once."""
     starts = [Start(np.array(start, float))]
     for share, words in _SHARES:
         values = _softened(names, starts[0].values, share)

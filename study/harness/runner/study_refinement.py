@@ -51,11 +51,7 @@ _MESH_KEYS = ("mesh", "mesh_size_mm", "mesh_ratio", "mesh_seed")
 
 
 def study_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
-    """Series that tell the numerical uncertainty of a study.
-
-    Its own columns where its meshes are a factor; else the cells of :func:`chosen`, each to be
-    refined twice where that is cheap and once elsewhere.
-    """
+    """Series of the study's own meshes where they are a factor, else of :func:`chosen` cells."""
     return own_series(work, records) or chosen_series(work, records)
 
 
@@ -99,10 +95,7 @@ def every_series(
 
 
 def own_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
-    """Cells of the first block that differ in their mesh alone, from coarse to fine.
-
-    Empty unless every column of the study has its three meshes.
-    """
+    """Cells of the first block from coarse to fine; empty unless all columns have three meshes."""
     columns: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
         columns.setdefault(_column(job), []).append(job)
@@ -255,10 +248,7 @@ def input_work(work: Work) -> Work:
 
 
 def moved_cell(cell: Cell, key: str, amount: float) -> Cell:
-    """Copy a cell with one input moved; the measured points stay where they are.
-
-    The test that gives the constants is moved too, where it has the input: an indenter it may not.
-    """
+    """Copy a cell with one input moved in its tests; the measured points stay where they are."""
     fitted = cell.fitted_elsewhere
     if fitted is not None and fitted.value_at(key) is not None:
         fitted = shifted(_fixed_range(fitted), key, amount)
@@ -305,10 +295,7 @@ def _fixed_range(problem: ForwardCell) -> ForwardCell:
 
 
 def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict[Physics, Array]:
-    """Relative standard uncertainty of the force from all inputs, at the places of a series.
-
-    Shapes: returns (places,).
-    """
+    """Relative standard uncertainty of the force from all inputs, shape (places,)."""
     shares: dict[Physics, Array] = {}
     for base in representatives(work):
         record = records.get(base.case.case_id)
@@ -356,10 +343,7 @@ def pairs(work: Work, records: Mapping[str, Record]) -> list[SpacePair]:
 def upcoming(
     work: Work, records: Mapping[str, Record], solved: Callable[[SolveTask], bool]
 ) -> list[CaseJob]:
-    """List the cells whose cylinder is still to be solved, before the cases are computed.
-
-    A solution costs what the cell's own does, for the cylinder has its section and height.
-    """
+    """List the cells whose cylinder is still to be solved, each at the cost of the cell's own."""
     given = {job.case.case_id: _constants(records.get(job.case.case_id)) for job in in_blocks(work)}
     hopeful = [
         job for job in in_blocks(work) if job.case.case_id not in records or given[job.case.case_id]

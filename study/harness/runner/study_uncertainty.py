@@ -231,10 +231,7 @@ def _refined_series(
 
 
 def u_of_steps(records: Sequence[Record], response: str, transform: str) -> float:
-    """Largest uncertainty of a response from its load steps, in its unit; 0 where none is known.
-
-    On the log scale it counts by its share of the value, as that of the mesh does.
-    """
+    """Largest uncertainty from load steps in the unit, on the log scale by shares; or 0."""
     entries = [r.responses[response] for r in records if r.converged and response in r.responses]
     pairs = [(u, e["value"]) for e in entries if (u := e.get("u_steps")) is not None]
     if transform != "log":
@@ -309,10 +306,7 @@ def validate(
 
 
 def compared(work: Work, moved: Work, store: Store) -> list[dict[str, object]]:
-    """One row for every case: E and its uncertainty along the curve.
-
-    Units: returns mm.
-    """
+    """One row for every case: E and its uncertainty along the curve, places in mm."""
     records = store.by_case({**work.input_hashes, **moved.input_hashes})
     inputs, mesh = input_shares(work, moved, records), _mesh_shares(work, records, store)
     rows = []
@@ -331,10 +325,7 @@ def compared(work: Work, moved: Work, store: Store) -> list[dict[str, object]]:
 def _mesh_shares(
     work: Work, records: Mapping[str, Record], store: Store
 ) -> Callable[[CaseJob], Array | None]:
-    """Look up the relative u_num of a case: of its own column, or of its kind of discretization.
-
-    Where the meshes are a factor nothing was refined, and the study's own cases are the series.
-    """
+    """Look up the relative u_num of a case: of its own column, or of its kind of discretization."""
     series = study_refinement.own_series(work, records)
     finest = bool(series)
     series = series or study_refinement.chosen_series(work, records)

@@ -162,10 +162,7 @@ def reference_error(
     as_designed: bool,
     virtual: Virtual | None = None,
 ) -> float:
-    """Largest change of the reference force on the next coarser mesh, over the largest force.
-
-    The error of the reference itself is less wherever a finer mesh is a better one.
-    """
+    """Largest change of the reference force on the next coarser mesh, over the largest force."""
     coarser = _task(problem, material, poisson_ratio, as_designed, virtual, coarser=True)
     other = _solved(coarser, "the reference curve on the next coarser mesh")
     change = other.force_at(curve.displacement_mm) - curve.force_N
@@ -417,11 +414,7 @@ def _shape_changes(reference: Curve, generator: Generator, d: Array) -> list[Arr
 
 
 def _weight_change(reference: Curve, generator: Generator, d: Array) -> Array:
-    """Change of the force with the logarithm of the density.
-
-    The force is of the first degree in all moduli and the density together (Euler): what its
-    derivatives by the moduli leave of it is the density's.
-    """
+    """Change of the force with the logarithm of the density, as its degree 1 (Euler) gives it."""
     material = truth(generator.truth)
     moduli = [name for name in material.constants if unit_shown(name)]
     stiff = (material.constants[name] * reference.gradient_at(name, d) for name in moduli)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from study.ground.arrays import Array
 from study.ground.errors import RefusedError
 from study.harness.execution.local import Loky
 from study.harness.execution.supervisor import Inline
-from study.harness.execution.task import Executor, Results, Task
+from study.harness.execution.task import Executor, Task, ready
 from study.laboratory.sensors.force_model import (
     ForceAccuracy,
     ForceAt,
@@ -257,7 +256,7 @@ def simulate(
     for multiple in multiples:
         for chunk in _chunks(sampling, propagation, multiple):
             key = f"{multiple:g}-{chunk.first}"
-            tasks.append(Task(key, _payload(chunk)))
+            tasks.append(Task(key, ready(chunk)))
             owners[key] = multiple
     changes_at: dict[float, Changes] = {multiple: Changes() for multiple in multiples}
     say = progress or (lambda text: None)
@@ -283,22 +282,13 @@ def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> It
         yield Chunk(drawn, stream, first, last, propagation.pseudo_inverse, xtol)
 
 
-def _payload(chunk: Chunk) -> Callable[[Results], Chunk]:
-    return lambda _: chunk
-
-
 def _changes(result: Mapping[str, object]) -> Changes:
     """Read what a worker found; one that died answers none of its tests."""
     if result["status"] == "failed":
         raise RuntimeError(str(result.get("traceback", result.get("message"))))
     if result["status"] != "done":
         return Changes(messages=[str(result.get("message", result["status"]))])
-    return Changes(
-        cast("list[list[float]]", result["fitted"]),
-        cast("list[list[float]]", result["linear"]),
-        cast("list[float]", result["force_N"]),
-        cast("list[str]", result["messages"]),
-    )
+    return Changes(**{name: result[name] for name in Changes.__dataclass_fields__})  # type: ignore[arg-type]
 
 
 def _simulation(

@@ -67,14 +67,10 @@ class SensorRequirement:
 
     def allowed(self, source: int) -> tuple[float, float]:
         """Largest error of a source for all constants: alone, and beside the others as given."""
-        alone = min(
-            constant.allowed_alone(self.standard)[source] for constant in self.propagation.constants
-        )
-        allowed_jointly = [
-            constant.allowed_beside(self.standard)[source]
-            for constant in self.propagation.constants
-        ]
-        return float(alone), float(np.min(allowed_jointly))
+        constants, standard = self.propagation.constants, self.standard
+        alone = min(constant.allowed_alone(standard)[source] for constant in constants)
+        jointly = [constant.allowed_beside(standard)[source] for constant in constants]
+        return float(alone), float(np.min(jointly))
 
     def worst_at(self, position: Array, force: Array) -> Array:
         """Largest expanded relative uncertainty of a constant at multiples of both errors."""
@@ -127,25 +123,17 @@ def _check_reach(file: RequirementFile, sampling: Sampling) -> None:
 def sentences(sensors: SensorRequirement) -> list[str]:
     """Say what is known how well, what it needs, and where first order holds."""
     worst, k = sensors.propagation.worst, sensors.coverage
+    times = f"{sensors.needed_multiple:.3g} times as large"
+    needed = (
+        f"is met; all errors could be {times}" if sensors.is_met else f"needs all errors {times}"
+    )
     lines = [
         f"{worst.name} is known to {percent(k * worst.relative)} (k = {k:g}), the force that is "
         f"predicted to {percent(k * sensors.propagation.force.relative)}.",
-        _needed(sensors),
+        f"{percent(sensors.accuracy)} for every constant {needed}.",
         _largest_part(sensors),
     ]
     return [*lines, *(_linear(simulation) for simulation in sensors.simulations)]
-
-
-def _needed(sensors: SensorRequirement) -> str:
-    limit = percent(sensors.accuracy)
-    if sensors.is_met:
-        return (
-            f"{limit} for every constant is met; all errors could be "
-            f"{sensors.needed_multiple:.3g} times as large."
-        )
-    return (
-        f"{limit} for every constant needs all errors {sensors.needed_multiple:.3g} times as large."
-    )
 
 
 def _largest_part(sensors: SensorRequirement) -> str:
@@ -214,15 +202,12 @@ def document(sensors: SensorRequirement) -> dict[str, object]:
                 "allowed_alone": _finite(alone),
                 "allowed_beside_the_others": _finite(jointly),
             }
-            for source, (alone, jointly) in zip(sources, _allowed(sensors), strict=True)
+            for k, source in enumerate(sources)
+            for alone, jointly in [sensors.allowed(k)]
         ],
         "monte_carlo": [_simulation(simulation) for simulation in sensors.simulations],
         "sentences": sentences(sensors),
     }
-
-
-def _allowed(sensors: SensorRequirement) -> Sequence[tuple[float, float]]:
-    return [sensors.allowed(k) for k in range(len(sensors.propagation.sources))]
 
 
 def _quantity(
