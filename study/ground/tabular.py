@@ -476,12 +476,7 @@ def read_tidy_csv(
     )  # fmt: skip
     _check_names(table.source, list(table.columns), response, factors, others, covariates)
     labels = list(dict.fromkeys([*factors, *others]))
-    faults = [
-        Fault(table.place(k, name), "the level is empty")
-        for name in labels
-        for k, cell in enumerate(table.text(name))
-        if not cell
-    ]
+    faults = [fault for name in labels for fault in _empty_labels(table, name)]
     values: dict[str, Array] = {}
     for name in (response, *covariates):
         try:
@@ -528,6 +523,11 @@ def _check_names(
             faults.append(Fault("block", f"{name!r} cannot also be a factor or another block"))
     if faults:
         raise InputError(faults)
+
+
+def _empty_labels(table: CsvTable, name: str) -> list[Fault]:
+    cells = table.text(name)
+    return [Fault(table.place(k, name), "the level is empty") for k, c in enumerate(cells) if not c]
 
 
 def _check_clash(table: CsvTable, name: str) -> None:

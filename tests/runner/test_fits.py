@@ -195,21 +195,21 @@ def test_a_bonded_fit_starts_from_the_fit_that_is_one_order_lower() -> None:
     assert start_problem(first) is None
 
 
-def test_higher_constants_start_at_zero() -> None:
-    names, start = fit_task.start_values(
-        CellProblem.of(config("reduced-polynomial", "bonded", order=3)), [], {"C10": 6e-3}
-    )
-    assert dict(zip(names, start, strict=True)) == {"C10": 6e-3, "C20": 0.0, "C30": 0.0}
-    names, start = fit_task.start_values(
-        CellProblem.of(config("reduced-polynomial", "bonded", order=3)),
-        [],
-        {"C10": 6e-3, "C20": -4e-4},
-    )
-    assert start.tolist() == [6e-3, -4e-4, 0.0]
-    names, start = fit_task.start_values(
-        CellProblem.of(config("ogden", "bonded", order=2)), [], {"C10": 6e-3}
-    )
-    assert start[list(names).index("mu1")] == pytest.approx(6e-3)  # mu0 = 12 kPa in two terms
+@pytest.mark.parametrize(
+    ("model", "order", "given", "expected"),
+    [
+        ("reduced-polynomial", 3, {"C10": 6e-3}, {"C10": 6e-3, "C20": 0.0, "C30": 0.0}),
+        ("reduced-polynomial", 3, {"C10": 6, "C20": -0.4}, {"C10": 6, "C20": -0.4, "C30": 0.0}),
+        ("ogden", 2, {"C10": 6e-3}, {"mu1": 6e-3}),  # mu0 = 12 kPa in two terms
+    ],
+)
+def test_higher_constants_start_at_zero(
+    model: str, order: int, given: dict[str, float], expected: dict[str, float]
+) -> None:
+    problem = CellProblem.of(config(model, "bonded", order=order))
+    names, start = fit_task.start_values(problem, [], given)
+    values = dict(zip(names, start, strict=True))
+    assert {name: values[name] for name in expected} == pytest.approx(expected)
 
 
 def test_a_force_that_pulls_is_refused_by_name() -> None:

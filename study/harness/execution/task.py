@@ -35,11 +35,6 @@ class Task:
     memory_MB: float = 0.0  # noqa: N815
 
 
-def ready(payload: object) -> Callable[[Results], object]:
-    """Payload of a task that needs no other's result."""
-    return lambda _: payload
-
-
 @dataclass(frozen=True)
 class Outcome:
     """What became of a task; the result always has a ``status``."""
