@@ -32,8 +32,8 @@ from study.mechanics.indentation.indentation_modulus import indentation_modulus 
 from study.mechanics.measurement import inspection
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 from study.reporting.content.calibration_content import calibration_blocks
-from study.reporting.figures.axes import shown
-from study.reporting.figures.curve_figures import FitPanel, draw_fit, fit_figure
+from study.reporting.figures.axes import render, shown
+from study.reporting.figures.curve_figures import FitPanel, draw_fit
 from study.reporting.figures.registry import of_recordings
 from study.reporting.output.notebook import Shown
 
@@ -249,7 +249,8 @@ def save_calibration(found: CalibrationResult, folder: Path) -> None:
         write_atomic(folder / "recording.svg", drawn.svg.encode())
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(folder / "calibration.json", text.encode())
-    figure = fit_figure(panels_of(found), _title(found))
+    title = _title(found)
+    figure = render(lambda: draw_fit(panels_of(found), title), "calibration", title)
     write_atomic(folder / "calibration.svg", figure.encode())
 
 

@@ -8,15 +8,21 @@ from pathlib import Path
 import pytest
 
 from tests.cli import test_numeric_factors
-from tests.cli.small import Edit, Finished, study, write_files
+from tests.cli.small import Edit, Finished, success, write_files
 
 
 @pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Working folder with the files, and nothing computed."""
-    write_files(tmp_path)
+def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Empty working folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def home(inside: Path) -> Path:
+    """Working folder with the files, and nothing computed."""
+    write_files(inside)
+    return inside
 
 
 @pytest.fixture(scope="session")
@@ -24,9 +30,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     """One run for all tests that only read."""
     folder = tmp_path_factory.mktemp("finished")
     write_files(folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        answer = study("run", "small.toml", "--data", "data", "--jobs", 1, "--json")
+    answer = success("run", "small.toml", "--data", "data", "--jobs", 1, "--json", folder=folder)
     return Finished(folder, answer)
 
 
@@ -36,11 +40,7 @@ def ranges(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     folder = tmp_path_factory.mktemp("ranges")
     text = test_numeric_factors.DESIGN.replace('["csv"]', '["html"]')
     (folder / "ranges.toml").write_text(text + test_numeric_factors.UNCERTAIN)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        answer = study("run", "ranges.toml", "--jobs", 1, "--json")
-    assert answer.code == 0, answer.err
-    return Finished(folder, answer)
+    return Finished(folder, success("run", "ranges.toml", "--jobs", 1, "--json", folder=folder))
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -141,6 +141,22 @@ def answer_of(main: Callable[[list[str]], int], *arguments: object) -> Answer:
 def study(*arguments: object) -> Answer:
     """Run the program in this process, as ``study ARGUMENTS`` does."""
     return answer_of(run, *arguments)
+
+
+def success(*arguments: object, folder: str | Path = ".") -> Answer:
+    """Run a command that must end well, in a folder."""
+    with chdir(folder):
+        answer = study(*arguments)
+    assert answer.code == 0, answer.err
+    return answer
+
+
+def refusal(*arguments: object) -> Answer:
+    """Run a command whose input must be refused."""
+    answer = study(*arguments)
+    assert answer.code == 2, answer.err
+    assert "Traceback" not in answer.err
+    return answer
 
 
 def incompressible_force(c10_kPa: float, c01_kPa: float, d_mm: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]  # noqa: N803

@@ -10,45 +10,16 @@ import pytest
 import study as public
 from study.ground.errors import InputError
 from study.harness.record.store import Store
-from tests.cli.small import study
+from tests.cli.small import study, success
+from tests.cli.test_confirming_runs import DESIGN as PRODUCT
 
+SCHEME = 'kind = "adaptive"\nstart = 20\nbatch = 4\nbudget = 28\nq2 = 0.99'
 #: the force is a function of three numbers, with a hill in one corner of them; two batches
-DESIGN = """
-schema = 1
-[study]
-name = "hill"
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "20 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-displacement = "1 mm"
-steps = 1
-[material]
-model = "reduced-polynomial"
-C10 = "5 kPa"
-C20 = "1 kPa"
-poisson_ratio = 0.45
-[forward]
-model = "python"
-[factors]
-material.C10 = { low = "5 kPa", high = "15 kPa" }
-material.C20 = { low = "1 kPa", high = "3 kPa" }
-specimen.height = { low = "18 mm", high = "22 mm" }
-[design]
-kind = "adaptive"
-start = 20
-batch = 4
-budget = 28
-q2 = 0.99
-[[response]]
-name = "peak_force"
-practical = "0.2 N"
-[report]
-format = ["csv"]
-"""
+DESIGN = (
+    PRODUCT.replace('"product"', '"hill"')
+    .replace('test.interface = ["frictionless", "bonded"]\n', "")
+    .replace('kind = "latin-hypercube"\nruns = 48', SCHEME)
+)
 
 
 def hill(x):  # type: ignore[no-untyped-def]
@@ -163,13 +134,9 @@ def test_an_interrupted_run_goes_on_to_the_same_table(adaptive, tmp_path: Path) 
     assert table(public.run(tmp_path / "hill.toml", jobs=1, **given)) == table(found)
 
 
-def test_a_plan_says_start_batch_budget_and_cost(
-    adaptive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:  # type: ignore[no-untyped-def]
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "hill.toml").write_text(DESIGN.replace('[forward]\nmodel = "python"\n', ""))
-    answer = study("plan", "hill.toml", "--json")
-    assert answer.code == 0, answer.err
+def test_a_plan_says_start_batch_budget_and_cost(adaptive, inside: Path) -> None:  # type: ignore[no-untyped-def]
+    (inside / "hill.toml").write_text(DESIGN.replace('[forward]\nmodel = "python"\n', ""))
+    answer = success("plan", "hill.toml", "--json")
     told = answer.json["adaptive"]
     assert (told["start"], told["batch"], told["budget"]) == (20, 4, 28)
     assert told["most_seconds"] == pytest.approx(answer.json["predicted_seconds"] * 28 / 20)

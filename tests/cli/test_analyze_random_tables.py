@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.small import study
+from tests.cli.small import study, success
 from validation import fuzz
 from validation.fuzz_inputs import Place, tables
 
@@ -60,7 +60,6 @@ def test_rows_that_are_fitted_exactly_have_a_page(tmp_path: Path) -> None:
     """Leverage one leaves 0 / 0 for Cook's distance: such rows once lost the figure."""
     rows = ["a,b,y", "p,u,1", "p,v,2.5", "p,v,3", "q,u,4", "q,u,5.5", "q,v,6", "q,v,7"]
     (tmp_path / "t.csv").write_text("\n".join(rows) + "\n")
-    answer = study("analyze", tmp_path / "t.csv", "y ~ a * b", "--report", tmp_path / "page")
-    assert answer.code == 0, answer.err
+    answer = success("analyze", tmp_path / "t.csv", "y ~ a * b", "--report", tmp_path / "page")
     page = Path(answer.out.rpartition("report: ")[2].strip())
     assert "Figure missing" not in page.with_stem(f"{page.stem}-details").read_text("utf-8")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.small import Answer, study
+from tests.cli.small import Answer, refusal, success
 
 TABLES = Path(__file__).parents[2] / "validation" / "statistics"
 BATTERY = ("--response", "life", "--factors", "material,temperature")
@@ -24,11 +24,8 @@ def battery(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with the page of Montgomery's battery experiment."""
     folder = tmp_path_factory.mktemp("battery")
     shutil.copy(TABLES / "battery_life.csv", folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        answer = study("analyze", "battery_life.csv", *BATTERY, "--practical", "10",
-                       "--reference", "material=1", "--report", "out")  # fmt: skip
-    assert answer.code == 0, answer.err
+    answer = success("analyze", "battery_life.csv", *BATTERY, "--practical", "10",
+                     "--reference", "material=1", "--report", "out", folder=folder)  # fmt: skip
     assert answer.out.splitlines()[-1] == "report: out/battery-life-life.html"
     return folder
 
@@ -121,17 +118,14 @@ def test_the_line_to_reproduce_works_when_pasted(battery: Path) -> None:
     )  # noqa: S602
     assert done.returncode == 0, done.stderr
     assert hashlib.sha256((battery / "battery_life.csv").read_bytes()).hexdigest() in check
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(battery)
-        assert study(*shlex.split(again)[1:]).code == 0
+    success(*shlex.split(again)[1:], folder=battery)
     assert written.read_text(encoding="utf-8") == page
 
 
 def test_json_names_the_page_and_other_formats_stand_beside(tmp_path: Path) -> None:
-    answer = study("analyze", TABLES / "penicillin.csv", "--response", "yield", "--factors",
-                   "treatment", "--block", "blend", "--error", "pooled", "--report", tmp_path,
-                   "--format", "html,csv,tex", "--json")  # fmt: skip
-    assert answer.code == 0, answer.err
+    answer = success("analyze", TABLES / "penicillin.csv", "--response", "yield", "--factors",
+                     "treatment", "--block", "blend", "--error", "pooled", "--report", tmp_path,
+                     "--format", "html,csv,tex", "--json")  # fmt: skip
     found = json.loads(answer.out)
     page = Path(found["report"])
     assert page.is_file()
@@ -143,9 +137,8 @@ def test_json_names_the_page_and_other_formats_stand_beside(tmp_path: Path) -> N
 
 def test_blocks_have_residual_plots_too(tmp_path: Path) -> None:
     """Where each effect has its own error no p rests on the residuals, yet they are shown."""
-    answer = study("analyze", TABLES / "blocked.csv", "--response", "y", "--factors", "a,b",
-                   "--block", "s", "--report", tmp_path)  # fmt: skip
-    assert answer.code == 0, answer.err
+    success("analyze", TABLES / "blocked.csv", "--response", "y", "--factors", "a,b",
+            "--block", "s", "--report", tmp_path)  # fmt: skip
     page = (tmp_path / "blocked-y-details.html").read_text(encoding="utf-8")
     assert "versus order" in page
     assert "No p of this page rests on them" in page
@@ -156,8 +149,7 @@ def test_blocks_have_residual_plots_too(tmp_path: Path) -> None:
 
 
 def refused(*arguments: object) -> Answer:
-    answer = study("analyze", *arguments)
-    assert answer.code == 2
+    answer = refusal("analyze", *arguments)
     assert answer.out == ""
     return answer
 
@@ -185,8 +177,7 @@ def test_an_interaction_alone_with_a_cell_missing_is_told_in_words(tmp_path: Pat
     rows = [row for row in rows if not row.startswith("z,q")]
     (tmp_path / "t.csv").write_text("\n".join(["a,b,y", *rows]))
     flags = ["--response", "y", "--factors", "a,b", "--model", "a:b"]
-    answer = study("analyze", tmp_path / "t.csv", *flags)
-    assert answer.code == 0, answer.err
+    answer = success("analyze", tmp_path / "t.csv", *flags)
     assert "a:b at z q" in answer.err
     assert "Box-Cox exponent" in answer.out
 

@@ -8,14 +8,13 @@ from typing import Any
 
 import pytest
 
-from tests.cli.small import study
+from tests.cli.small import success
 
 TABLES = Path(__file__).parents[2] / "validation" / "statistics"
 
 
 def analyzed(table: Path, *arguments: str) -> dict[str, Any]:
-    answer = study("analyze", table, *arguments, "--json")
-    assert answer.code == 0, answer.err
+    answer = success("analyze", table, *arguments, "--json")
     found: dict[str, Any] = json.loads(answer.out)
     return found
 

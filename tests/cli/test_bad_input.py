@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.small import Edit, study
+from tests.cli.small import Edit, refusal
 
 Lines = Callable[[list[str]], list[str]]
 
@@ -15,8 +15,7 @@ Lines = Callable[[list[str]], list[str]]
 def refused(home: Path, *arguments: object) -> str:
     """Run a command that must be refused, and give back what it says."""
     before = {p: p.stat().st_mtime_ns for p in home.rglob("*")}
-    answer = study(*arguments)
-    assert answer.code == 2, answer.err
+    answer = refusal(*arguments)
     assert answer.out == ""
     assert "Traceback" not in answer.err
     assert {p: p.stat().st_mtime_ns for p in home.rglob("*")} == before

@@ -13,7 +13,7 @@ import pytest
 from scipy.integrate import quad
 
 from study import run
-from tests.cli.small import study
+from tests.cli.small import refusal, study, success
 from tests.pages import both_pages
 
 LENGTH_MM, AREA_MM2 = 20.0, 100.0
@@ -140,16 +140,12 @@ def values(record: dict[str, object], name: str) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_simulation_in_closed_form_needs_no_measurement(
-    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_simulation_in_closed_form_needs_no_measurement(way: str, inside: Path) -> None:
     specimen, sense, depth = WAYS[way]
     placed = specimen.replace("{depth}", f'displacement = "{depth:g} mm"\nsteps = 5')
     Path("formula.toml").write_text(DESIGN.format(specimen=placed, rest=GIVEN))
-    answer = study("run", "formula.toml", "--jobs", 1)
-    assert answer.code == 0, answer.err
-    found = list(contents(tmp_path))
+    success("run", "formula.toml", "--jobs", 1)
+    found = list(contents(inside))
     assert len(found) == 2
     for record in found:
         c10 = 1e-3 * float(record["levels"]["material.C10"].split()[0])  # type: ignore[index]
@@ -160,11 +156,8 @@ def test_a_simulation_in_closed_form_needs_no_measurement(
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_what_was_measured_is_predicted_at_its_own_rows(
-    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_measured_is_predicted_at_its_own_rows(way: str, inside: Path) -> None:
     """Chords between ten load steps were a quarter of a percent of the work off."""
-    monkeypatch.chdir(tmp_path)
     specimen, sense, depth = WAYS[way]
     rows = ["mix,d_mm,f_N"]
     for number in range(3):
@@ -175,9 +168,8 @@ def test_what_was_measured_is_predicted_at_its_own_rows(
     Path("formula.toml").write_text(
         DESIGN.format(specimen=specimen.replace("{depth}", ""), rest=rest)
     )
-    answer = study("run", "formula.toml", "--jobs", 1)
-    assert answer.code == 0, answer.err
-    found = list(contents(tmp_path))
+    success("run", "formula.toml", "--jobs", 1)
+    found = list(contents(inside))
     assert len(found) == 6
     for record in found:
         constants, told = values(record, "parameters"), values(record, "responses")
@@ -189,25 +181,20 @@ def test_what_was_measured_is_predicted_at_its_own_rows(
         assert told["relative_rms_force_error"] < 1e-6
 
 
-def test_a_sample_of_ranges_without_any_answer_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_sample_of_ranges_without_any_answer_is_reported(inside: Path) -> None:
     placed = STRETCHED.replace("{depth}", 'displacement = "30 mm"')
     Path("formula.toml").write_text(LOCKED.format(specimen=placed))
     answer = study("run", "formula.toml", "--jobs", 1)
     assert answer.code == 1
     assert "12 failed" in answer.out
     assert "no run with" not in answer.err
-    page = both_pages(tmp_path / "reports/formula/formula.html")
+    page = both_pages(inside / "reports/formula/formula.html")
     assert "none has an answer, so no surface is fitted" in page
 
 
-def test_where_a_range_fails_is_named_and_nothing_is_predicted_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("inside")
+def test_where_a_range_fails_is_named_and_nothing_is_predicted_there() -> None:
     """Gent's strip has a state while l^2 + 2/l - 3 < Jm; at 2.5 times its length from 4.05 on."""
-    monkeypatch.chdir(tmp_path)
     text = LOCKED.format(specimen=STRETCHED.replace("{depth}", 'displacement = "30 mm"'))
     wide = text.replace("specimen.area = {", "material.Jm = {").replace('"50 mm^2"', "0.5")
     design = wide.replace('"150 mm^2"', "8").replace("runs = 12", "runs = 40")
@@ -225,11 +212,9 @@ def test_where_a_range_fails_is_named_and_nothing_is_predicted_there(
             assert float(line.rpartition("material.Jm = ")[2]) >= least - 1e-3
 
 
-def test_forces_of_a_function_are_known_between_the_displacements_it_was_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("inside")
+def test_forces_of_a_function_are_known_between_the_displacements_it_was_asked_for() -> None:
     """A function tells forces alone: tangents failed, and the work was that of five chords."""
-    monkeypatch.chdir(tmp_path)
     placed = STRETCHED.replace("{depth}", 'displacement = "30 mm"\nsteps = 8')
     placed += '[forward]\nmodel = "python"\n'
     Path("formula.toml").write_text(DESIGN.format(specimen=placed, rest=GIVEN))
@@ -251,32 +236,29 @@ def test_forces_of_a_function_are_known_between_the_displacements_it_was_asked_f
     assert "formula" in repr(found)
 
 
-def test_a_strip_becomes_a_force_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("inside")
+def test_a_strip_becomes_a_force_law() -> None:
     placed = STRETCHED.replace("{depth}", 'displacement = "30 mm"')
     text = DESIGN.format(specimen=placed, rest=GIVEN).partition("[factors]")[0]
     Path("strip.toml").write_text(text.replace('[study]\nname = "formula"\n', ""))
-    answer = study("export", "strip.toml", "--json")
-    assert answer.code == 0, answer.err
+    success("export", "strip.toml", "--json")
     law = runpy.run_path("reports/strip_force_law.py")
     known = force(1.0, 0.1, 0.05)
     for d in np.linspace(0, 30, 31).tolist():
         assert law["force"](d) == pytest.approx(known(d), abs=2e-3 * known(30.0))
-    held = study("export", "strip.toml", "--set", 'test.speed="1 mm/s"', "--set", 'test.hold="1 s"')
-    assert held.code == 2
+    held = refusal(
+        "export", "strip.toml", "--set", 'test.speed="1 mm/s"', "--set", 'test.hold="1 s"'
+    )
     assert "leave hold and cycles out" in held.err
 
 
-def test_virtual_measurements_need_to_know_how_far_a_test_goes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("inside")
+def test_virtual_measurements_need_to_know_how_far_a_test_goes() -> None:
     text = DESIGN.format(specimen=STRETCHED, rest=FITTED.format(0.0, 3.0, 30.0))
     ranges = next(line for line in text.splitlines() if line.startswith("measurements.range"))
     text = text.replace(ranges, 'material.model = ["mooney-rivlin", "neo-hookean"]')
     Path("formula.toml").write_text(text.replace("{depth}", ""))
-    refused = study("virtual", ".", "--from", "formula.toml")
-    assert refused.code == 2
+    refused = refusal("virtual", ".", "--from", "formula.toml")
     assert 'write displacement = "10 mm"' in refused.err
     Path("formula.toml").write_text(text.replace("{depth}", 'displacement = "30 mm"'))
     assert study("virtual", ".", "--from", "formula.toml").code == 0

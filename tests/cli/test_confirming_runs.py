@@ -15,7 +15,7 @@ from study.harness.runner.fit_problem import Allowed
 from study.reporting.results.study_result import StudyResult
 from study.statistics.surfaces.emulator import fit_together
 from study.statistics.surfaces.surface_profile import level_difference
-from tests.cli.small import Answer, study
+from tests.cli.small import Answer, study, success
 from tests.response_surface import functions
 
 #: the force is a product of functions of four inputs, one of which is no number
@@ -202,20 +202,16 @@ def test_a_level_is_chosen_with_the_numbers_and_confirmed_by_the_function(
     assert own.found.runs.response.size == 25
 
 
-def test_a_program_confirms_once_it_is_allowed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "product.toml").write_text(COMMAND)
-    (tmp_path / "product.py").write_text(PROGRAM)
+def test_a_program_confirms_once_it_is_allowed(inside: Path) -> None:
+    (inside / "product.toml").write_text(COMMAND)
+    (inside / "product.py").write_text(PROGRAM)
     answer = study("run", "product.toml", "--jobs", 1, "--allow-commands", "--json")
     assert _runs(answer) == 30
     asked = ("optimize", "product", "--minimize", "peak_force", "--json")
     refused = study(*asked)
     assert refused.code == 3
     assert "--allow-commands" in refused.err
-    answer = study(*asked, "--allow-commands")
-    assert answer.code == 0, answer.err
+    answer = success(*asked, "--allow-commands")
     (one,) = answer.json["recommendations"]
     assert one["settings"]["test.interface"] == "frictionless"
     at = one["settings"]
@@ -230,16 +226,15 @@ def test_a_program_confirms_once_it_is_allowed(
     assert _runs(study("report", "product", "--json")) == 31
 
 
-def test_every_block_confirms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_block_confirms(inside: Path) -> None:
     """Four cylinders of 7 to 10 kPa: the constant that is least wrong for all lies between."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "product.toml").write_text(BLOCKED)
+    (inside / "product.toml").write_text(BLOCKED)
     stretch = 1 - np.linspace(0, 2, 21) / 20
     lines = ["mix,d,f"]
     for mix, c10 in zip("ABCD", (7.0, 8.0, 9.0, 10.0), strict=True):
         force = np.pi * 100 * 2e-3 * c10 * (stretch**-2 - stretch)
         lines += [f"{mix},{20 * (1 - x):.6g},{f:.8g}" for x, f in zip(stretch, force, strict=True)]
-    (tmp_path / "m.csv").write_text("\n".join(lines) + "\n")
+    (inside / "m.csv").write_text("\n".join(lines) + "\n")
     asked = ("--data", ".", "--json")
     before = _runs(study("run", "product.toml", "--jobs", 1, *asked))
     answer = study("optimize", "product", "--minimize", "relative_rms_force_error", *asked)

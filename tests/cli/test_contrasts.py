@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from tests.cli.small import Edit, study
+from tests.cli.small import Edit, refusal, study, success
 from tests.pages import both_pages
 
 ASKED = (
@@ -39,8 +39,7 @@ def by_hand(cases: pd.DataFrame, first: dict[str, str], second: dict[str, str]) 
 
 
 def test_a_study_answers_the_differences_that_it_names(asked: Path) -> None:
-    run = study("run", "small.toml", "--data", "data", "--jobs", 1, "--json")
-    assert run.code == 0, run.err
+    run = success("run", "small.toml", "--data", "data", "--jobs", 1, "--json")
     report = Path(run.json["report"])
     cases = pd.read_csv(report.with_name("small-data") / "cases.csv", dtype={"block": str})
     settings = [
@@ -79,9 +78,8 @@ def test_the_page_of_a_table_has_them_and_its_line_makes_it_again(tmp_path: Path
     out = tmp_path / "out"
     asked = ("a=p, b=v - a=p, b=u", "q - p")
     flags = [word for text in asked for word in ("--contrast", text)]
-    found = study("analyze", tmp_path / "t.csv", "--response", "y", "--factors", "a,b",
-                  *flags, "--report", out)  # fmt: skip
-    assert found.code == 0, found.err
+    found = success("analyze", tmp_path / "t.csv", "--response", "y", "--factors", "a,b",
+                    *flags, "--report", out)  # fmt: skip
     raw = pd.read_csv(next(out.rglob("table-contrasts-y.csv")))
     assert raw["contrast"].tolist() == list(asked)
     # by construction: two of b, one of a; four runs a side, pooled variance .02 on 4 df
@@ -109,8 +107,7 @@ def test_the_page_of_a_table_has_them_and_its_line_makes_it_again(tmp_path: Path
 )
 def test_a_difference_that_the_design_has_not_is_refused(edit: Edit, text: str, rule: str) -> None:
     edit("[report]", f"[analysis]\ncontrasts = {text}\n[report]")
-    found = study("plan", "small.toml", "--data", "data")
-    assert found.code == 2
+    found = refusal("plan", "small.toml", "--data", "data")
     assert "analysis.contrasts" in found.err
     assert rule in found.err
 
@@ -121,7 +118,6 @@ def test_a_difference_of_cells_left_out_is_refused_before_anything_runs(edit: Ed
         f"{ASKED}[[exclude]]\n"
         'when = { material = "mooney-rivlin", range = "large" }\nwhy = "not measured"\n[report]',
     )
-    found = study("run", "small.toml", "--data", "data", "--jobs", 1)
-    assert found.code == 2
+    found = refusal("run", "small.toml", "--data", "data", "--jobs", 1)
     assert "no cell that is run has material=mooney-rivlin, range=large" in found.err
     assert not Path("results").exists()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.small import Finished, study
+from tests.cli.small import Finished, refusal, success
 
 KEYS = {
     "qoi", "unit", "mesh_size", "value", "behaviour", "observed_order", "formal_order",
@@ -18,17 +18,15 @@ BONDED = (
 
 
 def test_a_tolerance_that_leaves_the_order_open_is_said() -> None:
-    answer = study(
+    answer = success(
         "converge", "--values", "1.0,1.1,1.5", "--sizes", "1,2,4", "--tolerance", "0.005"
     )
-    assert answer.code == 0, answer.err
     assert "do not carry an order" in answer.out
     assert "order -" in answer.out
 
 
 def test_small_ratios_are_allowed_with_their_consequence() -> None:
-    answer = study("converge", "--values", "1.0,1.1,1.25", "--sizes", "1,1.1,1.2")
-    assert answer.code == 0
+    answer = success("converge", "--values", "1.0,1.1,1.25", "--sizes", "1,1.1,1.2")
     assert "below 1.3" in answer.err
 
 
@@ -40,15 +38,12 @@ def test_small_ratios_are_allowed_with_their_consequence() -> None:
     ],
 )
 def test_too_little_is_bad_input(values: str, sizes: str, words: str) -> None:
-    answer = study("converge", "--values", values, "--sizes", sizes)
-    assert answer.code == 2
+    answer = refusal("converge", "--values", values, "--sizes", sizes)
     assert words in answer.err
 
 
 def test_a_bonded_problem_is_refined_and_kept(home: Path) -> None:
-    answer = study("converge", "problem.toml", *BONDED, "--json")
-    assert answer.code == 0, answer.err
-    found = answer.json
+    found = success("converge", "problem.toml", *BONDED, "--json").json
     assert set(found) >= KEYS
     # 2 lambda of the bonded corner, nu close to 0.5 (Williams 1952)
     assert found["formal_order"] == pytest.approx(1.19, abs=0.02)
@@ -60,8 +55,7 @@ def test_a_bonded_problem_is_refined_and_kept(home: Path) -> None:
     page = Path(found["report"]).read_text(encoding="utf-8")
     assert "Figure missing" not in page
     stored = sorted(Path("results/problem/solves").iterdir())
-    again = study("converge", "problem.toml", *BONDED)
-    assert again.code == 0
+    again = success("converge", "problem.toml", *BONDED)
     assert sorted(Path("results/problem/solves").iterdir()) == stored
     for words in ("formal order 1.19", "error by source", "stopped: 3 meshes", "report: "):
         assert words in again.out
@@ -69,7 +63,6 @@ def test_a_bonded_problem_is_refined_and_kept(home: Path) -> None:
 
 def test_a_study_without_series_says_why(finished: Finished) -> None:
     """All its plates are frictionless: exact on every mesh, so nothing was refined."""
-    answer = study("converge", finished.folder / "results" / "small", "--json")
-    assert answer.code == 2
+    answer = refusal("converge", finished.folder / "results" / "small", "--json")
     assert "no refinement is stored" in answer.err
     assert "no mesh matters" in answer.err

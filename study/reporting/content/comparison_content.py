@@ -36,17 +36,12 @@ def beside_blocks(comparison: Beside, labels: Labels = None) -> Iterator[Block]:
     groups = _by_response(comparison.conclusions).values()
     for rows in groups:
         if line := quiet_line(rows, labels):
-            yield Sentence(f"{sentence(response_of(rows[0], labels))} {line}", kind="note")
+            yield Sentence(f"{sentence(name_of(rows[0].response, labels))} {line}", kind="note")
 
 
 def conclusion_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
     """Say what holds in both studies, and what only one of them has."""
     return (*summary(comparison, labels), *only_lines(comparison, labels))
-
-
-def response_of(row: Conclusion, labels: Labels = None) -> str:
-    """Readable name of the response of a conclusion."""
-    return name_of(row.response, labels)
 
 
 def summary(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
@@ -91,7 +86,7 @@ def _of_response(rows: Sequence[Conclusion], comparison: Beside, labels: Labels)
     never = [_term(row, labels) for row in mains if row.conclusion == study_answers.NONE_CAN_TELL]
     if never:
         parts.append(f"neither study can show whether {listing(never, 'or')} matters")
-    text = f"for the {response_of(rows[0], labels)}, {'; '.join(parts)}" if parts else ""
+    text = f"for the {name_of(rows[0].response, labels)}, {'; '.join(parts)}" if parts else ""
     return sentence(f"{text}{_interactions(rows, labels)}") if text else ""
 
 
@@ -168,7 +163,7 @@ def _how(row: Conclusion, comparison: Beside) -> str:
 
 def facts_of(row: Conclusion) -> Facts:
     """Response of a conclusion: its title and unit."""
-    return Facts(row.response, clean(row.unit), title=response_of(row))
+    return Facts(row.response, clean(row.unit), title=name_of(row.response))
 
 
 def answer_lines(comparison: Beside | None, labels: Labels = None) -> tuple[str, ...]:
@@ -198,7 +193,7 @@ def _named(rows: Iterable[Conclusion], labels: Labels) -> str:
         parts += [f"{listing(small)} make{'s' * (len(small) == 1)} no practical difference"
                   ] if small else []  # fmt: skip
         parts += [listing(rest)] if rest else []
-        texts.append(f"for the {response_of(group[0], labels)}, {' and '.join(parts)}")
+        texts.append(f"for the {name_of(group[0].response, labels)}, {' and '.join(parts)}")
     return "; ".join(texts)
 
 
@@ -249,11 +244,6 @@ def only_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
     )
 
 
-def shown(rows: Iterable[Conclusion]) -> list[Conclusion]:
-    """Rows of the short table: factors, and interactions that matter in one of the studies."""
-    return [row for row in rows if row.is_main or _strong(row)]
-
-
 def quiet_line(rows: Iterable[Conclusion], labels: Labels = None) -> str:
     """Name the interactions that the short table leaves out, by what is known of them."""
     groups: dict[str, list[str]] = {}
@@ -279,7 +269,7 @@ def table(comparison: Beside, labels: Labels = None) -> Table:
     groups = _by_response(comparison.conclusions).values()
     first, other = map(level, comparison.alphas)
     columns: dict[str, Callable[[Side], str]] = {
-        "response": lambda of: response_of(of[0], labels),
+        "response": lambda of: name_of(of[0].response, labels),
         "factor": lambda of: _term(of[0], labels),
         "in both": lambda of: of[0].conclusion.partition(":")[0],
         "study": lambda of: clean(of[1]),
@@ -294,7 +284,9 @@ def table(comparison: Beside, labels: Labels = None) -> Table:
             f"{clean(of[3])} ({of[0].end})" if of[3] and of[2].strength == MATTERS else MISSING
         ),
     }
-    main = _sides((row for group in groups for row in shown(group)), comparison)
+    # the short table has the factors, and interactions that matter in one of the studies
+    rows_shown = (row for group in groups for row in group if row.is_main or _strong(row))
+    main = _sides(rows_shown, comparison)
     made = Table.of("beside", main, columns, left=5, tail=1, grouped=True)
     every = _sides((row for group in groups for row in group), comparison)
     rows = tuple((row[0], "", "", *row[3:]) if k % 2 else row for k, row in enumerate(made.rows))

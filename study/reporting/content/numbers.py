@@ -77,10 +77,7 @@ def level(alpha: float) -> str:
 
 
 def interval(low: float | None, high: float | None, unit: str = "", digits: int = 3) -> str:
-    """Write a confidence interval, both ends with the decimals of the larger one.
-
-    Ends that would look alike get as many more digits as tell them apart, at most eight in all.
-    """
+    """Write an interval with the decimals of its larger end, more where both would look alike."""
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     largest = max(abs(low), abs(high))

@@ -170,10 +170,7 @@ def cost_front(
 
 
 def recommendation(data: ReportData, facts: Facts) -> str:
-    """Say which choices to use: the cheapest within the practical difference of the best.
-
-    Conditions get a recommendation each; over what nobody measured the mean is taken.
-    """
+    """Say for each condition the cheapest choices within what matters of the best."""
     chosen = effect_words.factors_of(data, effect_words.CHOICE)
     if not chosen:
         return "No factor is a choice, so nothing is recommended."
@@ -229,10 +226,7 @@ def _why_best(cheap: pd.Series, good: pd.DataFrame) -> str:
 
 
 def cheaper(data: ReportData, facts: Facts) -> str:
-    """Say which modelling choice (``model.*``) may be the cheaper one, level against level.
-
-    Only factors of the computation are compared: plates or specimens are no choice.
-    """
+    """Say which level of a ``model.*`` factor may be the cheaper one: plates are no choice."""
     if not facts.better or "seconds" not in data.table:
         return ""
     sentences_of_effects = [_cheaper_level(data, effect, facts) for effect in facts.effects]

@@ -206,11 +206,7 @@ def _places(data: ReportData, facts: Facts, frame: pd.DataFrame) -> list[int]:
 
 
 def describe(group: Group, data: ReportData) -> str:
-    """Name a group by its levels: ``reduced-polynomial-2, frictionless, any space``.
-
-    Levels that a group shares with all others of their factor are only said to be any; a
-    group that is no full crossing is named by its first cell.
-    """
+    """Name a group by its levels, or by its first cell where it is no full crossing."""
     chosen = {name: _levels(group, name, data) for name in data.factors}
     total = 1
     for levels in chosen.values():
@@ -240,13 +236,7 @@ def grouped_inputs(inputs: Mapping[str, str]) -> dict[str, str]:
     lines: dict[str, list[str]] = {}
     for key, value in inputs.items():
         part, _, rest = clean(key).partition(".")
-        lines.setdefault(part, []).append(_phrase(rest, clean(value)))
+        # a shape, a kind or a model is its own name
+        names = [] if rest in ("", "shape", "kind", "model") else rest.split(".")
+        lines.setdefault(part, []).append(" ".join([*map(name_of, names), clean(value)]))
     return {part: ", ".join(items) for part, items in lines.items()}
-
-
-def _phrase(key: str, value: str) -> str:
-    # a shape, a kind or a model is its own name
-    if not key or key in ("shape", "kind", "model"):
-        return value
-    name = " ".join(name_of(part) for part in key.split("."))
-    return f"{name} {value}"

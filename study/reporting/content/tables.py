@@ -277,7 +277,10 @@ def anova(facts: Facts, data: ReportData) -> Table:
             columns["GG epsilon"] = lambda row: _fixed(row.epsilon_gg)
             columns["p corrected"] = lambda row: p_value(row.p_deciding)
         columns["omega squared"] = lambda row: _fixed(row.omega_sq, 3)
-        columns["partial eta squared"] = _partial_eta
+        columns["partial eta squared"] = lambda row: (
+            _fixed(row.partial_eta_sq, 3)
+            + (f" ({interval(*row.partial_eta_sq_ci95)})" if row.partial_eta_sq_ci95 else "")
+        )
     else:
         columns["sum of squares"] = lambda row: significant(row.ss)
         if facts.result and facts.result.variation.lenth:
@@ -286,11 +289,6 @@ def anova(facts: Facts, data: ReportData) -> Table:
     note = " ".join(_anova_notes(effects, data, tested))
     made = Table.of(f"{facts.name}-anova", effects, columns, note=note)
     return replace(made, raw=tuple(map(plain, facts.rows)))
-
-
-def _partial_eta(row: Row) -> str:
-    text, ends = _fixed(row.partial_eta_sq, 3), row.partial_eta_sq_ci95
-    return f"{text} ({interval(*ends)})" if ends else text
 
 
 def _anova_notes(effects: Sequence[Row], data: ReportData, tested: bool) -> Iterator[str]:

@@ -54,9 +54,7 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     name = term_name(effect.term, labels)
     if effect.range is None:
         return sentence(f"{name}: {effect.verdict}; {effect.why or 'no effect could be estimated'}")
-    numbers = f"{size(effect, facts)} ({_ninety_five(effect, facts)})"
-    if effect.low is None:
-        numbers = size(effect, facts)
+    numbers = size(effect, facts) if effect.low is None else _sized(effect, facts)
     if not effect.is_main:
         return sentence(
             f"{name}: its largest component in the {facts.title} is {numbers}; read it from the "
@@ -74,7 +72,10 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
         )
     limit = practical(effect, facts)
     against = "" if limit == MISSING else f" against {limit} that matters"
-    worst = _open_setting(effect, facts, labels)
+    worst, least = "", effect.deciding_simple
+    if least is not None and effect.depends_on_settings and least.ci is not None:
+        there = setting(least, labels)
+        worst = f"; the largest single one is {simple(least, effect, facts)}, {there}"
     return sentence(
         f"{name}: these data cannot show whether it matters for the {facts.title}; the largest "
         f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}{worst}"
@@ -89,10 +90,7 @@ def sole_setting(effect: Effect) -> SimpleEffect | None:
 
 
 def told(effect: Effect) -> str:
-    """Verdict as a table says it, so that the average beside it does not contradict it.
-
-    A dash where nobody said which difference matters: then there is nothing to judge.
-    """
+    """Verdict as a table says it, at some settings where not on average; a dash without a limit."""
     if effect.practical is None:
         return MISSING
     return MATTERS_AT_SETTINGS if sole_setting(effect) else effect.verdict
@@ -120,14 +118,6 @@ def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
         f"; {where} it is {shown_difference(least.difference, effect, facts)}, and the numerical "
         f"uncertainty there, {bound_text}, {below}"
     )
-
-
-def _open_setting(effect: Effect, facts: Facts, labels: Labels) -> str:
-    """Name the setting that leaves a factor open although its average does not."""
-    least = effect.deciding_simple
-    if least is None or not effect.depends_on_settings or least.ci is None:
-        return ""
-    return f"; the largest single one is {simple(least, effect, facts)}, {setting(least, labels)}"
 
 
 def simple(effect_there: SimpleEffect, effect: Effect, facts: Facts) -> str:
@@ -166,28 +156,17 @@ def blocks_needed(effect: Effect, facts: Facts) -> str:
 
 
 def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
-    least = effect.deciding_simple
-    if least is None or not effect.depends_on_settings:
-        return (
-            f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
-            f"within {practical(effect, facts)}{_repeatable(effect, facts)}"
-        )
+    least, whatever, where = effect.deciding_simple, "", ""
+    if least is not None and effect.depends_on_settings:
+        whatever, where = ", whatever the other factors", " at any setting"
+        numbers = simple(least, effect, facts)
+    repeatable = ""  # a tiny difference may well be real: p never decides alone
+    if effect.p is not None and effect.p < facts.alpha:
+        repeatable = f" (repeatable, {p_phrase(effect.p)}, but too small to matter)"
     return (
-        f"{name}: no practical difference in the {facts.title}, whatever the other factors; the "
-        f"largest at any setting is {simple(least, effect, facts)}, within "
-        f"{practical(effect, facts)}{_repeatable(effect, facts)}"
+        f"{name}: no practical difference in the {facts.title}{whatever}; the largest{where} is "
+        f"{numbers}, within {practical(effect, facts)}{repeatable}"
     )
-
-
-def _ninety_five(effect: Effect, facts: Facts) -> str:
-    return f"{level(facts.alpha)} interval {size_interval(effect, facts)}"
-
-
-def _repeatable(effect: Effect, facts: Facts) -> str:
-    """Say that a tiny difference may well be real: p never decides alone."""
-    if effect.p is None or effect.p >= facts.alpha:
-        return ""
-    return f" (repeatable, {p_phrase(effect.p)}, but too small to matter)"
 
 
 def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labels) -> str:
@@ -208,7 +187,7 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labe
         else f"{size(effect, facts)} more {facts.title} than {low}"
     )
     if effect.low is not None:
-        text += f" ({_ninety_five(effect, facts)})"
+        text += f" ({level(facts.alpha)} interval {size_interval(effect, facts)})"
     if not effect.depends_on_settings:
         return f"{name}: matters; {text}"
     if (effect.highest, effect.lowest) in effect.always:

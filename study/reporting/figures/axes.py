@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
-
-if TYPE_CHECKING:
     #: what a figure is to those who only hand it on
     Drawing: TypeAlias = Canvas
 

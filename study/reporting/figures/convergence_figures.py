@@ -43,8 +43,9 @@ COLUMNS = 4
 
 
 def label_of(cell: Document) -> str:
-    """Name of a cell: its levels, or the quantity."""
-    return " / ".join(str(v) for v in (cell.get("levels") or {}).values()) or str(cell["qoi"])
+    """Name of a cell: its levels, else the quantity where it has one."""
+    levels = (cell.get("levels") or {}).values()
+    return " / ".join(map(str, levels)) or str(cell.get("qoi", "all"))
 
 
 #: behaviour whose bound is a scatter and no interval of a limit
@@ -143,17 +144,21 @@ def error_points(cells: Sequence[Document]) -> pd.DataFrame:
 def draw_errors(frame: pd.DataFrame) -> Canvas:
     """Draw the error against the mesh size in logarithms, with the formal slope beside."""
     figure, ax = one_panel(WIDTH_IN, 3.8)
-    for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
-        ax.plot(
-            part["mesh_size"], part["error"], marker=MARKERS[k % 7], color=color_of(k),
-            markersize=4.5, label=clean(cell, 60),
-        )  # fmt: skip
+    _errors_of_cells(ax, frame, "mesh_size")
     _slopes(ax, frame)
     _logarithmic(ax, "mesh size (mm)", "distance to the limit, part of it")
     sizes = np.geomspace(frame["mesh_size"].min(), frame["mesh_size"].max(), 5)
     ax.set_xticks(sizes, [f"{size:.2g}" for size in sizes])
-    _legend(ax)
     return figure
+
+
+def _errors_of_cells(ax: Axes, frame: pd.DataFrame, across: str) -> None:
+    """Draw the errors of every cell as a line with marks, with a legend beside."""
+    for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
+        ax.plot(
+            part[across], part["error"], marker=MARKERS[k % 7], color=color_of(k),
+            markersize=4.5, label=clean(cell, 60),
+        )  # fmt: skip
 
 
 def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
@@ -166,29 +171,18 @@ def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
         ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=MUTED, va="center")
 
 
-def front_points(front: Document) -> pd.DataFrame:
-    """Error and cost of every mesh of every cell."""
-    import pandas as pd
-
-    return pd.DataFrame(front["points"])
-
-
 def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
     """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
     figure, ax = one_panel(WIDTH_IN, 3.8)
-    ax.axhspan(float(frame["error"].clip(lower=1e-12).min()) / 3, accuracy, color=BAND, zorder=0)
+    frame = frame.assign(error=frame["error"].clip(lower=1e-12))
+    ax.axhspan(float(frame["error"].min()) / 3, accuracy, color=BAND, zorder=0)
     ax.axhline(accuracy, color=MUTED, linewidth=0.8)
-    for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
-        ax.plot(
-            part["seconds"], part["error"].clip(lower=1e-12), marker=MARKERS[k % 7],
-            color=color_of(k), markersize=4.5, label=clean(cell, 60),
-        )  # fmt: skip
+    _errors_of_cells(ax, frame, "seconds")
     _logarithmic(ax, "seconds of one solution", "error, part of the limit")
     ax.text(
         0.01, accuracy, f"{100 * accuracy:g} % ", transform=ax.get_yaxis_transform(),
         va="bottom", fontsize=7.5, color=MUTED,
     )  # fmt: skip
-    _legend(ax)
     return figure
 
 
@@ -224,9 +218,6 @@ def _logarithmic(ax: Axes, x: str, y: str) -> None:
     ax.set_ylabel(y)
     ax.margins(x=0.12)
     log_ticks(ax)
-
-
-def _legend(ax: Axes) -> None:
     ax.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
@@ -258,11 +249,6 @@ def error_caption(cells: Sequence[Document]) -> str:
 # Comparison of simulation and measurement: E and u_val along the curve (ASME V&V 20).
 
 
-def validation_label(row: Document) -> str:
-    """Name of a cell: its levels."""
-    return " / ".join(str(v) for v in row["levels"].values()) or "all"
-
-
 def validation_error_points(rows: Sequence[Document]) -> pd.DataFrame:
     """One row a place of a curve: E and each part of its uncertainty."""
     import pandas as pd
@@ -271,7 +257,7 @@ def validation_error_points(rows: Sequence[Document]) -> pd.DataFrame:
              "u_data_N", "u_val_N")  # fmt: skip
     frames = [
         pd.DataFrame({name: row[name] for name in names}).assign(
-            cell=validation_label(row), block=row["block"] or ""
+            cell=label_of(row), block=row["block"] or ""
         )
         for row in rows
     ]
@@ -314,7 +300,7 @@ def table(rows: Sequence[Document], block: str) -> Table:
     """Compare every case at the end of its curve."""
     heads = dict(zip(("E (N)", "u_num", "u_input", "u_data", "u_val"), _SHOWN, strict=True))
     columns: dict[str, Callable[[Document], str]] = {
-        "cell": lambda row: clean(validation_label(row)),
+        "cell": lambda row: clean(label_of(row)),
         block or "block": lambda row: clean(row["block"] or MISSING),
         **{
             head: lambda row, name=name: significant(row[name][-1])  # type: ignore[misc]

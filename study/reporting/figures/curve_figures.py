@@ -25,11 +25,10 @@ from study.reporting.figures.axes import (
     one_panel,
     panels,
     plain_ticks,
-    render,
     word_color_of,
     wrap,
 )
-from study.reporting.results.study_result import CurvePair, MarkedCase, ReportData
+from study.reporting.results.study_result import CurvePair, ReportData
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,11 +57,6 @@ class FitPanel:
     over_time: bool = False
     #: Whether the rows of two directions stand one after the other.
     is_biaxial: bool = False
-
-
-def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
-    """Return the figure as SVG, the same bytes for the same data."""
-    return render(lambda: draw_fit(panels, title), "calibration", title)
 
 
 def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
@@ -173,21 +167,16 @@ def layer_points(data: ReportData) -> pd.DataFrame:
         {
             "state": case.state, "group": next(iter(case.levels.values()), "all"),
             "cell": " / ".join(case.levels.values()), "place": place, "layer": layer,
-            "error_mm": error, "floor_mm": case.floor_mm,
+            "error_mm": math.nan if error is None else error, "floor_mm": case.floor_mm,
         }
         for case in data.markers
-        for place, (layer, error) in enumerate(_freest(case).items())
+        # the last of the fits to all markers has the freest plate
+        for fit in [fit for fit in case.fits if fit["fitted"] == "all"][-1:]
+        for place, (layer, error) in enumerate(fit["error_by_layer_mm"].items())
     ]  # fmt: skip
     if not rows:
         raise ValueError("no marker has a layer")
     return pd.DataFrame(rows)
-
-
-def _freest(case: MarkedCase) -> dict[str, float]:
-    """Errors by layer under the last of the fits to all markers."""
-    every = [fit for fit in case.fits if fit["fitted"] == "all"]
-    errors = every[-1]["error_by_layer_mm"] if every else {}
-    return {layer: math.nan if error is None else error for layer, error in errors.items()}
 
 
 def draw_layers(frame: pd.DataFrame) -> Canvas:
@@ -296,7 +285,11 @@ def curve_panels(data: ReportData, most: int = MOST_PANELS) -> CurvePanels:
     """
     import pandas as pd
 
-    pairs = _first_of_each_block(data)
+    scored = [pair for pair in data.curves if pair.role == "score"] or list(data.curves)
+    if not scored:
+        raise ValueError("no curves were kept")
+    first = {pair.block: pair.label for pair in reversed(scored)}
+    pairs = [pair for pair in scored if pair.label == first[pair.block]]
     line, panel = _roles(data, pairs)
     fixed = {name: data.factors[name][0] for name in data.factors if name not in (line, panel)}
     chosen = [p for p in pairs if all(p.levels.get(k) == v for k, v in fixed.items())]
@@ -309,16 +302,6 @@ def curve_panels(data: ReportData, most: int = MOST_PANELS) -> CurvePanels:
     rows = [row for pair in chosen if pair.block in shown for row in _samples(pair, line, panel)]
     frame = pd.DataFrame(rows, columns=list(COLUMNS))
     return CurvePanels(line, panel, fixed, panels, len(blocks) - len(shown), frame)
-
-
-def _first_of_each_block(data: ReportData) -> list[CurvePair]:
-    pairs = [pair for pair in data.curves if pair.role == "score"] or list(data.curves)
-    if not pairs:
-        raise ValueError("no curves were kept")
-    first: dict[str, str] = {}
-    for pair in pairs:
-        first.setdefault(pair.block, pair.label)
-    return [pair for pair in pairs if pair.label == first[pair.block]]
 
 
 def _roles(data: ReportData, pairs: Sequence[CurvePair]) -> tuple[str, str]:
@@ -373,11 +356,7 @@ def _samples(pair: CurvePair, line: str, panel: str) -> list[tuple[str | float, 
 
 
 def measurements(rows: pd.DataFrame) -> tuple[pd.DataFrame, ...]:
-    """Return the distinct measurements of one panel, longest first.
-
-    Lines share a measurement as a rule. One that only repeats the beginning of a longer one is
-    not returned: its points would cover those of the longer one.
-    """
+    """Measurements of one panel, longest first; none that repeats the beginning of another."""
     lines = [line for _, line in rows.groupby("line", sort=False)]
     lines.sort(key=lambda line: -float(line["displacement_mm"].max()))
     longest: list[pd.DataFrame] = []

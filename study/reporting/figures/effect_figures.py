@@ -354,11 +354,7 @@ def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
 
 
 def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.DataFrame:
-    """Largest difference of every term in multiples of the smallest difference that matters.
-
-    Ratios are taken on the log. ``bound`` is the numerical error, added to both ends of the
-    interval before it is judged. Without a smallest difference that matters sizes are as they are.
-    """
+    """Largest difference of every term over the smallest that matters, ratios on the log."""
     import pandas as pd
 
     rows = []
@@ -366,16 +362,18 @@ def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.
         strong = [e for e in facts.interactions if e.strength == MATTERS or e.practical is None]
         for effect in (*facts.effects, *strong[:_MOST_INTERACTIONS]):
             limited = effect.practical is not None
+            ends = "" if effect.low is None else f"  [{size_interval(effect, facts)}]"
+            words = "no estimate" if effect.range is None else f"{size(effect, facts)}{ends}"
             row = {
                 "response": facts.name, "term": effect.term, "name": term_name(effect.term, labels),
                 "verdict": effect.strength if limited else "",
                 **_multiples((effect.range, effect.low, effect.high), effect.u_num, effect),
-                "limited": limited, "shown": _shown(effect, facts),
+                "limited": limited, "shown": words,
             }  # fmt: skip
             rows.append(row)
             if (simple := _deciding_setting(effect)) is not None:
-                ends = simple.ci_simultaneous or simple.ci or (None, None)
-                at = _multiples((simple.difference, *ends), simple.u, effect)
+                interval = simple.ci_simultaneous or simple.ci or (None, None)
+                at = _multiples((simple.difference, *interval), simple.u, effect)
                 if at["difference"] < 0:  # which level is the higher one does not matter here
                     at |= {"difference": -at["difference"], "low": -at["high"], "high": -at["low"]}
                 size_there = shown_difference(apart(simple.difference, effect), effect, facts)
@@ -411,13 +409,6 @@ def _multiples(values: Sequence[float | None], u: float | None, effect: Effect) 
 
     columns = zip(("difference", "low", "high"), map(multiple, values), strict=True)
     return {**dict(columns), "bound": (u or 0.0) * effect.u_unit / unit}
-
-
-def _shown(effect: Effect, facts: Facts) -> str:
-    if effect.range is None:
-        return "no estimate"
-    ends = "" if effect.low is None else f"  [{size_interval(effect, facts)}]"
-    return f"{size(effect, facts)}{ends}"
 
 
 def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canvas:

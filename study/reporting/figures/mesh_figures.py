@@ -111,7 +111,9 @@ def _solid(points: Array, faces: Ints, displacement: Array) -> Canvas:
     size = np.ptp(np.concatenate(turned), axis=0)
     whole = _is_whole(points)
     high = float(np.clip(0.47 * WIDTH_IN * size[1] / size[0], 2.2, 6.0)) + 0.3
-    low = _sides_height(points + displacement) if whole else 0.0
+    x, y, z = np.ptp(points + displacement, axis=0)
+    # beside the drawings of three sides there is room for their axes
+    low = float((WIDTH_IN - 2.4) * max(z, y) / (2 * x + y) + 0.8) if whole else 0.0
     figure = canvas(WIDTH_IN, high + low)
     upper: Canvas | SubFigure = figure
     lower: SubFigure | None = None
@@ -155,12 +157,6 @@ def _from_sides(figure: SubFigure, after: Array, faces: Ints, color: Array) -> N
         _frame(ax, seen[:, :2])
         ax.set_xlabel(f"{axes[0]} (mm)")
         ax.set_ylabel(f"{axes[1]} (mm)")
-
-
-def _sides_height(after: Array) -> float:
-    """Inches of the row of three sides, beside whose drawings there is room for their axes."""
-    x, y, z = np.ptp(after, axis=0)
-    return float((WIDTH_IN - 2.4) * max(z, y) / (2 * x + y) + 0.8)
 
 
 def _mean(values: Array, faces: Ints) -> Array:

@@ -10,7 +10,6 @@ import numpy as np
 from study.reporting.content.numbers import p_value
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, count, name_of, sentence, term_name
-from study.reporting.content.verdicts import normality_phrase
 from study.reporting.figures.axes import (
     BAND,
     INK,
@@ -214,11 +213,7 @@ def _jittered(frame: pd.DataFrame, levels: pd.DataFrame, seed: int) -> pd.DataFr
 
 
 def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
-    """Return the standard deviation of the residuals of each cell, with Bonferroni intervals.
-
-    Intervals are those of the chi-squared distribution with n - 1 degrees of freedom:
-    approximate where the residuals come from a fit with blocks.
-    """
+    """Give each cell's deviation with a chi-squared interval, approximate after blocks."""
     import pandas as pd
     from scipy.special import chdtri
 
@@ -306,22 +301,10 @@ def drawn_words(points: pd.DataFrame) -> str:
     )
 
 
-def four_in_one_caption(points: pd.DataFrame, facts: Facts, alpha: float) -> str:
-    """Name the panels, and say whether normality is rejected."""
-    return sentence(
-        f"{count(len(points), 'residual')}; {normality_phrase(facts, alpha)}. The order is that of "
-        "the rows in the file: the run order only if they were written down as they were run"
-        f"{drawn_words(points)}"
-    )
-
-
 def draw_residuals(
     points: pd.DataFrame, facts: Facts, data: ReportData, *, ordered: bool = False
 ) -> Canvas:
-    """Draw probability plot, residuals against fits, histogram, and against factors or in order.
-
-    Rows of a table have an order; runs of a simulation have none.
-    """
+    """Draw four views of the residuals; rows of a table have an order, runs have none."""
     figure = canvas(WIDTH_IN, 5.7)
     (normal, fits), (histogram, last) = figure.subplots(2, 2)
     shown, label = thinned(points, data.seed), labeled("residual", facts.scale)
@@ -389,12 +372,6 @@ def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -
     _against_factors(ax, thinned(points, data.seed), data, labeled("residual", facts.scale))
     plain_ticks(ax, "y")
     return figure
-
-
-def against_factors_caption(points: pd.DataFrame) -> str:
-    """Say what to look for."""
-    look = "a level whose residuals scatter more has the larger variance"
-    return sentence(look + drawn_words(points))
 
 
 def influence_caption(points: pd.DataFrame, limit: float | None) -> str:

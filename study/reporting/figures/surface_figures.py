@@ -15,7 +15,6 @@ from study.reporting.figures.axes import (
     INK,
     MUTED,
     WIDTH_IN,
-    canvas,
     color_of,
     labeled,
     name_rows,
@@ -28,7 +27,6 @@ from study.statistics.surfaces.surface_profile import contour, left_out, profile
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
     from study.reporting.figures.registry import Plot
@@ -219,8 +217,7 @@ def _left_out_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportDa
 
 
 def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:
-    figure = canvas(WIDTH_IN, 3.9)
-    ax: Axes = figure.subplots()
+    figure, ax = one_panel(WIDTH_IN, 3.9)
     ends = [float(frame.min().min()), float(frame.max().max())]
     ax.plot(ends, ends, color=MUTED, linewidth=0.8)
     ax.scatter(frame["simulated"], frame["predicted"], s=14, color=color_of(0), linewidths=0)

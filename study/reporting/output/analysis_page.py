@@ -24,7 +24,8 @@ from study.reporting.content.blocks import (
     titled,
 )
 from study.reporting.content.report_facts import Facts, facts
-from study.reporting.content.text import clean, sentence
+from study.reporting.content.text import clean, count, sentence
+from study.reporting.content.verdicts import normality_phrase
 from study.reporting.figures import registry, residual_figures
 from study.reporting.figures.registry import Plot, made, slug
 from study.reporting.output import study_page, write
@@ -207,13 +208,20 @@ def _figures(
             "Residual plots",
             lambda: points,
             lambda frame: residual_figures.draw_residuals(frame, item, data, ordered=True),
-            lambda frame: residual_figures.four_in_one_caption(frame, item, data.alpha),
+            lambda frame: sentence(
+                f"{count(len(frame), 'residual')}; {normality_phrase(item, data.alpha)}. The order "
+                "is that of the rows in the file: the run order only if they were written down as "
+                f"they were run{residual_figures.drawn_words(frame)}"
+            ),
         ),
         "against-factors": (
             "Residuals versus factors",
             lambda: points[[*data.factors, "residual"]],
             lambda frame: residual_figures.draw_against_factors(frame, item, data),
-            residual_figures.against_factors_caption,
+            lambda frame: sentence(
+                "a level whose residuals scatter more has the larger variance"
+                f"{residual_figures.drawn_words(frame)}"
+            ),
         ),
         "influence": (
             "Influence",
@@ -257,13 +265,7 @@ def write_analysis(
     formats: Sequence[str] = ("html",),
     reference: Reference | None = None,
 ) -> Path:
-    """Write the page of an analysis into a folder and return its main file.
-
-    The pages are ``<table>-<response>.html`` and ``<table>-<response>-details.html``; beside them
-    ``<table>-<response>-data/`` holds the CSV of every table and figure, every figure as SVG,
-    ``rows.csv`` (every row with fit, residual, leverage) and ``numbers.json``, the document of
-    ``study analyze --json``.
-    """
+    """Write the page of an analysis and its numbers into a folder; return its main file."""
     chosen = write.checked_formats(formats)
     folder, stem, rows = Path(out_dir), _stem(analysis, data), diagnosed_rows(analysis)
     pages = prepare(analysis, data, rows, reference)

@@ -86,9 +86,11 @@ def convergence_plots(
 
 
 def _front(front: Document) -> Plot:
+    import pandas as pd
+
     return (
         "Error against seconds",
-        lambda: convergence.front_points(front),
+        lambda: pd.DataFrame(front["points"]),
         lambda frame: convergence.draw_front(frame, float(front["accuracy"])),
         lambda _: sentence(front["answer"]),
     )
@@ -165,7 +167,10 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
     rows, raw = [], []
     for cell in cells:
         for row in cell.get("sources") or ():
-            part = part_of_value(row["relative"])
+            share = row["relative"]
+            part = quantity(None if share is None else 100 * share, "%", 2)
+            if share is not None and 0 < share < SMALLEST_PART:  # no one can measure it
+                part = "< " + quantity(100 * SMALLEST_PART, "%", 1)
             name = name_of(str(row["quantity"]))
             rows.append((clean(convergence.label_of(cell)), name, clean(row["source"]), part))
             raw.append({"cell": convergence.label_of(cell)} | {
@@ -185,13 +190,6 @@ def of_cells(table: Table, number: int) -> Table:
         return table
     rows = tuple(row[1:] for row in table.rows)
     return replace(table, columns=table.columns[1:], rows=rows, left=table.left - 1)
-
-
-def part_of_value(share: float | None) -> str:
-    """Write an error as a part of the value; what no one can measure is only said to be small."""
-    if share is not None and 0 < share < SMALLEST_PART:
-        return "< " + quantity(100 * SMALLEST_PART, "%", 1)
-    return quantity(None if share is None else 100 * share, "%", 2)
 
 
 # A series as a terminal shows it: meshes, verdict, limit, then what the page tables.

@@ -155,6 +155,7 @@ def policy_hash(script: str) -> str:
 @cache  # a template is compiled once a process
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
 
     environment = Environment(
         loader=PackageLoader("study.reporting", "templates"),
@@ -173,7 +174,7 @@ def _environment() -> Environment:
         ),
         "cell": _cell,
         # only drawings that this package rendered pass unescaped
-        "drawing": _drawing,
+        "drawing": lambda figure: Markup(figure.svg),  # noqa: S704
         "slug": slug,
         "sentence": sentence,
     }
@@ -208,12 +209,6 @@ def _cell(text: str, column: str) -> Markup:
     if column != "verdict" or text not in VERDICTS:
         return _subscripts(text)
     return Markup('<span class="verdict {}">{}</span>').format(slug(text), text)
-
-
-def _drawing(figure: Figure) -> Markup:
-    from markupsafe import Markup
-
-    return Markup(figure.svg)  # noqa: S704
 
 
 # Files of a report: each replaced whole, none outside the folder it was asked for.

@@ -129,14 +129,7 @@ def write(
     formats: Sequence[str] = ("html",),
     worker: Worker | None = None,
 ) -> Path:
-    """Write a report into a folder and return its main file.
-
-    The pages are ``<name>.html`` and ``<name>-details.html``; beside them ``<name>-data/`` holds
-    the CSV of every figure and table, ``cases.csv`` (one row a case), ``curves.csv.gz`` (every
-    measured and predicted point) and ``numbers.json``, the statistics as the interface defines
-    them: enough to compute every figure again; and each figure as SVG, unless CSV is all that is
-    asked for. Files are replaced whole, never left half written.
-    """
+    """Write a report into a folder, every file whole or not at all, and return its main file."""
     chosen = checked_formats(formats)
     folder = Path(out_dir)
     is_undrawn = chosen == ("csv",)
@@ -155,10 +148,7 @@ def write(
 
 
 def write_pages(folder: Path, stem: str, pages: Pages, chosen: Sequence[str]) -> Path:
-    """Write both pages, and the CSV of their tables and figures into the folder that is returned.
-
-    Both are printed into one document where a PDF is chosen.
-    """
+    """Write both pages (printed as one PDF), and the CSV of what they show into a folder."""
     files = data_folder(folder, stem)
     write_tables(files, pages.tables.values())
     write_figures(files, pages.figures.values())
@@ -207,10 +197,7 @@ def write_answer(
     stem: str = "",
     document: Document | None = None,
 ) -> Path:
-    """Write the page of a verb about one thing, with the CSV of its figures and tables beside it.
-
-    ``document`` is what ``--json`` prints, where it is written there too.
-    """
+    """Write the page of a verb about one thing, its CSV, and what ``--json`` prints beside it."""
     folder, title = Path(out_dir), clean(name)
     stem = f"{slug(name)}-{stem or slug(kind)}"
     files = data_folder(folder, stem)
@@ -244,7 +231,9 @@ def answer_blocks(
 def write_tables(files: Path, tables: Iterable[Table]) -> None:
     """Write the CSV of tables: their numbers, or their cells where no numbers stand behind."""
     for table in tables:
-        text = of_records(table.raw) if table.raw else of_rows(table.columns, table.rows)
+        columns = list(dict.fromkeys(key for record in table.raw for key in record))
+        records = [[record.get(key) for key in columns] for record in table.raw]
+        text = of_rows(columns or table.columns, records or table.rows)
         replace_file(files / f"table-{slug(table.name)}.csv", text)
 
 
@@ -371,12 +360,6 @@ def _cells(column: pd.Series[float]) -> Sequence[object]:
         return column.tolist()
     values = column.astype(object).where(column.notna(), None)
     return [safe_cell(value) for value in values.tolist()]
-
-
-def of_records(records: Sequence[Mapping[str, object]]) -> str:
-    """CSV text of mappings; columns in the order of first appearance."""
-    columns = list(dict.fromkeys(key for record in records for key in record))
-    return of_rows(columns, ([record.get(key) for key in columns] for record in records))
 
 
 def of_rows(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
