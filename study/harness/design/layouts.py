@@ -298,13 +298,8 @@ def _treatments(
     if not isinstance(value, list) or not 2 <= len(value) <= MAX_CELLS:
         raise Bad(f"must list 2 to {MAX_CELLS} treatments, got {shown(value)}")
     cells = [_cell(factors, item, i) for i, item in enumerate(value)]
-    factors = tuple(_with_settings(factor, [cell[factor.name] for cell in cells])
-                    for factor in factors)  # fmt: skip
-    rows = [
-        tuple(f.labels.index(known_level(cell[f.name], f)) if f.span is None
-              else f.labels.index(setting_in(f, cell[f.name]).label) for f in factors)
-        for cell in cells
-    ]  # fmt: skip
+    columns = [_levels_listed(factor, [cell[factor.name] for cell in cells]) for factor in factors]
+    factors, rows = tuple(f for f, _ in columns), list(zip(*(at for _, at in columns), strict=True))
     first: dict[tuple[int, ...], int] = {}
     for place, row in enumerate(rows):
         first.setdefault(row, place)
@@ -318,13 +313,20 @@ def _treatments(
     return factors, tuple(rows)
 
 
-def _with_settings(factor: Factor, given: Sequence[object]) -> Factor:
-    """Copy of a factor with a range, whose levels are the settings that are given."""
+def _levels_listed(factor: Factor, given: Sequence[object]) -> tuple[Factor, list[int]]:
+    """Factor and the level of every treatment; those of a range are the settings given."""
     if factor.span is None:
-        return factor
-    levels = {level.label: level for level in (setting_in(factor, raw) for raw in given)}
-    setting = settings_of(replace(factor, levels=tuple(levels.values())))
-    return replace(factor, levels=tuple(sorted(levels.values(), key=lambda x: setting[x.label])))
+        labels = [known_level(raw, factor) for raw in given]
+    else:
+        levels = [setting_in(factor, raw) for raw in given]
+        labels = [level.label for level in levels]
+        unsorted = replace(factor, levels=tuple(dict(zip(labels, levels, strict=True)).values()))
+        setting = settings_of(unsorted)
+        factor = replace(
+            factor, levels=tuple(sorted(unsorted.levels, key=lambda level: setting[level.label]))
+        )
+    places = {label: place for place, label in enumerate(factor.labels)}
+    return factor, [places[label] for label in labels]
 
 
 def _cell(factors: Sequence[Factor], item: object, index: int) -> Mapping[str, object]:
