@@ -361,7 +361,7 @@ class MeasurementSpec:
         description='for example columns = { displacement = "displacement_mm", force = "force_N" }'
     )
     #: Column and unit of displacement and force.
-    units: Units = Field(default_factory=Units)
+    units: Units = Units()
     #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
     file: Annotated[str | None, Reads(csv_path)] = None
     #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
