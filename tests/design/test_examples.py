@@ -11,7 +11,8 @@ import pytest
 
 from study.harness.design import load, overview
 from study.harness.design import spec as cases
-from study.harness.design.spec import Design, Practical
+from study.harness.design.spec import Design
+from study.harness.design.study_file import Practical
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.tracker.tracker_recording import load_tracking
 from study.mechanics.measurement.measurement_section import Range

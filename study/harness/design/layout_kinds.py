@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Literal
 
@@ -17,7 +18,6 @@ from study.harness.design.diagnostics import Faults, noted, read_table
 from study.harness.design.generators import Word, d_optimal, efficiency
 from study.harness.design.layouts import (
     MAX_CELLS,
-    MAX_RUNS,
     BoxBehnken,
     CentralComposite,
     Fractional,
@@ -39,7 +39,6 @@ from study.mechanics.setup.declaration import (
     Reads,
     choice,
     integer,
-    number,
     section,
     shown,
 )
@@ -126,41 +125,10 @@ def word_of(names: Sequence[str], term: object) -> Word:
 #: fewest cells at the beginning for each range: an emulator needs three
 FEWEST = 3
 
-_UNTIL = ("q2", "verdict")
-
-
-def _added(value: object) -> tuple[tuple[float, ...], ...]:
-    """Read cells that a run has added, as shares of every range."""
-    if not isinstance(value, list):
-        raise Bad(f"must be a list of cells, got {shown(value)}", "leave it to `study run`")
-    share = number(0.0, 1.0, closed=True)
-    return tuple(tuple(share(x) for x in (c if isinstance(c, list) else [c])) for c in value)
-
-
-_Count = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
-
 
 @section
-class Adaptive:
+class Adaptive(Sequential):
     """Cells that are chosen by what those before them have shown."""
-
-    #: Cells of the Latin hypercube that it begins with, equally many at every combination of the
-    #: factors that are no ranges.
-    start: _Count
-    #: Most cells in all.
-    budget: _Count
-    kind: Literal["adaptive"] = "adaptive"
-    #: Cells added at a time; it decides the result, the number of workers does not.
-    batch: Annotated[int, Reads(integer(1, 100))] = 4
-    #: What ends it before the budget does: every response has this Q2, or every
-    #: factor a verdict.
-    until: Annotated[str, Reads(choice(*_UNTIL))] = "q2"
-    #: Leave-one-out Q2 that is enough.
-    q2: Annotated[float, Reads(number(0.5, 1.0))] = 0.95
-    #: Of the draw; that of ``[study]`` by default.
-    seed: Annotated[int | None, Reads(integer(0, 2**32 - 1))] = None
-    #: Cells that a run has added: the share of every factor's range, in the order of the factors.
-    added: Annotated[tuple[tuple[float, ...], ...], Reads(_added)] = ()
 
     def make(self, request: Request) -> Made:
         """Draw the first cells, and place those that were added."""
@@ -175,11 +143,9 @@ class Adaptive:
         made, rows = placed(factors, every, each_alone=True)
         if len(set(rows)) < len(rows):
             request.fault("added", "two cells are the same", "leave it to `study run`")
-        settings = Sequential(self.start, self.batch, self.budget, self.until, self.q2, seed)
         note = "cells are added where an emulator is least sure: see the surface"
-        return made, Scheme(
-            self.kind, rows, self._summary(seed), (note,), sequential=settings
-        )  # fmt: skip
+        settings = replace(self, seed=seed)
+        return made, Scheme(self.kind, rows, self._summary(seed), (note,), sequential=settings)
 
     def _summary(self, seed: int) -> str:
         goal = (

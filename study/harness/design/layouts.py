@@ -17,6 +17,7 @@ from study.harness.design import generators
 from study.harness.design.diagnostics import Faults, flatten, is_known, noted
 from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
 from study.harness.design.spec import Factor, Scheme
+from study.harness.design.study_file import MAX_RUNS
 from study.mechanics.setup.declaration import (
     AsWritten,
     Bad,
@@ -548,8 +549,6 @@ def _surface(request: Request, kind: str, runs: Array, what: str) -> Made:
 
 
 # Space-filling designs: samples of the ranges of the factors.
-
-MAX_RUNS = 1024
 
 _Runs = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
 _Seed = Annotated[int | None, Reads(integer(0, 2**32 - 1))]
