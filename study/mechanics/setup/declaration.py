@@ -433,9 +433,9 @@ def texts(what: str, example: str) -> Callable[[object], tuple[str, ...]]:
 
 def relative_path(value: object) -> str:
     """Read a path below the data root."""
-    if not isinstance(value, str) or not value.strip():
-        raise Bad(f"must be a path, got {shown(value)}")
     mend = "write it relative to the data root (--data DIR)"
+    if not isinstance(value, str) or not value.strip():
+        raise Bad(f"must be a path, got {shown(value)}", mend)
     if any(unicodedata.category(c) in INVISIBLE for c in value) or len(value) > 500:
         raise Bad("is too long or holds characters that cannot be seen", mend)
     if value.startswith(("/", "\\", "~")) or PureWindowsPath(value).drive:
