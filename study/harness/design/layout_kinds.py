@@ -64,9 +64,7 @@ class DOptimal:
             partial(words_of, names), 1 if self.terms is None else self.terms, "design.terms",
             request.faults,
         )  # fmt: skip
-        if words is None or not self.runs or request.is_faulty("seed"):
-            return request.nothing
-        if not self._fits(request, sizes, words):
+        if words is None or not self._fits(request, sizes, words):
             return request.nothing
         seed = request.seed if self.seed is None else self.seed
         rows = d_optimal(sizes, words, self.runs, seed)
@@ -166,8 +164,6 @@ class Adaptive(Sequential):
         if not ranges:
             mend = 'write one as { low = "28 mm", high = "32 mm" }'
             request.fault("kind", "no factor is a range to be filled", mend)
-        sound = None not in (self.start, self.budget, self.batch, self.added, self.until, self.q2)
-        if not sound or request.is_faulty("seed") or not ranges:
             return False
         least = FEWEST * ranges * others
         if self.start < least or self.start % others:
@@ -248,14 +244,18 @@ def scheme_from(
 ) -> Made:
     """Read ``[design]`` (None where it is left out) and give every factor the levels it needs."""
     written = {} if table is None else table
-    layout = written.get("kind", "full") if isinstance(written, Mapping) else "full"
-    kind = noted(choice(*LAYOUTS), layout, "design.kind", faults)
+    word = written.get("kind", "full") if isinstance(written, Mapping) else "full"
+    kind = noted(choice(*LAYOUTS), word, "design.kind", faults)
     if kind is None or not factors:
         return _few(factors), Scheme()
     before = len(faults)
     if excluding and kind not in ("full", "listed"):
         faults.add("exclude", f"a {kind} design cannot lose runs", 'use kind = "full", or none')
-    made = read_table(LAYOUTS[kind], written, "design", faults).make(Request(factors, seed, faults))
+    layout = read_table(LAYOUTS[kind], written, "design", faults)
+    made = factors, Scheme()
+    # of a key that nobody declares the others do not depend
+    if all(fault.rule == "unknown key" for fault in faults[before:]):
+        made = layout.make(Request(factors, seed, faults))
     return (_few(factors), Scheme()) if len(faults) > before else made
 
 

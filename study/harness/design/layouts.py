@@ -14,7 +14,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.errors import nearest
 from study.harness.design import generators
-from study.harness.design.diagnostics import Faults, flatten, is_known, noted
+from study.harness.design.diagnostics import Faults, flatten, noted
 from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
 from study.harness.design.spec import Factor, Scheme
 from study.harness.design.study_file import MAX_RUNS
@@ -51,10 +51,6 @@ class Request:
     def fault(self, key: str, rule: str, mend: str = "") -> None:
         """Note a fault of a key of ``[design]``."""
         self.faults.add(f"design.{key}", rule, mend)
-
-    def is_faulty(self, key: str) -> bool:
-        """Whether a key of ``[design]`` has a fault, and is None for it."""
-        return any(fault.where == f"design.{key}" for fault in self.faults)
 
     @property
     def nothing(self) -> Made:
@@ -218,16 +214,16 @@ def _nests(tables: Sequence[Nested], request: Request) -> Nests | None:
     """Nested factors; None where one is faulty."""
     faults = request.faults
     nests: dict[str, tuple[str, Mapping[str, tuple[str, ...]]]] = {}
-    sound = not request.is_faulty("nested")
+    sound = True
     by_name = {factor.name: factor for factor in request.factors}
     for i, table in enumerate(tables):
         where, before = f"design.nested[{i}]", len(faults)
         factor_named = partial(_known, by_name)
         child, parent = (
-            noted(factor_named, value, f"{where}.{key}", faults) if is_known(value) else None
+            noted(factor_named, value, f"{where}.{key}", faults)
             for key, value in (("factor", table.factor), ("within", table.within))
         )
-        if child is None or parent is None or not is_known(table.levels):
+        if child is None or parent is None:
             sound = False
             continue
         if child == parent or child in nests or parent in nests:
@@ -274,8 +270,6 @@ class Listed:
 
     def make(self, request: Request) -> Made:
         """Look up the levels of every treatment."""
-        if self.treatments is None:
-            return request.nothing
         read = partial(_treatments, request.factors)
         made = noted(read, self.treatments, "design.treatments", request.faults)
         if made is None:
@@ -368,8 +362,7 @@ class Fractional:
         if self.generators is not None:
             read = partial(_words, labels)
             given = noted(read, self.generators, "design.generators", request.faults)
-        exactly_one = (self.generators is None) != (self.resolution is None)
-        if not exactly_one and not request.is_faulty("resolution"):
+        if (self.generators is None) == (self.resolution is None):
             mend = 'for example generators = ["C = A:B"], or resolution = 4'
             request.fault("generators", "or a resolution must be given, and not both", mend)
             return request.nothing
@@ -510,7 +503,7 @@ class CentralComposite:
 
     def make(self, request: Request) -> Made:
         """Rotatable design, or the face-centered one."""
-        if not self.star or not _spans(request, 2):
+        if not _spans(request, 2):
             return request.nothing
         runs = generators.central_composite(len(request.factors), self.star)
         what = "rotatable" if self.star == "inscribed" else "face-centered"
@@ -580,7 +573,7 @@ class Sobol:
 
     def make(self, request: Request) -> Made:
         """Sample the ranges."""
-        if self.runs and self.runs & (self.runs - 1):
+        if self.runs & (self.runs - 1):
             near = 2 ** round(math.log2(self.runs))
             rule = f"must be a power of two, got {self.runs}"
             request.fault("runs", rule, f"for example {near}")
@@ -594,8 +587,6 @@ def _filled(
     if all(factor.span is None for factor in request.factors):
         mend = 'write one as { low = "28 mm", high = "32 mm" }'
         request.fault("kind", "no factor is a range to be filled", mend)
-    if not runs or request.is_faulty("seed"):
-        return request.nothing
     drawn_seed = request.seed if seed is None else seed
     words = f"{kind.replace('-', ' ')}: {runs} cells, seed {drawn_seed}".capitalize()
     shares = draw(len(request.factors), runs, drawn_seed)
