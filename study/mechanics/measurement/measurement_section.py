@@ -378,6 +378,10 @@ class MeasurementSpec:
             for k, line in enumerate(lines, 1)
             if k > self.skip_lines and not (self.comment and line.lstrip().startswith(self.comment))
         ]
+        if self.header:  # of an export that was appended to another one it stands again
+            names = next((k for k in at if lines[k - 1].strip()), 0)
+            heads = {lines[k - 1].strip() for k in (names, names + bool(self.unit_row)) if k}
+            at = [k for k in at if k <= names + 1 or lines[k - 1].strip() not in heads]
         lines = [lines[k - 1] for k in at]
         first = next((line for line in lines if line.strip()), "")
         delimiter = self.delimiter
