@@ -11,8 +11,6 @@ import pytest
 
 from study.ground import bounded_file, tabular
 from study.ground.errors import InputError
-from study.harness.design.diagnostics import Faults
-from study.harness.design.resolve import measurements_from
 from study.mechanics.measurement.measurement_section import (
     Columns,
     MeasurementSpec,
@@ -256,15 +254,6 @@ def test_a_unit_in_the_header_must_be_the_declared_one(tmp_path):
     assert read(tmp_path, text, declared).curve().curve.force_N[-1] == pytest.approx(8000)
     plain = replace(declared, columns={"displacement": "d_mm", "force": "total_force"})
     assert read(tmp_path, text.replace("load_kN", "total_force"), plain).curve()
-
-
-def test_missing_unit(tmp_path):
-    # of a study file the fault says where and how (tests/design/test_faults.py)
-    faults = Faults()
-    columns = {"displacement": "d", "force": "f"}
-    table = {"file": "a.csv", "columns": columns, "units": {"displacement": "mm"}}
-    assert measurements_from(table, faults) is None
-    assert [f.where for f in faults] == ["measurements.units.force"]
 
 
 @pytest.mark.parametrize("label", ["=cmd|'/c calc'!A0", "@x", "a\u202eb", "x" * 201, ""])
