@@ -11,7 +11,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve
-from study.harness.design.calibration_section import CalibratedTest
+from study.harness.design.calibration_section import FRICTION, OFFSET, ZERO, CalibratedTest
 from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import fitted_test
@@ -28,9 +28,6 @@ from study.mechanics.calibration.residual_function import (
 )
 from study.mechanics.calibration.serial_correlation import row_noise
 
-OFFSET = "displacement_offset"
-ZERO = "force_zero"
-FRICTION = "friction"
 #: change of an input without an uncertainty from which its influence is taken, over its value
 _STEP = 0.01
 
@@ -213,7 +210,7 @@ class NuisancePredictions:
         given: Mapping[str, float],
     ) -> Curve:
         """Curve of one test by its parts: shares of the computed ones add up."""
-        value = {param.name: param.expected for param in self.parameters} | given
+        value = {**{param.name: param.expected for param in self.parameters}, **given}
         # the unloaded point takes part: an unknown zero is no zero there
         points = np.r_[0.0, measured] if measured[0] > 0 else measured
         n, part = points.size, self._parts[number]
@@ -377,7 +374,7 @@ def with_nuisance(
         return first_fit
     measured = [curve for part in parts for curve in part.measured]
     simulated = any(p.method == "inverse-fem" for p in parts)
-    simulated = simulated or any(param.key == "friction" for param in parameters)
+    simulated = simulated or any(param.key == FRICTION for param in parameters)
     task = _Task(predictions, measured, first_fit.names, bounds, simulated)
     fitted = [param for param in parameters if param.is_fitted]
     plain, joint = _settled(task, fitted, first_fit)

@@ -327,7 +327,7 @@ class Sequential:
     #: Leave-one-out Q2 that is enough.
     q2: Annotated[float, Reads(number(0.5, 1.0))] = 0.95
     #: Of the draw; that of ``[study]`` by default.
-    seed: Annotated[int | None, Reads(integer(0, 2**32 - 1))] = None
+    seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = None  # type: ignore[assignment]
     #: Cells that a run has added: the share of every factor's range, in the order of the factors.
     added: Annotated[tuple[tuple[float, ...], ...], Reads(_added)] = ()
 
@@ -383,10 +383,9 @@ class Practical:
 
 @section
 class ResponseSpec:
-    """One ``[[response]]``, a scalar answer of a case, with its own analysis."""
+    """One ``[[response]]``: ``practical`` in its unit, a force or stiffness at ``displacement``."""
 
     name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
-    #: Of a force or a stiffness.
     displacement: Length | None = None
     #: Smallest difference that matters, in its unit or as a share: "0.05 N", "2 pp", "5 % of mean".
     practical: Annotated[Practical | None, as_written()] = None

@@ -309,9 +309,11 @@ class MeasurementSpec:
     columns: Columns = Field(
         description='for example columns = { displacement = "displacement_mm", force = "force_N" }'
     )
+    #: Column and unit of displacement and force.
     units: Units = Units()
     #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
     file: Annotated[str | None, Reads(csv_path)] = None
+    #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
     files: Annotated[str | None, Reads(csv_pattern)] = None
     #: Column of the unit that was replicated.
     block: Annotated[str | None, Reads(name)] = None
@@ -323,6 +325,7 @@ class MeasurementSpec:
     points: Annotated[int | Literal["raw"], Reads(_points)] = 200
     #: Which rows give constants, which give responses.
     fit: Annotated[dict[str, Labels] | None, Reads(rows)] = None
+    #: Which rows give constants, which give responses.
     score: Annotated[dict[str, Labels] | None, Reads(rows)] = None
     #: Whether fit and score also change places.
     swap: Annotated[bool, Reads(flag)] = False
@@ -347,7 +350,11 @@ class MeasurementSpec:
     #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
     #: is no plain CSV.
     skip_lines: Annotated[int, Reads(integer(0, MAX_SKIPPED))] = 0
+    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
+    #: is no plain CSV.
     comment: Annotated[str, Reads(_mark)] = ""
+    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
+    #: is no plain CSV.
     delimiter: Annotated[str, Reads(choice("", *DELIMITERS))] = ""
     #: Whether a line names the columns; without one columns are named by their number.
     header: Annotated[bool, Reads(flag)] = True
