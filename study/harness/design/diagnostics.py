@@ -175,14 +175,12 @@ def read_text(path: str | Path) -> str:
     except UnreadableError as error:
         raise InputError(Fault(repr(source), error.rule)) from error
     if raw is None:
-        raise InputError(Fault(source, "there is no such file", _beside(Path(path))))
+        place = Path(path)
+        names = sorted(p.name for p in place.parent.glob(f"*{place.suffix}") if p.is_file())[:20]
+        mend = "study new FILE writes a design to start from"
+        mend = nearest(place.name, names) if names else mend
+        raise InputError(Fault(source, "there is no such file", mend))
     return decode(raw, source)
-
-
-def _beside(path: Path) -> str:
-    """Name the files in the same folder that could have been meant."""
-    names = sorted(p.name for p in path.parent.glob(f"*{path.suffix}") if p.is_file())[:20]
-    return nearest(path.name, names) if names else "study new FILE writes a design to start from"
 
 
 def decode(raw: bytes, source: str) -> str:

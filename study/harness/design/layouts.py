@@ -155,9 +155,13 @@ class Full:
             return (), Scheme()
         if not zipped and not nests:
             return request.nothing
-        rows = tuple(row for row in _product(factors, zipped) if _allowed(row, factors, nests))
+        rows = []
+        for row in _product(factors, zipped):
+            labels = {f.name: f.labels[i] for f, i in zip(factors, row, strict=True)}
+            if all(labels[child] in within[labels[of]] for child, (of, within) in nests.items()):
+                rows.append(row)
         summary = f"{len(rows)} of {math.prod(len(f.levels) for f in factors)} combinations"
-        return factors, Scheme("full", rows, summary, _told(zipped, nests))
+        return factors, Scheme("full", tuple(rows), summary, _told(zipped, nests))
 
 
 def _told(zipped: Sequence[tuple[str, ...]], nests: Nests) -> tuple[str, ...]:
@@ -181,11 +185,6 @@ def _product(factors: Sequence[Factor], zipped: Sequence[tuple[str, ...]]) -> li
         index = dict(zip((f.name for f in free), combination, strict=True))
         rows.append(tuple(index[leader.get(f.name, f.name)] for f in factors))
     return rows
-
-
-def _allowed(row: Sequence[int], factors: Sequence[Factor], nests: Nests) -> bool:
-    labels = {f.name: f.labels[i] for f, i in zip(factors, row, strict=True)}
-    return all(labels[child] in within[labels[parent]] for child, (parent, within) in nests.items())
 
 
 def _zipped(factors: Sequence[Factor], value: object) -> tuple[tuple[str, ...], ...]:

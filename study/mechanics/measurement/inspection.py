@@ -498,7 +498,12 @@ def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int
                 if column.quantity == quantity and column.name and column.low != column.high
             ]  # fmt: skip
             if fitting:
-                best = min(fitting, key=lambda k: _rank(columns[k].name, quantity))
+                words = _WORDS[quantity]
+                lower = {k: columns[k].name.lower() for k in fitting}
+                best = min(
+                    fitting,
+                    key=lambda k: next((n for n, word in enumerate(words) if word in lower[k]), 99),
+                )
                 chosen[quantity] = best
                 others = [columns[k].name for k in fitting if k != best]
                 if others:
@@ -508,11 +513,6 @@ def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int
                     )
                 break
     return chosen
-
-
-def _rank(name: str, quantity: str) -> int:
-    plain = name.lower()
-    return next((k for k, word in enumerate(_WORDS[quantity]) if word in plain), 99)
 
 
 def _numbered(

@@ -153,15 +153,14 @@ def rows(value: object) -> dict[str, Labels]:
     """Read a choice of rows: column -> label, or labels."""
     if not isinstance(value, Mapping) or not value:
         raise Bad(f"must be a table, got {shown(value)}", 'for example { specimen = "A" }')
-    return {name(column): _labels(labels) for column, labels in value.items()}
-
-
-def _labels(value: object) -> Labels:
-    if isinstance(value, list):
-        if not value:
+    chosen: dict[str, Labels] = {}
+    for column, labels in value.items():
+        if labels == []:
             raise Bad("chooses no label at all")
-        return tuple(_label(v) for v in value)
-    return _label(value)
+        chosen[name(column)] = (
+            tuple(map(_label, labels)) if isinstance(labels, list) else _label(labels)
+        )
+    return chosen
 
 
 def _label(value: object) -> str:
