@@ -269,9 +269,7 @@ def _about(key: str, size: float, kind: str, span: Span, config: Table) -> Input
 
 def usual_value(key: str, kind: str, span: Span, config: Table) -> float:
     """Value that a file gives to a range beside its ends, else the middle of the range."""
-    node: object = config
-    for part in key.split("."):
-        node = node.get(part) if isinstance(node, Mapping) else None
+    node = overlay.value_at(config, key)
     middle = span.at(0.5)
     if isinstance(node, bool) or not isinstance(node, str | int | float):
         return middle
