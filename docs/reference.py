@@ -34,7 +34,7 @@ TABLES: tuple[tuple[str, type], ...] = (
     ("[measurements]", MeasurementSpec),
     ("[calibration]", Calibration),
     *((f'[design] with kind = "{name}"', kind) for name, kind in LAYOUTS.items()),
-    ("[[response]]", study_file.ResponseTable),
+    ("[[response]]", study_file.ResponseSpec),
     ("[[exclude]]", study_file.Exclusion),
     ("[analysis]", study_file.Analysis),
     ("[replicates]", study_file.Replicates),

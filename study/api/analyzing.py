@@ -20,8 +20,7 @@ from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.ground.tabular import NUMBER, names_of, read_csv, read_tidy_csv
-from study.harness.design.spec import ResponseSpec
-from study.harness.design.study_file import SCORED
+from study.harness.design.study_file import SCORED, ResponseSpec
 from study.harness.runner.expansion import held_out
 from study.harness.runner.record_analysis import analyze_records, effects_of_records
 from study.harness.runner.response import CURVE_RESPONSES
@@ -331,7 +330,7 @@ def _study(
     responses = list(study.records[0].responses)
     if name not in responses:
         raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, responses)))
-    declared = by_name.get(name) or ResponseSpec(name, "")
+    declared = by_name.get(name) or ResponseSpec(name, unit="")
     return analyze_records(study.design, study.records, declared, study.numerical, factors, options)
 
 

@@ -13,7 +13,8 @@ import pandas as pd
 from study.api.analyzing import analyze
 from study.api.folders import RESULTS, design_root, load_design
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
-from study.harness.design.spec import Design, ResponseSpec
+from study.harness.design.spec import Design
+from study.harness.design.study_file import ResponseSpec
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.tasks import default_jobs

@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -142,7 +142,9 @@ class Plan:
         """Document of ``study plan --json``."""
         rule, adaptive = self.design.scheme.sequential, dict[str, object]()
         if rule is not None:
-            adaptive["adaptive"] = asdict(rule) | {"most_seconds": self.most_seconds}
+            keys = ("start", "batch", "budget", "until", "q2", "seed")
+            written = {key: getattr(rule, key) for key in keys}
+            adaptive["adaptive"] = written | {"most_seconds": self.most_seconds}
         return {
             "study": self.design.name,
             "cases": self.counts,

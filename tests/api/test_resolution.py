@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from study.harness.design.load import loads
-from study.harness.design.spec import Design, Practical
-from study.harness.design.spec import ResponseSpec as Response
+from study.harness.design.spec import Design
+from study.harness.design.study_file import Practical
+from study.harness.design.study_file import ResponseSpec as Response
 from study.harness.record.record import Record, table
 from study.harness.runner.case_series import half_width
 from study.harness.runner.record_analysis import analyze_records
@@ -89,7 +90,7 @@ def columns_of(records: Sequence[Record]) -> list[NumericalUncertainty]:
 def analyzed(
     design: Design, records: Sequence[Record], transform: str = "none"
 ) -> tuple[AnalysisResult, list[NumericalUncertainty]]:
-    response = Response(NAME, "%", None, transform)
+    response = Response(NAME, unit="%", transform=transform)
     numerical = columns_of(records)
     return analyze_records(design, records, response, numerical), numerical
 
@@ -136,7 +137,7 @@ def test_a_factor_is_judged_at_each_kind_of_element_with_the_bound_of_its_own_se
         if (levels["material"], levels["model.element_order"]) == ("neo-hookean", "linear"):
             record.responses[NAME]["value"] += crooked[levels["model.mesh"]]
     result = analyze_records(
-        design, records, Response(NAME, "%", PRACTICAL, "none"), columns_of(records)
+        design, records, Response(NAME, unit="%", practical=PRACTICAL), columns_of(records)
     )
     effect = result.effect("material")
     by_order: dict[str, list[float]] = {"linear": [], "quadratic": []}

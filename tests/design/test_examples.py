@@ -11,10 +11,10 @@ import pytest
 
 from study.harness.design import load, overview
 from study.harness.design import spec as cases
-from study.harness.design.spec import Design, Practical
+from study.harness.design.spec import Design
+from study.harness.design.study_file import Practical
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.tracker.tracker_recording import load_tracking
-from study.mechanics.measurement.measurement_section import Range
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 SHIPPED = ("ecoflex-compression", "conical-indentation", "ecoflex-range", "flat-punch")
@@ -28,42 +28,6 @@ def ecoflex() -> Design:
 @pytest.fixture(scope="module")
 def conical() -> Design:
     return load.load(DESIGNS / "conical-indentation.toml")
-
-
-def test_sections_are_plain_values_in_mm_and_mpa(ecoflex: Design) -> None:
-    config = ecoflex.treatments[-1].cell.document()
-    assert config["specimen"] == {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
-    assert config["test"] == {
-        "kind": "compression",
-        "interface": "bonded",
-        "base": "bonded",  # as the interface in compression
-        "displacement_mm": 6.0,  # 20 % of 30 mm, from the range
-        "steps": 10,
-    }
-    assert config["material"] == {
-        "model": "reduced-polynomial",
-        "order": 3,
-        "constants": {},
-        "poisson_ratio": 0.4995,
-    }
-    assert config["model"] == {
-        "space": "3d",
-        "element_order": "quadratic",
-        "element_shape": "simplex",
-        "formulation": "mixed",
-        "mesh": "coarse",
-        "mesh_ratio": 1.5,
-    }
-    assert config["calibration"] == {"method": "auto", "problem": None, "leave_out": None}
-
-
-def test_measurements(ecoflex: Design) -> None:
-    spec = ecoflex.measurements
-    assert spec is not None
-    assert spec.range == Range("percent", 1.0, 20.0)
-    assert spec.range.in_mm(30.0) == (0.3, 6.0)
-    assert (spec.block, spec.average, spec.points) == ("phantom", ("repeat",), 200)
-    assert (spec.fit, spec.score, spec.swap) == ({"specimen": "A"}, {"specimen": "B"}, True)
 
 
 def test_responses(ecoflex: Design, conical: Design) -> None:
@@ -87,22 +51,6 @@ def test_frictionless_plates_are_four_answers_in_sixteen_cells(ecoflex: Design) 
     assert len(overview.calibration_groups(ecoflex)) == 20
     assert overview.inert_cells(ecoflex, "model.space") == 16
     assert overview.inert_cells(ecoflex, "plates") == 0
-
-
-def test_conical_calibration_is_compression(conical: Design) -> None:
-    cells = conical.treatments
-    assert len(cells) == 4 * 2 * 2 * 3
-    fitted = cells[0].cell.fitted.document()
-    assert fitted is not None
-    assert fitted["test"]["kind"] == "compression"
-    assert fitted["test"]["base"] == "frictionless"
-    assert fitted["test"]["displacement_mm"] == 12.0  # 30 % of 40 mm
-    assert fitted["specimen"] == cells[0].cell.document()["specimen"]  # inherited
-    assert fitted["measurements"].files == "conical/compression-{specimen}.csv"
-    # the closed form knows nothing of space, order and mesh: one fit a material
-    assert overview.calibration_factors(conical) == ("material",)
-    assert len(overview.calibration_groups(conical)) == 4
-    assert len(overview.equivalent_groups(conical)) == 48
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -147,16 +147,6 @@ def test_box_behnken(count: int, block: int, runs: int) -> None:
 
 
 @pytest.mark.parametrize("count", range(3, 11))
-def test_box_behnken_is_balanced(count: int) -> None:
-    runs = generators.box_behnken(count)
-    levels = {tuple((column == x).sum() for x in (-1, 0, 1)) for column in runs.T}
-    assert len(levels) == 1
-    low, middle, high = levels.pop()
-    assert low == high > 0
-    assert low + middle + high == len(runs)
-
-
-@pytest.mark.parametrize("count", range(3, 11))
 def test_box_behnken_estimates_every_quadratic_term(count: int) -> None:
     # a column is estimable where a part of it lies outside the span of all others, which is one
     # over its variance inflation; the center alone tells the constant from the sum of the squares

@@ -156,6 +156,9 @@ UGLY: dict[str, tuple[bytes, str]] = {
     "bars between the cells": (written("d_mm|f_N\n", UP, force(UP), sep="|").encode(), "tension"),
     "a sine that begins in its middle": (
         written("d_mm,f_N\n", SINE, force(SINE)).encode(), "tension"),
+    "an export that was appended to another, names and units again": (
+        (written("Weg,Kraft\nmm,N\n", UP[:20], force(UP[:20]))
+         + written("Weg,Kraft\nmm,N\n", UP[20:], force(UP[20:]))).encode(), "tension"),
     "slack of a twentieth of the travel": (
         written("d_mm,f_N\n", np.r_[0.0, 0.1, 0.2, UP + 0.33], np.r_[np.zeros(3), force(UP)])
         .encode(), "tension"),
@@ -299,6 +302,8 @@ def test_the_command_prints_the_table_and_one_document(tmp_path):
         (b"", "no block of 3 lines"),
         (b"only words\nand more\n", "no block of 3 lines"),
         (b"a,b\n1,2\n", "no block of 3 lines"),
+        (b"d,f\n" + 5 * b"1.5 mm,12.3 N\n", "take '(mm|N)' out of the cells"),
+        (b"d;f\n" + 5 * b"1.5D+00;1.23D+01\n", "write E for the D of the exponents"),
         (b"PK\x03\x04 no workbook", "no workbook that can be read"),
         (b"\xd0\xcf\x11\xe0 old", "workbook of Excel 2003"),
         (b"\x1f\x8b broken", "broken gzip"),

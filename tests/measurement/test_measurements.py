@@ -11,8 +11,6 @@ import pytest
 
 from study.ground import bounded_file, tabular
 from study.ground.errors import InputError
-from study.harness.design.diagnostics import Faults
-from study.harness.design.resolve import measurements_from
 from study.mechanics.measurement.measurement_section import (
     Columns,
     MeasurementSpec,
@@ -59,13 +57,43 @@ def test_a_range_that_nobody_asked_for_begins_with_the_last_test(tmp_path):
     assert found.curve("A").curve.force_N == pytest.approx(2 * np.linspace(1.5, 4, 6), rel=1e-12)
 
 
-def test_a_straight_line_is_resampled_exactly(tmp_path):
-    # ANALYTIC: f = 2 d at d = 0, 0.5, ... 4
-    found = read(tmp_path, LINE, Spec(points=9)).curve()
-    assert found.curve.displacement_mm.tolist() == np.linspace(0, 4, 9).tolist()
-    assert found.curve.force_N == pytest.approx(2 * np.linspace(0, 4, 9), abs=1e-15)
-    assert found.scatter_N is None
-    assert found.n_repeats == 1
+OFFSET = "d,f\n" + "".join(f"{x:.4f},{2 * x + 0.5:.4f}\n" for x in np.linspace(0, 4, 81))
+#: rows, keys of the table, forces at its points (by hand), and what is said of the rows
+RULES: dict[str, tuple[str, dict[str, object], list[float], list[str]]] = {
+    "a straight line": (LINE, {"points": 9}, [0, 1, 2, 3, 4, 5, 6, 7, 8], ["1 test of 5 rows"]),
+    "10 kN at 0.4 cm": (
+        "d;f\n0;0\n0,1;2,5\n0,2;5\n0,4;10\n",
+        {"decimal": ",", "units": {"displacement": "cm", "force": "kN"}},
+        [0, 2500, 5000, 7500, 10_000], [],
+    ),
+    "rows out of order and of equal displacement": (
+        "d,f\n0,0\n2,4\n1,1\n1,3\n3,5\n4,8\n", {}, [0, 2, 4, 5, 8],
+        ["1 rows out of order sorted", "2 rows of equal displacement averaged (in 1 of 1 tests)"],
+    ),
+    "a force that is not monotone": ("d,f\n0,0\n1,3\n2,2\n3,6\n4,8\n", {}, [0, 3, 2, 6, 8], []),
+    "an offset in the first row": (
+        OFFSET, {"zero": "first"}, [0, 2, 4, 6, 8],
+        ["load cell zero (first) subtracted: 0.5 to 0.5 N"],
+    ),
+    "an offset of the first tenth": (
+        OFFSET, {"zero": "fit"}, [0, 2, 4, 6, 8], ["load cell zero (fit) subtracted: 0.5 to 0.5 N"]
+    ),
+    "no load to 1 mm, then 2 N/mm, past 0.2 N at 1.1 mm": (
+        "d,f\n0,0\n0.5,0\n1,0\n2,2\n3,4\n4,6\n5.1,8.2\n", {"toe": 0.2},
+        [0.2, 2.2, 4.2, 6.2, 8.2], ["3 rows before contact dropped (toe)", "1.1 to 1.1 mm"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_rules_give_the_forces_worked_out_by_hand(tmp_path, rule):
+    text, keys, forces, said = RULES[rule]
+    found = read(tmp_path, text, Spec(**keys))
+    made = found.curve()
+    assert made.curve.displacement_mm.tolist() == np.linspace(0, 4, len(forces)).tolist()
+    assert made.curve.force_N == pytest.approx(forces, abs=1e-9)
+    assert (made.scatter_N, made.n_repeats) == (None, 1)
+    assert all(words in "\n".join(found.notes) for words in said)
 
 
 @pytest.mark.parametrize(
@@ -86,13 +114,6 @@ def test_a_straight_line_is_resampled_exactly(tmp_path):
 )
 def test_dress_of_the_file_does_not_matter(tmp_path, change):
     assert read(tmp_path, change(LINE)).curve().curve.force_N.tolist() == [0, 2, 4, 6, 8]
-
-
-def test_declared_decimal_comma_and_units(tmp_path):
-    text = "d;f\n0;0\n0,1;2,5\n0,2;5\n0,4;10\n"
-    spec = Spec(decimal=",", units={"displacement": "cm", "force": "kN"})
-    # ANALYTIC: 10 kN at 0.4 cm is 10000 N at 4 mm
-    assert read(tmp_path, text, spec).curve().curve.force_N[-1] == pytest.approx(1e4, rel=1e-15)
 
 
 def test_repeats_are_averaged_and_scatter_is_their_deviation(tmp_path):
@@ -142,38 +163,6 @@ def test_numbers_in_a_design_match_labels_in_a_file(tmp_path):
 def test_tests_are_neither_merged_nor_missed_in_silence(tmp_path, changes, words):
     shown = refusal(tmp_path, REPEATS, Spec(**changes))
     assert all(word in shown for word in words)
-
-
-def test_unsorted_and_duplicated_rows_are_mended_and_counted(tmp_path):
-    found = read(tmp_path, "d,f\n0,0\n2,4\n1,1\n1,3\n3,5\n4,8\n")
-    assert found.curve().curve.force_N.tolist() == [0, 2, 4, 5, 8]
-    notes = "\n".join(found.notes)
-    assert "1 rows out of order sorted" in notes
-    assert "2 rows of equal displacement averaged (in 1 of 1 tests)" in notes
-
-
-def test_a_force_that_is_not_monotone_is_kept(tmp_path):
-    found = read(tmp_path, "d,f\n0,0\n1,3\n2,2\n3,6\n4,8\n")
-    assert found.curve().curve.force_N.tolist() == [0, 3, 2, 6, 8]
-
-
-@pytest.mark.parametrize("rule", ["first", "fit"])
-def test_zero_of_the_load_cell(tmp_path, rule):
-    # ANALYTIC: an offset of 0.5 N on f = 2 d is removed by either rule
-    d = np.linspace(0, 4, 81)
-    text = "d,f\n" + "".join(f"{x:.4f},{2 * x + 0.5:.4f}\n" for x in d)
-    found = read(tmp_path, text, Spec(zero=rule))
-    assert found.curve().curve.force_N == pytest.approx([0, 2, 4, 6, 8], abs=1e-9)
-    assert f"load cell zero ({rule}) subtracted: 0.5 to 0.5 N" in "\n".join(found.notes)
-
-
-def test_toe_counts_displacement_from_contact(tmp_path):
-    # ANALYTIC: no load to 1 mm, then 2 N/mm; the force passes 0.2 N at 1.1 mm
-    text = "d,f\n0,0\n0.5,0\n1,0\n2,2\n3,4\n4,6\n5.1,8.2\n"
-    found = read(tmp_path, text, Spec(toe=0.2))
-    assert found.curve().curve.force_N == pytest.approx([0.2, 2.2, 4.2, 6.2, 8.2], abs=1e-12)
-    assert "3 rows before contact dropped (toe)" in "\n".join(found.notes)
-    assert "1.1 to 1.1 mm" in "\n".join(found.notes)
 
 
 @pytest.mark.parametrize(
@@ -256,15 +245,6 @@ def test_a_unit_in_the_header_must_be_the_declared_one(tmp_path):
     assert read(tmp_path, text, declared).curve().curve.force_N[-1] == pytest.approx(8000)
     plain = replace(declared, columns={"displacement": "d_mm", "force": "total_force"})
     assert read(tmp_path, text.replace("load_kN", "total_force"), plain).curve()
-
-
-def test_missing_unit(tmp_path):
-    # of a study file the fault says where and how (tests/design/test_faults.py)
-    faults = Faults()
-    columns = {"displacement": "d", "force": "f"}
-    table = {"file": "a.csv", "columns": columns, "units": {"displacement": "mm"}}
-    assert measurements_from(table, faults) is None
-    assert [f.where for f in faults] == ["measurements.units.force"]
 
 
 @pytest.mark.parametrize("label", ["=cmd|'/c calc'!A0", "@x", "a\u202eb", "x" * 201, ""])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,10 +24,12 @@ from study.mechanics.measurement.measured_test import (
     apparent_modulus,
     checked,
 )
+from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec
 from study.mechanics.measurement.phases import phases_of
 from study.mechanics.setup.setup import Setup
 
-RULES = Rules(0.5, 5.0, points=10)
+COLUMNS = Columns(displacement="d", force="f")
+RULES = Rules(MeasurementSpec(COLUMNS, points=10), 0.5, 5.0)
 UP = np.linspace(0.0, 6.0, 61)
 
 
@@ -61,7 +64,7 @@ def test_what_was_only_loaded_loses_nothing() -> None:
 
 def test_negative_displacements_have_branches_too() -> None:
     d, f = loop()
-    found = condition(-d, -f, Rules(0.5, 5.0, points=10, sign="negative"), "a loop")
+    found = condition(-d, -f, replace(RULES, spec=replace(RULES.spec, sign="negative")), "a loop")
     assert found.force_N == pytest.approx(np.linspace(0.5, 5.0, 10) ** 2, abs=0.006)
 
 
@@ -85,7 +88,8 @@ def test_a_load_cell_that_does_not_begin_at_zero(force: np.ndarray, told: float 
     else:
         # the smaller of the first reading (exact here) and the straight line
         assert found.offset == pytest.approx(told, abs=0.006)
-    assert condition(UP, force, Rules(0.5, 5.0, 10, zero="first"), "a test").offset is None
+    zeroed = replace(RULES, spec=replace(RULES.spec, zero="first"))
+    assert condition(UP, force, zeroed, "a test").offset is None
     assert is_caution(OFFSET)
 
 
@@ -93,7 +97,7 @@ def test_a_load_cell_that_does_not_begin_at_zero(force: np.ndarray, told: float 
 def test_travel_in_another_unit_is_recognised(factor: float, size: str) -> None:
     many = np.linspace(0.0, 6.0, 601)
     with pytest.raises(InputError, match=f"1000 times too {size}.*measurements.units"):
-        condition(factor * many, many, Rules(0.5, 5.0, points=10), "a test")
+        condition(factor * many, many, RULES, "a test")
 
 
 CYLINDER = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.mechanics.measurement.measurement_section import ColumnLayout as Layout
 from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec, Units
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.measurement.recording import Gauge, displacement_and_force
@@ -98,11 +97,6 @@ def test_a_file_without_a_header(tmp_path: Path, text: str) -> None:
         read_measurements(spec, tmp_path, gauge=PULLED)
     with pytest.raises(InputError, match="holds numbers: write header = false"):
         read_measurements(replace(spec, header=True), tmp_path, gauge=PULLED)
-
-
-def test_a_layout_leaves_a_plain_file_alone() -> None:
-    assert Layout().plain("a,b\n# 1,2\n", ".")[0] == "a,b\n# 1,2\n"
-    assert Layout(delimiter="semicolon").plain("a;b\n1,5;2,5", ",")[0] == "a;b\n1,5;2,5"
 
 
 @pytest.mark.parametrize(

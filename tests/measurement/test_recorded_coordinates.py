@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.harness.design.overlay import may_vary
 from study.mechanics.measurement.conditioning import slack_end
 from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
 from study.mechanics.measurement.reading import read_measurements
@@ -272,8 +271,3 @@ def test_repeats_at_other_places_share_a_grid_and_specimens_do_not(tmp_path):
     (tmp_path / "a.csv").write_text("specimen,run,d,f\n" + one + "C,1,0,0\nC,1,1,3\nC,1,2,6\n")
     found = read_measurements(spec(block="specimen"), tmp_path, own_rows=True)
     assert [len(found.curve(label).curve) for label in "ABC"] == [31, 31, 3]
-
-
-def test_the_keys_of_a_recording_may_be_overridden_and_vary():
-    for key in ("displacement_zero", "direction", "branch", "cycle"):
-        assert may_vary(f"measurements.{key}")

@@ -8,9 +8,10 @@ import pytest
 
 from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
+from study.harness.design.diagnostics import Faults, read_table
 from study.laboratory.sensors.force_model import force_model
 from study.mechanics.forward.closed_form import height_and_area
-from study.mechanics.setup.declaration import Length, read_section, section
+from study.mechanics.setup.declaration import Length, section
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat
 
 CONFIG: dict[str, Any] = {
@@ -94,4 +95,4 @@ def test_names_of_the_caller_do_not_decide_how_a_section_is_read() -> None:
     """Pydantic builds a validator at the first use, and looks names up in the frame of the user."""
     Length = Annotated = Reads = "mine"  # noqa: F841, N806
     assert Shaft(length_mm=2.0).length_mm == 2.0
-    assert read_section(Shaft, {"length_mm": "3 mm"}).length_mm == 3.0
+    assert read_table(Shaft, {"length_mm": "3 mm"}, "shaft", Faults()).length_mm == 3.0

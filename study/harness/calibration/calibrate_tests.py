@@ -296,9 +296,7 @@ def _predictions(setting: Setting, curves: Sequence[FitCurve], fit: Fit) -> tupl
         predicted, message = (known_by.get(id(curve)), "" if fit.status.usable else fit.message)
         if curve.role == "held-out" and fit.status.usable:
             predicted, message = _predicted(setting, curve, fit)
-        out.append(
-            CurveFit(curve.file, curve.specimen, curve.role, curve.measured, predicted, message)
-        )
+        out.append(CurveFit(**vars(curve), predicted=predicted, message=message))
     return tuple(out)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
+from study.harness.calibration.measured_tests import FitCurve
 from study.harness.calibration.resampling import Starts
 from study.harness.record.document import ParameterDocument
 from study.harness.record.record import plain
@@ -18,7 +19,6 @@ from study.harness.runner.response import CURVE_RESPONSES, in_shown_units, scale
 from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.material import material as conversions
 from study.mechanics.material.material import Material, unit_shown
-from study.mechanics.measurement.measured_test import MeasuredTest
 from study.mechanics.measurement.phases import RowCount
 from study.mechanics.setup.setup import Tables
 
@@ -34,17 +34,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class CurveFit:
+class CurveFit(FitCurve):
     """One measured curve and its prediction."""
 
-    file: str
-    #: Label of the specimen, where the file has several.
-    specimen: str | None
-    role: str
-    #: Mean and scatter of its repeats.
-    measured: MeasuredTest
     #: None where the model has no answer.
-    predicted: Curve | None
+    predicted: Curve | None = None
     message: str = ""
 
     def as_dict(self) -> dict[str, object]:

@@ -11,7 +11,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve
-from study.harness.design.calibration_section import CalibratedTest
+from study.harness.design.calibration_section import FRICTION, OFFSET, ZERO, CalibratedTest
 from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import fitted_test
@@ -28,9 +28,6 @@ from study.mechanics.calibration.residual_function import (
 )
 from study.mechanics.calibration.serial_correlation import row_noise
 
-OFFSET = "displacement_offset"
-ZERO = "force_zero"
-FRICTION = "friction"
 #: change of an input without an uncertainty from which its influence is taken, over its value
 _STEP = 0.01
 
@@ -138,10 +135,10 @@ class _Homogeneous:
     def __init__(self, problem: CellProblem, names: Sequence[str]) -> None:
         self._problem, self._names = problem, names
 
-    def at(self, values: Array, grids: Sequence[Array]) -> list[Curve]:
+    def at(self, values: Array, grid: Array) -> Curve:
         """Predict forces at displacements, mm; negative ones pull what others press."""
-        empty = [Curve(grid, np.zeros_like(grid)) for grid in grids]
-        return fit_task.closed_form_model(self._problem, empty, self._names)(values)
+        empty = [Curve(grid, np.zeros_like(grid))]
+        return fit_task.closed_form_model(self._problem, empty, self._names)(values)[0]
 
 
 class _Simulated(fit_task.InverseFem):
@@ -152,23 +149,24 @@ class _Simulated(fit_task.InverseFem):
         super().__init__(problem, [Curve(end, np.zeros(1))], names)
         self._solutions: dict[bytes, Curve] = {}
 
-    def at(self, values: Array, grids: Sequence[Array]) -> list[Curve]:
+    def at(self, values: Array, grid: Array) -> Curve:
         """Predict forces at displacements, mm; before contact the curve goes on as an odd one."""
         key = values.tobytes()
         if key not in self._solutions:
             self(values)
             self._solutions = {key: self._solved_last}
-        out = []
-        for grid in grids:
-            mirrored = self._at(self._solutions[key], np.abs(grid))
-            sign = np.where(grid < 0, -1.0, 1.0)
-            slopes = {name: sign * slope for name, slope in mirrored.force_gradient.items()}
-            out.append(Curve(grid, sign * mirrored.force_N, force_gradient=slopes))
-        return out
+        mirrored = self._at(self._solutions[key], np.abs(grid))
+        sign = np.where(grid < 0, -1.0, 1.0)
+        slopes = {name: sign * slope for name, slope in mirrored.force_gradient.items()}
+        return Curve(grid, sign * mirrored.force_N, force_gradient=slopes)
 
     def _solved(self, values: Array) -> Curve:
         self._solved_last = super()._solved(values)
         return self._solved_last
+
+
+#: interface of both plates, input and side to which it is moved, of a curve that is computed
+_Variant = tuple[str, str, int]
 
 
 def reach_of(param: NuisanceParameter, depth_mm: float) -> float:
@@ -183,129 +181,96 @@ class NuisancePredictions:
         self,
         parts: Sequence[FitPart],
         tests: Sequence[CalibratedTest],
+        curves: Sequence[FitCurve],
         names: Sequence[str],
-        parameters: Sequence[NuisanceParameter],
     ) -> None:
-        self._parts, self._tests = parts, tests
-        self._names, self._parameters = tuple(names), tuple(parameters)
-        self._made: dict[tuple[int, str, str, int], _Homogeneous | _Simulated] = {}
+        self.parameters = parameters_of(tests, curves)
+        self._parts, self._names = parts, tuple(names)
+        self._tests = [tests[number] for number in sorted({c.test for c in curves})]
+        self._made: dict[tuple[int, _Variant], _Homogeneous | _Simulated] = {}
 
     def __call__(self, values: Array, free: Sequence[NuisanceParameter]) -> list[Curve]:
         """Predict all curves, with their derivatives by the constants and what is asked."""
         # Shapes: values (p + k,), MPa.
-        constants = values[: len(self._names)]
-        given = {param.name: v for param, v in zip(free, values[len(self._names) :], strict=True)}
+        constants, others = np.split(values, [len(self._names)])
+        given = {param.name: value for param, value in zip(free, others, strict=True)}
         out: list[Curve] = []
         for number, part in enumerate(self._parts):
-            first = len(out)
-            places = range(first, first + len(part.measured))
-            out += self._of_part(number, part, constants, places, given)
+            for m in part.measured:
+                movers = [param for param in self.parameters if len(out) in param.curves]
+                out.append(self._curve(number, m.curve.displacement_mm, movers, constants, given))
         return out
 
-    def _of_part(
+    def _curve(
         self,
         number: int,
-        part: FitPart,
+        measured: Array,
+        movers: Sequence[NuisanceParameter],
         constants: Array,
-        places: range,
         given: Mapping[str, float],
-    ) -> list[Curve]:
-        movers = [
-            [param for param in self._parameters if place in param.curves] for place in places
-        ]
-        value = {param.name: given.get(param.name, param.expected) for param in self._parameters}
-        measured = [m.curve.displacement_mm for m in part.measured]
+    ) -> Curve:
+        """Curve of one test by its parts: shares of the computed ones add up."""
+        value = {**{param.name: param.expected for param in self.parameters}, **given}
         # the unloaded point takes part: an unknown zero is no zero there
-        points = [np.r_[0.0, grid] if grid[0] > 0 else grid for grid in measured]
-        depth = max(float(grid[-1]) for grid in points)
-        small = _SMALL * depth
-        offset = [sum(value[o.name] for o in ones if o.key == OFFSET) for ones in movers]
-        zeros = [sum(value[o.name] for o in ones if o.key == ZERO) for ones in movers]
-        grids = [
-            np.concatenate([grid + d, grid + d + small, grid + d - small])
-            for grid, d in zip(points, offset, strict=True)
-        ]
-        active = [
-            [param for param in ones if param.name in given or param.key == FRICTION]
-            for ones in movers
-        ]
-        keys = {param.key: param for ones in active for param in ones if param.is_input}
-        plates = {param.key for ones in active for param in ones} & {FRICTION}
-        curves: dict[tuple[str, str, int], list[Curve]] = {}
-        for plate in ("frictionless", "bonded") if plates else ("",):
-            curves[plate, "", 0] = self._model(number, part, plate, None, 0).at(constants, grids)
-            for key, param in keys.items():
-                for sign in (-1, 1):
-                    model = self._model(number, part, plate, param, sign)
-                    curves[plate, key, sign] = model.at(constants, grids)
-        return [
-            self._combined(k, points[k], small, zeros[k], active[k], value, given, curves)
-            for k in range(len(points))
-        ]
+        points = np.r_[0.0, measured] if measured[0] > 0 else measured
+        n, part = points.size, self._parts[number]
+        small = _SMALL * max(float(m.curve.displacement_mm[-1]) for m in part.measured)
+        offset = sum(value[param.name] for param in movers if param.key == OFFSET)
+        zero = sum(value[param.name] for param in movers if param.key == ZERO)
+        grid = np.concatenate([points + offset, points + offset + small, points + offset - small])
+        active = {p.key: p for p in movers if p.name in given or p.key == FRICTION}
+        shares = _shares(list(active.values()), value)
+        solved = {
+            (plate, key, sign): self._model(number, (plate, key, sign), active.get(key)).at(
+                constants, grid
+            )
+            for plate, key, sign in shares
+        }
+        total = _weighed(shares, solved, self._names)
+        gradient = {name: row[:n] for name, row in zip(self._names, total[1:], strict=True)}
+        # those of other curves leave this one alone
+        gradient |= {param.name: np.zeros(n) for param in self.parameters if param.name in given}
+        for mover in active.values():
+            if mover.key == OFFSET:
+                gradient[mover.name] = (total[0][n : 2 * n] - total[0][2 * n :]) / (2 * small)
+            elif mover.key == ZERO:
+                gradient[mover.name] = np.ones(n)
+            elif mover.name in given:
+                change = _shares(list(active.values()), value, mover)
+                gradient[mover.name] = _weighed(change, solved, ())[0][:n]
+        return Curve(points, total[0][:n] + zero, force_gradient=gradient)
 
     def _model(
-        self, number: int, part: FitPart, plate: str, param: NuisanceParameter | None, sign: int
+        self, number: int, variant: _Variant, moved: NuisanceParameter | None
     ) -> _Homogeneous | _Simulated:
-        name = (number, plate, "" if param is None else param.key, sign)
-        if name not in self._made:
-            problem = self._tests[number].problem
-            if param is not None:
-                moved = _input(problem, param.key) + sign * param.step
-                problem = problem.with_value(param.key, moved)
+        plate, key, sign = variant
+        if (number, variant) not in self._made:
+            problem, depth = self._tests[number].problem, self._depth(self._parts[number])
+            if moved is not None:
+                problem = problem.with_value(key, _input(problem, key) + sign * moved.step)
             if plate:
                 problem = problem.loaded(interface=plate, base=plate)
-            fitted = fitted_test("auto", problem.loaded(displacement_mm=self._depth(part)))
-            if fitted.method == "closed-form":
-                self._made[name] = _Homogeneous(fitted.problem, self._names)
-            else:
-                self._made[name] = _Simulated(fitted.problem, self._names, self._depth(part))
-        return self._made[name]
+            fitted = fitted_test("auto", problem.loaded(displacement_mm=depth))
+            self._made[number, variant] = (
+                _Homogeneous(fitted.problem, self._names)
+                if fitted.method == "closed-form"
+                else _Simulated(fitted.problem, self._names, depth)
+            )
+        return self._made[number, variant]
 
     def _depth(self, part: FitPart) -> float:
         """Depth that a simulation must reach, offsets included, mm."""
         depth = max(float(m.curve.displacement_mm.max()) for m in part.measured)
-        offsets = [param for param in self._parameters if param.key == OFFSET]
+        offsets = [param for param in self.parameters if param.key == OFFSET]
         beyond = (max(param.expected, 0) + reach_of(param, depth) for param in offsets)
         return depth + max(beyond, default=0.0) + 2 * _SMALL * depth
-
-    def _combined(
-        self,
-        k: int,
-        points: Array,
-        small: float,
-        zero: float,
-        movers: Sequence[NuisanceParameter],
-        value: Mapping[str, float],
-        given: Mapping[str, float],
-        solved: Mapping[tuple[str, str, int], Sequence[Curve]],
-    ) -> Curve:
-        """Curve of one test by its parts: shares of the computed ones add up."""
-        shares = _shares(movers, value)
-        names = self._names
-        total = _weighed(shares, solved, k, names)
-        n = points.size
-        slope = (total[0][n : 2 * n] - total[0][2 * n :]) / (2 * small)
-        gradient = {name: row[:n] for name, row in zip(names, total[1:], strict=True)}
-        for param in self._parameters:  # those of other curves leave this one alone
-            if param.name in given:
-                gradient[param.name] = np.zeros(n)
-        force = total[0][:n]
-        for mover in movers:
-            if mover.key == OFFSET:
-                gradient[mover.name] = slope
-            elif mover.key == ZERO:
-                gradient[mover.name] = np.ones(n)
-            elif mover.name in given:
-                change = _shares(movers, value, mover)
-                gradient[mover.name] = _weighed(change, solved, k, ())[0][:n]
-        return Curve(points, force + zero, force_gradient=gradient)
 
 
 def _shares(
     movers: Sequence[NuisanceParameter],
     value: Mapping[str, float],
     by: NuisanceParameter | None = None,
-) -> dict[tuple[str, str, int], float]:
+) -> dict[_Variant, float]:
     """Share of every computed curve in the one predicted, or its derivative by a parameter."""
     friction = next((param for param in movers if param.key == FRICTION), None)
     plates = {"": 1.0}
@@ -331,15 +296,11 @@ def _shares(
 
 
 def _weighed(
-    shares: Mapping[tuple[str, str, int], float],
-    solved: Mapping[tuple[str, str, int], Sequence[Curve]],
-    k: int,
-    names: Sequence[str],
+    shares: Mapping[_Variant, float], solved: Mapping[_Variant, Curve], names: Sequence[str]
 ) -> Array:
     """Sum of computed forces and gradients, shape (1 + p, n)."""
     rows = [
-        share
-        * np.array([solved[name][k].force_N, *(solved[name][k].force_gradient[n] for n in names)])
+        share * np.array([solved[name].force_N, *(solved[name].force_gradient[n] for n in names)])
         for name, share in shares.items()
     ]
     return np.asarray(np.sum(rows, axis=0))
@@ -407,14 +368,13 @@ def with_nuisance(
     bounds: Sequence[tuple[float, float]] | None = None,
 ) -> Fit:
     """Fit of the constants with what is not known exactly."""
-    parameters = parameters_of(tests, curves)
+    predictions = NuisancePredictions(parts, tests, curves, first_fit.names)
+    parameters = predictions.parameters
     if not parameters or not first_fit.converged:
         return first_fit
-    fitted_tests = [tests[number] for number in sorted({c.test for c in curves})]
-    predictions = NuisancePredictions(parts, fitted_tests, first_fit.names, parameters)
     measured = [curve for part in parts for curve in part.measured]
     simulated = any(p.method == "inverse-fem" for p in parts)
-    simulated = simulated or any(param.key == "friction" for param in parameters)
+    simulated = simulated or any(param.key == FRICTION for param in parameters)
     task = _Task(predictions, measured, first_fit.names, bounds, simulated)
     fitted = [param for param in parameters if param.is_fitted]
     plain, joint = _settled(task, fitted, first_fit)
@@ -437,10 +397,8 @@ def predicted(
     values: Array,
 ) -> list[Curve]:
     """Curves of a fit for constants and fitted nuisance parameters; values (p + k,), MPa, mm, N."""
-    parameters = parameters_of(tests, curves)
-    fitted_tests = [tests[number] for number in sorted({c.test for c in curves})]
-    free = [param for param in parameters if param.is_fitted]
-    return NuisancePredictions(parts, fitted_tests, names, parameters)(values, free)
+    predictions = NuisancePredictions(parts, tests, curves, names)
+    return predictions(values, [param for param in predictions.parameters if param.is_fitted])
 
 
 def _settled(task: _Task, fitted: Sequence[NuisanceParameter], first_fit: Fit) -> tuple[Fit, Fit]:

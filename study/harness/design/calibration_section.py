@@ -15,9 +15,10 @@ from study.harness.design.diagnostics import Faults, entries, noted, read_table,
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.calibration_table import Bounds, Fitting
 from study.mechanics.setup.declaration import (
-    AsWritten,
+    DERIVED,
     Bad,
     Reads,
+    as_written,
     choice,
     number,
     section,
@@ -42,36 +43,21 @@ _TABLES = ("specimen", "test.indenter", "material")
 _EXAMPLE = '{ uncertainty = "0.1 mm" }'
 
 
-@dataclass(frozen=True)
-class NuisanceInput:
-    """A nuisance parameter of one test, in internal units."""
-
-    #: What is expected; None for an input of the simulation, which has its value elsewhere.
-    value: float | None
-    #: Standard uncertainty before the fit; None where nothing is known.
-    uncertainty: float | None
-    #: Whether the uncertainty is a share of the value.
-    relative: bool
-    #: Whether the tests may move it.
-    treat: str
-    #: What has a value of its own.
-    each: str
-
-
 @section
-class NuisanceTable:
-    """One entry of ``[nuisance]``."""
+class NuisanceInput:
+    """One entry of ``[nuisance]``: a nuisance parameter of one test, in internal units."""
 
-    #: Standard uncertainty before the fit, or a share of the value; without one nothing is known.
-    uncertainty: AsWritten = None
-    #: What is expected, where the file does not say it elsewhere.
-    value: AsWritten = None
-    #: By default offset, zero and friction are fitted and
-    #: inputs propagated.
+    #: Standard uncertainty before the fit, or a share of the value; None where nothing is known.
+    uncertainty: Annotated[float | None, as_written()] = None
+    #: What is expected; None for an input of the simulation, which has its value elsewhere.
+    value: Annotated[float | None, as_written()] = None
+    #: Whether the tests may move it: by default offset, zero and friction are fitted and inputs
+    #: propagated.
     treat: Annotated[str | None, Reads(choice("fitted", "propagated"))] = None
-    #: What has a value of its own: every curve, every test, or
-    #: none.
-    each: Annotated[str | None, Reads(choice("curve", "test", "all"))] = None
+    #: What has a value of its own: every curve, every test, or none.
+    each: Annotated[str, Reads(choice("curve", "test", "all"))] = None  # type: ignore[assignment]
+    #: Whether the uncertainty is a share of the value.
+    relative: Annotated[bool, DERIVED] = False
 
 
 def nuisance_from(table: object, path: str, faults: Faults) -> dict[str, NuisanceInput]:
@@ -81,7 +67,7 @@ def nuisance_from(table: object, path: str, faults: Faults) -> dict[str, Nuisanc
         where = f"{path}.{key}"
         measured = noted(_dimension, key, where, faults)
         written = raw if isinstance(raw, Mapping) else {"uncertainty": raw}
-        read = read_table(NuisanceTable, written, where, faults)
+        read = read_table(NuisanceInput, written, where, faults)
         if measured is None:
             continue
         given = None
@@ -95,7 +81,10 @@ def nuisance_from(table: object, path: str, faults: Faults) -> dict[str, Nuisanc
         if read.uncertainty is None and treat == "propagated":
             rule = "is propagated, which needs an uncertainty"
             faults.add(where, rule, f'write {_EXAMPLE}, or treat = "fitted"')
-        inputs[key] = NuisanceInput(value, uncertainty, relative, treat, read.each or each)
+        inputs[key] = with_values(
+            read, uncertainty=uncertainty, value=value, treat=treat, each=read.each or each,
+            relative=relative,
+        )  # fmt: skip
     return inputs
 
 
@@ -115,7 +104,7 @@ def of_test(
 def _flat(table: Mapping[str, object]) -> dict[str, object]:
     """Keys as they are dotted in the file: TOML nests ``specimen.height`` without quotes."""
     out: dict[str, object] = {}
-    keys = set(written_keys(NuisanceTable))
+    keys = set(written_keys(NuisanceInput))
     for key, value in table.items():
         nested = isinstance(value, Mapping) and value and not keys & set(value)
         if nested and isinstance(value, Mapping):

@@ -9,8 +9,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeGuard, TypeVar
 
-from pydantic import ValidationError
-
 from study.ground.bounded_file import NotRegularError, UnreadableError, read_regular
 from study.ground.errors import Fault, InputError, UnitError, nearest
 from study.mechanics.setup.declaration import (
@@ -19,8 +17,8 @@ from study.mechanics.setup.declaration import (
     choice,
     keys_of,
     quoted,
-    read_section,
     shown,
+    values_of,
     written_keys,
 )
 
@@ -46,27 +44,32 @@ def read_table(
     """Read one table and the tables in it; every fault is noted, and a faulty value is None."""
     # A section with None where it must not be lives as long as the file is checked: whoever loads
     # one raises the faults.
-    if not isinstance(table, Mapping):
-        faults.add(path, f"must be a table, got {shown(table)}", f"write [{path}]")
-        return _partial(kind, {}, {key.written for key in keys_of(kind) if key.must_be_written})
-    given = {key: value for key, value in table.items() if key not in also}
-    bad = _unwritten(kind, given, path, faults) | _foreign(kind, given, path, faults, also)
-    for key in keys_of(kind):
-        if key.kind is not None and key.written in given:
-            given[key.written] = _within(key, key.kind, given[key.written], path, faults)
-    try:
-        section = read_section(kind, {key: value for key, value in given.items() if key not in bad})
-    except ValidationError as error:
-        bad |= _invalid(error, path, faults, bad)
+    written: Table = {}
+    if isinstance(table, Mapping):
+        written = {key: value for key, value in table.items() if key not in also}
     else:
-        if not bad:
-            return section
-    return _partial(kind, given, bad)
+        faults.add(path, f"must be a table, got {shown(table)}", f"write [{path}]")
+    valid = written_keys(kind)
+    for key in (key for key in written if key not in valid):
+        faults.add(_dotted(path, quoted(key)), "unknown key", nearest(key, [*valid, *also]))
+    values: dict[str, object] = {}
+    for declared in keys_of(kind):
+        where, key = _dotted(path, declared.written), declared.written
+        values[declared.name] = declared.default
+        if key in valid and key in written:
+            values[declared.name] = _read_key(declared, written[key], where, faults)
+        elif declared.must_be_written:
+            values[declared.name] = None
+            if isinstance(table, Mapping):
+                faults.add(where, "is missing", declared.mend)
+    return unchecked(kind, values)
 
 
-def _within(key: Key, kind: type, value: object, path: str, faults: Faults) -> object:
-    """Read a table within a table, or a list of tables."""
-    where, rows = _dotted(path, key.written), key.rows
+def _read_key(key: Key, value: object, where: str, faults: Faults) -> object:
+    """Read the value of a key, a table within a table, or a list of tables."""
+    if key.kind is None:
+        return value if key.reads is None else noted(key.reads, value, where, faults)
+    rows, kind = key.rows, key.kind
     if rows is None:
         return read_table(kind, value, where, faults)
     if not isinstance(value, list) or not rows.least <= len(value) <= rows.most:
@@ -74,6 +77,14 @@ def _within(key: Key, kind: type, value: object, path: str, faults: Faults) -> o
         faults.add(where, rule, rows.mend or f"write [[{where}]]")
         return ()
     return tuple(read_table(kind, row, f"{where}[{i}]", faults) for i, row in enumerate(value))
+
+
+def unchecked(kind: type[Kind], values: Mapping[str, object]) -> Kind:
+    """Section of values that nobody checks again, None where one is faulty."""
+    section = object.__new__(kind)
+    for name, value in values.items():
+        object.__setattr__(section, name, value)
+    return section
 
 
 def read_variant(
@@ -89,7 +100,8 @@ def read_variant(
         if word is not None:
             return read_table(kinds[word], table, path, faults)
     first = next(iter(kinds.values()))
-    return _partial(first, {}, {key.written for key in keys_of(first) if key.reads is not None})
+    read = {key.name: key.default if key.reads is None else None for key in keys_of(first)}
+    return unchecked(first, read)
 
 
 def entries(value: object, path: str, faults: Faults) -> Table:
@@ -120,56 +132,11 @@ def is_known(*values: object) -> bool:
 
 def with_values(section: Kind, **values: object) -> Kind:
     """Copy of a section that may be faulty with other values, which nobody checks again."""
-    kind = type(section)
-    made = object.__new__(kind)
-    for key in keys_of(kind):
-        object.__setattr__(made, key.name, values.get(key.name, getattr(section, key.name)))
-    return made
-
-
-def _unwritten(kind: type, written: Table, path: str, faults: Faults) -> set[str]:
-    """Note the keys that must stand in a file and do not."""
-    missing = [k for k in keys_of(kind) if k.must_be_written and k.written not in written]
-    for key in missing:
-        faults.add(_dotted(path, key.written), "is missing", key.mend)
-    return {key.written for key in missing}
-
-
-def _foreign(
-    kind: type, written: Table, path: str, faults: Faults, also: Collection[str]
-) -> set[str]:
-    """Note the keys that nobody declares."""
-    valid = written_keys(kind)
-    foreign = [key for key in written if key not in valid]
-    for key in foreign:
-        faults.add(_dotted(path, quoted(key)), "unknown key", nearest(key, [*valid, *also]))
-    return set(foreign)
-
-
-def _invalid(invalid: ValidationError, path: str, faults: Faults, noted: set[str]) -> set[str]:
-    """Note the errors of pydantic, each of one key, but for the keys that are noted."""
-    errors = {str(error["loc"][0]): error for error in invalid.errors(include_url=False)}
-    for key, error in errors.items():
-        if key not in noted:
-            broken = error["ctx"]["error"]
-            faults.add(_dotted(path, key), broken.rule, broken.mend)
-    return set(errors)
+    return unchecked(type(section), {**values_of(section), **values})
 
 
 def _dotted(path: str, key: str) -> str:
     return f"{path}.{key}" if path and key else path or key
-
-
-def _partial(kind: type[Kind], written: Table, bad: set[str]) -> Kind:
-    """Values of the keys that are right, the defaults of those left out, None for the others."""
-    section = object.__new__(kind)
-    for key in keys_of(kind):
-        value = None if key.written in bad else key.default
-        if key.written in written and key.written not in bad:
-            raw = written[key.written]
-            value = raw if key.reads is None else key.reads(raw)
-        object.__setattr__(section, key.name, value)
-    return section
 
 
 def quoted_path(key: str) -> str:
@@ -208,14 +175,12 @@ def read_text(path: str | Path) -> str:
     except UnreadableError as error:
         raise InputError(Fault(repr(source), error.rule)) from error
     if raw is None:
-        raise InputError(Fault(source, "there is no such file", _beside(Path(path))))
+        place = Path(path)
+        names = sorted(p.name for p in place.parent.glob(f"*{place.suffix}") if p.is_file())[:20]
+        mend = "study new FILE writes a design to start from"
+        mend = nearest(place.name, names) if names else mend
+        raise InputError(Fault(source, "there is no such file", mend))
     return decode(raw, source)
-
-
-def _beside(path: Path) -> str:
-    """Name the files in the same folder that could have been meant."""
-    names = sorted(p.name for p in path.parent.glob(f"*{path.suffix}") if p.is_file())[:20]
-    return nearest(path.name, names) if names else "study new FILE writes a design to start from"
 
 
 def decode(raw: bytes, source: str) -> str:

@@ -167,18 +167,15 @@ def _check_overlap(factors: Sequence[Factor], faults: Faults) -> None:
     """Two factors that set one key would hide one another."""
     owner: dict[str, str] = {}
     for factor in factors:
-        for slot in {_slot(key) for key in factor.keys}:
+        slots = set()
+        for key in factor.keys:  # or the first of the keys that cannot stand beside it
+            table, _, last = key.rpartition(".")
+            alternatives = overlay.PLACES[table].alternatives if table in overlay.PLACES else ()
+            slots.add(f"{table}.{alternatives[0]}" if last in alternatives else key)
+        for slot in slots:
             if owner.setdefault(slot, factor.name) != factor.name:
                 rule = f"sets {slot}, which the factor {owner[slot]!r} sets too"
                 faults.add(f"factors.{factor.name}", rule, "let one of the two set it")
-
-
-def _slot(key: str) -> str:
-    """Key, or the first of the keys that cannot stand beside it."""
-    table, _, last = key.rpartition(".")
-    place = overlay.PLACES.get(table)
-    alternatives = () if place is None else place.alternatives
-    return f"{table}.{alternatives[0]}" if last in alternatives else key
 
 
 def exclusions_from(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Literal
 
@@ -17,7 +18,6 @@ from study.harness.design.diagnostics import Faults, noted, read_table
 from study.harness.design.generators import Word, d_optimal, efficiency
 from study.harness.design.layouts import (
     MAX_CELLS,
-    MAX_RUNS,
     BoxBehnken,
     CentralComposite,
     Fractional,
@@ -39,7 +39,6 @@ from study.mechanics.setup.declaration import (
     Reads,
     choice,
     integer,
-    number,
     section,
     shown,
 )
@@ -65,9 +64,7 @@ class DOptimal:
             partial(words_of, names), 1 if self.terms is None else self.terms, "design.terms",
             request.faults,
         )  # fmt: skip
-        if words is None or not self.runs or request.is_faulty("seed"):
-            return request.nothing
-        if not self._fits(request, sizes, words):
+        if words is None or not self._fits(request, sizes, words):
             return request.nothing
         seed = request.seed if self.seed is None else self.seed
         rows = d_optimal(sizes, words, self.runs, seed)
@@ -126,41 +123,10 @@ def word_of(names: Sequence[str], term: object) -> Word:
 #: fewest cells at the beginning for each range: an emulator needs three
 FEWEST = 3
 
-_UNTIL = ("q2", "verdict")
-
-
-def _added(value: object) -> tuple[tuple[float, ...], ...]:
-    """Read cells that a run has added, as shares of every range."""
-    if not isinstance(value, list):
-        raise Bad(f"must be a list of cells, got {shown(value)}", "leave it to `study run`")
-    share = number(0.0, 1.0, closed=True)
-    return tuple(tuple(share(x) for x in (c if isinstance(c, list) else [c])) for c in value)
-
-
-_Count = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
-
 
 @section
-class Adaptive:
+class Adaptive(Sequential):
     """Cells that are chosen by what those before them have shown."""
-
-    #: Cells of the Latin hypercube that it begins with, equally many at every combination of the
-    #: factors that are no ranges.
-    start: _Count
-    #: Most cells in all.
-    budget: _Count
-    kind: Literal["adaptive"] = "adaptive"
-    #: Cells added at a time; it decides the result, the number of workers does not.
-    batch: Annotated[int, Reads(integer(1, 100))] = 4
-    #: What ends it before the budget does: every response has this Q2, or every
-    #: factor a verdict.
-    until: Annotated[str, Reads(choice(*_UNTIL))] = "q2"
-    #: Leave-one-out Q2 that is enough.
-    q2: Annotated[float, Reads(number(0.5, 1.0))] = 0.95
-    #: Of the draw; that of ``[study]`` by default.
-    seed: Annotated[int | None, Reads(integer(0, 2**32 - 1))] = None
-    #: Cells that a run has added: the share of every factor's range, in the order of the factors.
-    added: Annotated[tuple[tuple[float, ...], ...], Reads(_added)] = ()
 
     def make(self, request: Request) -> Made:
         """Draw the first cells, and place those that were added."""
@@ -175,11 +141,9 @@ class Adaptive:
         made, rows = placed(factors, every, each_alone=True)
         if len(set(rows)) < len(rows):
             request.fault("added", "two cells are the same", "leave it to `study run`")
-        settings = Sequential(self.start, self.batch, self.budget, self.until, self.q2, seed)
         note = "cells are added where an emulator is least sure: see the surface"
-        return made, Scheme(
-            self.kind, rows, self._summary(seed), (note,), sequential=settings
-        )  # fmt: skip
+        settings = replace(self, seed=seed)
+        return made, Scheme(self.kind, rows, self._summary(seed), (note,), sequential=settings)
 
     def _summary(self, seed: int) -> str:
         goal = (
@@ -200,8 +164,6 @@ class Adaptive:
         if not ranges:
             mend = 'write one as { low = "28 mm", high = "32 mm" }'
             request.fault("kind", "no factor is a range to be filled", mend)
-        sound = None not in (self.start, self.budget, self.batch, self.added, self.until, self.q2)
-        if not sound or request.is_faulty("seed") or not ranges:
             return False
         least = FEWEST * ranges * others
         if self.start < least or self.start % others:
@@ -282,14 +244,18 @@ def scheme_from(
 ) -> Made:
     """Read ``[design]`` (None where it is left out) and give every factor the levels it needs."""
     written = {} if table is None else table
-    layout = written.get("kind", "full") if isinstance(written, Mapping) else "full"
-    kind = noted(choice(*LAYOUTS), layout, "design.kind", faults)
+    word = written.get("kind", "full") if isinstance(written, Mapping) else "full"
+    kind = noted(choice(*LAYOUTS), word, "design.kind", faults)
     if kind is None or not factors:
         return _few(factors), Scheme()
     before = len(faults)
     if excluding and kind not in ("full", "listed"):
         faults.add("exclude", f"a {kind} design cannot lose runs", 'use kind = "full", or none')
-    made = read_table(LAYOUTS[kind], written, "design", faults).make(Request(factors, seed, faults))
+    layout = read_table(LAYOUTS[kind], written, "design", faults)
+    made = factors, Scheme()
+    # of a key that nobody declares the others do not depend
+    if all(fault.rule == "unknown key" for fault in faults[before:]):
+        made = layout.make(Request(factors, seed, faults))
     return (_few(factors), Scheme()) if len(faults) > before else made
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.errors import nearest
 from study.harness.design import generators
-from study.harness.design.diagnostics import Faults, flatten, is_known, noted
+from study.harness.design.diagnostics import Faults, flatten, noted
 from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
 from study.harness.design.spec import Factor, Scheme
+from study.harness.design.study_file import MAX_RUNS
 from study.mechanics.setup.declaration import (
     AsWritten,
     Bad,
@@ -50,10 +51,6 @@ class Request:
     def fault(self, key: str, rule: str, mend: str = "") -> None:
         """Note a fault of a key of ``[design]``."""
         self.faults.add(f"design.{key}", rule, mend)
-
-    def is_faulty(self, key: str) -> bool:
-        """Whether a key of ``[design]`` has a fault, and is None for it."""
-        return any(fault.where == f"design.{key}" for fault in self.faults)
 
     @property
     def nothing(self) -> Made:
@@ -158,9 +155,13 @@ class Full:
             return (), Scheme()
         if not zipped and not nests:
             return request.nothing
-        rows = tuple(row for row in _product(factors, zipped) if _allowed(row, factors, nests))
+        rows = []
+        for row in _product(factors, zipped):
+            labels = {f.name: f.labels[i] for f, i in zip(factors, row, strict=True)}
+            if all(labels[child] in within[labels[of]] for child, (of, within) in nests.items()):
+                rows.append(row)
         summary = f"{len(rows)} of {math.prod(len(f.levels) for f in factors)} combinations"
-        return factors, Scheme("full", rows, summary, _told(zipped, nests))
+        return factors, Scheme("full", tuple(rows), summary, _told(zipped, nests))
 
 
 def _told(zipped: Sequence[tuple[str, ...]], nests: Nests) -> tuple[str, ...]:
@@ -184,11 +185,6 @@ def _product(factors: Sequence[Factor], zipped: Sequence[tuple[str, ...]]) -> li
         index = dict(zip((f.name for f in free), combination, strict=True))
         rows.append(tuple(index[leader.get(f.name, f.name)] for f in factors))
     return rows
-
-
-def _allowed(row: Sequence[int], factors: Sequence[Factor], nests: Nests) -> bool:
-    labels = {f.name: f.labels[i] for f, i in zip(factors, row, strict=True)}
-    return all(labels[child] in within[labels[parent]] for child, (parent, within) in nests.items())
 
 
 def _zipped(factors: Sequence[Factor], value: object) -> tuple[tuple[str, ...], ...]:
@@ -217,16 +213,16 @@ def _nests(tables: Sequence[Nested], request: Request) -> Nests | None:
     """Nested factors; None where one is faulty."""
     faults = request.faults
     nests: dict[str, tuple[str, Mapping[str, tuple[str, ...]]]] = {}
-    sound = not request.is_faulty("nested")
+    sound = True
     by_name = {factor.name: factor for factor in request.factors}
     for i, table in enumerate(tables):
         where, before = f"design.nested[{i}]", len(faults)
         factor_named = partial(_known, by_name)
         child, parent = (
-            noted(factor_named, value, f"{where}.{key}", faults) if is_known(value) else None
+            noted(factor_named, value, f"{where}.{key}", faults)
             for key, value in (("factor", table.factor), ("within", table.within))
         )
-        if child is None or parent is None or not is_known(table.levels):
+        if child is None or parent is None:
             sound = False
             continue
         if child == parent or child in nests or parent in nests:
@@ -273,8 +269,6 @@ class Listed:
 
     def make(self, request: Request) -> Made:
         """Look up the levels of every treatment."""
-        if self.treatments is None:
-            return request.nothing
         read = partial(_treatments, request.factors)
         made = noted(read, self.treatments, "design.treatments", request.faults)
         if made is None:
@@ -367,8 +361,7 @@ class Fractional:
         if self.generators is not None:
             read = partial(_words, labels)
             given = noted(read, self.generators, "design.generators", request.faults)
-        exactly_one = (self.generators is None) != (self.resolution is None)
-        if not exactly_one and not request.is_faulty("resolution"):
+        if (self.generators is None) == (self.resolution is None):
             mend = 'for example generators = ["C = A:B"], or resolution = 4'
             request.fault("generators", "or a resolution must be given, and not both", mend)
             return request.nothing
@@ -509,7 +502,7 @@ class CentralComposite:
 
     def make(self, request: Request) -> Made:
         """Rotatable design, or the face-centered one."""
-        if not self.star or not _spans(request, 2):
+        if not _spans(request, 2):
             return request.nothing
         runs = generators.central_composite(len(request.factors), self.star)
         what = "rotatable" if self.star == "inscribed" else "face-centered"
@@ -549,8 +542,6 @@ def _surface(request: Request, kind: str, runs: Array, what: str) -> Made:
 
 # Space-filling designs: samples of the ranges of the factors.
 
-MAX_RUNS = 1024
-
 _Runs = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
 _Seed = Annotated[int | None, Reads(integer(0, 2**32 - 1))]
 
@@ -581,7 +572,7 @@ class Sobol:
 
     def make(self, request: Request) -> Made:
         """Sample the ranges."""
-        if self.runs and self.runs & (self.runs - 1):
+        if self.runs & (self.runs - 1):
             near = 2 ** round(math.log2(self.runs))
             rule = f"must be a power of two, got {self.runs}"
             request.fault("runs", rule, f"for example {near}")
@@ -595,8 +586,6 @@ def _filled(
     if all(factor.span is None for factor in request.factors):
         mend = 'write one as { low = "28 mm", high = "32 mm" }'
         request.fault("kind", "no factor is a range to be filled", mend)
-    if not runs or request.is_faulty("seed"):
-        return request.nothing
     drawn_seed = request.seed if seed is None else seed
     words = f"{kind.replace('-', ' ')}: {runs} cells, seed {drawn_seed}".capitalize()
     shares = draw(len(request.factors), runs, drawn_seed)

@@ -146,8 +146,8 @@ def lay(tables: Table, settings: Table) -> dict[str, object]:
 def _make_room(merged: dict[str, object], key: str, value: object) -> None:
     table, _, last = key.rpartition(".")
     name = re.sub(f"^{_REPLACED}", "", table)
-    place, node = PLACES.get(name), _node(merged, table)
-    if place is None or node is None:
+    place, node = PLACES.get(name), value_at(merged, table)
+    if place is None or not isinstance(node, dict):
         return
     if last in place.alternatives:
         for other in place.alternatives:
@@ -157,12 +157,12 @@ def _make_room(merged: dict[str, object], key: str, value: object) -> None:
             del node[other]
 
 
-def _node(tables: dict[str, object], path: str) -> dict[str, object] | None:
-    """Table at a dotted path."""
+def value_at(tables: Table, path: str) -> object:
+    """Value at a dotted path of nested tables; None where there is none."""
     node: object = tables
     for part in path.split("."):
-        node = node.get(part) if isinstance(node, dict) else None
-    return node if isinstance(node, dict) else None
+        node = node.get(part) if isinstance(node, Mapping) else None
+    return node
 
 
 def _belongs(table: str, ruling: object, key: str) -> bool:

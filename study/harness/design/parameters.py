@@ -122,21 +122,14 @@ def parameters_from(
         if noted(parameter_name, name, where, faults) is None:
             continue
         read = noted(_read, raw, where, faults)
-        kind = None if name not in usual or usual[name] is raw else _kind(usual[name])
-        if read is not None and kind is not None:
-            read = noted(partial(_like, read, kind), raw, where, faults)
+        if read is not None and name in usual and usual[name] is not raw:
+            with suppress(Bad):  # of the file's own value it is told where that stands
+                read = noted(partial(_like, read, _read(usual[name])), raw, where, faults)
         if read is not None:
             values[name] = read[0]
             if read[1]:
                 units_read[name] = read[1]
     return values, units_read
-
-
-def _kind(raw: object) -> tuple[Value, str] | None:
-    try:
-        return _read(raw)
-    except Bad:
-        return None  # told where it stands
 
 
 def _like(read: tuple[Value, str], usual: tuple[Value, str], raw: object) -> tuple[Value, str]:

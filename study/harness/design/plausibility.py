@@ -16,7 +16,6 @@ from study.mechanics.material.stability import PLAUSIBLE_MU0, stability, surface
 from study.mechanics.setup.declaration import values_of
 from study.mechanics.setup.geometry import (
     Cone,
-    Cylinder,
     Enclosed,
     Flat,
     Homogeneous,
@@ -249,14 +248,9 @@ def _unstable(
 
 def half_width(specimen: Specimen) -> float | None:
     """Distance from the axis of a specimen to its nearest side, mm."""
-    if isinstance(specimen, Enclosed):
+    if isinstance(specimen, Enclosed) or not is_known(*values_of(specimen).values()):
         return None
-    if isinstance(specimen, Homogeneous):
-        return specimen.half_width_mm
-    if isinstance(specimen, Cylinder):
-        return specimen.radius_mm
-    is_read = is_known(specimen.width_mm, specimen.depth_mm)
-    return specimen.half_width_mm if is_read else None
+    return specimen.half_width_mm
 
 
 def footprint(indenter: Indenter, depth: float | None) -> float | None:

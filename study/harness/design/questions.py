@@ -17,6 +17,7 @@ from study.harness.design.diagnostics import (
     Table,
     entries,
     flatten,
+    is_known,
     noted,
     read_table,
     with_values,
@@ -27,13 +28,14 @@ from study.harness.design.generators import clear_order, model_columns
 from study.harness.design.layout_kinds import word_of, words_of
 from study.harness.design.material_table import DISTRIBUTION_KEYS, PARAMETERS, InputDistribution
 from study.harness.design.parameters import number_in
-from study.harness.design.spec import Expected, Factor, Practical, ResponseSpec, Scheme, Span
+from study.harness.design.spec import Expected, Factor, Scheme, Span
 from study.harness.design.study_file import (
     AT_DISPLACEMENT,
     RESPONSES,
     SIMULATED,
     Analysis,
-    ResponseTable,
+    Practical,
+    ResponseSpec,
     Terms,
     is_simulated,
     response_unit,
@@ -66,7 +68,7 @@ _DIMENSION = {
 
 
 def responses_from(
-    tables: Sequence[ResponseTable], declared: Mapping[str, str], alone: bool, faults: Faults
+    tables: Sequence[ResponseSpec], declared: Mapping[str, str], alone: bool, faults: Faults
 ) -> tuple[ResponseSpec, ...]:
     """Responses with their units; a faulty one has no name.
 
@@ -84,7 +86,7 @@ def responses_from(
 
 
 def _response(
-    table: ResponseTable, where: str, declared: Mapping[str, str], alone: bool, faults: Faults
+    table: ResponseSpec, where: str, declared: Mapping[str, str], alone: bool, faults: Faults
 ) -> ResponseSpec:
     name, unit = _name(table, where, faults), None
     if name in declared:
@@ -101,7 +103,7 @@ def _response(
         rule = f"{name!r} is a column of the table of cases"
         faults.add(f"{where}.name", rule, f"call it, for example, {name}_value")
         name = ""
-    if table.unit is not None and name:
+    if is_known(table.unit) and name:
         if unit is not None and unit != table.unit:
             rule = f"{name} is in {unit or 'no unit'}, not in {table.unit or 'no unit'}"
             faults.add(f"{where}.unit", rule, "leave it out, or name the value's own unit")
@@ -110,10 +112,10 @@ def _response(
     if name and table.practical is not None:
         read = partial(_practical, unit)
         practical = noted(read, table.practical, f"{where}.practical", faults)
-    return ResponseSpec(name, unit, practical, table.transform or "none")
+    return with_values(table, name=name, unit=unit, practical=practical)
 
 
-def _name(table: ResponseTable, where: str, faults: Faults) -> str:
+def _name(table: ResponseSpec, where: str, faults: Faults) -> str:
     """Name of a response; one at a displacement carries it, so that every table says it."""
     name, place = table.name or "", table.displacement
     if name in AT_DISPLACEMENT:
@@ -267,9 +269,7 @@ def _about(key: str, size: float, kind: str, span: Span, config: Table) -> Input
 
 def usual_value(key: str, kind: str, span: Span, config: Table) -> float:
     """Value that a file gives to a range beside its ends, else the middle of the range."""
-    node: object = config
-    for part in key.split("."):
-        node = node.get(part) if isinstance(node, Mapping) else None
+    node = overlay.value_at(config, key)
     middle = span.at(0.5)
     if isinstance(node, bool) or not isinstance(node, str | int | float):
         return middle

@@ -30,7 +30,7 @@ from study.harness.design.forward_model import Refinement
 from study.harness.design.forward_section import ForwardModel
 from study.harness.design.material_table import material_from
 from study.harness.design.parameters import ParameterProblem, parameters_from, stands_alone
-from study.harness.design.study_file import CalibrationFile, Converge, TestTable
+from study.harness.design.study_file import CalibrationFile, Converge
 from study.mechanics.measurement.measurement_section import (
     KINEMATIC,
     KINETIC,
@@ -379,7 +379,13 @@ def resolve_calibration(
     file: CalibrationFile, tables: Table, name: str, faults: Faults
 ) -> CalibrationDesign:
     """Resolve a calibration: its tests in internal units, and the bounds of its constants."""
-    problems = [_test(tables, test, f"tests[{i}]", faults) for i, test in enumerate(file.tests)]
+    problems = []
+    for i, test in enumerate(file.tests):  # its own tables replace those of the file
+        keys = ("test", "measurements", "specimen", "model")
+        given = {key: value for key in keys if (value := getattr(test, key)) is not None}
+        places = {key: f"tests[{i}].{key}" for key in given}
+        every = {"test": {}, **tables, **given}
+        problems.append(resolve_problem(every, faults, places=places, all_rows=True))
     if all_about(faults, "calibration") and not any(test.role == "fit" for test in file.tests):
         faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
     is_read = bool(problems) and not any(is_about(fault, "material") for fault in faults)
@@ -404,14 +410,6 @@ def resolve_calibration(
         if (spec := problem.measurements) is not None  # it must stand in the file
     )
     return CalibrationDesign(name, tests, file.calibration, bounds)
-
-
-def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellProblem:
-    """Resolve one of the ``[[tests]]``, whose own tables replace those of the file."""
-    keys = ("test", "measurements", "specimen", "model")
-    given = {key: value for key in keys if (value := getattr(test, key)) is not None}
-    places = {key: f"{where}.{key}" for key in given}
-    return resolve_problem({"test": {}, **tables, **given}, faults, places=places, all_rows=True)
 
 
 def _bounds(fitting: Fitting, names: tuple[str, ...] | None, faults: Faults) -> Bounds:

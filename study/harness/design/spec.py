@@ -29,6 +29,7 @@ from study.harness.design.study_file import (
     Exclusion,
     Replicates,
     Report,
+    ResponseSpec,
     Sequential,
     Virtual,
 )
@@ -109,25 +110,6 @@ class Scheme:
     terms: tuple[str, ...] = ()
     #: How cells are added while it runs.
     sequential: Sequential | None = None
-
-
-@dataclass(frozen=True)
-class Practical:
-    """Smallest difference that matters: in ``unit``, or in percent of the mean."""
-
-    value: float
-    unit: str
-    relative: bool
-
-
-@dataclass(frozen=True)
-class ResponseSpec:
-    """One scalar answer of a case, with its own analysis."""
-
-    name: str
-    unit: str
-    practical: Practical | None = None
-    transform: str = "none"
 
 
 @dataclass(frozen=True)

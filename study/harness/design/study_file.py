@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -97,6 +97,8 @@ SCHEMA = 1
 MAX_RESPONSES = 50
 MAX_EXCLUSIONS = 4096
 MAX_TESTS = 1000
+#: cells of a design that draws them
+MAX_RUNS = 1024
 #: terms that may be declared primary before the run
 MOST_PRIMARY = 3
 #: responses that compare with measured curves
@@ -296,19 +298,38 @@ class Replicates:
     n: Annotated[int, Reads(integer(2, MOST_SEEDS))] = 2
 
 
-@dataclass(frozen=True)
+def _added(value: object) -> tuple[tuple[float, ...], ...]:
+    """Read cells that a run has added, as shares of every range."""
+    if not isinstance(value, list):
+        raise Bad(f"must be a list of cells, got {shown(value)}", "leave it to `study run`")
+    share = number(0.0, 1.0, closed=True)
+    return tuple(tuple(share(x) for x in (c if isinstance(c, list) else [c])) for c in value)
+
+
+_Cells = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
+
+
+@section
 class Sequential:
     """How cells are added to a design while it runs."""
 
-    #: Cells that it begins with, that are added at a time, and at most in all.
-    start: int
-    batch: int
-    budget: int
-    #: What ends it before its budget does.
-    until: str
+    #: Cells of the Latin hypercube that it begins with, equally many at every combination of the
+    #: factors that are no ranges.
+    start: _Cells
+    #: Most cells in all.
+    budget: _Cells
+    kind: Literal["adaptive"] = "adaptive"
+    #: Cells added at a time; it decides the result, the number of workers does not.
+    batch: Annotated[int, Reads(integer(1, 100))] = 4
+    #: What ends it before the budget does: every response has this Q2, or every
+    #: factor a verdict.
+    until: Annotated[str, Reads(choice("q2", "verdict"))] = "q2"
     #: Leave-one-out Q2 that is enough.
-    q2: float
-    seed: int
+    q2: Annotated[float, Reads(number(0.5, 1.0))] = 0.95
+    #: Of the draw; that of ``[study]`` by default.
+    seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = None  # type: ignore[assignment]
+    #: Cells that a run has added: the share of every factor's range, in the order of the factors.
+    added: Annotated[tuple[tuple[float, ...], ...], Reads(_added)] = ()
 
 
 @section
@@ -351,18 +372,27 @@ class Analysis:
     contrasts: Annotated[tuple[str, ...], Reads(texts("contrasts", "stiff - soft"))] = ()
 
 
+@dataclass(frozen=True)
+class Practical:
+    """Smallest difference that matters: in ``unit``, or in percent of the mean."""
+
+    value: float
+    unit: str
+    relative: bool
+
+
 @section
-class ResponseTable:
+class ResponseSpec:
     """One ``[[response]]``: ``practical`` in its unit, a force or stiffness at ``displacement``."""
 
     name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
     displacement: Length | None = None
     #: Smallest difference that matters, in its unit or as a share: "0.05 N", "2 pp", "5 % of mean".
-    practical: AsWritten = None
+    practical: Annotated[Practical | None, as_written()] = None
     #: Scale on which it is analyzed.
     transform: Annotated[str, Reads(choice("none", "log"))] = "none"
     #: Of a value that a Python function returns, or a program that says none.
-    unit: Annotated[str | None, Reads(value_unit)] = None
+    unit: Annotated[str, Reads(value_unit)] = None  # type: ignore[assignment]
 
 
 @section
@@ -401,7 +431,7 @@ class TestTable:
 
 
 _Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
-_Responses = Annotated[tuple[ResponseTable, ...], Rows(1, MAX_RESPONSES, RESPONSES_MEND)]
+_Responses = Annotated[tuple[ResponseSpec, ...], Rows(1, MAX_RESPONSES, RESPONSES_MEND)]
 _Exclusions = Annotated[tuple[Exclusion, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
 _Constraints = Annotated[
     tuple[ConstraintTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[constraint]]")

@@ -24,7 +24,8 @@ from study.statistics.analysis.strata import common_seeds
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design, ResponseSpec
+    from study.harness.design.spec import Design
+    from study.harness.design.study_file import ResponseSpec
     from study.harness.record.record import Record
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult

@@ -276,7 +276,7 @@ def read_curves(
     counts: list[RowCount] = []
     for one in recorded.tests:
         try:
-            test, did = specimens(one, spec, rules)
+            test, did = specimens(one, rules)
         except InputError as error:
             faults += error.faults
             nothing = np.empty(0)

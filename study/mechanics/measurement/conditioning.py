@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,7 +29,8 @@ from study.ground.arrays import Array, Ints
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.measured_test import IMPLAUSIBLE
-from study.mechanics.measurement.phases import NO_FORCE, Branch, Phase, SpecimenRows, phases_of
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.phases import NO_FORCE, Phase, SpecimenRows, counted, phases_of
 
 ZERO_FIT_SHARE = 0.1
 MIN_ROWS = 3
@@ -60,40 +61,33 @@ _CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE, PERCENT, RELAXED)
 
 @dataclass(frozen=True)
 class Rules:
-    """How the rows of every test of a study become a curve."""
+    """How the rows of every test of a study become a curve, and where they end."""
 
+    spec: MeasurementSpec
     #: Range of displacement that is kept.
     low_mm: float
     high_mm: float
-    #: Number of displacements, even over the range; 0 for the rows as they are.
-    points: int = 200
-    #: {"positive", "negative"}: declared sign of the force where the specimen resists.
-    sign: str = "positive"
-    #: {"none", "first", "fit"}: rule of the load cell's zero.
-    zero: str = "none"
-    #: Force at which contact counts as made.
-    toe_N: float | None = None
     #: Height of the specimen, for messages in percent.
     height_mm: float | None = None
-    #: {"auto", "rising", "falling"}: way of the recorded displacement into the specimen.
-    direction: str = "auto"
-    #: {"first row", "contact"} or recorded displacement in mm; None where the file's zero counts.
-    displacement_zero: str | float | None = None
     #: Whether rows on both sides of zero belong to one test, and no range says which are meant.
     is_signed: bool = False
     #: Whether a specimen that is not loaded at first is a fault: not where contact is fitted.
     judges_slack: bool = False
-    #: Which rows of a test that was also unloaded count.
-    branch: Branch = field(default_factory=Branch)
 
     @property
     def is_raw(self) -> bool:
         """Whether rows stay as they were measured."""
-        return self.points == 0
+        return self.spec.points == "raw"
+
+    @property
+    def counts_from(self) -> str | float | None:
+        """``"first row"``, ``"contact"``, or mm; None where the zero of the file counts."""
+        is_displacement = self.spec.columns.kinematic == "displacement"
+        return self.spec.displacement_zero if is_displacement else 0.0
 
     def grid(self) -> Array:
         """Displacements in mm at which the force is taken, shape (points,)."""
-        return np.linspace(self.low_mm, self.high_mm, self.points)
+        return np.linspace(self.low_mm, self.high_mm, int(self.spec.points))
 
 
 @dataclass(frozen=True)
@@ -127,9 +121,9 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
         raise InputError(Fault(where, rule))
     every_d, every_f = _turned(displacement_mm, force_N, rules, where, counts)
     phases = phases_of(every_d)
-    chosen = rules.branch.of(phases, every_d, every_f, where, is_signed=rules.is_signed)
+    chosen = counted(phases, rules.spec, every_d, every_f, where, is_signed=rules.is_signed)
     loadings = [p for p in phases if p.kind == "loading"] or list(phases)
-    first = chosen if rules.branch.which == "auto" else loadings[:1]
+    first = chosen if rules.spec.branch == "auto" else loadings[:1]
     before = _rows_of(first, every_d, every_f)
     far = int(np.argmax(np.abs(displacement_mm)))
     way_in = math.copysign(1.0, float(displacement_mm[far] * every_d[far]))
@@ -141,8 +135,8 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
         d, f = d[::-1], f[::-1]
     _check_torn(d, f, rules, where)
     _check_saturated(d, f, rules, where)
-    zero, offset = _zero(*before, rules.zero), _offset(*before, rules)
-    if rules.branch.which == "auto" and d.size < every_d.size:
+    zero, offset = _zero(*before, rules.spec.zero), _offset(*before, rules)
+    if rules.spec.branch == "auto" and d.size < every_d.size:
         counts[UNLOADED] += every_d.size - d.size
     early = int(np.count_nonzero(d < -_slack(rules))) if rules.low_mm >= 0 else 0
     if early:
@@ -175,7 +169,7 @@ def _fates(
 ) -> SpecimenRows:
     """Say of every row whether it counts. Shapes: d, f (rows,), from contact and its force."""
     fate = np.zeros(d.size, dtype=int)
-    reasons = ["", "before displacement zero" if rules.toe_N is None else "before contact (toe)"]
+    reasons = ["", "before displacement zero" if rules.spec.toe is None else "before contact (toe)"]
     fate[d < -_slack(rules)] = 1 if rules.low_mm >= 0 else 0
     reasons.append("outside the range" if rules.low_mm > 0 else "beyond the end of the test")
     outside = (d < rules.low_mm - _slack(rules)) | (d > rules.high_mm + _slack(rules))
@@ -197,16 +191,16 @@ def condition_course(
     if displacement_mm.size < MIN_ROWS:
         rule = f"has {displacement_mm.size} rows, a course needs at least {MIN_ROWS}"
         raise InputError(Fault(where, rule))
-    turn = -1.0 if rules.sign == "negative" else 1.0
+    turn = -1.0 if rules.spec.sign == "negative" else 1.0
     # a shortened specimen is recorded with both signs turned, or with that of the force alone
     backwards = turn < 0 and displacement_mm.min() < -displacement_mm.max()
     d = -displacement_mm if backwards else displacement_mm
     f = turn * force_N
-    zero = float(f[0]) if rules.zero == "first" else 0.0
+    zero = float(f[0]) if rules.spec.zero == "first" else 0.0
     f = f - zero
     if float(d @ f) <= 0:
-        other = "negative" if rules.sign == "positive" else "positive"
-        rule = f"the force does not resist with the declared sign ({rules.sign})"
+        other = "negative" if rules.spec.sign == "positive" else "positive"
+        rule = f"the force does not resist with the declared sign ({rules.spec.sign})"
         raise InputError(Fault(where, rule, f'write sign = "{other}", or check the columns'))
     course = Curve(d, f, time_s=time_s)
     rows = SpecimenRows(d, f, phases_of(d), np.zeros(d.size, dtype=int), ("",))
@@ -247,9 +241,9 @@ def _turned(
         value = d[0] if what == "displacement" else f[0]
         rule = f"the {what} is constant ({value:.6g}): nothing to fit"
         raise InputError(Fault(where, rule, "check the columns and the recording"))
-    turn = -1.0 if rules.sign == "negative" else 1.0
+    turn = -1.0 if rules.spec.sign == "negative" else 1.0
     f = turn * f
-    is_auto = rules.direction == "auto"
+    is_auto = rules.spec.direction == "auto"
     way = _way(d, f)
     backwards = abs(float(d.min())) > abs(float(d.max()))
     usual = -1.0 if backwards and turn < 0 else 1.0
@@ -263,32 +257,32 @@ def _turned(
         raise InputError(_falls(d, turn * f, rules, where))
     if is_auto and way < 0:
         d = -d
-        counts[f"displacement reversed (declared sign {rules.sign})"] += d.size
+        counts[f"displacement reversed (declared sign {rules.spec.sign})"] += d.size
     return d, f
 
 
 def _check_begin(d: Array, f: Array, way: float, rules: Rules, where: str) -> None:
     """Refuse rows whose zero is none of the specimen. Shapes: d, f (rows,), first loading."""
-    if rules.displacement_zero is None and rules.direction == "auto" and rules.toe_N is None:
+    if rules.counts_from is None and rules.spec.direction == "auto" and rules.spec.toe is None:
         _check_zero(d, f, way, rules, where)
         if rules.judges_slack:
             _check_slack(d, f, way, rules, where)
-    if _is_through_zero(d, f, rules) and rules.zero != "none":
+    if _is_through_zero(d, f, rules) and rules.spec.zero != "none":
         rule = "the test runs through zero: neither its first row nor its first tenth is unloaded"
         mend = "subtract the reading of the unloaded load cell in the file, and leave zero out"
         raise InputError(Fault(where, rule, mend))
 
 
 def _falls(d: Array, f: Array, rules: Rules, where: str) -> Fault:
-    other = "negative" if rules.sign == "positive" else "positive"
+    other = "negative" if rules.spec.sign == "positive" else "positive"
     mend = f'write sign = "{other}", or check the columns'
-    if rules.direction != "auto":
-        way = "falling" if rules.direction == "rising" else "rising"
+    if rules.spec.direction != "auto":
+        way = "falling" if rules.spec.direction == "rising" else "rising"
         mend = f'write direction = "{way}" or sign = "{other}", or check the columns'
     rule = (
         f"displacement runs from {d[0]:.4g} to {d[np.argmax(np.abs(d - d[0]))]:.4g} mm and force "
         f"from {f[0]:.4g} to {f[np.argmax(np.abs(f - f[0]))]:.4g} N: with the declared sign "
-        f"({rules.sign}) the specimen would pull, not resist"
+        f"({rules.spec.sign}) the specimen would pull, not resist"
     )
     return Fault(where, rule, mend)
 
@@ -348,17 +342,17 @@ def placed(displacement_mm: Array, resisted: Array, rules: Rules, where: str) ->
 
     Shapes: displacement_mm, resisted (rows,), mm, N or MPa; returns (rows,).
     """
-    d, f = displacement_mm, (-1.0 if rules.sign == "negative" else 1.0) * resisted
-    if rules.direction == "auto" and rules.displacement_zero is None:
+    d, f = displacement_mm, (-1.0 if rules.spec.sign == "negative" else 1.0) * resisted
+    if rules.spec.direction == "auto" and rules.counts_from is None:
         return d, ""
-    way = {"rising": 1.0, "falling": -1.0}.get(rules.direction) or _way(d - d[0], f)
+    way = {"rising": 1.0, "falling": -1.0}.get(rules.spec.direction) or _way(d - d[0], f)
     word = "rising" if way > 0 else "falling"
-    zero = rules.displacement_zero or 0.0
+    zero = rules.counts_from or 0.0
     if zero == "first row":
         zero = float(d[0])
     elif isinstance(zero, str):
         zero = _contact(d, f, way, where)
-    chosen = "" if isinstance(rules.displacement_zero, float) else f" ({rules.displacement_zero})"
+    chosen = "" if isinstance(rules.counts_from, float) else f" ({rules.counts_from})"
     done = f"{where}: displacement counts from {zero:.6g} mm{chosen}, {word}"
     return way * (d - zero) + 0.0, done
 
@@ -488,7 +482,7 @@ def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> Non
         f"{way * float(d[int(np.argmax(np.abs(d - d[0])))]):.6g} mm: no specimen that is "
         "unloaded at 0 mm gives these forces"
     )
-    other = "negative" if rules.sign == "positive" else "positive"
+    other = "negative" if rules.spec.sign == "positive" else "positive"
     mend = (
         f'write displacement_zero = "first row" if the specimen is unloaded at {at:.6g} mm, '
         '"contact" if it was met later, or "0 mm" if the recorded zero is that of the specimen'
@@ -516,7 +510,7 @@ def slope_with_error(x: Array, y: Array) -> tuple[float, float]:
 
 def _is_through_zero(d: Array, f: Array, rules: Rules) -> bool:
     """Whether one test was loaded both ways, so that rows on either side of zero count."""
-    if not rules.is_signed or rules.toe_N is not None:
+    if not rules.is_signed or rules.spec.toe is not None:
         return False
     before = d < -_STARTS_EARLY * float(np.ptp(d))
     return bool(before.any()) and float(f[before].min()) <= -_AT_ZERO * float(f.max())
@@ -595,7 +589,7 @@ def _offset(d: Array, f: Array, rules: Rules) -> float | None:
     the one alone may be noise, the other the curvature of a sound test.
     """
     first = int(np.argmin(d))
-    if rules.zero != "none" or rules.toe_N is not None:
+    if rules.spec.zero != "none" or rules.spec.toe is not None:
         return None
     if abs(float(d[first])) > OFFSET_SHARE * float(np.abs(d).max()):
         return None
@@ -641,25 +635,25 @@ def _toe(
     d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
 ) -> tuple[Array, Array, float]:
     """Shift displacement to where the force passes the toe for the last time from below."""
-    if rules.toe_N is None:
+    if rules.spec.toe is None:
         return d, f, 0.0
-    below = np.flatnonzero(f <= rules.toe_N)
+    below = np.flatnonzero(f <= rules.spec.toe)
     start = int(below[-1]) + 1 if below.size else 0
     if start >= d.size:
-        rule = f"the force never stays above the toe of {rules.toe_N:.4g} N"
+        rule = f"the force never stays above the toe of {rules.spec.toe:.4g} N"
         raise InputError(Fault(where, rule, "lower toe"))
     contact = float(d[start])
     if start:
-        share = (rules.toe_N - f[start - 1]) / (f[start] - f[start - 1])
+        share = (rules.spec.toe - f[start - 1]) / (f[start] - f[start - 1])
         contact = float(d[start - 1] + share * (d[start] - d[start - 1]))
         counts["rows before contact dropped (toe)"] += start
-        d, f = np.r_[contact, d[start:]], np.r_[rules.toe_N, f[start:]]
+        d, f = np.r_[contact, d[start:]], np.r_[rules.spec.toe, f[start:]]
     return d - contact, f, contact
 
 
 def _resample(d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]) -> Array:
     low, high = rules.low_mm, rules.high_mm
-    spacing = (high - low) / max(rules.points - 1, 1)
+    spacing = (high - low) / max(int(rules.spec.points) - 1, 1)
     slack = 1e-9 * high
     if d[-1] < high - slack:
         rule = f"ends at {_place(d[-1], rules)}, the range asks for {_place(high, rules)}"

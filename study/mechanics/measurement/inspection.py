@@ -94,6 +94,11 @@ _NAMED_UNIT = re.compile(
 _RATES = re.compile(r"rate|speed|velocity")
 #: digits in groups of three with points between them
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")
+#: a cell of a number with its unit, or with an exponent as Fortran writes it
+_ODD_NUMBER = re.compile(
+    r"(?:^|[,;\t|\"])\s*([+-]?\d[\d.,]*(?:[dD][+-]?\d+|\s?([A-Za-zµμ%][\w/^%]{0,7})))\"?(?=\s*(?:[,;\t|]|$))",
+    re.MULTILINE,
+)
 #: share of the largest force at both ends of a test that runs through zero at another place
 _BOTH_WAYS = 0.3
 _COMMENTS = ("#", "%", "//", ";", "!", "*")
@@ -318,7 +323,14 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
                 best = (score, delimiter, decimal)
     if best is None:
         rule = f"holds no block of {_BLOCK} lines with two numbers or more"
-        raise InputError(Fault(source, rule, "is it a table of a recording?"))
+        mend = "is it a table of a recording?"
+        if (odd := Counter(_ODD_NUMBER.findall("\n".join(lines[:_LOOKED_AT])))).total() >= _BLOCK:
+            (cell, unit), _ = odd.most_common(1)[0]
+            rule = f"{rule}: cells such as {cell!r} are none"
+            mend = "write E for the D of the exponents"
+            if unit:
+                mend = f"take {unit!r} out of the cells, and name it in the header: NAME [{unit}]"
+        raise InputError(Fault(source, rule, mend))
     _, delimiter, decimal = best
     split = [_split(line, delimiter) for line in lines]
     if _DELIMITERS[delimiter] != "," and decimal == "." and _are_grouped(split):
@@ -383,7 +395,12 @@ def _with_names(
     unit_cells = [] if units is None else split[units]
     names = names + [""] * (width - len(names)) if names else [str(k + 1) for k in range(width)]
     held = set(rows)
-    others = [k for k in range(rows[0], len(lines)) if lines[k].strip() and k not in held]
+    heads = {lines[k].strip() for k in (header, units) if k is not None}
+    others = [
+        k
+        for k in range(rows[0], len(lines))
+        if lines[k].strip() and k not in held and lines[k].strip() not in heads
+    ]
     marks = [
         m for m in _COMMENTS if others and all(lines[k].lstrip().startswith(m) for k in others)
     ]
@@ -481,7 +498,12 @@ def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int
                 if column.quantity == quantity and column.name and column.low != column.high
             ]  # fmt: skip
             if fitting:
-                best = min(fitting, key=lambda k: _rank(columns[k].name, quantity))
+                words = _WORDS[quantity]
+                lower = {k: columns[k].name.lower() for k in fitting}
+                best = min(
+                    fitting,
+                    key=lambda k: next((n for n, word in enumerate(words) if word in lower[k]), 99),
+                )
                 chosen[quantity] = best
                 others = [columns[k].name for k in fitting if k != best]
                 if others:
@@ -491,11 +513,6 @@ def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int
                     )
                 break
     return chosen
-
-
-def _rank(name: str, quantity: str) -> int:
-    plain = name.lower()
-    return next((k for k, word in enumerate(_WORDS[quantity]) if word in plain), 99)
 
 
 def _numbered(

@@ -65,7 +65,7 @@ def read_markers(spec: MarkerSpec, path: Path, specimen: Block) -> MarkerStates:
     where = f"markers.file: {path.name}"
     columns = [*spec.rest, *(c for state in spec.states for c in state.columns)]
     required = [*columns, *([spec.layer] if spec.layer else [])]
-    table = read_table(path, spec.layout, required, spec.decimal, path.name)
+    table = read_table(path, spec.layout, required, path.name)
     factor = unit_factor(spec.unit, "length")
 
     def places(axes: tuple[str, str, str]) -> Array:

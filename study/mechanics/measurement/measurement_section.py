@@ -39,57 +39,6 @@ DELIMITERS: Mapping[str, str | None] = {
 }
 
 
-@dataclass(frozen=True)
-class ColumnLayout:
-    """How a text differs from a plain CSV file."""
-
-    skip_lines: int = 0
-    #: Beginning of lines that hold no row; none if empty.
-    comment: str = ""
-    #: One of :data:`DELIMITERS`; empty where the file shows it.
-    delimiter: str = ""
-    #: Whether a line names the columns; without one their names are 1, 2 and so on.
-    header: bool = True
-    #: Encoding, sheet of a workbook and mark of thousands; found where they are empty.
-    encoding: str = ""
-    sheet: str = ""
-    thousands: str = ""
-    #: Whether the line below the names holds units; None where the file shows it.
-    unit_row: bool | None = None
-
-    def plain(self, text: str, decimal: str) -> tuple[str, list[int], str]:
-        r"""Text with a header line, where its lines stand, and its delimiter if that is known.
-
-        Examples
-        --------
-        >>> ColumnLayout(1, "#", "space").plain("of 1944\nl  P\n# first row\n1.02   0.0255", ".")
-        ('l\tP\n1.02\t0.0255', [2, 4], '\t')
-        >>> ColumnLayout(header=False).plain("1.02, 0.0255\n1.1, 0.12", ".")
-        ('1,2\n1.02, 0.0255\n1.1, 0.12', [1, 1, 2], ',')
-        """
-        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-        at = [
-            k
-            for k, line in enumerate(lines, 1)
-            if k > self.skip_lines and not (self.comment and line.lstrip().startswith(self.comment))
-        ]
-        lines = [lines[k - 1] for k in at]
-        first = next((line for line in lines if line.strip()), "")
-        delimiter = self.delimiter
-        if not self.header:
-            marks = (";" if decimal == "," else ",", ";", "\t")
-            named = (name for name, sign in DELIMITERS.items() if sign in marks and sign in first)
-            delimiter = delimiter or next(named, "space")
-        mark = "\t" if delimiter == "space" else DELIMITERS[delimiter] or "" if delimiter else ""
-        if delimiter == "space":
-            lines = ["\t".join(line.split()) for line in lines]
-        if not self.header:
-            widest = max((line.count(mark) + 1 for line in lines), default=0)
-            lines.insert(0, mark.join(str(k + 1) for k in range(widest)))
-            at.insert(0, at[0] if at else 1)
-        return "\n".join(lines), at, mark
-
-
 #: columns that say how far the specimen was deformed, and their dimension
 KINEMATIC: Mapping[str, str] = {
     "displacement": "length",
@@ -204,15 +153,14 @@ def rows(value: object) -> dict[str, Labels]:
     """Read a choice of rows: column -> label, or labels."""
     if not isinstance(value, Mapping) or not value:
         raise Bad(f"must be a table, got {shown(value)}", 'for example { specimen = "A" }')
-    return {name(column): _labels(labels) for column, labels in value.items()}
-
-
-def _labels(value: object) -> Labels:
-    if isinstance(value, list):
-        if not value:
+    chosen: dict[str, Labels] = {}
+    for column, labels in value.items():
+        if labels == []:
             raise Bad("chooses no label at all")
-        return tuple(_label(v) for v in value)
-    return _label(value)
+        chosen[name(column)] = (
+            tuple(map(_label, labels)) if isinstance(labels, list) else _label(labels)
+        )
+    return chosen
 
 
 def _label(value: object) -> str:
@@ -361,7 +309,7 @@ class MeasurementSpec:
         description='for example columns = { displacement = "displacement_mm", force = "force_N" }'
     )
     #: Column and unit of displacement and force.
-    units: Units = Field(default_factory=Units)
+    units: Units = Units()
     #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
     file: Annotated[str | None, Reads(csv_path)] = None
     #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
@@ -419,13 +367,42 @@ class MeasurementSpec:
     #: Sheet of a workbook that has several.
     sheet: Annotated[str, Reads(text)] = ""
 
-    @property
-    def layout(self) -> ColumnLayout:
-        """How its files differ from CSV."""
-        return ColumnLayout(
-            self.skip_lines, self.comment, self.delimiter, self.header, self.encoding, self.sheet,
-            self.thousands, self.unit_row,
-        )  # fmt: skip
+    def plain_text(self, text: str) -> tuple[str, list[int], str]:
+        r"""Text with a header line, where its lines stand, and its delimiter if that is known.
+
+        Examples
+        --------
+        >>> spec = MeasurementSpec(Columns(), skip_lines=1, comment="#", delimiter="space")
+        >>> spec.plain_text("of 1944\nl  P\n# first row\n1.02   0.0255")
+        ('l\tP\n1.02\t0.0255', [2, 4], '\t')
+        >>> MeasurementSpec(Columns(), header=False).plain_text("1.02, 0.0255\n1.1, 0.12")
+        ('1,2\n1.02, 0.0255\n1.1, 0.12', [1, 1, 2], ',')
+        """
+        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        at = [
+            k
+            for k, line in enumerate(lines, 1)
+            if k > self.skip_lines and not (self.comment and line.lstrip().startswith(self.comment))
+        ]
+        if self.header:  # of an export that was appended to another one it stands again
+            names = next((k for k in at if lines[k - 1].strip()), 0)
+            heads = {lines[k - 1].strip() for k in (names, names + bool(self.unit_row)) if k}
+            at = [k for k in at if k <= names + 1 or lines[k - 1].strip() not in heads]
+        lines = [lines[k - 1] for k in at]
+        first = next((line for line in lines if line.strip()), "")
+        delimiter = self.delimiter
+        if not self.header:
+            marks = (";" if self.decimal == "," else ",", ";", "\t")
+            named = (name for name, sign in DELIMITERS.items() if sign in marks and sign in first)
+            delimiter = delimiter or next(named, "space")
+        mark = "\t" if delimiter == "space" else DELIMITERS[delimiter] or "" if delimiter else ""
+        if delimiter == "space":
+            lines = ["\t".join(line.split()) for line in lines]
+        if not self.header:
+            widest = max((line.count(mark) + 1 for line in lines), default=0)
+            lines.insert(0, mark.join(str(k + 1) for k in range(widest)))
+            at.insert(0, at[0] if at else 1)
+        return "\n".join(lines), at, mark
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON; what a file of displacement and force does not say stays out."""
@@ -520,9 +497,9 @@ class MarkerSpec:
     citation: Annotated[str, Reads(text)] = ""
 
     @property
-    def layout(self) -> ColumnLayout:
+    def layout(self) -> MeasurementSpec:
         """How the file differs from plain CSV."""
-        return ColumnLayout(self.skip_lines)
+        return MeasurementSpec(Columns(), skip_lines=self.skip_lines, decimal=self.decimal)
 
     @property
     def labels(self) -> tuple[str, ...]:

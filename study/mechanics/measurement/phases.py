@@ -16,6 +16,7 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
+from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.recording import Recording
 
 #: share of the travel by which a machine must go back to have turned; less is jitter
@@ -129,57 +130,48 @@ def _turns(d: Array, least: float) -> list[int]:
         start, sense = start + row, -sense
 
 
-@dataclass(frozen=True)
-class Branch:
-    """Which phases of a test count: those that are declared, or the only ones there can be."""
-
-    #: {"auto", "loading", "unloading", "all"} or the number of a cycle.
-    which: str | int = "auto"
-    #: {"loading", "unloading"}: branch of a cycle that is given by its number.
-    of_cycle: str = "loading"
-
-    def of(
-        self,
-        phases: Sequence[Phase],
-        displacement_mm: Array,
-        force_N: Array,  # noqa: N803
-        where: str,
-        *,
-        is_signed: bool,
-    ) -> tuple[Phase, ...]:
-        """Phases that count of a test. Shapes: displacement_mm, force_N (rows,), both positive."""
-        if self.which == "all" or (len(phases) == 1 and self.which == "auto"):
-            return tuple(phases)
-        if self.which != "auto":
-            kind = self.of_cycle if isinstance(self.which, int) else self.which
-            number = self.which if isinstance(self.which, int) else None
-            fitting = [p for p in phases if p.kind == kind and number in (None, p.cycle)]
-            if fitting:
-                return (fitting[0],)
-            of = "" if number is None else f" of cycle {number}"
-            held = ", ".join(p.words for p in phases[:6])
-            more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
-            rule = f"the recording has no {kind}{of}: it holds {held}{more}"
-            raise InputError(Fault(where, rule, "write the branch that it has, in measurements"))
-        # the only loading: of a specimen that was unloaded before it, and is not loaded backwards
-        loadings = [p for p in phases if p.kind == "loading"]
-        largest = float(np.abs(force_N).max())
-        start = displacement_mm[0] - TURN * float(np.ptp(displacement_mm))
-        beyond = force_N[displacement_mm < start]
-        is_reversed = is_signed and beyond.size > 0 and beyond.min() < -NO_FORCE * largest
-        idle = phases[0].kind == "loading" or (
-            float(np.abs(force_N[phases[0].rows]).max()) < NO_FORCE * largest
-        )
-        if loadings and idle and not is_reversed:
-            return (loadings[0],)
-        readings = "; ".join(
-            f"{p.words}, {displacement_mm[p.first]:.4g} to {displacement_mm[p.last]:.4g} mm and "
-            f"{force_N[p.first]:.4g} to {force_N[p.last]:.4g} N in {p.last - p.first + 1} rows"
-            for p in phases[:4]
-        )
-        rule = f"which of its branches is meant is open: {readings}"
-        mend = 'write branch = "loading", "unloading", "all", or the number of a cycle'
-        raise InputError(Fault(where, rule, mend))
+def counted(
+    phases: Sequence[Phase],
+    spec: MeasurementSpec,
+    displacement_mm: Array,
+    force_N: Array,  # noqa: N803
+    where: str,
+    *,
+    is_signed: bool,
+) -> tuple[Phase, ...]:
+    """Phases that count of a test. Shapes: displacement_mm, force_N (rows,), both positive."""
+    if spec.branch == "all" or (len(phases) == 1 and spec.branch == "auto"):
+        return tuple(phases)
+    if spec.branch != "auto":
+        kind = spec.cycle if isinstance(spec.branch, int) else spec.branch
+        number = spec.branch if isinstance(spec.branch, int) else None
+        fitting = [p for p in phases if p.kind == kind and number in (None, p.cycle)]
+        if fitting:
+            return (fitting[0],)
+        of = "" if number is None else f" of cycle {number}"
+        held = ", ".join(p.words for p in phases[:6])
+        more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
+        rule = f"the recording has no {kind}{of}: it holds {held}{more}"
+        raise InputError(Fault(where, rule, "write the branch that it has, in measurements"))
+    # the only loading: of a specimen that was unloaded before it, and is not loaded backwards
+    loadings = [p for p in phases if p.kind == "loading"]
+    largest = float(np.abs(force_N).max())
+    start = displacement_mm[0] - TURN * float(np.ptp(displacement_mm))
+    beyond = force_N[displacement_mm < start]
+    is_reversed = is_signed and beyond.size > 0 and beyond.min() < -NO_FORCE * largest
+    idle = phases[0].kind == "loading" or (
+        float(np.abs(force_N[phases[0].rows]).max()) < NO_FORCE * largest
+    )
+    if loadings and idle and not is_reversed:
+        return (loadings[0],)
+    readings = "; ".join(
+        f"{p.words}, {displacement_mm[p.first]:.4g} to {displacement_mm[p.last]:.4g} mm and "
+        f"{force_N[p.first]:.4g} to {force_N[p.last]:.4g} N in {p.last - p.first + 1} rows"
+        for p in phases[:4]
+    )
+    rule = f"which of its branches is meant is open: {readings}"
+    mend = 'write branch = "loading", "unloading", "all", or the number of a cycle'
+    raise InputError(Fault(where, rule, mend))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from study.mechanics.measurement.conditioning import (
     placed,
 )
 from study.mechanics.measurement.measured_test import Measurements, SingleTest
-from study.mechanics.measurement.phases import Branch, RowCount
+from study.mechanics.measurement.phases import RowCount
 from study.mechanics.measurement.recording import (
     Gauge,
     Recording,
@@ -68,13 +68,13 @@ def read_measurements(
     if both_ways and (spec.range is None or rules.low_mm < 0):
         rules = usual = replace(rules, is_signed=True)
     if spec.range is None and not rules.is_raw:
-        rules = _begun(rules, spec, recorded, gauge)
+        rules = _begun(rules, recorded, gauge)
     tests: list[SingleTest] = []
     faults: list[Fault] = []
     done: list[Conditioned] = []
     for recording in recorded.tests:
         try:
-            result, did = specimens(recording, spec, rules, gauge)
+            result, did = specimens(recording, rules, gauge)
         except InputError as error:
             faults.extend(error.faults)
             continue
@@ -123,13 +123,14 @@ def first_notes(notes: Sequence[str]) -> list[str]:
 
 
 def specimens(
-    recording: Recording, spec: MeasurementSpec, rules: Rules, gauge: Gauge | None = None
+    recording: Recording, rules: Rules, gauge: Gauge | None = None
 ) -> tuple[Conditioned, list[str]]:
     """Make the test of a specimen from a recording; say where its zero and branch were taken."""
+    kinematic, branch = rules.spec.columns.kinematic, rules.spec.branch
     if gauge is not None and gauge.mode == "simple-shear" and recording.time_s is None:
         recording = _folded(recording)
-    moved, notes = _in_place(recording, spec, rules)
-    d, f = _rows(moved, spec, gauge)
+    moved, notes = _in_place(recording, rules)
+    d, f = _rows(moved, rules.spec, gauge)
     if recording.time_s is not None:
         made = condition_course(d, f, recording.time_s, rules, recording.where)
     else:
@@ -137,22 +138,21 @@ def specimens(
     longest = 1.0
     if gauge is not None and gauge.mode != "simple-shear":
         longest = 1 + float((gauge.sense * d).max()) / gauge.length_mm
-    if "strain" in spec.columns.kinematic and longest > _UNUSUAL:
+    if "strain" in kinematic and longest > _UNUSUAL:
         notes.append(
-            f"{recording.where}: a stretch of {longest:.4g} is unusual: {spec.columns.kinematic}, "
-            f'{PERCENT} Then write units = {{ {spec.columns.kinematic} = "%" }}'
+            f"{recording.where}: a stretch of {longest:.4g} is unusual: {kinematic}, "
+            f'{PERCENT} Then write units = {{ {kinematic} = "%" }}'
         )
     rows = made.rows // recording.directions
     made = replace(made, rows=rows, specimen=replace(made.specimen, recording=recording))
     chosen = [p for p in made.specimen.phases if made.specimen.fate[p.rows].min() == 0]
-    if recording.time_s is None and (rules.branch.which != "auto" or len(made.specimen.phases) > 1):
+    if recording.time_s is None and (branch != "auto" or len(made.specimen.phases) > 1):
         lines = recording.lines
         words = " and ".join(
             p.words + (f" (lines {lines[p.first]} to {lines[p.last]})" if lines else "")
             for p in chosen[:3]
         )
-        which = rules.branch.which
-        how = "" if which == "auto" else f", branch = {which}"
+        how = "" if branch == "auto" else f", branch = {branch}"
         notes.append(f"{recording.where}: {words}{how}")
     return made, notes
 
@@ -167,10 +167,9 @@ def _folded(recording: Recording) -> Recording:
     return replace(recording, kinematic=far, kinetic=hard, lines=lines)
 
 
-def _in_place(
-    recording: Recording, spec: MeasurementSpec, rules: Rules
-) -> tuple[Recording, list[str]]:
+def _in_place(recording: Recording, rules: Rules) -> tuple[Recording, list[str]]:
     """Put a recording into the coordinate of the specimen; say what was done."""
+    spec = rules.spec
     if spec.columns.kinematic != "displacement":
         if spec.displacement_zero is not None or spec.direction != "auto":
             rule = f"belongs to a column of displacement, not of {spec.columns.kinematic}"
@@ -188,7 +187,7 @@ def _rows(recording: Recording, spec: MeasurementSpec, gauge: Gauge | None) -> t
     )  # fmt: skip
 
 
-def _begun(rules: Rules, spec: MeasurementSpec, recorded: Recordings, gauge: Gauge | None) -> Rules:
+def _begun(rules: Rules, recorded: Recordings, gauge: Gauge | None) -> Rules:
     """Begin a range that nobody asked for where the last of the tests begins.
 
     The unloaded origin bridges one step of the grid, no more.
@@ -196,10 +195,10 @@ def _begun(rules: Rules, spec: MeasurementSpec, recorded: Recordings, gauge: Gau
     begins = [rules.low_mm]
     for recording in recorded.tests:
         with suppress(InputError):  # said where its rows become a curve
-            moved = _rows(_in_place(recording, spec, rules)[0], spec, gauge)[0]
+            moved = _rows(_in_place(recording, rules)[0], rules.spec, gauge)[0]
             begins.append(float(np.abs(moved).min()))
-    spacing = (rules.high_mm - rules.low_mm) / max(rules.points - 1, 1)
-    late = max(begins) > rules.low_mm + spacing and rules.toe_N is None
+    spacing = (rules.high_mm - rules.low_mm) / max(int(rules.spec.points) - 1, 1)
+    late = max(begins) > rules.low_mm + spacing and rules.spec.toe is None
     return replace(rules, low_mm=max(begins)) if late and max(begins) < rules.high_mm else rules
 
 
@@ -235,33 +234,26 @@ def rules_of(
 
     A range may begin below 0 where the specimen deforms the same everywhere (``both_ways``).
     """
-    points = 0 if spec.points == "raw" else int(spec.points or 200)
-    low, high = _range(spec, height_mm, displacement_mm, points)
+    low, high = _range(spec, height_mm, displacement_mm)
     if not low < high or (low < 0 and not both_ways):
         rule = f"must rise from 0 or more, got {low:.4g} to {high:.4g} mm"
         mend = "rows below 0 belong to a specimen that deforms the same everywhere"
         raise InputError(Fault("measurements.range", rule, mend))
-    is_displacement = spec.columns.kinematic == "displacement"
-    return Rules(
-        low, high, points, spec.sign or "positive", spec.zero or "none", spec.toe, height_mm,
-        spec.direction,
-        spec.displacement_zero if is_displacement else 0.0,
-        branch=Branch(spec.branch, spec.cycle),
-    )  # fmt: skip
+    return Rules(spec, low, high, height_mm)
 
 
 def _range(
-    spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None, points: int
+    spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None
 ) -> tuple[float, float]:
-    if spec.range is None and spec.points == "raw":
+    if spec.range is not None:
+        return spec.range.in_mm(height_mm)
+    if spec.points == "raw":
         return 0.0, np.inf if displacement_mm is None else displacement_mm
-    if spec.range is None:
-        if displacement_mm is None:
-            rule = "is missing, and no test.displacement stands for it"
-            mend = 'for example range = ["1 %", "20 %"]'
-            raise InputError(Fault("measurements.range", rule, mend))
-        return displacement_mm / max(points, 2), displacement_mm
-    return spec.range.in_mm(height_mm)
+    if displacement_mm is None:
+        rule = "is missing, and no test.displacement stands for it"
+        mend = 'for example range = ["1 %", "20 %"]'
+        raise InputError(Fault("measurements.range", rule, mend))
+    return displacement_mm / max(spec.points, 2), displacement_mm
 
 
 def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
@@ -272,10 +264,10 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
         total.update(result.counts)
         tests.update(result.counts.keys())
     notes = [f"{total[w]} {w} (in {tests[w]} of {len(done)} tests)" for w in total]
-    if rules.zero != "none":
+    if rules.spec.zero != "none":
         zero = [result.zero_N for result in done]
         notes.append(
-            f"load cell zero ({rules.zero}) subtracted: {min(zero):.4g} to {max(zero):.4g} N"
+            f"load cell zero ({rules.spec.zero}) subtracted: {min(zero):.4g} to {max(zero):.4g} N"
         )
     offsets = [result.offset for result in done if result.offset is not None]
     if offsets:
@@ -284,10 +276,10 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
             f"{OFFSET} {len(offsets)} of {len(done)} tests begin with up to {100 * worst:.2g} % of "
             'their largest force: write zero = "first" or "fit" to subtract it, or toe'
         )
-    if rules.toe_N is not None:
+    if rules.spec.toe is not None:
         toe = [result.toe_mm for result in done]
         notes.append(
-            f"contact at {rules.toe_N:.4g} N: displacement shifted by {min(toe):.4g} to "
+            f"contact at {rules.spec.toe:.4g} N: displacement shifted by {min(toe):.4g} to "
             f"{max(toe):.4g} mm"
         )
     notes.append(RowCount.sum_of(result.specimen.count for result in done).sentence)
@@ -301,6 +293,6 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
             else f" in the range {rules.low_mm:.4g} to {rules.high_mm:.4g} mm"
         )
         + ", "
-        + ("as they were measured" if rules.is_raw else f"resampled at {rules.points} points")
+        + ("as they were measured" if rules.is_raw else f"resampled at {rules.spec.points} points")
     )
     return notes

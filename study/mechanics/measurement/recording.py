@@ -9,7 +9,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -22,24 +22,24 @@ from study.mechanics.measurement.measurement_section import (
     KINEMATIC,
     KINETIC,
     SECOND,
-    ColumnLayout,
     Columns,
     MeasurementSpec,
 )
+from study.mechanics.setup.declaration import Bad, relative_path
 
 
 def read_table(
-    path: Path, layout: ColumnLayout, required: Sequence[str], decimal: str, source: str
+    path: Path, layout: MeasurementSpec, required: Sequence[str], source: str
 ) -> CsvTable:
     """Read a measured file; see :func:`study.ground.tabular.read_csv`."""
     raw = read_bytes(path, source)
     text, encoding = table_text(
-        raw, source, encoding=layout.encoding, sheet=layout.sheet, decimal=decimal
+        raw, source, encoding=layout.encoding, sheet=layout.sheet, decimal=layout.decimal
     )
-    plain, at, mark = layout.plain(text, decimal)
+    plain, at, mark = layout.plain_text(text)
     table = parse_csv(
         plain, required=required, numbers=() if layout.thousands == "," else None,
-        decimal=decimal, source=source, numbered=at, delimiter=mark,
+        decimal=layout.decimal, source=source, numbered=at, delimiter=mark,
     )  # fmt: skip
     table = replace(table, thousands=layout.thousands)
     return table.without_units(required, layout.unit_row).of_file(raw, encoding)
@@ -175,18 +175,10 @@ _FIELD = re.compile(r"\{([^{}]*)\}")
 
 def check_relative(name: str, where: str = "measurements.file") -> None:
     """Refuse a path that is absolute, climbs with ``..`` or holds a NUL."""
-    parts = PurePosixPath(name.replace("\\", "/")).parts
-    rule = ""
-    if not name.strip():
-        rule = "is empty"
-    elif "\0" in name:
-        rule = "holds a NUL character"
-    elif name.startswith(("/", "\\", "~")) or PureWindowsPath(name).drive:
-        rule = f"must be relative to the data root, got {name!r}"
-    elif ".." in parts:
-        rule = f"must stay below the data root, got {name!r}"
-    if rule:
-        raise InputError(Fault(where, rule, "write it relative to the folder that --data names"))
+    try:
+        relative_path(name)
+    except Bad as bad:
+        raise InputError(Fault(where, bad.rule, bad.mend)) from None
 
 
 def locate(name: str, root: Path, *, citation: str = "", where: str = "measurements.file") -> Path:
@@ -312,8 +304,7 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
     located: list[tuple[str, dict[str, str]]] = [(spec.file or "", {})]
     if not spec.file:
         located = locate_pattern(spec.files or "", root, citation=citation)
-    columns, layout = spec.columns, spec.layout
-    required = [columns.column(quantity) for quantity in _recorded(columns)]
+    required = [spec.columns.column(quantity) for quantity in _recorded(spec.columns)]
     if spec.file:
         required += [n for n in _declared(spec) if n not in required]
     tables: list[tuple[CsvTable, dict[str, str]]] = []
@@ -322,7 +313,7 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
     for name, labels in located:
         try:
             path = locate(name, root, citation=citation)
-            table = read_table(path, layout, required, spec.decimal or ".", name)
+            table = read_table(path, spec, required, name)
         except MissingDataError:
             raise
         except InputError as error:

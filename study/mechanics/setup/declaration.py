@@ -18,7 +18,7 @@ from numbers import Real
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, TypeVar, dataclass_transform
 
-from pydantic import ConfigDict, Field, GetCoreSchemaHandler, PlainValidator, ValidationInfo
+from pydantic import ConfigDict, Field, GetCoreSchemaHandler, PlainValidator
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic.fields import FieldInfo
 
@@ -28,8 +28,6 @@ from study.ground.errors import Fault, InputError, UnitError, nearest
 #: Reader of a raw value; who declares a key knows what it makes.
 Read = Callable[[object], object]
 Kind = TypeVar("Kind")
-#: Context of a validation: the values are those of a file, written by hand.
-FROM_FILE: Mapping[str, bool] = {"from_file": True}
 
 
 class Bad(ValueError):
@@ -76,15 +74,10 @@ class Reads:
         except UnitError as error:
             raise Bad(error.faults[0].rule, error.faults[0].mend) from error
 
-    def validated(self, value: object, info: ValidationInfo) -> object:
-        """Value of a file, read; or one given in Python."""
-        if info.context is FROM_FILE:
-            return self(value)
-        return value if self.given is None else self.given(value)
-
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> object:
-        """Have pydantic read a value of this kind so."""
-        return PlainValidator(self.validated).__get_pydantic_core_schema__(source, handler)
+        """Have pydantic take a value that is given in Python so."""
+        taken = PlainValidator(self.given or (lambda value: value))
+        return taken.__get_pydantic_core_schema__(source, handler)
 
 
 def as_written(mend: str = "") -> Reads:
@@ -216,13 +209,6 @@ def field_named(section: object, written: str) -> str | None:
     keys = _DECLARED.get(type(section), ())
     exact = (k.name for k in keys if k.written == written)
     return next(exact, next((k.name for k in keys if k.name == f"{written}_mm"), None))
-
-
-def read_section(kind: type[Kind], table: Mapping[str, object]) -> Kind:
-    """Read one table of a file."""
-    validator = kind.__pydantic_validator__  # type: ignore[attr-defined]
-    made: Kind = validator.validate_python(table, by_alias=True, by_name=False, context=FROM_FILE)
-    return made
 
 
 def section_of(where: str, kind: type[Kind], resolved: Mapping[str, object]) -> Kind:
@@ -447,9 +433,9 @@ def texts(what: str, example: str) -> Callable[[object], tuple[str, ...]]:
 
 def relative_path(value: object) -> str:
     """Read a path below the data root."""
-    if not isinstance(value, str) or not value.strip():
-        raise Bad(f"must be a path, got {shown(value)}")
     mend = "write it relative to the data root (--data DIR)"
+    if not isinstance(value, str) or not value.strip():
+        raise Bad(f"must be a path, got {shown(value)}", mend)
     if any(unicodedata.category(c) in INVISIBLE for c in value) or len(value) > 500:
         raise Bad("is too long or holds characters that cannot be seen", mend)
     if value.startswith(("/", "\\", "~")) or PureWindowsPath(value).drive:
