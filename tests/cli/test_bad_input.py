@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.cli.app import run
 from study.laboratory.registration.closest_point import TriangleSurface
 from tests.cli import test_analytic, test_confirming_runs, test_layouts, test_single
 from tests.cli import test_numeric_factors as ranges
 from tests.cli import test_simulated_responses as alone
-from tests.cli.small import DESIGN, Edit, pressed, refusal
+from tests.cli.small import DESIGN, Edit, pressed, refusal, study, success
 from tests.cli.test_require import PLATES
 from tests.conftest import ROOT
 from tests.fem.surfaces import sphere, write
@@ -493,22 +492,17 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], int, str, str]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_refused_with_a_way_to_mend_it(
-    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_is_refused_with_a_way_to_mend_it(case: str, tmp_path: Path) -> None:
     make, code, rule, mend = CASES[case]
-    command = make(tmp_path)
-    assert run(command) == code
-    told = " ".join(capsys.readouterr().err.split())
+    answer = study(*make(tmp_path))
+    assert answer.code == code
+    told = " ".join(answer.err.split())
     assert rule in told
     assert mend in told
     assert not (tmp_path / "reports").exists()  # nothing is written
 
 
-def test_outliers_are_counted_in_the_answer(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_outliers_are_counted_in_the_answer(tmp_path: Path) -> None:
     strewn = np.random.default_rng(3).uniform(-300, 300, (90, 3))
-    assert run(shaping(tmp_path, lambda p: np.vstack([p, strewn]))) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "90 isolated points left out" in told
+    answer = success(*shaping(tmp_path, lambda p: np.vstack([p, strewn])))
+    assert "90 isolated points left out" in " ".join(answer.out.split())

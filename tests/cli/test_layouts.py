@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.cli.app import run
 from study.harness.runner.cost import _PATIENCE_S
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.solver import solution_cost
@@ -161,15 +160,10 @@ def test_a_full_factorial_has_no_further_cell(design: Path) -> None:
     assert "runs every combination" in answer.err
 
 
-DEMO = str(ROOT / "designs" / "demo.toml")
-
-
-def test_each_specimen_meets_each_physical_condition_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_specimen_meets_each_physical_condition_once(tmp_path: Path) -> None:
     out = tmp_path / "trials.csv"
-    assert run(["plan", DEMO, "--run-sheet", str(out), "--specimens", "40", "--json"]) == 0
-    assert "80 trials" in capsys.readouterr().err
+    answer = success(f"plan {ROOT}/designs/demo.toml --run-sheet {out} --specimens 40 --json")
+    assert "80 trials" in answer.err
     sheet = pd.read_csv(out)
     # energies and spaces are simulated: only the plates change in the laboratory
     assert [c for c in sheet if c in ("material", "plates", "model.space")] == ["plates"]

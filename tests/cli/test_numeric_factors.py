@@ -137,9 +137,7 @@ def test_the_distribution_is_that_of_the_closed_form(ranges: Finished) -> None:
     halved = c**2 * ((7**2 + 0.2**2) * fourth - 7**2 * square**2)
     assert first["sd_if_halved"] == pytest.approx(math.sqrt(halved), rel=0.01)
     assert first["gain"] == pytest.approx(1 - math.sqrt(halved / variance), abs=0.01)
-
-
-def test_the_page_says_what_to_measure_better(ranges: Finished) -> None:
+    # the page says what to measure better
     page = both_pages(ranges.folder / ranges.answer.json["report"])
     assert "Uncertain inputs" in page
     assert "normal, mean 7 kPa, sd 0.4 kPa" in page
