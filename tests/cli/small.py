@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shlex
 from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -14,20 +15,50 @@ import numpy as np
 
 from study.cli.app import run
 
-DESIGN = """
+CSV = '[report]\nformat = ["csv"]\n'
+
+
+def responses(**practical: str) -> str:
+    """Tables of responses by name, each with the difference that matters, or none."""
+    return "".join(
+        f'[[response]]\nname = "{name}"\n' + (f'practical = "{least}"\n' if least else "")
+        for name, least in practical.items()
+    )
+
+
+def measured(file: str, d: str = "d", f: str = "f") -> str:
+    """Table of measurements whose columns are a displacement in mm and a force in N."""
+    return f"""[measurements]
+file = "{file}"
+columns = {{ displacement = "{d}", force = "{f}" }}
+units = {{ displacement = "mm", force = "N" }}
+"""
+
+
+def pressed(
+    rest: str,
+    *,
+    study: str = "",
+    radius: int = 10,
+    height: int = 20,
+    interface: str = "frictionless",
+    test: str = "",
+) -> str:
+    """Begin a file with a cylinder between plates, mm; `rest` begins with its material."""
+    return f"""
 schema = 1
-[study]
-name = "small"
-question = "Does the energy or the range matter?"
-seed = 2011
-[specimen]
+{study}[specimen]
 shape = "cylinder"
-radius = "25 mm"
-height = "30 mm"
+radius = "{radius} mm"
+height = "{height} mm"
 [test]
 kind = "compression"
-interface = "frictionless"
-[material]
+interface = "{interface}"
+{test}{rest}"""
+
+
+DESIGN = pressed(
+    """[material]
 incompressible = true
 [presets.material.neo-hookean]
 model = "neo-hookean"
@@ -37,11 +68,9 @@ model = "mooney-rivlin"
 measurements.range = ["1 %", "10 %"]
 [presets.range.large]
 measurements.range = ["1 %", "20 %"]
-[measurements]
-file = "tests.csv"
-columns = { displacement = "d_mm", force = "f_N" }
-units = { displacement = "mm", force = "N" }
-block = "mix"
+"""
+    + measured("tests.csv", "d_mm", "f_N")
+    + """block = "mix"
 average = ["repeat"]
 points = 30
 fit = { specimen = "A" }
@@ -51,32 +80,30 @@ method = "analytic"
 [factors]
 material = ["neo-hookean", "mooney-rivlin"]
 range = ["small", "large"]
-[[response]]
-name = "relative_rms_force_error"
-practical = "0.5 pp"
-[report]
-format = ["csv"]
 """
+    + responses(relative_rms_force_error="0.5 pp")
+    + CSV,
+    study="""[study]
+name = "small"
+question = "Does the energy or the range matter?"
+seed = 2011
+""",
+    radius=25,
+    height=30,
+)
 
-PROBLEM = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "10 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-displacement = "1 mm"
-steps = 2
-[material]
+PROBLEM = pressed(
+    """[material]
 model = "neo-hookean"
 C10 = "10 kPa"
 incompressible = true
 [model]
 space = "axisymmetric"
 mesh_size = "5 mm"
-"""
+""",
+    height=10,
+    test='displacement = "1 mm"\nsteps = 2\n',
+)
 
 CALIBRATION = """
 schema = 1
@@ -139,7 +166,12 @@ def answer_of(main: Callable[[list[str]], int], *arguments: object) -> Answer:
 
 
 def study(*arguments: object) -> Answer:
-    """Run the program in this process, as ``study ARGUMENTS`` does."""
+    """Run the program in this process, as ``study ARGUMENTS`` does.
+
+    A single argument is a whole line, split into words as a shell does.
+    """
+    if len(arguments) == 1:
+        return answer_of(run, *shlex.split(str(arguments[0])))
     return answer_of(run, *arguments)
 
 

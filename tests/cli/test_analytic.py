@@ -10,10 +10,12 @@ import pytest
 
 from study import api
 from study.ground.errors import InputError
-from tests.cli.small import refusal, study, success
+from tests.cli.small import Answer, study, success
 
 TRUTH_KPA = 6.0
+PARABOLOID = 'profile = "paraboloid"'
 
+SPHERE = '{ shape = "sphere", radius = "5 mm" }'
 FILE = """
 schema = 1
 [specimen]
@@ -35,9 +37,8 @@ units = {{ displacement = "mm", force = "mN" }}
 """  # noqa: E501
 
 
-def write(
-    folder: Path,
-    indenter: str = '{ shape = "sphere", radius = "5 mm" }',
+def text(
+    indenter: str = SPHERE,
     *,
     files: str = 'file = "curves.csv"\nblock = "curve"',
     options: str = "",
@@ -46,12 +47,18 @@ def write(
     height: float = 20,
     depth: float = 0.5,
     base: str = "bonded",
-) -> None:
-    text = FILE.format(
+) -> str:
+    return FILE.format(
         indenter=indenter, files=files, options=options, volume=volume, radius=radius,
         height=height, depth=depth, base=base,
     )  # fmt: skip
-    (folder / "file.toml").write_text(text)
+
+
+def calibrated(design: str, lines: list[str], head: str = "curve,d,f") -> Answer:
+    """Calibrate with the rows of a table in the working folder."""
+    Path("file.toml").write_text(design)
+    Path("curves.csv").write_text("\n".join([head, *lines]))
+    return study("calibrate", "file.toml", "--json")
 
 
 def rows(label: str, depth: np.ndarray, force_mN: np.ndarray) -> list[str]:  # type: ignore[type-arg]
@@ -91,7 +98,7 @@ indenter = { shape = "sphere", radius = "5 mm" }
 
 # forces at E = 1 kPa, written down from the textbook
 TEXTBOOK = {
-    "sphere": ('{ shape = "sphere", radius = "5 mm" }', lambda d: sphere_mN(d, 20)),
+    "sphere": (SPHERE, lambda d: sphere_mN(d, 20)),
     # kappa of a/h = 2/20 is 1.12599 at nu = 0.5 (validation of the layer's integral equation)
     "flat": ('{ shape = "flat", radius = "2 mm" }', lambda d: 2 * 2 * d / 0.75 * 1.12599),
     # Sneddon and Love, with the first terms of the layer's series in x = d tan/h
@@ -110,14 +117,14 @@ TEXTBOOK = {
 def test_formulas_with_noise_give_the_modulus_back(kind: str, inside: Path) -> None:
     """Twenty curves with 2 % of noise; the interval of the median holds the truth."""
     indenter, force = TEXTBOOK[kind]
-    write(inside, indenter, options='profile = "paraboloid"', depth=0.25)
-    rng, lines = np.random.default_rng(5), ["curve,d,f"]
+    rng, lines = np.random.default_rng(5), list[str]()
     depth = np.linspace(0.005, 0.25, 50)
     for k in range(20):
         clean = TRUTH_KPA * force(depth)
         lines += rows(f"c{k}", depth, clean + 0.02 * clean[-1] * rng.normal(size=50))
-    (inside / "curves.csv").write_text("\n".join(lines))
-    answer = success("calibrate", "file.toml", "--json")
+    design = text(indenter, options=PARABOLOID, depth=0.25)
+    answer = calibrated(design, lines)
+    assert answer.code == 0, answer.err
     (test,) = answer.json["tests"]
     low, high = test["youngs_modulus"]["ci95_kPa"]
     assert low <= TRUTH_KPA <= high
@@ -136,57 +143,59 @@ def test_formulas_with_noise_give_the_modulus_back(kind: str, inside: Path) -> N
     assert table[1].startswith("0,curves.csv: curve = c0,fitted,")
 
 
-def test_the_modulus_of_a_simulated_indentation(inside: Path) -> None:
-    """Finite elements, neo-Hookean, nu = 0.4999, a sphere in a block of 10 radii: within 3 %."""
-    write(inside, volume="poisson_ratio = 0.4999", radius=60, height=50, depth=0.25)
-    (inside / "problem.toml").write_text(PROBLEM)
+CONE = '{ shape = "cone", half_angle = "60 deg", tip_radius = "0.5 mm" }'
+#: what the file says, what else the simulation is told, its modulus, and how near that is
+SIMULATED = {
+    "a neo-Hookean block of 10 radii": (
+        text(volume="poisson_ratio = 0.4999", height=50, depth=0.25), {},
+        4 * 1.4999, 0.03, "",  # E = 2 mu (1 + nu) with mu = 2 C10
+    ),
+    "a rounded cone on a layer on oil": (
+        text(CONE, volume="poisson_ratio = 0.3", height=4, depth=0.3, base="frictionless"),
+        {'"50 mm"': '"4 mm"', "0.4999": "0.3", '"neo-hookean"': '"linear-elastic"',
+         'C10 = "1 kPa"': 'youngs_modulus = "6 kPa"', '"bonded"': '"frictionless"',
+         '"0.25 mm"': '"0.3 mm"', SPHERE: CONE, "medium": "fine"},
+        TRUTH_KPA, 5e-3, "strains by the same amount at any depth",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", SIMULATED)
+def test_the_modulus_of_a_simulated_indentation(inside: Path, kind: str) -> None:
+    design, changes, modulus, near, warned = SIMULATED[kind]
+    problem = PROBLEM
+    for old, new in changes.items():
+        problem = problem.replace(old, new)
+    (inside / "problem.toml").write_text(problem)
     found = api.solve("problem.toml")
     assert found.status == "converged"
-    curve = found.curve
-    lines = rows("s", curve.displacement_mm, 1e3 * curve.force_N)
-    (inside / "curves.csv").write_text("\n".join(["curve,d,f", *lines]))
-    answer = success("calibrate", "file.toml", "--json")
-    modulus = answer.json["tests"][0]["youngs_modulus"]["median_kPa"]
-    # E = 2 mu (1 + nu) with mu = 2 C10
-    assert modulus == pytest.approx(4 * 1.4999, rel=0.03)
+    answer = calibrated(design, rows("s", found.curve.displacement_mm, 1e3 * found.curve.force_N))
+    estimate = answer.json["tests"][0]["youngs_modulus"]["median_kPa"]
+    assert estimate == pytest.approx(modulus, rel=near)
+    assert warned in answer.err
 
 
-def test_a_rounded_cone_on_a_sliding_layer(inside: Path) -> None:
-    """Linear elastic finite elements, nu = 0.3, a layer of 4 mm on oil: E to 0.5 %."""
-    cone = '{ shape = "cone", half_angle = "60 deg", tip_radius = "0.5 mm" }'
-    write(inside, cone, volume="poisson_ratio = 0.3", height=4, depth=0.3, base="frictionless")
-    problem = PROBLEM.replace('"50 mm"', '"4 mm"').replace("0.4999", "0.3")
-    problem = problem.replace('"neo-hookean"', '"linear-elastic"').replace(
-        'C10 = "1 kPa"', 'youngs_modulus = "6 kPa"'
+@pytest.mark.usefixtures("inside")
+def test_rows_beyond_the_limit_of_depth_are_left_out_and_a_limit_that_is_lifted_is_said() -> None:
+    """Forces tripled beyond 0.8 mm change nothing."""
+    depth = np.linspace(0.01, 1.0, 100)
+    force = TRUTH_KPA * sphere_mN(depth, 60)
+    force[depth > 0.8 + 1e-9] *= 3
+    lines = rows("a", depth, force)
+    limited = calibrated(text(options=PARABOLOID, height=60, depth=1.0), lines)
+    assert "50 % of the rows in contact (50 of 100) lie deeper than 0.5 mm (d/R <= 0.1)" in (
+        " ".join(limited.err.split())
     )
-    problem = problem.replace('"bonded"', '"frictionless"').replace('"0.25 mm"', '"0.3 mm"')
-    (inside / "problem.toml").write_text(
-        problem.replace('{ shape = "sphere", radius = "5 mm" }', cone).replace("medium", "fine")
-    )
-    curve = api.solve("problem.toml").curve
-    lines = rows("s", curve.displacement_mm, 1e3 * curve.force_N)
-    (inside / "curves.csv").write_text("\n".join(["curve,d,f", *lines]))
-    answer = study("calibrate", "file.toml", "--json")
-    modulus = answer.json["tests"][0]["youngs_modulus"]["median_kPa"]
-    assert modulus == pytest.approx(TRUTH_KPA, rel=5e-3)
-    assert "strains by the same amount at any depth" in answer.err
-
-
-def test_a_limit_of_depth_that_is_lifted_is_said(inside: Path) -> None:
-    """The rows beyond a tenth of the radius hold the same Hertz law here: only the words differ."""
-    depth = np.linspace(0.02, 1.0, 50)
-    lines = rows("s", depth, TRUTH_KPA * sphere_mN(depth, 60))
-    (inside / "curves.csv").write_text("\n".join(["curve,d,f", *lines]))
-    options = 'profile = "paraboloid"'
-    write(inside, options=options, height=60, depth=1.0)
-    limited = study("calibrate", "file.toml", "--json")
-    assert limited.json["tests"][0]["rows_outside"] == 25
-    write(inside, options=f'{options}\ndepth_limit = "0.8 mm"', height=60, depth=1.0)
-    lifted = study("calibrate", "file.toml", "--json")
-    (test,) = lifted.json["tests"]
+    words = success("calibrate", "file.toml").out
+    assert "6.00" in words
+    assert "it knows nothing of the scatter between curves" in words
+    options = f'{PARABOLOID}\ndepth_limit = "0.8 mm"'
+    lifted = calibrated(text(options=options, height=60, depth=1.0), lines)
+    for answer, outside in ((limited, 50), (lifted, 20)):
+        (test,) = answer.json["tests"]
+        assert test["rows_outside"] == outside
+        assert test["youngs_modulus"]["median_kPa"] == pytest.approx(TRUTH_KPA, rel=2e-3)
     assert test["limits"][0] == {"limit": "calibration.depth_limit", "depth_mm": 0.8}
-    assert test["rows_outside"] == 10
-    assert test["youngs_modulus"]["median_kPa"] == pytest.approx(TRUTH_KPA, rel=2e-3)
     assert "lifts the limit from 0.5 to 0.8 mm" in lifted.err
     assert "d/R <= 0.1" in lifted.err
 
@@ -194,12 +203,7 @@ def test_a_limit_of_depth_that_is_lifted_is_said(inside: Path) -> None:
 def test_many_curves(inside: Path) -> None:
     """A folder of 200 curves with their contacts: the median is that of the truth."""
     (inside / "curves").mkdir()
-    write(
-        inside,
-        files='files = "curves/{curve}.csv"',
-        options='contact = "fitted"\nprofile = "paraboloid"',
-        depth=0.6,
-    )
+    files, options = 'files = "curves/{curve}.csv"', f'contact = "fitted"\n{PARABOLOID}'
     rng, depth = np.random.default_rng(2), np.linspace(0.0, 0.5, 60)
     moduli = TRUTH_KPA * np.exp(0.2 * rng.normal(size=200))
     contacts = rng.uniform(0, 0.1, size=200)
@@ -210,7 +214,7 @@ def test_many_curves(inside: Path) -> None:
                                                strict=True)
         ]  # fmt: skip
         (inside / "curves" / f"{k}.csv").write_text("\n".join(["d,f", *lines]))
-    answer = success("calibrate", "file.toml", "--json")
+    answer = calibrated(text(files=files, options=options, depth=0.6), [])
     (test,) = answer.json["tests"]
     assert test["curves_fitted"] == 200
     # the scatter of the fits is far below that between curves
@@ -222,39 +226,20 @@ def test_many_curves(inside: Path) -> None:
 def test_curves_of_one_specimen_are_repeats(inside: Path) -> None:
     """Six specimens of 3 curves each: the interval is that of six medians."""
     files = 'file = "curves.csv"\nblock = "specimen"\naverage = ["site"]'
-    write(inside, files=files, options='profile = "paraboloid"')
-    depth, lines = np.linspace(0.01, 0.5, 30), ["specimen,site,d,f"]
+    depth, lines = np.linspace(0.01, 0.5, 30), list[str]()
     for k in range(6):
         for site, factor in enumerate((0.9, 1.0, 1.3)):
             lines += rows(f"s{k},{site}", depth, (k + 1) * factor * sphere_mN(depth, 20))
-    (inside / "curves.csv").write_text("\n".join(lines))
-    answer = success("calibrate", "file.toml", "--json")
+    answer = calibrated(text(files=files, options=PARABOLOID), lines, "specimen,site,d,f")
     estimate = answer.json["tests"][0]["youngs_modulus"]
     assert estimate["units"] == 6
     assert estimate["ci95_kPa"] == pytest.approx([1.0, 6.0], rel=2e-3)
     assert estimate["median_kPa"] == pytest.approx(3.5, rel=2e-3)
 
 
-def test_rows_beyond_the_range_are_said_and_left_out(inside: Path) -> None:
-    """Forces tripled beyond d/R = 0.1 change nothing."""
-    write(inside, depth=1.0, options='profile = "paraboloid"')
-    depth = np.linspace(0.01, 1.0, 100)
-    force = TRUTH_KPA * sphere_mN(depth, 20)
-    force[depth > 0.5 + 1e-9] *= 3
-    (inside / "curves.csv").write_text("\n".join(["curve,d,f", *rows("a", depth, force)]))
-    answer = success("calibrate", "file.toml")
-    assert "50 % of the rows in contact (50 of 100) lie deeper than 0.5 mm (d/R <= 0.1)" in (
-        " ".join(answer.err.split())
-    )
-    assert "6.00" in answer.out
-    assert "it knows nothing of the scatter between curves" in answer.out
-
-
-def test_no_row_within_the_range_is_no_answer(inside: Path) -> None:
-    write(inside, height=2, radius=3)
+def test_no_row_within_the_range_is_no_answer() -> None:
     depth = np.linspace(0.01, 0.4, 40)
-    (inside / "curves.csv").write_text("\n".join(["curve,d,f", *rows("a", depth, depth)]))
-    answer = study("calibrate", "file.toml", "--json")
+    answer = calibrated(text(height=2, radius=3), rows("a", depth, depth))
     assert answer.code == 1
     (test,) = answer.json["tests"]
     assert test["youngs_modulus"] is None
@@ -264,69 +249,21 @@ def test_no_row_within_the_range_is_no_answer(inside: Path) -> None:
 
 def test_published_series_says_how_far_it_is_off(inside: Path) -> None:
     """At chi = 0.48694 the layer's table has 2.10558 times Hertz, the series 1.9393 times."""
-    write(inside, '{ shape = "sphere", radius = "50 mm" }', radius=100, height=6.25,
-          depth=0.2, options='theory = "dimitriadis"\nprofile = "paraboloid"')  # fmt: skip
+    design = text(SPHERE.replace('"5 mm"', '"50 mm"'), radius=100, height=6.25, depth=0.2,
+                  options=f'theory = "dimitriadis"\n{PARABOLOID}')  # fmt: skip
     depth = np.linspace(0.01, (0.48694 * 6.25) ** 2 / 50, 30)
-    (inside / "curves.csv").write_text("\n".join(["curve,d,f", *rows("a", depth, depth**1.5)]))
-    answer = success("calibrate", "file.toml", "--json")
+    answer = calibrated(design, rows("a", depth, depth**1.5))
     assert f"{100 * (2.10558 / 1.9393 - 1):+.1f} %" in answer.err
     assert "integral-equation" in answer.err
 
 
-BAD = {
-    "compression": "analytic is for indentation",
-    "bonded": "takes the indenter for frictionless",
-    "series": "dimitriadis is a series for spheres",
-    "bulk": "needs Poisson's ratio",
-    "theory": "did you mean 'dimitriadis'",
-    "columns": "needs displacement and force",
-}
-
-
-@pytest.mark.parametrize("kind", BAD)
-def test_bad_input_says_how_to_mend_it(kind: str, inside: Path) -> None:
-    cone = '{ shape = "cone", half_angle = "30 deg" }'
-    if kind == "series":
-        write(inside, cone, options='theory = "dimitriadis"')
-    else:
-        volume = 'bulk_modulus = "1 MPa"' if kind == "bulk" else "incompressible = true"
-        write(inside, volume=volume, options='theory = "dimitriades"' if kind == "theory" else "")
-    text = (inside / "file.toml").read_text()
-    if kind == "compression":
-        text = text.replace('"indentation"', '"compression"').split(", indenter")[0]
-        text += " }" + (inside / "file.toml").read_text().split('radius = "5 mm" } }')[1]
-    if kind == "bonded":
-        text = text.replace('interface = "frictionless"', 'interface = "bonded"')
-    if kind == "columns":
-        text = text.replace('force = "f"', 'stress = "f"').replace('force = "mN"', 'stress = "kPa"')
-    (inside / "file.toml").write_text(text)
-    (inside / "curves.csv").write_text("curve,d,f\na,0,0\na,0.1,1\na,0.2,2\na,0.3,3")
-    answer = refusal("calibrate", "file.toml")
-    assert BAD[kind] in answer.err
-
-
-def test_options_of_the_fit_by_finite_elements_are_refused(inside: Path) -> None:
-    write(inside)
-    answer = refusal("calibrate", "file.toml", "--energies")
-    assert "--energies" in answer.err
-
-
-def test_keys_of_the_closed_form_need_it(inside: Path) -> None:
-    """With another method they would be read and not obeyed."""
-    write(inside, options='theory = "half-space"')
-    answer = refusal("calibrate", "file.toml", "--method", "auto")
-    assert "calibration.theory" in answer.err
-    with pytest.raises(InputError, match=r"study\.indentation_modulus"):
-        api.calibrate("file.toml")
-
-
 def test_one_bad_curve_does_not_stop_the_others(inside: Path) -> None:
-    write(inside, options='profile = "paraboloid"')
     depth = np.linspace(0.01, 0.5, 30)
     good = rows("good", depth, TRUTH_KPA * sphere_mN(depth, 20))
-    lines = ["curve,d,f", *good, *rows("flat", depth, np.ones(30))]
-    (inside / "curves.csv").write_text("\n".join(lines))
-    answer = success("calibrate", "file.toml", "--json")
+    answer = calibrated(text(options=PARABOLOID), [*good, *rows("flat", depth, np.ones(30))])
+    assert answer.code == 0
+    with pytest.raises(InputError, match=r"study\.indentation_modulus"):
+        api.calibrate("file.toml")
     assert [c["status"] for c in answer.json["tests"][0]["curves"]] == ["fitted", "unreadable"]
     assert "1 of 2 curves are unreadable" in answer.err
     assert "the force is constant" in answer.err

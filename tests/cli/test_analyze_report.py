@@ -1,10 +1,11 @@
-"""`study analyze CSV --report DIR`: the page, its numbers a second way, its command line."""
+"""The page of `study analyze`: its numbers a second way, its command line, any table."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -13,7 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.small import Answer, refusal, success
+from tests.cli.small import study, success
+from validation import fuzz
+from validation.fuzz_inputs import Place, tables
 
 TABLES = Path(__file__).parents[2] / "validation" / "statistics"
 BATTERY = ("--response", "life", "--factors", "material,temperature")
@@ -54,7 +57,7 @@ def test_the_page_answers_first_and_shows_every_part(battery: Path) -> None:
         assert shown in page.replace("\N{NO-BREAK SPACE}", " "), shown
 
 
-def test_pairs_are_tukeys(battery: Path) -> None:
+def test_pairs_are_tukeys_and_dunnetts(battery: Path) -> None:
     """Montgomery's Tukey comparisons a second way: scipy's studentized range."""
     from scipy.stats import studentized_range
 
@@ -70,21 +73,15 @@ def test_pairs_are_tukeys(battery: Path) -> None:
         half = studentized_range.ppf(0.95, 3, df) * np.sqrt(mse / n)
         width = float(row["upper"]) - float(row["lower"])
         assert width == pytest.approx(2 * half, rel=1e-6)
-
-
-def test_dunnett_takes_the_error_of_the_model(battery: Path) -> None:
-    """Dunnett's two-sided 5 % point for 2 comparisons and 27 df lies between 2.35 and 2.32.
-
-    Printed for 24 and 30 df (Montgomery 2017, table VI: 2.35, 2.32). The other factor is in the
-    model: its effects are not in the error, as they would be in the scatter of the raw groups.
-    """
+    # Dunnett's two-sided 5 % point for 2 comparisons and 27 df, printed for 24 and 30 df
+    # (Montgomery 2017, table VI: 2.35, 2.32). The other factor is in the model: its effects are
+    # not in the error, as they would be in the scatter of the raw groups.
     one = records(battery, "table-material-against-1.csv")[0]
-    error = np.sqrt(2 * 18230.75 / 27 / 12)
-    point = (float(one["upper"]) - float(one["lower"])) / 2 / error
+    point = (float(one["upper"]) - float(one["lower"])) / 2 / np.sqrt(2 * mse / n)
     assert 2.31 < point < 2.36
 
 
-def test_coefficients_are_those_of_least_squares(battery: Path) -> None:
+def test_coefficients_and_rows_are_those_of_least_squares(battery: Path) -> None:
     """The standard error of a level's coefficient is s sqrt((k - 1) / N), by hand."""
     table = {r["term"]: r for r in records(battery, "table-coefficients.csv")}
     assert float(table["Constant"]["estimate"]) == pytest.approx(105.5278, abs=5e-5)
@@ -94,18 +91,14 @@ def test_coefficients_are_those_of_least_squares(battery: Path) -> None:
     assert float(table["Constant"]["standard_error"]) == pytest.approx(s / 6)
     # the columns of one factor correlate by 1/2, so the variance inflation factor is 4/3
     assert float(table["material[1]"]["vif"]) == pytest.approx(4 / 3)
-
-
-def test_rows_have_press_and_cook(battery: Path) -> None:
-    """Leverage of a balanced cell is 1/4, so PRESS is e / (3/4); Cook's distance by its formula."""
+    # leverage of a balanced cell is 1/4, so PRESS is e / (3/4); Cook's distance by its formula
     rows = records(battery, "rows.csv")
     assert len(rows) == 36
-    s2 = 18230.75 / 27
     for row in rows:
         e = float(row["residual"])
         assert float(row["leverage"]) == pytest.approx(0.25)
         assert float(row["press"]) == pytest.approx(e / 0.75, abs=1e-9)
-        assert float(row["cook"]) == pytest.approx(e**2 / (9 * s2) * 0.25 / 0.75**2, abs=1e-12)
+        assert float(row["cook"]) == pytest.approx(e**2 / (9 * s**2) * 0.25 / 0.75**2, abs=1e-12)
 
 
 def test_the_line_to_reproduce_works_when_pasted(battery: Path) -> None:
@@ -148,29 +141,6 @@ def test_blocks_have_residual_plots_too(tmp_path: Path) -> None:
     assert {round(float(row["leverage"]), 9) for row in rows} == {round(1 / 3, 9)}
 
 
-def refused(*arguments: object) -> Answer:
-    answer = refusal("analyze", *arguments)
-    assert answer.out == ""
-    return answer
-
-
-def test_a_page_that_cannot_be_written_is_refused(
-    tmp_path: Path,
-) -> None:
-    table = TABLES / "battery_life.csv"
-    assert "add --report DIR" in refused(table, *BATTERY, "--format", "pdf").err
-    assert "study report STUDY" in refused(tmp_path, *BATTERY, "--report", "out").err
-    assert "did you mean 'html'" in refused(table, *BATTERY, "--report", tmp_path / "x",
-                                            "--format", "htm").err  # fmt: skip
-    assert "name a folder" in refused(table, *BATTERY, "--report", table).err
-
-
-def test_a_column_that_differs_in_case_is_suggested() -> None:
-    err = refused(TABLES / "battery_life.csv", "--response", "LIFE", "--factors", "Material").err
-    assert "did you mean 'life'" in err
-    assert "did you mean 'material'" in err
-
-
 def test_an_interaction_alone_with_a_cell_missing_is_told_in_words(tmp_path: Path) -> None:
     """The column of a cell without rows is zero."""
     rows = [f"{a},{b},{9 + k + (a == b)}" for a in "xyz" for b in "xyq" for k in range(3)]
@@ -197,3 +167,55 @@ def test_a_result_shows_itself_in_a_notebook(tmp_path: Path) -> None:
     assert found.report(tmp_path).name == "table-life.html"
     assert {"analyze", "anova"} <= set(dir(package))
     assert found.noted("said").notes[-1] == "said"
+
+
+#: tables in the suite, and in `make verify`
+FEW = 30
+MANY = 10_000
+NOT_A_NUMBER = re.compile(r"(?<!\w)(nan|-?inf)(?!\w)", re.ASCII)
+
+
+def not_json(constant: str) -> float:
+    raise AssertionError(f"{constant} in JSON")
+
+
+def answered(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Analyze one table of the fuzz campaign; whether there was an answer, and no refusal."""
+    project = folder / str(seed)
+    project.mkdir()
+    monkeypatch.chdir(project)
+    (words, *_), _ = tables(np.random.default_rng(seed), project, Place(str(folder), str(folder)))
+    answer = study(*words)
+    assert not list(fuzz.wrong(answer.code, answer.out, answer.err)), (seed, answer.err)
+    assert not list(fuzz.written(project)), seed
+    if answer.code > 1:
+        assert not answer.out, seed
+    elif "--json" in words:
+        json.loads(answer.out, parse_constant=not_json)
+    else:
+        assert not NOT_A_NUMBER.search(answer.out), seed
+    return answer.code == 0
+
+
+def test_random_tables_are_answered_or_refused_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good = sum(answered(seed, tmp_path, monkeypatch) for seed in range(FEW))
+    # tables that only were refused would show nothing of the analysis
+    assert good > FEW // 8
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_many_random_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    good = sum(answered(seed, tmp_path, monkeypatch) for seed in range(FEW, MANY))
+    assert good > MANY // 8
+
+
+def test_rows_that_are_fitted_exactly_have_a_page(tmp_path: Path) -> None:
+    """Leverage one leaves 0 / 0 for Cook's distance: such rows once lost the figure."""
+    rows = ["a,b,y", "p,u,1", "p,v,2.5", "p,v,3", "q,u,4", "q,u,5.5", "q,v,6", "q,v,7"]
+    (tmp_path / "t.csv").write_text("\n".join(rows) + "\n")
+    answer = success("analyze", tmp_path / "t.csv", "y ~ a * b", "--report", tmp_path / "page")
+    page = Path(answer.out.rpartition("report: ")[2].strip())
+    assert "Figure missing" not in page.with_stem(f"{page.stem}-details").read_text("utf-8")

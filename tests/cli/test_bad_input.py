@@ -2,65 +2,163 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.cli.small import Edit, refusal
+from study.laboratory.registration.closest_point import TriangleSurface
+from tests.cli import test_analytic, test_confirming_runs, test_layouts, test_single
+from tests.cli import test_numeric_factors as ranges
+from tests.cli import test_simulated_responses as alone
+from tests.cli.small import DESIGN, Edit, pressed, refusal, study, success
+from tests.cli.test_require import PLATES
+from tests.conftest import ROOT
+from tests.fem.surfaces import sphere, write
+from tests.registration.bodies import egg, scan
+from tests.shape_validation.test_shape import MOTION, cylinder, problem, write_csv, write_ply
+from tests.tracker_accuracy import virtual
+from tests.tracker_accuracy.test_tracking import (
+    DISPLACEMENT,
+    LASER,
+    distance_study,
+    reference_study,
+)
 
 Lines = Callable[[list[str]], list[str]]
 
 
-def refused(home: Path, *arguments: object) -> str:
+def refused(home: Path, command: str) -> str:
     """Run a command that must be refused, and give back what it says."""
     before = {p: p.stat().st_mtime_ns for p in home.rglob("*")}
-    answer = refusal(*arguments)
+    answer = refusal(*shlex.split(command))
     assert answer.out == ""
-    assert "Traceback" not in answer.err
     assert {p: p.stat().st_mtime_ns for p in home.rglob("*")} == before
     return answer.err
 
 
+RANGES = ranges.DESIGN.partition("[factors]\n")[2].partition("[[response]]")[0]
+#: files that are sound, and the verb that reads them
+SOUND = {
+    "small": (DESIGN, "plan small.toml --data data"),
+    "plates": (PLATES, "require plates.toml"),
+    "alone": (alone.DESIGN, "run alone.toml"),
+    "ranges": (ranges.DESIGN, "plan ranges.toml"),
+    "hill": (test_confirming_runs.HILL, "plan hill.toml"),
+    "gravity": (test_single.HEAVY, "solve gravity.toml"),
+    "mixed": (test_layouts.D_OPTIMAL, "plan mixed.toml --data data"),
+    "fraction": (test_layouts.FRACTION, "plan fraction.toml --data data"),
+    "sphere": (test_analytic.text(), "calibrate sphere.toml"),
+    "cone": (
+        test_analytic.text('{ shape = "cone", half_angle = "30 deg" }'), "calibrate cone.toml"
+    ),
+}  # fmt: skip
+
+
+def added(name: str, table: str, *faults: tuple[str, str]) -> list[tuple[str, str, str, list[str]]]:
+    """Faults of a table that the sound file has not."""
+    return [(name, "[report]", f"[{table}]\n{text}\n[report]", [says]) for text, says in faults]
+
+
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("name", "old", "new", "says"),
     [
-        # a missing unit
-        (
-            'radius = "25 mm"',
-            "radius = 25",
-            ["specimen.radius", "needs a unit", "25", 'write "25 mm"'],
-        ),
-        # a misspelt key
-        ('height = "30', 'hieght = "30', ["specimen.hieght", "unknown", "did you mean 'height'?"]),
-        # an unknown level
-        (
-            '["neo-hookean", "mooney-rivlin"]',
-            '["neo-hookean", "mooney-rivlim"]',
-            ["factors.material[1]", "'mooney-rivlim'", "did you mean 'mooney-rivlin'?"],
-        ),
-        # a negative modulus
-        (
-            "incompressible = true",
-            'incompressible = true\nmodel = "neo-hookean"\nC10 = "-5 kPa"',
-            ["material.C10", "must be positive", "-10 kPa", "check the signs"],
-        ),
-        # further than the specimen is high
-        (
-            "[material]",
-            'displacement = "40 mm"\n[material]',
-            ["test.displacement", "40 mm reaches the height of the specimen, 30 mm", "smaller"],
-        ),
-        # malformed TOML, with its place
-        ("[specimen]", "[specimen", ["small.toml:7:10", "not valid TOML", "quotes"]),
-        ('"tests.csv"', '"../tests.csv"', ["measurements.file", "must not climb"]),
+        ("small", 'radius = "25 mm"', "radius = 25",
+         ["small.toml", "specimen.radius", "needs a unit", "25", 'write "25 mm"']),
+        ("small", 'height = "30', 'hieght = "30',
+         ["specimen.hieght", "unknown", "did you mean 'height'?"]),
+        ("small", '["neo-hookean", "mooney-rivlin"]', '["neo-hookean", "mooney-rivlim"]',
+         ["factors.material[1]", "'mooney-rivlim'", "did you mean 'mooney-rivlin'?"]),
+        ("small", "incompressible", 'model = "neo-hookean"\nC10 = "-5 kPa"\nincompressible',
+         ["material.C10", "must be positive", "-10 kPa", "check the signs"]),
+        ("small", "[material]", 'displacement = "40 mm"\n[material]',
+         ["test.displacement", "40 mm reaches the height of the specimen, 30 mm", "smaller"]),
+        ("small", "[specimen]", "[specimen", ["small.toml:7:10", "not valid TOML", "quotes"]),
+        ("small", '"tests.csv"', '"../tests.csv"', ["measurements.file", "must not climb"]),
+        *added("small", "analysis",
+               ('contrasts = ["small - huge"]', "no level 'huge'"),
+               ('contrasts = ["small"]', "needs two settings with ' - ' between"),
+               ('contrasts = ["small - small"]', "compares a setting with itself"),
+               ('contrasts = "small - large"', "must be a list of contrasts")),
+        ("small", "[report]", '[analysis]\ncontrasts = ["material=neo-hookean, range=large - '
+         'material=mooney-rivlin, range=large"]\n'
+         '[[exclude]]\nwhen = { material = "mooney-rivlin", range = "large" }\nwhy = "unmeasured"\n'
+         "[report]", ["no cell that is run has material=mooney-rivlin, range=large"]),
+        ("plates", 'noise = "0.05 mm"', "noise = 0.05", ["needs a unit"]),
+        ("plates", 'noise = "0.05 mm"', 'nose = "0.05 mm"', ["did you mean 'noise'"]),
+        ("plates", 'scale = "1 %"', 'scale = "100 %"', ["below 100 %"]),
+        ("plates", 'zero = "0.02 N"', 'zero = "-0.02 N"', ["at least 0"]),
+        ("plates", "points = 50", "points = 1", ["from 2"]),
+        ("plates", "points = 50", "accuracy = 0", ["above 0"]),
+        ("plates", "points = 50", "multiples = []", ["1 to 6 numbers"]),
+        ("plates", 'C10 = "10 kPa"', "", ["has no constants"]),
+        ("plates", "[requirement]", "[predict]\nmaterial = 1\n[requirement]", ["predict.material"]),
+        ("plates", "[requirement]", "[predict.test]\nkind = 'pull'\n[requirement]",
+         ["predict.test.kind"]),
+        ("plates", "samples = 0", "samples = 9\nmultiples = [90]", ["specimen's height"]),
+        ("plates", "schema = 1", "schema = 2", ["schema"]),
+        ("plates", PLATES[PLATES.index("[position]"):], "", ["nothing to propagate"]),
+        ("alone", 'displacement = "2.5 mm"\npr', "pr", ["response[2].displacement: is missing"]),
+        ("alone", 'displacement = "2.5 mm"\npr', 'displacement = "5 mm"\npr',
+         ["pressed 4 mm only"]),
+        ("alone", 'name = "dofs"', 'name = "dofs"\ndisplacement = "1 mm"',
+         ["not taken at a displacement"]),
+        ("alone", 'name = "dofs"', 'name = "work_error"', ["compares with measured curves"]),
+        ("alone", 'name = "dofs"', 'name = "peak_forces"', ["peak_force"]),
+        ("alone", 'practical = "0.5 N/mm"', 'practical = "0.5 N"', ["practical"]),
+        ("ranges", RANGES, 'material.C10 = ["5 kPa", "10 kPa"]\n[analysis]\nsurface = "emulator"\n',
+         ["analysis.surface: no factor is a range"]),
+        *added("ranges", "uncertainty",
+               ('material.C10 = { distribution = "gamma", mean = "7 kPa" }', "gamma"),
+               ('material.C10 = { distribution = "normal", mean = "7 kPa" }', "sd: is missing"),
+               ('material.C10 = { distribution = "normal", mean = "7 kPa", sd = "3 kPa" }',
+                "% of it lies"),
+               ('material.C10 = { distribution = "normal", mean = "7 mm", sd = "1 kPa" }',
+                "pressure"),
+               ('material.C10 = { distribution = "uniform", low = "8 kPa", high = "6 kPa" }',
+                "rise"),
+               ('material.C10 = { distribution = "uniform", low = "6 kPa", high = "8 kPa",'
+                ' sd = "1 kPa" }', "is no number of a uniform"),
+               ('test.displacement = { distribution = "uniform", low = "2 mm", high = "3 mm" }',
+                "is no range of"),
+               ('material.C10 = { distribution = "lognormal", median = "7 kPa", factor = 0.5 }',
+                "factor"),
+               ('material.C10 = "-1 kPa"', "must be above 0"),
+               ('material.C10 = "0.5 kPa"', "material.C10")),  # 5 kPa is the end of its range
+        ("hill", "start = 20", "start = 6", ["do not carry an emulator"]),
+        ("hill", "start = 20", "start = 32", ["is less than the 32 cells"]),
+        ("gravity", "0.98 g/cm^3", "980 g", ["density"]),
+        ("gravity", "0.98 g/cm^3", "0 kg/m^3", ["above 0"]),
+        ("gravity", '"down"', '"sideways"', ["down"]),
+        ("mixed", "runs = 12", "runs = 5", ["at least 6"]),
+        ("mixed", "runs = 12", "runs = 30", ["24"]),
+        ("mixed", "runs = 12", 'runs = 12\nterms = ["space:material"]', ["model.space"]),
+        ("mixed", "runs = 12", "runs = 12\nterms = 9", ["design.terms"]),
+        ("mixed", "runs = 12", 'runs = 12\n[analysis]\nmodel = "full"', ["of which 12 cells tell"]),
+        ("fraction", "resolution = 5", 'resolution = 5\n[analysis]\nmodel = "full"',
+         ["analysis.model: asks for 31 terms, of which 16 cells tell 15 apart",
+          "leave it out (model = 2), or list terms"]),
+        ("sphere", '"indentation"', '"compression"', ["analytic is for indentation"]),
+        ("sphere", '"frictionless"', '"bonded"', ["takes the indenter for frictionless"]),
+        ("sphere", "incompressible = true", 'bulk_modulus = "1 MPa"', ["needs Poisson's ratio"]),
+        ("sphere", '"analytic"', '"analytic"\ntheory = "dimitriades"',
+         ["did you mean 'dimitriadis'"]),
+        ("sphere", 'force = "f" }\nunits = { displacement = "mm", force = "mN"',
+         'stress = "f" }\nunits = { displacement = "mm", stress = "kPa"',
+         ["needs displacement and force"]),
+        ("sphere", '"analytic"', '"auto"\ntheory = "half-space"', ["calibration.theory"]),
+        ("cone", '"analytic"', '"analytic"\ntheory = "dimitriadis"',
+         ["dimitriadis is a series for spheres"]),
     ],
-    ids=["unit", "key", "level", "modulus", "depth", "toml", "path"],
-)
-def test_faulty_designs(home: Path, edit: Edit, old: str, new: str, says: list[str]) -> None:
-    edit(old, new)
-    words = refused(home, "plan", "small.toml", "--data", "data")
-    assert "small.toml" in words
+)  # fmt: skip
+def test_faulty_files(home: Path, name: str, old: str, new: str, says: list[str]) -> None:
+    text, command = SOUND[name]
+    assert old in text
+    (home / f"{name}.toml").write_text(text.replace(old, new, 1))
+    (home / "curves.csv").write_text("curve,d,f\na,0,0\na,0.1,1\na,0.2,2\na,0.3,3")
+    words = refused(home, command)
     for piece in says:
         assert piece in words
 
@@ -107,45 +205,101 @@ def several_tests_in_one(lines: list[str]) -> list[str]:
 def test_faulty_measurements(home: Path, change: Lines, says: list[str]) -> None:
     path = home / "data" / "tests.csv"
     path.write_text("\n".join(change(path.read_text().splitlines())))
-    words = refused(home, "plan", "small.toml", "--data", "data")
+    words = refused(home, "plan small.toml --data data")
     for piece in says:
         assert piece in words
 
 
+#: what is on disk beside the small study
+STRAY = {
+    "broken.json": "{",
+    "other.json": "{}",
+    "failed.json": '{"status": "not-converged", "name": "x", "parameters": {}, "correlation": [],'
+    ' "tests": []}',
+    "sphere.toml": test_analytic.text(),
+}
+TABLE = "analyze data/tests.csv --response f_N"
+GELS = f"{TABLE} --factors specimen --block mix"
+RUN = "run small.toml --data data"
+
+
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("command", "says"),
     [
-        (["run", "small.toml", "--data", "nowhere"], ["--data", "no folder 'nowhere'"]),
-        (["plan", "small.toml", "--data", "nowhere"], ["--data", "no folder 'nowhere'"]),
-        (["run", "small.toml"], ["no file 'tests.csv' below", "--data DIR"]),
-        (["plan", "smal.toml"], ["smal.toml", "no such file", "did you mean 'small.toml'?"]),
-        (["solve", "small.toml"], ["is a design", "study plan"]),
-        (["plan", "problem.toml"], ["factors"]),
-        (["calibrate", "problem.toml"], ["study solve"]),
-        (["solve", "problem.toml", "-s", "material.C10=5"], ["material.C10", "needs a unit"]),
-        (["solve", "problem.toml", "-s", "nonsense"], ["-s", "key=value", "nonsense"]),
-        (
-            ["solve", "problem.toml", "-s", 'model.mesh_sice="2 mm"'],
-            ["model.mesh_sice", "did you mean 'mesh_size'?"],
-        ),
-        (["converge"], ["--values", "--sizes"]),
-        (["converge", "--values", "1,x", "--sizes", "1,2"], ["--values", "numbers", "'1,x'"]),
-        (["converge", "--values", "1,2", "--sizes", "1"], ["sizes"]),
-        (["converge", "problem.toml", "--values", "1"], ["not both"]),
-        (["converge", "small.toml", "--data", "data", "--memory", "900"], ["--memory", "--jobs"]),
-        (["analyze", "no.csv", "--response", "a", "--factors", "b"], ["no.csv"]),
-        (["analyze", "data/tests.csv"], ["--response", "--factors"]),
-        (
-            ["analyze", "data/tests.csv", "--response", "fN", "--factors", "mix"],
-            ["no such column", "did you mean 'f_N'?"],
-        ),
-        (["new", "small.toml"], ["small.toml", "exists already"]),
-        (["run", "small.toml", "--dta", "data"], ["--dta", "--data"]),
-        (["rnu", "small.toml"], ["rnu", "run"]),
+        ("run small.toml --data nowhere", ["--data", "no folder 'nowhere'"]),
+        ("plan small.toml --data nowhere", ["--data", "no folder 'nowhere'"]),
+        ("run small.toml", ["no file 'tests.csv' below", "--data DIR"]),
+        (f"{RUN} --timeout nan", ["positive number of seconds"]),
+        (f"{RUN} --timeout 0", ["positive number of seconds"]),
+        (f"{RUN} --timeout -1", ["positive number of seconds"]),
+        (f"{RUN} -s 'report.format = [\"docx\"]'", ["docx"]),
+        (f"{RUN} -s 'specimen.radius = 1e200 mm'", ["too large for any test"]),
+        (f"{RUN} -s 'specimen.radius = 1e-200 mm'", ["too small for any test"]),
+        ("plan smal.toml", ["smal.toml", "no such file", "did you mean 'small.toml'?"]),
+        ("solve small.toml", ["is a design", "study plan"]),
+        ("plan problem.toml", ["factors"]),
+        ("calibrate problem.toml", ["study solve"]),
+        ("calibrate sphere.toml --energies", ["--energies"]),
+        ("solve problem.toml -s material.C10=5", ["material.C10", "needs a unit"]),
+        ("solve problem.toml -s nonsense", ["-s", "key=value", "nonsense"]),
+        ("solve problem.toml -s 'model.mesh_sice=\"2 mm\"'",
+         ["model.mesh_sice", "did you mean 'mesh_size'?"]),
+        ("converge", ["--values", "--sizes"]),
+        ("converge --values 1,x --sizes 1,2", ["--values", "numbers", "'1,x'"]),
+        ("converge --values 1,2 --sizes 1", ["sizes"]),
+        ("converge --values 1,2 --sizes 1,2", ["at least three meshes"]),
+        ("converge --values 1,2,3 --sizes 1,2,2", ["must be distinct"]),
+        ("converge problem.toml --values 1", ["not both"]),
+        ("converge small.toml --data data --memory 900", ["--memory", "--jobs"]),
+        ("analyze no.csv --response a --factors b", ["no.csv"]),
+        ("analyze data/tests.csv", ["--response", "--factors"]),
+        ("analyze data/tests.csv --response fN --factors Mix",
+         ["no such column", "did you mean 'f_N'?", "did you mean 'mix'"]),
+        (f"{TABLE} --numeric d_mm --factors d_mm",
+         ["'d_mm' stands twice among factors, numbers, response and block"]),
+        (f"{TABLE} --numeric d_mm --factors mix,mix", ["'mix' stands twice"]),
+        (f"{TABLE} --numeric d_mm --factors mixs", ["did you mean 'mix'"]),
+        (f"{TABLE} --numeric d_mm --report out --format word", ["word"]),
+        (f"{GELS} --random specimen", ["add --error reml"]),
+        (f"{GELS} --error reml --unit specimen", ["no meaning for a mixed model"]),
+        (f"{GELS} --error reml --covariates d_m", ["d_mm"]),
+        (f"{GELS} --contrast A", ["two settings"]),
+        (f"{GELS} --contrast 'A - BB'", ["no level 'BB'"]),
+        (f"{GELS} --format pdf", ["add --report DIR"]),
+        (f"{GELS} --report out --format htm", ["did you mean 'html'"]),
+        (f"{GELS} --report data/tests.csv", ["name a folder"]),
+        ("analyze data --report out", ["study report STUDY"]),
+        ("status small", ["looked in small, results/small", "run the design first"]),
+        ("report small", ["looked in small, results/small", "run the design first"]),
+        ("analyze small", ["looked in small, results/small", "run the design first"]),
+        ("export nowhere.toml", ["no results of a study there"]),
+        ("export problem.toml --as lookup", ["force-law"]),
+        ("export problem.toml --tolerance 0", ["between 0 and 1"]),
+        ("export calibration.toml", ["study calibrate"]),
+        ("export small.toml", ["--case"]),
+        ("export broken.json", ["is not valid JSON"]),
+        ("export other.json", ["no document of a calibration"]),
+        ("export failed.json", ["ended as not-converged"]),
+        ("export problem.toml -s 'material.C10=\"-1 kPa\"'", ["C10"]),
+        ("export problem.toml -s 'test.displacement=\"11 mm\"'", ["height"]),
+        ("virtual data/tests.csv --from small.toml", ["could not be written (Not a directory)"]),
+        ("virtual data/tests.csv", ["could not be written (Not a directory)"]),
+        ("demo --results data/tests.csv", ["could not be written (Not a directory)"]),
+        (f"plan {ROOT}/designs/demo.toml --run-sheet small.toml", ["not overwritten"]),
+        (f"plan {ROOT}/designs/noise.toml --run-sheet trials.csv", ["nothing to randomize"]),
+        (f"calibrate {ROOT}/designs/tests-of-material.toml --by test --difference 5",
+         ["--difference: needs a unit"]),
+        (f"run {ROOT}/designs/truth-cube.toml --data data",
+         ["truth_cube/uniaxial_positions.csv", "Kerdok"]),
+        ("new small.toml", ["small.toml", "exists already"]),
+        ("run small.toml --dta data", ["--dta", "--data"]),
+        ("rnu small.toml", ["rnu", "run"]),
     ],
-)
-def test_faulty_commands(home: Path, arguments: list[str], says: list[str]) -> None:
-    words = refused(home, *arguments)
+)  # fmt: skip
+def test_faulty_commands(home: Path, command: str, says: list[str]) -> None:
+    for name, text in STRAY.items():
+        (home / name).write_text(text)
+    words = refused(home, command)
     for piece in says:
         assert piece in words
 
@@ -154,7 +308,7 @@ def test_all_faults_come_at_once(home: Path, edit: Edit) -> None:
     edit('radius = "25 mm"', "radius = 25")
     edit('kind = "compression"', 'kind = "compresion"')
     edit('practical = "0.5 pp"', 'practical = "0.5 N"')
-    words = refused(home, "run", "small.toml", "--data", "data")
+    words = refused(home, RUN)
     assert words.startswith("3 errors:")
     for key in ("specimen.radius", "test.kind", "response[0].practical"):
         assert key in words
@@ -163,28 +317,16 @@ def test_all_faults_come_at_once(home: Path, edit: Edit) -> None:
 def test_equal_faults_are_told_once_with_their_places(home: Path) -> None:
     path = home / "data" / "tests.csv"
     path.write_text("\n".join(too_short(path.read_text().splitlines())))
-    words = refused(home, "run", "small.toml", "--data", "data")
+    words = refused(home, RUN)
     assert words.count("shorten the range") == 1
     assert "the same at: " in words
     assert "and 8 more" in words
 
 
-MEASURED = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "9 mm"
-height = "20 mm"
-[test]
-kind = "compression"
-[material]
-model = "yeoh"
-incompressible = true
-[measurements]
-file = "a.csv"
-[calibration]
-method = "auto"
-"""
+MEASURED = pressed(
+    '[material]\nmodel = "yeoh"\nincompressible = true\n[measurements]\nfile = "a.csv"\n'
+    '[calibration]\nmethod = "auto"\n'
+)
 
 
 @pytest.mark.parametrize(
@@ -202,15 +344,9 @@ def test_a_file_of_another_verb_names_that_verb(
 ) -> None:
     (tmp_path / "file.toml").write_text(text)
     for verb in verbs:
-        message = refused(tmp_path, verb, tmp_path / "file.toml")
+        message = refused(tmp_path, f"{verb} {tmp_path}/file.toml")
         assert message.startswith("error:")  # one fault, not a list of missing keys
         assert mend in message
-
-
-def test_a_value_without_its_unit_names_its_option(tmp_path: Path) -> None:
-    file = Path(__file__).parents[2] / "designs" / "tests-of-material.toml"
-    message = refused(tmp_path, "calibrate", file, "--by", "test", "--difference", "5")
-    assert "--difference: needs a unit" in message
 
 
 @pytest.mark.parametrize("name", ["case.json", "problem.json"])
@@ -221,6 +357,152 @@ def test_a_file_that_every_case_gets_is_not_among_those_that_go_along(
     text = f"""[study]\nname = "own"\n[parameters]\na = 1\n{forward}
 [factors]\n"parameters.a" = [1, 2]\n[[response]]\nname = "peak"\nunit = "N"\n"""
     (tmp_path / "own.toml").write_text(text)
-    assert f"holds {name}, which this package writes" in refused(
-        tmp_path, "plan", tmp_path / "own.toml"
-    )
+    words = refused(tmp_path, f"plan {tmp_path}/own.toml")
+    assert f"holds {name}, which this package writes" in words
+
+
+def test_a_study_without_series_says_why_it_has_no_convergence(done: Path) -> None:
+    """All its plates are frictionless: exact on every mesh, so nothing was refined."""
+    words = refused(done, "converge results/small --json")
+    assert "no refinement is stored" in words
+    assert "no mesh matters" in words
+
+
+SOLVE = """
+schema = 1
+[specimen]
+shape = "surface"
+file = "organ.stl"
+unit = "{unit}"
+clamp_below = "-2 mm"
+[test]
+kind = "indentation"
+interface = "frictionless"
+displacement = "0.4 mm"
+steps = 1
+indenter = {{ shape = "sphere", radius = "8 mm" }}
+[material]
+model = "neo-hookean"
+C10 = "5 kPa"
+poisson_ratio = 0.495
+[model]
+space = "3d"
+element_order = "linear"
+mesh = "coarse"
+"""
+
+
+def solving(folder: Path, *, factor: float = 1.0, left_out: int = 0, unit: str = "mm") -> list[str]:
+    points, triangles = sphere(10, 3)
+    write(folder / "organ.stl", (factor * points, triangles[left_out:]))
+    (folder / "organ.toml").write_text(SOLVE.format(unit=unit))
+    return ["solve", str(folder / "organ.toml")]
+
+
+def shaping(
+    folder: Path, change: Callable[[np.ndarray], np.ndarray], *, markers: int = 0, left_out: int = 0
+) -> list[str]:
+    whole = egg()
+    body = TriangleSurface(whole.points, whole.triangles[left_out:])
+    cloud = MOTION(change(scan(whole, 1500, np.random.default_rng(5))))
+    command = ["shape", str(write_ply(folder / "body.ply", body))]
+    command += ["--scan", str(write_csv(folder / "scan.csv", cloud))]
+    if markers:
+        command += ["--markers", str(write_csv(folder / "marks.csv", cloud[:markers]))]
+    return [*command, "--reports", str(folder / "reports")]
+
+
+def another_state(folder: Path) -> list[str]:
+    cloud = write_csv(folder / "scan.csv", MOTION(cylinder(20.0, 30.0, 2000, 7)))
+    return ["shape", str(problem(folder)), "--scan", str(cloud), "--reports", str(folder)]
+
+
+def tracked(folder: Path, file: Path) -> list[str]:
+    return ["tracking", str(file), "--data", str(folder), "--reports", str(folder / "reports")]
+
+
+def clock_set_back(folder: Path) -> list[str]:
+    file = distance_study(folder, 1)
+    lines = (folder / "markers.csv").read_text().splitlines()
+    lines[10], lines[11] = lines[11], lines[10]
+    (folder / "markers.csv").write_text("\n".join(lines) + "\n")
+    return tracked(folder, file)
+
+
+def in_metres(folder: Path) -> list[str]:
+    file = distance_study(folder, 1)
+    file.write_text(file.read_text().replace('unit = "mm"', 'unit = "m"', 1))
+    return tracked(folder, file)
+
+
+def poses(
+    folder: Path, kept: int = 12, *, mirrored: bool = False, shuffled: bool = False
+) -> list[str]:
+    file = reference_study(folder, 8, np.zeros(3), 5.0, 0.1)
+    seen, known = virtual.pose_rows(8, np.zeros(3), 5.0, 0.1)
+    if mirrored:
+        seen = [[p, x, y, -z] for p, x, y, z in seen]
+    if shuffled:
+        known = [[row[0], *other[1:]] for row, other in zip(known, known[::-1], strict=True)]
+    virtual.write(folder / "poses.csv", "pose,x,y,z", seen)
+    virtual.write(folder / "laser.csv", LASER, known[:kept])
+    return tracked(folder, file)
+
+
+def two_stops(folder: Path) -> list[str]:
+    rows = [row for row in virtual.stage_rows(1, 1.0, 0.0, 0.01) if row[1] in (0.0, 50.0)]
+    virtual.write(folder / "stage.csv", "stop,commanded,x,y,z", rows)
+    (folder / "stage.toml").write_text(DISPLACEMENT)
+    return tracked(folder, folder / "stage.toml")
+
+
+def same(points: np.ndarray) -> np.ndarray:
+    return points
+
+
+CASES: dict[str, tuple[Callable[[Path], list[str]], int, str, str]] = {
+    "solve, a hole": (
+        lambda f: solving(f, left_out=3), 2, "is not closed", "fill the holes"),
+    "solve, metres for millimetres": (
+        lambda f: solving(f, factor=1e-3), 2, "0.02 mm large if its file is in mm", 'unit = "m"'),
+    "solve, millimetres for metres": (
+        lambda f: solving(f, unit="m"), 2, "2e+04 mm large if its file is in m", 'unit = "mm"'),
+    "shape, a hole in the body": (
+        lambda f: shaping(f, same, left_out=3), 2, "is not closed", "fill the holes"),
+    "shape, metres for millimetres": (
+        lambda f: shaping(f, lambda p: p / 1000), 2, "the simulated body", '--unit "m"'),
+    "shape, a mirrored cloud": (
+        lambda f: shaping(f, lambda p: p * [1, -1, 1]), 2, "is mirrored", "negate one coordinate"),
+    "shape, too few markers": (
+        lambda f: shaping(f, same, markers=2), 2, "has 2 markers, 3 or more", "mark more points"),
+    "shape, no surface in the cloud": (
+        lambda f: shaping(f, lambda p: p[:20]), 2, "has 20 points", "scan more of the body"),
+    "shape, another state": (another_state, 3, "another state", "--any-state"),
+    "tracking, the clock goes back": (
+        clock_set_back, 2, "markers.csv:12: the time goes backwards", "sort the rows by time"),
+    "tracking, metres for millimetres": (in_metres, 2, "mm apart", '"m" instead of "mm"'),
+    "tracking, poses without a pair": (
+        lambda f: poses(f, 9), 2, "poses do not pair", "the same labels in both files"),
+    "tracking, poses in another order": (
+        lambda f: poses(f, shuffled=True), 2, "the poses do not pair", "check the order"),
+    "tracking, a mirrored frame": (
+        lambda f: poses(f, mirrored=True), 2, "is mirrored", "exchange or negate one column"),
+    "tracking, two stops": (two_stops, 2, "2 commanded positions", "stop at more positions"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_it_is_refused_with_a_way_to_mend_it(case: str, tmp_path: Path) -> None:
+    make, code, rule, mend = CASES[case]
+    answer = study(*make(tmp_path))
+    assert answer.code == code
+    told = " ".join(answer.err.split())
+    assert rule in told
+    assert mend in told
+    assert not (tmp_path / "reports").exists()  # nothing is written
+
+
+def test_outliers_are_counted_in_the_answer(tmp_path: Path) -> None:
+    strewn = np.random.default_rng(3).uniform(-300, 300, (90, 3))
+    answer = success(*shaping(tmp_path, lambda p: np.vstack([p, strewn])))
+    assert "90 isolated points left out" in " ".join(answer.out.split())

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from study.cli.app import app
+from tests.cli.small import success
 
 DESIGNS = Path(__file__).parents[2] / "designs"
-RUN = CliRunner()
 
 TEST = """
 [[tests]]
@@ -39,9 +36,9 @@ def solved(name: str, *more: str) -> dict[str, list[float]]:
     settings = [
         part for one in ("test.displacement=2 mm", "test.steps=4", *more) for part in ("-s", one)
     ]
-    outcome = RUN.invoke(app, ["solve", str(DESIGNS / f"brain-{name}.toml"), "--json", *settings])
-    assert outcome.exit_code == 0, outcome.output
-    found: dict[str, list[float]] = json.loads(outcome.stdout)
+    found: dict[str, list[float]] = success(
+        "solve", DESIGNS / f"brain-{name}.toml", "--json", *settings
+    ).json
     return found
 
 
@@ -67,11 +64,7 @@ def test_constants_of_a_flat_tip_predict_a_needle_elsewhere(tmp_path: Path) -> N
         table = SPECIMEN.format(x=x, y=y, indenter=shapes[name])
         text += TEST.format(role=role, name=name, table=table)
     (tmp_path / "fit.toml").write_text(text)
-    outcome = RUN.invoke(
-        app, ["calibrate", str(tmp_path / "fit.toml"), "--data", str(tmp_path), "--json"]
-    )
-    assert outcome.exit_code == 0, outcome.output
-    found = json.loads(outcome.stdout)
+    found = success(f"calibrate {tmp_path}/fit.toml --data {tmp_path} --json").json
     constant = found["parameters"]["C10"]
 
     # read at the load steps themselves, so that nothing is interpolated

@@ -1,4 +1,4 @@
-"""Studies in closed form, with and without measurements: every recorded number known by hand."""
+"""Studies in closed form: every recorded number known by hand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,17 @@ import pytest
 from scipy.integrate import quad
 
 from study import run
-from tests.cli.small import refusal, study, success
+from study.api.opened_study import load as open_study
+from tests.cli.small import (
+    CSV,
+    incompressible_force,
+    measured,
+    pressed,
+    refusal,
+    responses,
+    study,
+    success,
+)
 from tests.pages import both_pages
 
 LENGTH_MM, AREA_MM2 = 20.0, 100.0
@@ -128,8 +138,8 @@ practical = "10 % of mean"
 """
 
 
-def contents(folder: Path) -> Iterator[dict[str, object]]:
-    for path in sorted((folder / "results/formula/cases").glob("*/record.json")):
+def contents(name: str = "formula") -> Iterator[dict[str, object]]:
+    for path in sorted(Path("results", name, "cases").glob("*/record.json")):
         yield json.loads(path.read_text())["content"]
 
 
@@ -145,7 +155,7 @@ def test_a_simulation_in_closed_form_needs_no_measurement(way: str, inside: Path
     placed = specimen.replace("{depth}", f'displacement = "{depth:g} mm"\nsteps = 5')
     Path("formula.toml").write_text(DESIGN.format(specimen=placed, rest=GIVEN))
     success("run", "formula.toml", "--jobs", 1)
-    found = list(contents(inside))
+    found = list(contents())
     assert len(found) == 2
     for record in found:
         c10 = 1e-3 * float(record["levels"]["material.C10"].split()[0])  # type: ignore[index]
@@ -168,8 +178,10 @@ def test_what_was_measured_is_predicted_at_its_own_rows(way: str, inside: Path) 
     Path("formula.toml").write_text(
         DESIGN.format(specimen=specimen.replace("{depth}", ""), rest=rest)
     )
-    success("run", "formula.toml", "--jobs", 1)
-    found = list(contents(inside))
+    said = success("run formula.toml --jobs 1 --json").json["verdicts"]
+    scores = {row["scored_on"] for row in said if row["response"] == "relative_rms_force_error"}
+    assert scores == {"the curve fitted"}
+    found = list(contents())
     assert len(found) == 6
     for record in found:
         constants, told = values(record, "parameters"), values(record, "responses")
@@ -246,9 +258,7 @@ def test_a_strip_becomes_a_force_law() -> None:
     known = force(1.0, 0.1, 0.05)
     for d in np.linspace(0, 30, 31).tolist():
         assert law["force"](d) == pytest.approx(known(d), abs=2e-3 * known(30.0))
-    held = refusal(
-        "export", "strip.toml", "--set", 'test.speed="1 mm/s"', "--set", 'test.hold="1 s"'
-    )
+    held = refusal("export strip.toml --set 'test.speed=\"1 mm/s\"' --set 'test.hold=\"1 s\"'")
     assert "leave hold and cycles out" in held.err
 
 
@@ -263,3 +273,143 @@ def test_virtual_measurements_need_to_know_how_far_a_test_goes() -> None:
     Path("formula.toml").write_text(text.replace("{depth}", 'displacement = "30 mm"'))
     assert study("virtual", ".", "--from", "formula.toml").code == 0
     assert Path("strip.csv").is_file()
+
+
+UNCERTAIN = (
+    "schema = 1\n"
+    + STRETCHED.replace("{depth}\n", "[material]\nincompressible = true\n")
+    + measured("m.csv")
+    + """block = "specimen"
+range = ["1 %", "10 %"]
+points = 10
+[presets.energy.soft]
+material = { model = "neo-hookean", C10 = "9.5 kPa" }
+[presets.energy.stiff]
+material = { model = "neo-hookean", C10 = "10.5 kPa" }
+[factors]
+energy = ["soft", "stiff"]
+[uncertainty]
+"specimen.area" = "2 mm^2"
+"specimen.length" = "0.1 mm"
+"""
+    + responses(work_error="1 pp")
+    + CSV
+)
+
+
+def strip_force(d: np.ndarray, length: float = 20.0) -> np.ndarray:
+    """Force over C10, mm^2, of 100 mm^2."""
+    return 200 * (1 + d / length - (1 + d / length) ** -2)
+
+
+@pytest.mark.usefixtures("inside")
+def test_area_and_length_of_a_strip() -> None:
+    Path("u.toml").write_text(UNCERTAIN)
+    rows = [
+        f"{name},{d:.4f},{scale * 0.01 * force:.6f}"
+        for name, scale in (("a", 1.0), ("b", 1.02), ("c", 0.97))
+        for d in np.linspace(0.1, 2.0, 21)
+        for force in strip_force(np.array([d]))
+    ]
+    Path("m.csv").write_text("\n".join(["specimen,d,f", *rows, ""]))
+    success("run", "u.toml", "--data", ".", "--jobs", "1", "--json")
+    found = json.loads(Path("results/u/validation.json").read_text())["content"]
+    assert len(found) == 6
+    for row in found:
+        d, simulated = np.array(row["displacement_mm"]), np.array(row["simulated_N"])
+        by_area = 0.02 * simulated
+        modulus = {"soft": 0.0095, "stiff": 0.0105}[row["levels"]["energy"]]
+        by_length = modulus * (strip_force(d, 20.1) - strip_force(d))
+        expected = np.hypot(by_area, by_length)
+        # known at some places of the curve, and carried to the others as a share of the force
+        assert np.array(row["u_input_N"]) == pytest.approx(expected, rel=0.02)
+
+
+RAW = pressed(
+    '[material]\nmodel = "neo-hookean"\npoisson_ratio = 0.49\n[model]\nmesh_size = "5 mm"\n'
+    + measured("m.csv")
+    + 'block = "specimen"\npoints = "raw"\n[factors]\n'
+    + '"test.interface" = ["frictionless", "bonded"]\n'
+    + responses(mu0="1 kPa"),
+    study='[study]\nassumed = ["test.interface"]\n',
+    height=10,
+    test="steps = 3\n",
+).replace('interface = "frictionless"\n', "", 1)
+#: moduli of the three specimens, MPa
+MODULI = {"a": 0.010, "b": 0.011, "c": 0.0095}
+
+
+@pytest.mark.usefixtures("inside")
+def test_the_rows_say_how_far_the_test_goes() -> None:
+    """The modulus comes back between frictionless plates, and is less if they are bonded."""
+    Path("raw.toml").write_text(RAW)
+    rows = ["specimen,d,f"]
+    for name, modulus in MODULI.items():
+        d = np.linspace(0.1, 2.0, 12)
+        stretch = 1 - d / 10.0
+        # nearly incompressible: 2 C10 A (1 / l^2 - l) to the order of 1 - 2 nu
+        force = modulus * np.pi * 100 * (stretch**-2 - stretch)
+        rows += [f"{name},{x:.6f},{f:.9f}" for x, f in zip(d, force, strict=True)]
+    Path("m.csv").write_text("\n".join(rows) + "\n")
+    assert study("plan", "raw.toml", "--data", ".").code == 0
+    answer = success("run", "raw.toml", "--data", ".", "--jobs", "1", "--json")
+    assert answer.json["cases"] == {"total": 6, "done": 6, "failed": 0, "missing": 0}
+    found = {
+        (one.levels["test.interface"], one.block): one.responses["mu0"]["value"]
+        for one in open_study("results/raw", Path("results")).records
+    }
+    for name, modulus in MODULI.items():
+        assert found["frictionless", name] == pytest.approx(1e3 * modulus, rel=0.02)
+        assert found["bonded", name] < 0.95 * found["frictionless", name]
+    verdict = next(row for row in answer.json["verdicts"] if row["factor"] == "test.interface")
+    assert verdict["u_num"] > 0  # finer meshes were solved, which ended in an error
+    assert study("verify", "raw").code == 0
+
+
+SCALES = {"A": 1.0, "B": 1.2, "C": 0.9, "D": 1.1, "E": 0.95}
+C10_KPA = 5.0
+
+CROSS = pressed(
+    """[material]
+incompressible = true
+[presets.material.neo-hookean]
+model = "neo-hookean"
+[presets.material.mooney-rivlin]
+model = "mooney-rivlin"
+"""
+    + measured("tests.csv", "d_mm", "f_N")
+    + """block = "gel"
+points = "raw"
+[calibration]
+method = "analytic"
+[factors]
+material = ["neo-hookean", "mooney-rivlin"]
+"""
+    + responses(relative_rms_force_error="2 pp", mu0=""),
+    study='[study]\nname = "cross"\n',
+    radius=25,
+    height=30,
+)
+
+
+@pytest.mark.usefixtures("inside")
+def test_a_score_is_that_of_the_other_specimens_and_a_constant_its_own() -> None:
+    """Forces of s_k times one curve: constants to all but k have the mean of their s."""
+    d = np.linspace(0.0, 6.0, 61)
+    force = incompressible_force(C10_KPA, 0.0, d)
+    rows = [f"{k},{x:.6f},{s * f:.12f}" for k, s in SCALES.items() for x, f in zip(d, force)]  # noqa: B905
+    Path("tests.csv").write_text("\n".join(["gel,d_mm,f_N", *rows]) + "\n")
+    Path("cross.toml").write_text(CROSS)
+    said = success("run cross.toml --data . --jobs 1 --json").json
+    records = list(contents("cross"))
+    assert len(records) == 2 * len(SCALES)
+    for record in records:
+        told, gel = values(record, "responses"), str(record["block"])
+        others = float(np.mean([s for name, s in SCALES.items() if name != gel]))
+        expected = 100 * abs(others / SCALES[gel] - 1)
+        assert told["relative_rms_force_error"] == pytest.approx(expected, rel=1e-6)
+        assert told["mu0"] == pytest.approx(2 * C10_KPA * SCALES[gel], rel=1e-6)
+    scores = {one["response"]: one["scored_on"] for one in said["verdicts"]}
+    assert scores["relative_rms_force_error"] == "other specimen"
+    page = both_pages(Path("reports/cross/cross.html"))
+    assert "predicted by constants fitted to the other specimens" in page

@@ -1,9 +1,11 @@
-"""Runs that confirm a best setting: of other programs, in blocks, and beside lists of levels."""
+"""Studies of a function: runs that confirm, cells that are added, and combinations that fail."""
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,28 +13,17 @@ import pytest
 import study as public
 from study.api.predicting import Permission
 from study.harness.external.exchange import PythonFunction
+from study.harness.record.store import Store
 from study.harness.runner.fit_problem import Allowed
 from study.reporting.results.study_result import StudyResult
 from study.statistics.surfaces.emulator import fit_together
 from study.statistics.surfaces.surface_profile import level_difference
-from tests.cli.small import Answer, study, success
+from tests.cli.small import CSV, Answer, measured, pressed, responses, study, success
 from tests.response_surface import functions
 
 #: the force is a product of functions of four inputs, one of which is no number
-DESIGN = """
-schema = 1
-[study]
-name = "product"
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "20 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-displacement = "1 mm"
-steps = 1
-[material]
+DESIGN = pressed(
+    """[material]
 model = "reduced-polynomial"
 C10 = "5 kPa"
 C20 = "1 kPa"
@@ -47,56 +38,32 @@ test.interface = ["frictionless", "bonded"]
 [design]
 kind = "latin-hypercube"
 runs = 48
-[[response]]
-name = "peak_force"
-practical = "0.2 N"
-[report]
-format = ["csv"]
 """
+    + responses(peak_force="0.2 N")
+    + CSV,
+    study='[study]\nname = "product"\n',
+    test='displacement = "1 mm"\nsteps = 1\n',
+)
 
-PROGRAM = """
-import csv, json
-problem = json.load(open("problem.json"))
-constants, height = problem["material"]["constants_MPa"], problem["specimen"]["height_mm"]
-x, z = 100 * constants["C10"] - 0.5, (height - 18) / 4
-share = 2.718281828459045 ** x * (2 + z * z) * (1 + 250 * constants["C20"])
-own = 3.0 if problem["test"]["interface"] == "bonded" else 1.0
-rows = [["displacement_mm", "force_N"], *([d, own * share * d] for d in problem["displacement_mm"])]
-csv.writer(open("curve.csv", "w", newline="")).writerows(rows)
-"""
 COMMAND = DESIGN.replace(
     'model = "python"',
-    'model = "command"\nargv = [["python", "product.py"]]\nfiles = ["product.py"]',
+    'model = "command"\nargv = [["python", "-I", "-S", "product.py"]]\nfiles = ["product.py"]',
 ).replace("runs = 48", "runs = 30")
 
 BLOCKED = (
     DESIGN.replace(
         '[forward]\nmodel = "python"\n',
-        """[measurements]
-file = "m.csv"
-columns = { displacement = "d", force = "f" }
-units = { displacement = "mm", force = "N" }
-block = "mix"
-points = 10
-range = ["1 %", "10 %"]
-[calibration]
-method = "none"
-""",
+        measured("m.csv")
+        + 'block = "mix"\npoints = 10\nrange = ["1 %", "10 %"]\n[calibration]\nmethod = "none"\n',
     )
     .replace('displacement = "1 mm"\n', "")
     .replace("poisson_ratio = 0.45", "incompressible = true")
 )
 BLOCKED = (
     BLOCKED[: BLOCKED.index("material.C20 = {")]
-    + """[design]
-kind = "latin-hypercube"
-runs = 20
-[[response]]
-name = "relative_rms_force_error"
-practical = "1 pp"
-[report]
-format = ["csv"]
-"""
+    + '[design]\nkind = "latin-hypercube"\nruns = 12\n'
+    + responses(relative_rms_force_error="1 pp")
+    + CSV
 )
 
 
@@ -113,6 +80,16 @@ def forward(problem):  # type: ignore[no-untyped-def]
     share = 2.718281828459045**x * (2 + z * z) * (1 + 250 * constants["C20"])
     own = 3.0 if problem["test"]["interface"] == "bonded" else 1.0
     return [own * share * d for d in problem["displacement_mm"]]
+
+
+#: the same as a program
+PROGRAM = f"""
+import csv, json
+{inspect.getsource(forward)}
+problem = json.load(open("problem.json"))
+rows = [["displacement_mm", "force_N"], *zip(problem["displacement_mm"], forward(problem))]
+csv.writer(open("curve.csv", "w", newline="")).writerows(rows)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -273,3 +250,200 @@ def test_a_claim_over_numbers_waits_for_the_runs_that_confirm_it(
         if item.range is not None and item.range.confirmed:
             low, high = surface.found.runs.response.min(), surface.found.runs.response.max()
             assert high - low > 0.2
+
+
+SCHEME = 'kind = "adaptive"\nstart = 20\nbatch = 4\nbudget = 28\nq2 = 0.99'
+#: the force is a function of three numbers, with a hill in one corner of them; two batches
+HILL = (
+    DESIGN.replace('"product"', '"hill"')
+    .replace('test.interface = ["frictionless", "bonded"]\n', "")
+    .replace('kind = "latin-hypercube"\nruns = 48', SCHEME)
+)
+
+
+def hill(x):  # type: ignore[no-untyped-def]
+    """A hill in one corner, and slopes, over the unit box."""
+    apart = (x[:, 0] - 0.75) ** 2 + (x[:, 1] - 0.3) ** 2
+    return 3.0 * np.exp(-60.0 * apart) + x[:, 0] * x[:, 1] + 0.3 * x[:, 2] + 1.0
+
+
+def hill_forward(problem):  # type: ignore[no-untyped-def]
+    """What `forward.model = "python"` stands for."""
+    constants = problem["material"]["constants_MPa"]
+    height = problem["specimen"]["height_mm"]
+    x = [100 * constants["C10"] - 0.5, 500 * constants["C20"] - 0.5, (height - 18) / 4]
+    apart = (x[0] - 0.75) ** 2 + (x[1] - 0.3) ** 2
+    force = 3.0 * 2.718281828459045 ** (-60.0 * apart) + x[0] * x[1] + 0.3 * x[2] + 1.0
+    return [force * d for d in problem["displacement_mm"]]
+
+
+def ran(folder: Path, text: str = HILL, jobs: int = 1):  # type: ignore[no-untyped-def]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "hill.toml").write_text(text)
+    return public.run(
+        folder / "hill.toml", jobs=jobs, results=folder / "results", reports=None,
+        forward=hill_forward, version="1",
+    )  # fmt: skip
+
+
+def missed(found) -> float:  # type: ignore[no-untyped-def]
+    """Share of the function's variance that predictions of a study miss over the box."""
+    from scipy.stats import qmc
+
+    x = 0.02 + 0.96 * qmc.Sobol(3, seed=11).random_base2(10)
+    at = {"material.C10": 5 + 10 * x[:, 0], "material.C20": 1 + 2 * x[:, 1],
+          "specimen.height": 18 + 4 * x[:, 2]}  # fmt: skip
+    (surface,) = found.surfaces
+    points = surface.found.runs
+    coded = np.column_stack(
+        [f.coded(at[f.name]) for f in points.factors]
+    )  # a point beyond the outermost run is asked, too
+    exact = hill(x)
+    return float(np.mean((surface.found.model.value(coded) - exact) ** 2) / exact.var())
+
+
+@pytest.fixture(scope="module")
+def adaptive(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
+    folder = tmp_path_factory.mktemp("adaptive")
+    return folder, ran(folder)
+
+
+def table(found) -> list[tuple[str, float]]:  # type: ignore[no-untyped-def]
+    return [(record.case_id, record.value("peak_force")) for record in found.records]
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_it_knows_the_function_better_than_as_many_runs_of_a_hypercube(tmp_path: Path) -> None:
+    """Of eight seeds: a single one may well know less than its hypercube."""
+    ours: list[float] = []
+    plain: list[float] = []
+    longer = HILL.replace("budget = 28", "budget = 44")
+    cells = len(ran(tmp_path, longer).records)
+    for seed in range(1, 9):
+        own = longer.replace('name = "hill"', f'name = "hill"\nseed = {seed}')
+        start, end = own.index("[design]"), own.index("[[response]]")
+        cube = f'{own[:start]}[design]\nkind = "latin-hypercube"\nruns = {cells}\n{own[end:]}'
+        plain.append(missed(ran(tmp_path / f"plain-{seed}", cube)))
+        ours.append(missed(ran(tmp_path / f"adaptive-{seed}", own)))
+    print({"adaptive": ours, "hypercube": plain})
+    assert np.median(ours) <= np.median(plain)
+    assert np.exp(np.mean(np.log(ours))) < 0.8 * np.exp(np.mean(np.log(plain)))
+
+
+def test_it_ends_with_its_goal_or_its_budget(adaptive) -> None:  # type: ignore[no-untyped-def]
+    _, found = adaptive
+    history = found.to_json()["adaptive"]
+    assert [step["cells"] for step in history] == list(range(20, len(found.records) + 1, 4))
+    last = history[-1]
+    assert ("Q2" in last["stopped"]) == (last["q2"]["peak_force"] >= 0.99)
+    assert last["stopped"]
+    assert not any(step["stopped"] for step in history[:-1])
+    assert len(found.records) <= 28
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_it_is_the_same_for_any_number_of_workers(adaptive, processes, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    _, found = adaptive
+    assert table(ran(tmp_path, jobs=2)) == table(found)
+
+
+def test_an_interrupted_run_goes_on_to_the_same_table(adaptive, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    _, found = adaptive
+    calls = []
+
+    def stop(state) -> None:  # type: ignore[no-untyped-def]
+        calls.append(state)
+        if len(calls) == 22:  # in the middle of the first batch
+            raise KeyboardInterrupt
+
+    (tmp_path / "hill.toml").write_text(HILL)
+    given = {
+        "results": tmp_path / "results",
+        "reports": None,
+        "forward": hill_forward,
+        "version": "1",
+    }
+    with pytest.raises(KeyboardInterrupt):
+        public.run(tmp_path / "hill.toml", jobs=1, progress=stop, **given)
+    store = Store(tmp_path / "results" / "hill")
+    manifest = store.read_manifest()
+    assert manifest is not None
+    assert len(store.records(manifest["cases"])) < len(manifest["cases"]) < len(found.records)
+    again = public.run(tmp_path / "hill.toml", jobs=1, **given)
+    assert table(again) == table(found)
+    assert again.to_json()["adaptive"] == found.to_json()["adaptive"]
+    # and once more: nothing is left to do
+    assert table(public.run(tmp_path / "hill.toml", jobs=1, **given)) == table(found)
+
+
+def test_a_plan_says_start_batch_budget_and_cost(adaptive, inside: Path) -> None:  # type: ignore[no-untyped-def]
+    (inside / "hill.toml").write_text(HILL.replace('[forward]\nmodel = "python"\n', ""))
+    answer = success("plan", "hill.toml", "--json")
+    told = answer.json["adaptive"]
+    assert (told["start"], told["batch"], told["budget"]) == (20, 4, 28)
+    assert told["most_seconds"] == pytest.approx(answer.json["predicted_seconds"] * 28 / 20)
+    shown = study("plan", "hill.toml")
+    assert "at most 28 cells" in shown.out
+
+
+def test_it_ends_where_every_factor_has_a_verdict(tmp_path: Path) -> None:
+    text = HILL.replace("q2 = 0.99", 'until = "verdict"').replace('"0.2 N"', '"2 N"')
+    text = text.replace("start = 20", "start = 40").replace("budget = 28", "budget = 44")
+    found = ran(tmp_path, text)
+    stopped = found.to_json()["adaptive"][-1]["stopped"]
+    verdicts = {row["factor"]: row["verdict"] for row in found.verdicts}
+    judged = "cannot tell" not in verdicts.values()
+    assert ("every factor has a verdict" if judged else "budget of 44") in stopped
+    # 0.3 N along the height, by the formula
+    assert verdicts["specimen.height"] != "matters"
+
+
+def test_levels_have_as_many_cells_and_are_searched_each(tmp_path: Path) -> None:
+    text = HILL.replace(
+        "specimen.height = {", 'test.interface = ["frictionless", "bonded"]\nspecimen.height = {'
+    ).replace("start = 20", "start = 24").replace("q2 = 0.99", "q2 = 0.9")  # fmt: skip
+    found = ran(tmp_path, text)
+    first = [dict(one.levels)["test.interface"] for one in found.design.treatments[:24]]
+    assert first.count("bonded") == 12
+    assert len(found.surfaces) == 2
+
+
+MATRIX = (
+    DESIGN[: DESIGN.index("[factors]")].replace('name = "product"', 'name = "matrix"')
+    + """[factors]
+model.space = ["axisymmetric", "3d"]
+model.element_order = ["linear", "quadratic"]
+material.C10 = ["5 kPa", "9 kPa"]
+specimen.height = ["18 mm", "20 mm", "22 mm"]
+"""
+    + responses(peak_force="0.2 N")
+)
+
+
+def failing(problem: Any) -> list[float]:
+    """Force that grows with stiffness and falls with height; quadratic solids never converge."""
+    model = problem["model"]
+    if (str(model["space"]).lower(), model["element_order"]) == ("3d", "quadratic"):
+        raise RuntimeError("did not converge")
+    force = (
+        1e3 * problem["material"]["constants_MPa"]["C10"] * 20 / problem["specimen"]["height_mm"]
+    )
+    return [force * d for d in problem["displacement_mm"]]
+
+
+def test_good_cases_are_judged_and_no_sound_level_is_left_out(inside: Path) -> None:
+    (inside / "matrix.toml").write_text(MATRIX)
+    matrix = public.run(
+        "matrix.toml", jobs=1, reports=None, forward=failing, version="1", refine=False
+    )
+    verdicts = {row["factor"]: row for row in matrix.verdicts}
+    assert verdicts["material.C10"]["verdict"] == "matters"
+    assert verdicts["specimen.height"]["verdict"] == "matters"
+    assert verdicts["specimen.height"]["effect"] == pytest.approx(7 * 20 * (1 / 18 - 1 / 22))
+    assert verdicts["model.space"]["verdict"] == "no practical difference"
+    assert "have an empty cell" in verdicts["model.space"]["why"]
+    (analysis,) = matrix.analyses
+    assert analysis.result.data.n == 18
+    assert not [note for note in analysis.result.notes if "degrees of freedom are" in note]

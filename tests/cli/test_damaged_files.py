@@ -1,28 +1,27 @@
-"""Sealed files of a finished study with wrong content get an answer or a refusal in words.
-
-Every key is damaged once (:mod:`validation.damage`): some damages in each run of the tests, all of
-them with ``-m verify``.
-"""
+"""Damaged files and full disks: an answer or a refusal in words, and nothing half written."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from study import api
-from study.ground.errors import StoreError
+from study.ground.errors import DiskFullError, StoreError
+from study.harness.record.atomic_files import FileSystem, replaced, write_new
 from study.harness.record.record import Record, seal
-from tests.cli.small import Answer, study
+from tests.cli.small import Answer, Finished, refusal, study, success
 from validation.damage import Damage, damages, sealed
 from validation.fuzz import BUG, obey
 
 #: one damage of so many is looked at where it need not be all
-FEW = 150
+FEW = 300
 
 READERS = (
     ("status", "small"),
@@ -80,22 +79,20 @@ def content_of(path: Path) -> object:
     return json.loads(path.read_bytes())["content"]
 
 
-def test_some_damages_of_a_record(done: Path) -> None:
+@pytest.mark.parametrize(
+    "step", [FEW, pytest.param(1, marks=[pytest.mark.slow, pytest.mark.verify])]
+)
+def test_damages_of_a_record(done: Path, step: int) -> None:
     path = records()[0]
     found = list(accepted(content_of(path)))
     why = ("why", path.parent.name[:8])
-    assert not look(path, found[::FEW], [*READERS, why])
+    assert not look(path, found[::step], [*READERS, why])
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_all_damages_of_a_record(done: Path) -> None:
-    path = records()[0]
-    why = ("why", path.parent.name[:8])
-    assert not look(path, list(accepted(content_of(path))), [*READERS, why])
+NAMES = ["study", "numerical", "index", "runs/run-1", "fits/*"]
 
 
-@pytest.mark.parametrize("name", ["study", "numerical", "index", "runs/run-1", "fits/*"])
+@pytest.mark.parametrize("name", NAMES)
 def test_some_damages_of_other_files(done: Path, name: str) -> None:
     path = sorted(SMALL.glob(f"{name}.json"))[0]
     found = list(damages(content_of(path)))
@@ -107,7 +104,7 @@ def test_some_damages_of_other_files(done: Path, name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.verify
-@pytest.mark.parametrize("name", ["study", "numerical", "index", "runs/run-1", "fits/*"])
+@pytest.mark.parametrize("name", NAMES)
 def test_all_damages_of_other_files(done: Path, name: str) -> None:
     path = sorted(SMALL.glob(f"{name}.json"))[0]
     for record in records():
@@ -169,8 +166,7 @@ def test_a_manifest_of_wrong_content_is_named_kept_and_written_again(done: Path)
     del content["blocks"]
     path.write_text(seal(content))
     for words in (("status", "small"), ("report", "small"), ("analyze", "results/small")):
-        answer = study(*words)
-        assert answer.code == 2
+        answer = refusal(*words)
         assert "its manifest is damaged; run the design again" in answer.err
     mended(path, study(*RUN))
 
@@ -179,29 +175,35 @@ def test_a_pipe_in_the_place_of_the_lock_is_refused(done: Path) -> None:
     (SMALL / ".lock").unlink()
     os.mkfifo(SMALL / ".lock")
     assert study("status", "small").code == 0
-    answer = study(*RUN)
-    assert answer.code == 2
+    answer = refusal(*RUN)
     assert ".lock: cannot be written (it is no file; remove it)" in answer.err
 
 
+@pytest.fixture(scope="module")
+def drawn(finished: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study with its page: it draws its figures, which takes seconds."""
+    folder = tmp_path_factory.mktemp("drawn") / "copy"
+    shutil.copytree(finished.folder, folder)
+    success("report small --format csv,html", folder=folder)
+    return folder
+
+
 @pytest.mark.parametrize(
-    ("place", "mode"),
+    ("place", "mode", "report"),
     [
-        ("reports/small", 0o444),
-        ("reports/small/small-data", 0o000),
-        ("reports", 0o000),
-        ("results/small/fits", 0o444),
-        ("results/small/cases", 0o444),
+        ("reports/small", 0o444, "reports/small/small.html"),
+        ("reports/small/small-data", 0o000, "small"),
+        ("reports", 0o000, ""),
+        ("results/small/fits", 0o444, ""),
+        ("results/small/cases", 0o444, ""),
     ],
 )
-def test_what_may_not_be_read_is_told(done: Path, place: str, mode: int) -> None:
+def test_what_may_not_be_read_is_told(
+    drawn: Path, inside: Path, place: str, mode: int, report: str
+) -> None:
     """Rights are obeyed by root, too, for as long as it asks."""
-    verbs = [READERS[0], RUN]
-    if place not in ("reports", "results/small/fits"):
-        # a page draws its figures whenever it is made or verified
-        assert study("report", "small", "--format", "csv,html").code == 0
-        report = "reports/small/small.html" if place == "reports/small" else "small"
-        verbs = [("verify", report), *verbs]
+    shutil.copytree(drawn, inside, dirs_exist_ok=True)
+    verbs = [READERS[0], RUN, *([("verify", report)] if report else [])]
     os.chmod(place, mode)
     obey(True)
     try:
@@ -210,3 +212,94 @@ def test_what_may_not_be_read_is_told(done: Path, place: str, mode: int) -> None
         obey(False)
         os.chmod(place, 0o755)
     assert not wrong
+
+
+Fill = Callable[..., None]
+
+
+@pytest.fixture
+def fill(monkeypatch: pytest.MonkeyPatch) -> Fill:
+    """Let writes fail in the middle that a condition of path and number picks."""
+    whole, written = FileSystem.write, [0]
+
+    def fill_up(is_full: Callable[[Path, int], bool], error: int = errno.ENOSPC) -> None:
+        def write(system: FileSystem, path: Path, data: bytes) -> None:
+            written[0] += 1
+            if not is_full(path, written[0]):
+                return whole(system, path, data)
+            path.write_bytes(data[: len(data) // 2])
+            raise OSError(error, os.strerror(error))
+
+        monkeypatch.setattr(FileSystem, "write", write)
+
+    return fill_up
+
+
+def halves(folder: Path) -> list[Path]:
+    """Files that an unfinished write would leave."""
+    return sorted(folder.rglob("*.part"))
+
+
+@pytest.mark.parametrize(
+    ("error", "first"), [(errno.ENOSPC, 130), (errno.EACCES, 2)], ids=["full", "forbidden"]
+)
+def test_a_run_that_may_write_no_longer_is_stopped_and_resumes(
+    home: Path, fill: Fill, error: int, first: int
+) -> None:
+    """Exit 2 says that nothing was written, which is true of the first file alone."""
+    written: list[Path] = []
+
+    def after_three_records(path: Path, number: int) -> bool:
+        written.extend([path] * ("record.json" in path.name))
+        return len(written) > 3
+
+    fill(after_three_records, error)
+    answer = study(*RUN)
+    assert answer.code == 130
+    assert os.strerror(error) in answer.err
+    assert f"To resume:\n  study {' '.join(RUN)}\n" in answer.err
+    assert "Traceback" not in answer.err
+    assert not halves(home)
+    assert len(records()) == 3
+    fill(lambda path, number: True, error)
+    answer = study("run small.toml --data data --results other")
+    assert (answer.code, answer.out) == (first, "")
+    fill(lambda path, number: False)
+    success(*RUN)
+    assert not halves(home)
+
+
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        ("numbers.json", "report small --format csv --reports pages"),
+        ("small.html", "report small --format html --reports pages"),
+        ("made-from.json", "report small --format csv --reports pages"),
+        ("numbers.json", "analyze t.csv --response y --factors a,b --report page --format csv"),
+    ],
+)
+def test_a_report_on_a_full_disk_leaves_no_part_of_a_file(
+    done: Path, fill: Fill, name: str, command: str
+) -> None:
+    rows = "".join(f"{a},{b},{k}\n" for k, (a, b) in enumerate(("xu", "xv", "yu", "yv") * 3))
+    (done / "t.csv").write_text("a,b,y\n" + rows)
+    fill(lambda path, number: name in path.name)
+    answer = study(command)
+    assert answer.code == 1
+    assert "could not be written (No space left on device)" in answer.err
+    assert not halves(done)
+
+
+def half_written(path: Path) -> None:
+    with replaced(path) as part:
+        part.write_text("half")
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")
+
+
+def test_a_new_file_is_there_whole_or_not_at_all(tmp_path: Path, fill: Fill) -> None:
+    fill(lambda path, number: True)
+    with pytest.raises(DiskFullError):
+        write_new(tmp_path / "new.toml", "schema = 1\n")
+    with pytest.raises(DiskFullError):
+        half_written(tmp_path / "out.vtu")
+    assert not list(tmp_path.iterdir())

@@ -1,14 +1,15 @@
-"""``study export --as force-law``: the law, its files, its error bound, its refusals."""
+"""study export: force laws and functions of surfaces, their files, bounds and refusals."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
+import runpy
 import shutil
 import subprocess
+import sys
 from pathlib import Path
-from types import ModuleType
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,9 @@ import pytest
 import study as package
 from study.api import load as open_study
 from study.laboratory.haptics import haptic_export
-from study.laboratory.haptics.tabulated_force import ForceLaw, force_table
-from tests.cli.small import CALIBRATION, DESIGN, PROBLEM, Finished, study
+from study.laboratory.haptics.tabulated_force import ForceLaw
+from tests.cli.small import PROBLEM, Finished, refusal, success
+from tests.cli.test_numeric_factors import DESIGN, _force
 
 AREA_MM2 = np.pi * 10**2
 HEIGHT_MM = 10.0
@@ -51,14 +53,9 @@ def closed_form(displacement_mm: np.ndarray, c10: float = 0.01) -> np.ndarray:
     return np.asarray(2 * c10 * (stretch**-2 - stretch) * AREA_MM2)
 
 
-def module(path: Path) -> ModuleType:
-    """The Python file, imported as a user would."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made
+def module(path: Path) -> SimpleNamespace:
+    """The Python file, run as a user would import it."""
+    return SimpleNamespace(**runpy.run_path(str(path)))
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +63,7 @@ def compressed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str
     """Law of the compression whose closed form is known; folder and document."""
     folder = tmp_path_factory.mktemp("compressed")
     (folder / "plates.toml").write_text(PROBLEM)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        answer = study("export", "plates.toml", "--as", "force-law", "--json")
-    assert answer.code == 0, answer.err
+    answer = success("export", "plates.toml", "--as", "force-law", "--json", folder=folder)
     return folder / "reports", answer.json
 
 
@@ -81,7 +75,7 @@ def indented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ForceLaw]:
     return folder, found.law
 
 
-def test_the_law_is_the_closed_form_within_its_bound(
+def test_the_law_is_the_closed_form_within_its_bound_and_continues_as_stated(
     compressed: tuple[Path, dict[str, Any]],
 ) -> None:
     folder, document = compressed
@@ -95,28 +89,15 @@ def test_the_law_is_the_closed_form_within_its_bound(
     assert bound["relative"] <= 0.002
     assert document["monotone"] is True
     assert document["limited_mm"] == []
-
-
-def test_other_constants_are_exact_where_the_force_is_linear_in_them(
-    compressed: tuple[Path, dict[str, Any]],
-) -> None:
-    folder, document = compressed
-    law = module(folder / "plates_force_law.py")
+    # other constants are exact where the force is linear in them
     knots = np.array(document["displacement_mm"])
     doubled = [law.force(d, C10=0.02) for d in knots]
     assert doubled == pytest.approx(closed_form(knots, 0.02), rel=1e-8)
     assert document["constant_ranges"][0]["low"] == pytest.approx(0.009)
     assert document["constant_ranges"][0]["largest_N"] < 0.01
-
-
-def test_outside_it_continues_as_stated(compressed: tuple[Path, dict[str, Any]]) -> None:
-    folder, document = compressed
-    law = module(folder / "plates_force_law.py")
+    # outside of what was simulated
     assert law.force(-0.1) == law.stiffness(-0.1) == 0.0
-    assert not law.is_tested(-0.1)
-    assert law.is_tested(0.0)
-    assert law.is_tested(1.0)
-    assert not law.is_tested(1.01)
+    assert [law.is_tested(d) for d in (-0.1, 0.0, 1.0, 1.01)] == [False, True, True, False]
     last = law.force(1.0)
     assert law.force(1.5) == pytest.approx(last + 0.5 * law.stiffness(1.0), rel=1e-12)
     # slope of the closed form at the end: 2 C10 A (2/l^3 + 1)/H
@@ -180,6 +161,9 @@ def test_the_bound_holds_at_displacements_that_nobody_solved_before(
     assert law.relative_error <= 0.005
     places = np.linspace(0, 1, 2001)
     assert np.all(np.diff(law.force_at(places)) > 0)
+    knots, tiny = law.displacement_mm[1:], 1e-9  # it is smooth
+    below, above = law.stiffness_at(knots - tiny), law.stiffness_at(knots + tiny)
+    assert below == pytest.approx(above, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -196,26 +180,9 @@ def test_the_bound_holds_on_a_path_of_four_times_as_many_points(tmp_path: Path) 
     assert 0.2 * law.held_out.bound_N < off <= law.held_out.bound_N
 
 
-def test_it_is_smooth(indented: tuple[Path, ForceLaw]) -> None:
-    _, law = indented
-    knots = law.displacement_mm[1:]
-    tiny = 1e-9
-    below, above = law.stiffness_at(knots - tiny), law.stiffness_at(knots + tiny)
-    assert below == pytest.approx(above, rel=1e-6)
-
-
-def test_a_slope_that_overshoots_is_limited_and_told() -> None:
-    table = force_table(1.0, np.array([0.0, 1.0, 1.1]), np.array([1.0, 4.0, 0.1]))
-    assert table.slopes.tolist() == pytest.approx([1.0, 0.3, 0.1])
-    assert np.all(np.diff(table.at(np.linspace(0, 2, 1001))) >= 0)
-
-
 def test_a_calibration_gives_its_law_and_uncertainty(home: Path) -> None:
-    (home / "calibration.toml").write_text(CALIBRATION)
-    assert study("calibrate", "calibration.toml", "--data", "data").code == 0
-    answer = study("export", "results/calibration/calibration.json", "--as", "force-law", "--json")
-    assert answer.code == 0, answer.err
-    law = answer.json
+    success("calibrate calibration.toml --data data")
+    law = success("export results/calibration/calibration.json --as force-law --json").json
     known = json.loads((home / "results/calibration/calibration.json").read_text())["parameters"]
     c10, c01 = (known[name]["value"] / 1e3 for name in ("C10", "C01"))
     d = np.array(law["displacement_mm"])
@@ -244,44 +211,10 @@ def test_a_case_of_a_study_gives_its_law(finished: Finished, tmp_path: Path) -> 
     assert found.law.force.values == pytest.approx(force, rel=1e-6, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["nowhere.toml"], "no results of a study there"),
-        (["problem.toml", "--as", "lookup"], "force-law"),
-        (["problem.toml", "--tolerance", "0"], "between 0 and 1"),
-        (["calibration.toml"], "study calibrate"),
-        (["small.toml"], "--case"),
-        (["broken.json"], "is not valid JSON"),
-        (["other.json"], "no document of a calibration"),
-        (["failed.json"], "ended as not-converged"),
-        (["problem.toml", "-s", 'material.C10="-1 kPa"'], "C10"),
-        (["problem.toml", "-s", 'test.displacement="11 mm"'], "height"),
-    ],
-)
-def test_bad_input_is_told_and_nothing_is_written(
-    home: Path,
-    arguments: list[str],
-    told: str,
-) -> None:
-    (home / "calibration.toml").write_text(CALIBRATION)
-    (home / "small.toml").write_text(DESIGN)
-    (home / "broken.json").write_text("{")
-    (home / "other.json").write_text("{}")
-    failed = {"status": "not-converged", "name": "x", "parameters": {}, "correlation": []}
-    (home / "failed.json").write_text(json.dumps({**failed, "tests": []}))
-    before = sorted(path.name for path in home.iterdir())
-    answer = study("export", *arguments)
-    assert answer.code == 2
-    assert told in answer.err
-    assert sorted(path.name for path in home.iterdir()) == before
-
-
 def test_a_simulation_that_stops_makes_no_law(home: Path) -> None:
     """C20 so negative that the specimen softens without end."""
     deep = ["-s", 'test.displacement="6 mm"', "-s", 'material.model="reduced-polynomial"']
-    answer = study("export", "problem.toml", *deep, "-s", 'material.C20="-9 kPa"')
-    assert answer.code == 2
+    refusal("export", "problem.toml", *deep, "-s", 'material.C20="-9 kPa"')
     assert not (home / "reports").exists()
 
 
@@ -306,3 +239,48 @@ def test_the_page_needs_no_network_and_shows_both_figures(
     assert not re.search(r"(?:src|href)=\"https?:", page)
     for line in document["sentences"]:
         assert line.split(":")[0] in page
+
+
+LOG = DESIGN.replace('high = "10 kPa" }', 'high = "10 kPa", scale = "log" }')
+QUADRATIC = DESIGN.replace('kind = "latin-hypercube"\nruns = 30', 'kind = "central-composite"')
+
+
+@pytest.mark.parametrize(("text", "kind"), [(LOG, "emulator"), (QUADRATIC, "quadratic")])
+def test_the_function_gives_what_the_surface_predicts(inside: Path, text: str, kind: str) -> None:
+    (inside / "ranges.toml").write_text(text)
+    ran = success("run", "ranges.toml", "--jobs", 1, "--json")
+    (surface,) = ran.json["surfaces"]
+    assert surface["surface"]["kind"] == kind
+    if kind == "quadratic":
+        # the force is linear in C10: half the range times its slope, at the centre of the others
+        linear = {row["term"]: row["coefficient"] for row in surface["surface"]["terms"]}
+        assert linear["material.C10"] == pytest.approx(_force(10, 10, 20) / 4, rel=0.01)
+        assert all(row["p"] is None for row in surface["surface"]["terms"])
+    answer = success("export", "ranges", "--as", "emulator", "--json")
+    (told,) = answer.json["functions"]
+    assert told["kind"] == kind
+    assert told["inputs"][0]["log"] == (text == LOG)
+    module = Path(next(name for name in answer.json["files"] if name.endswith(".py")))
+    rng = np.random.default_rng(3)
+    points = rng.uniform([5.4, 0.93, 18.4], [9.6, 1.07, 21.6], (50, 3))
+    at = dict(zip(("material.C10", "specimen.radius", "specimen.height"), points.T, strict=True))
+    (known,) = package.predict("ranges", at)
+    head = "import sys; sys.path.insert(0, '.'); import {0} as m; "
+    asked = head + "print([m.peak_force(*p) for p in {1}])"
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", asked.format(module.stem, points.tolist())],
+        cwd=module.parent, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    found = np.array([float(x) for x in done.stdout.strip("[]\n").split(",")])
+    assert found == pytest.approx(known.value, rel=1e-9)
+    exact = _force(points[:, 0], 10 * points[:, 1], points[:, 2])
+    assert np.mean(np.abs(found - exact) <= told["error_bound"]) >= 0.95
+    assert told["error_bound"] < 0.05 * exact.mean()
+    outside = head + "m.peak_force(4.0, 1.0, 20.0)"
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", outside.format(module.stem)],
+        cwd=module.parent, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "C10 = 4.0 is outside of 5.0 to 10.0" in done.stderr
+    refused = refusal("export", "ranges", "--as", "emulator", "--response", "peak_farce", "--json")
+    assert "peak_force" in refused.err

@@ -11,7 +11,7 @@ from scipy.stats import qmc
 
 import study as public
 from study.ground.errors import InputError
-from tests.cli.small import study
+from tests.cli.small import study, success
 from tests.pages import both_pages
 
 #: times depth squared: what the second material adds to the force
@@ -50,19 +50,15 @@ def test_labels_are_compared_over_the_ranges(tmp_path: Path) -> None:
     assert at.value[0] == pytest.approx(2**1.5, rel=0.01)
 
 
-def test_terminal_page_and_json_have_every_combination(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    table(tmp_path, lost="ogden,1.0,2.0,")
-    monkeypatch.chdir(tmp_path)
+def test_terminal_page_and_json_have_every_combination(inside: Path) -> None:
+    table(inside, lost="ogden,1.0,2.0,")
     asked = ("analyze", "runs.csv", "--response", "force", "--numeric", "tip,depth",
              "--factors", "material", "--practical", "1")  # fmt: skip
-    shown = study(*asked, "--report", "page")
-    assert shown.code == 0, shown.err
+    shown = success(*asked, "--report", "page")
     assert "Force at material neo-hookean" in shown.out
     assert "Force with material ogden is 2.4" in shown.out
     assert shown.err.count("1 run without a response left out") == 1
-    page = both_pages(tmp_path / "page" / "runs.html")
+    page = both_pages(inside / "page" / "runs.html")
     assert "How does force depend on material, tip, depth?" in page
     assert "Force with material ogden is 2.4" in page
     found = json.loads(study(*asked, "--json").out)["surfaces"]
@@ -70,21 +66,9 @@ def test_terminal_page_and_json_have_every_combination(
     assert found[1]["differences"][0]["verdict"] == "matters"
 
 
-def test_few_runs_each_are_fitted_together(tmp_path: Path) -> None:
-    """Fewer than ten runs a factor: what the materials share is learnt from both."""
-    path, _ = table(tmp_path, runs=14)
-    both = public.fit_surfaces(path, "force", ["tip", "depth"], ["material"], surface="emulator")
-    assert all(one.found is not None and one.found.model.q2 > 0.99 for one in both)
-
-
-def test_a_combination_without_a_surface_is_named_and_the_others_stand(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    table(tmp_path, lost="gent,1.0,2.0,3.0")
-    monkeypatch.chdir(tmp_path)
-    shown = study("analyze", "runs.csv", "--response", "force", "--numeric", "tip,depth",
-                  "--factors", "material")  # fmt: skip
-    assert shown.code == 0, shown.err
+def test_a_combination_without_a_surface_is_named_and_the_others_stand(inside: Path) -> None:
+    table(inside, lost="gent,1.0,2.0,3.0")
+    shown = success("analyze runs.csv --response force --numeric tip,depth --factors material")
     assert "material = gent: factor 'tip': has one setting in every run" in shown.err
     assert "Force at material ogden" in shown.out
     assert "gent\nNo surface: factor 'tip': has one setting in every run" in shown.out
@@ -102,34 +86,6 @@ def test_labels_that_never_meet_are_compared_where_they_do(tmp_path: Path) -> No
     found = public.fit_surfaces(tmp_path / "gap.csv", "y", ["x"], ["m", "k"])
     told = [[(d.factor, d.level, round(d.mean, 2)) for d in one.differences] for one in found]
     assert told == [[], [("k", "q", 1.0)], [("m", "b", 2.0)]]
-
-
-def test_a_table_of_few_settings_says_so_beside_labels_too(tmp_path: Path) -> None:
-    rows = [f"{m},{x},{x**2 + (m == 'b')}" for m in "ab" for x in range(3)]
-    (tmp_path / "few.csv").write_text("\n".join(["m,x,y", *rows]))
-    found = public.fit_surfaces(tmp_path / "few.csv", "y", ["x"], ["m"], practical=1.0)
-    for one in found:
-        assert one.found is not None
-        assert any("no factor is judged" in note for note in one.found.notes)
-
-
-@pytest.mark.parametrize(
-    ("factors", "said"),
-    [
-        ("tip", "'tip' stands twice among factors, numbers, response and block"),
-        ("material,material", "'material' stands twice"),
-        ("materials", "material"),
-    ],
-)
-def test_bad_columns_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factors: str, said: str
-) -> None:
-    table(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    shown = study("analyze", "runs.csv", "--response", "force", "--numeric", "tip,depth",
-                  "--factors", factors)  # fmt: skip
-    assert shown.code == 2
-    assert said in shown.err
 
 
 def test_labels_in_too_many_combinations_are_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""`study plan` of designs other than the full factorial: their cells, counted another way."""
+"""study plan of designs: their cells counted another way, their meshes, their run sheet."""
 
 from __future__ import annotations
 
@@ -8,40 +8,26 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from tests.cli.small import study
+from study.harness.runner.cost import _PATIENCE_S
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.solver import solution_cost
+from study.mechanics.solver.solution_cost import expected_unknowns
+from tests.cli.small import measured, pressed, refusal, responses, study, success
+from tests.conftest import ROOT
+from tests.fem.surfaces import box, write
 
-BASE = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "25 mm"
-height = "30 mm"
-[test]
-kind = "compression"
-interface = "bonded"
-displacement = "5 mm"
-[material]
-model = "neo-hookean"
-C10 = "5 kPa"
-poisson_ratio = 0.45
-[measurements]
-file = "tests.csv"
-columns = { displacement = "displacement_mm", force = "force_N" }
-units = { displacement = "mm", force = "N" }
-[[response]]
-name = "work_error"
-"""
-SIX_RANGES = """
-[factors]
-specimen.radius = { low = "20 mm", high = "30 mm" }
-specimen.height = { low = "25 mm", high = "35 mm" }
-test.displacement = { low = "3 mm", high = "5 mm" }
-material.C10 = { low = "4 kPa", high = "6 kPa" }
-material.poisson_ratio = { low = 0.4, high = 0.48 }
-model.mesh_size = { low = "2 mm", high = "4 mm" }
-"""
+BASE = pressed(
+    '[material]\nmodel = "neo-hookean"\nC10 = "5 kPa"\npoisson_ratio = 0.45\n'
+    + measured("tests.csv", "displacement_mm", "force_N")
+    + responses(work_error=""),
+    radius=25,
+    height=30,
+    interface="bonded",
+    test='displacement = "5 mm"\n',
+)
 FIVE_CHOICES = """
 [factors]
 model.space = ["axisymmetric", "3d"]
@@ -59,29 +45,8 @@ def design(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "design.toml"
 
 
-def test_box_behnken_of_six_factors_is_the_published_one(design: Path) -> None:
-    # Box and Behnken 1960: 48 runs beside the center, each factor in half of them at its ends,
-    # which are three of the six blocks of eight runs
-    design.write_text(f'{BASE}{SIX_RANGES}[design]\nkind = "box-behnken"\n')
-    told = study("plan", design, "--data", "data", "--json").json["design"]
-    assert told["cells"] == 49
-    assert told["scheme"]["kind"] == "box-behnken"
-    for factor in told["factors"]:
-        counts = Counter(cell["levels"][factor["name"]] for cell in told["matrix"])
-        assert [counts[label] for label in factor["levels"]] == [12, 25, 12]
-
-
-def test_a_fraction_is_analyzed_for_what_it_can_tell(design: Path) -> None:
-    # 2^(5-1) with I = ABCDE has 16 cells: 15 effects of one and two factors, and none of three
-    table = '[design]\nkind = "fractional"\nresolution = 5\n'
-    design.write_text(f"{BASE}{FIVE_CHOICES}{table}")
-    told = study("plan", design, "--data", "data", "--json").json["design"]
-    assert (told["cells"], told["scheme"]["resolution"]) == (16, 5)
-    design.write_text(f'{BASE}{FIVE_CHOICES}{table}[analysis]\nmodel = "full"\n')
-    answer = study("plan", design, "--data", "data")
-    assert answer.code == 2
-    assert "analysis.model: asks for 31 terms, of which 16 cells tell 15 apart" in answer.err
-    assert "leave it out (model = 2), or list terms" in answer.err
+#: 2^(5-1) with I = ABCDE has 16 cells: 15 effects of one and two factors, and none of three
+FRACTION = f'{BASE}{FIVE_CHOICES}[design]\nkind = "fractional"\nresolution = 5\n'
 
 
 #: three factors of two levels and one of three: 24 combinations
@@ -105,6 +70,7 @@ model.formulation = ["mixed", "displacement"]
 material = ["nh", "mr", "yeoh"]
 """
 UNSAID = 'model = "neo-hookean"\nC10 = "5 kPa"\n'
+D_OPTIMAL = f'{BASE.replace(UNSAID, "")}{MIXED}[design]\nkind = "d-optimal"\nruns = 12\n'
 
 
 def counted(told: dict, *names: str) -> Counter[tuple[str, ...]]:
@@ -113,33 +79,13 @@ def counted(told: dict, *names: str) -> Counter[tuple[str, ...]]:
 
 def test_a_d_optimal_design_is_the_orthogonal_array_where_there_is_one(design: Path) -> None:
     """2^3 x 3 in 12 cells: main effects are orthogonal where every pair of levels is balanced."""
-    table = '[design]\nkind = "d-optimal"\nruns = 12\n'
-    design.write_text(f"{BASE.replace(UNSAID, '')}{MIXED}{table}")
-    told = study("plan", design, "--data", "data", "--json").json["design"]
+    design.write_text(D_OPTIMAL)
+    told = success("plan design.toml --data data --json").json["design"]
     assert told["cells"] == 12
     names = ["model.space", "model.element_order", "model.formulation", "material"]
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            assert len(set(counted(told, first, second).values())) == 1
+    for first, second in itertools.combinations(names, 2):
+        assert len(set(counted(told, first, second).values())) == 1
     assert "100.0 % of the precision" in told["scheme"]["summary"]
-
-
-@pytest.mark.parametrize(
-    ("table", "said"),
-    [
-        ("runs = 5", "at least 6"),
-        ("runs = 30", "24"),
-        ('runs = 12\nterms = ["space:material"]', "model.space"),
-        ("runs = 12\nterms = 9", "design.terms"),
-        ('runs = 12\n[analysis]\nmodel = "full"', "of which 12 cells tell"),
-    ],
-)
-def test_a_d_optimal_design_that_cannot_be_says_why(design: Path, table: str, said: str) -> None:
-    text = f'{BASE.replace(UNSAID, "")}{MIXED}[design]\nkind = "d-optimal"\n{table}\n'
-    design.write_text(text)
-    answer = study("plan", design, "--data", "data")
-    assert answer.code == 2
-    assert said in answer.err
 
 
 def test_further_cells_complete_a_half_fraction(design: Path) -> None:
@@ -194,8 +140,7 @@ def test_further_cells_of_a_published_fraction_do_what_its_fold_over_does(design
         assert all(abs(int(p @ products[0])) == 16 for p in products)
     words = [*choices, *(f"{names[i]}:{names[j]}" for (i, j), *_ in FOLDOVER_ALIASES)]
     asked = ("plan", design, "--data", "data", "--augment", 8, "--terms", ",".join(words))
-    answer = study(*asked, "--json")
-    assert answer.code == 0, answer.err
+    answer = success(*asked, "--json")
     added = answer.json["augment"]
     assert added["efficiency"] == {"before": 0.0, "after": pytest.approx(1.0, abs=1e-12)}
     # 16 cells with 15 effects and a mean that are orthogonal: the fold-over has no better
@@ -211,6 +156,109 @@ def test_further_cells_of_a_published_fraction_do_what_its_fold_over_does(design
 
 def test_a_full_factorial_has_no_further_cell(design: Path) -> None:
     design.write_text(f"{BASE}{FIVE_CHOICES}")
-    answer = study("plan", design, "--data", "data", "--augment", 4)
-    assert answer.code == 2
+    answer = refusal("plan", design, "--data", "data", "--augment", 4)
     assert "runs every combination" in answer.err
+
+
+def test_each_specimen_meets_each_physical_condition_once(tmp_path: Path) -> None:
+    out = tmp_path / "trials.csv"
+    answer = success(f"plan {ROOT}/designs/demo.toml --run-sheet {out} --specimens 40 --json")
+    assert "80 trials" in answer.err
+    sheet = pd.read_csv(out)
+    # energies and spaces are simulated: only the plates change in the laboratory
+    assert [c for c in sheet if c in ("material", "plates", "model.space")] == ["plates"]
+    assert Counter(zip(sheet["specimen"], sheet["plates"], strict=True)) == Counter(
+        (k, p) for k in range(1, 41) for p in ("frictionless", "bonded")
+    )
+    first = sheet.groupby("specimen")["plates"].first().value_counts()
+    # binomial(40, 1/2): 8 to 32 is four standard deviations
+    assert 8 < first["bonded"] < 32
+    assert sheet["run"].tolist() == list(range(1, 81))
+
+
+SURFACE = (
+    """
+schema = 1
+[specimen]
+shape = "surface"
+file = "box.stl"
+unit = "mm"
+clamp_below = "1 mm"
+{more}
+[test]
+kind = "compression"
+[material]
+model = "neo-hookean"
+bulk_modulus = "10 MPa"
+[model]
+mesh_size = "3 mm"
+[factors]
+"test.interface" = ["frictionless", "bonded"]
+"""
+    + measured("tests.csv").replace("{", "{{").replace("}", "}}")
+    + """block = "specimen"
+range = ["0.1 mm", "0.6 mm"]
+points = 5
+"""
+    + responses(mu0="")
+)
+NEEDLE = Path(__file__).parents[2] / "designs" / "needle-geometry.toml"
+
+
+def surface_design(
+    folder: Path, more: str = "", size: tuple[float, float, float] = (24, 24, 34)
+) -> Path:
+    write(folder / "box.stl", box(*size))
+    rows = [f"{s},{d:.3f},{0.45 * d:.5f}" for s in "ab" for d in np.linspace(0, 0.7, 15)]
+    (folder / "tests.csv").write_text("\n".join(["specimen,d,f", *rows, ""]))
+    path = folder / "design.toml"
+    path.write_text(SURFACE.format(more=more))
+    return path
+
+
+PRESSED_BESIDE = [
+    f"specimen.press_{k}: {place} mm is beside the specimen, which reaches from -12 to 12 mm"
+    for k, place in (("x", "1e+09"), ("y", "-12.5"))
+] + ["choose press_x and press_y inside its outline"]
+
+
+@pytest.mark.parametrize(
+    ("more", "size", "command", "says"),
+    [
+        # Gmsh ended with the process: the body lay 1e9 mm beside the axis
+        *(('press_x = "1e9 mm"\npress_y = "-12.5 mm"', (24, 24, 34), verb, PRESSED_BESIDE)
+          for verb in ("plan", "run")),
+        ("", (5000, 5000, 1.0), "plan -s 'model.mesh_size=1 mm'",
+         ["model.mesh_size: 1 mm gives about", 'mm" or more']),
+    ],
+)  # fmt: skip
+def test_a_surface_that_cannot_be_meshed_is_refused(
+    inside: Path, more: str, size: tuple[float, float, float], command: str, says: list[str]
+) -> None:
+    surface_design(inside, more, size)
+    answer = refusal(f"{command} design.toml --data .")
+    for piece in says:
+        assert piece in answer.err
+
+
+def test_a_plan_of_a_surface_makes_no_mesh(inside: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(_: object) -> None:
+        raise AssertionError("a mesh was made")
+
+    monkeypatch.setattr(solution_cost, "build_mesh", never)
+    surface_design(inside, 'press_x = "11 mm"')
+    assert "predicted: " in success("plan design.toml --data .").out
+
+
+def test_a_plan_of_many_meshes_counts_but_a_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """120 needles with 0.05 mm took more than 10 s to be meshed: 40,000 unknowns each."""
+    meshed = []
+    monkeypatch.setattr(
+        solution_cost, "build_mesh", lambda one: meshed.append(one) or build_mesh(one)
+    )
+    solution_cost._count.cache_clear()
+    answer = success("plan", NEEDLE, "-s", "model.mesh_size=0.05 mm")
+    assert "predicted: " in answer.out
+    # 4 us for each unknown, in the costs of the cells and in those of their refinement
+    assert 0 < sum(map(expected_unknowns, meshed)) < 4 * _PATIENCE_S / 4e-6
+    assert max(map(expected_unknowns, meshed)) < 0.5 / 4e-6

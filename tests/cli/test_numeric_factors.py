@@ -1,32 +1,23 @@
-"""Ranges in a study file: runs, surface, predictions, against the closed form of the test."""
+"""Ranges in a study file: runs, surface, predictions, distributions and page, by closed forms."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import study as public
-from study.api.fitting_surfaces import surfaces
-from tests.cli.small import Answer, Finished, study
+from study.ground.errors import InputError
+from tests.cli.small import CSV, Answer, Finished, pressed, refusal, responses, success
+from tests.pages import both_pages
 
 #: an incompressible cylinder between frictionless plates: its force is known by hand
-DESIGN = """
-schema = 1
-[study]
-name = "ranges"
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "20 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-displacement = "3 mm"
-steps = 2
-[material]
+DESIGN = pressed(
+    """[material]
 model = "neo-hookean"
 C10 = "5 kPa"
 incompressible = true
@@ -39,12 +30,12 @@ specimen.height = { low = "18 mm", high = "22 mm" }
 [design]
 kind = "latin-hypercube"
 runs = 30
-[[response]]
-name = "peak_force"
-practical = "0.05 N"
-[report]
-format = ["csv"]
 """
+    + responses(peak_force="0.05 N")
+    + CSV,
+    study='[study]\nname = "ranges"\n',
+    test='displacement = "3 mm"\nsteps = 2\n',
+)
 FACTORS = ("material.C10", "specimen.radius", "specimen.height")
 CENTRE = "material.C10=7.3 kPa, specimen.radius=10.2 mm, specimen.height=19.5 mm"
 
@@ -73,17 +64,13 @@ specimen.radius = { distribution = "uniform", low = "9.8 mm", high = "10.2 mm" }
 
 
 @pytest.fixture
-def folder(ranges: Finished) -> Path:
-    return ranges.folder
-
-
-@pytest.fixture
-def ran(ranges: Finished) -> Answer:
+def ran(ranges: Finished, monkeypatch: pytest.MonkeyPatch) -> Answer:
+    """What the run printed, in its folder."""
+    monkeypatch.chdir(ranges.folder)
     return ranges.answer
 
 
 def test_total_indices_are_those_of_the_closed_form(ran: Answer) -> None:
-    assert ran.code == 0, ran.err
     (surface,) = ran.json["surfaces"]
     assert surface["surface"]["kind"] == "emulator"
     assert surface["surface"]["q2"] > 0.99
@@ -99,12 +86,9 @@ def test_total_indices_are_those_of_the_closed_form(ran: Answer) -> None:
     assert shown["specimen.radius"]["verdict"] == "matters, if confirmed"
 
 
-def test_a_prediction_is_the_closed_form_within_its_interval(
-    ran: Answer, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(folder)
-    answer = study("predict", "ranges", "--at", CENTRE, "--json")
-    assert answer.code == 0, answer.err
+@pytest.mark.usefixtures("ran")
+def test_a_prediction_is_the_closed_form_within_its_interval() -> None:
+    answer = success("predict", "ranges", "--at", CENTRE, "--json")
     (found,) = answer.json["predictions"]
     assert found["low"] <= _force(7.3, 10.2, 19.5) <= found["high"]
     assert found["high"] - found["low"] < 0.02 * found["value"]
@@ -119,45 +103,171 @@ def test_a_prediction_is_the_closed_form_within_its_interval(
     assert np.mean((many.low <= exact) & (exact <= many.high)) >= 0.95
 
 
-@pytest.mark.parametrize(
-    ("at", "told"),
-    [
+@pytest.mark.usefixtures("ran")
+def test_what_cannot_be_predicted_is_refused() -> None:
+    for at, told in (
         (CENTRE.replace("7.3", "11"), "outside the settings that were run"),
         (CENTRE.replace("7.3 kPa", "7.3 mm"), "must be a pressure"),
         (CENTRE.replace("radius", "raduis"), "specimen.radius"),
         (CENTRE.split(", ", maxsplit=1)[0], "has no setting"),
         ("material.C10", "cannot read"),
-    ],
-)
-def test_what_cannot_be_predicted_is_refused(
-    ran: Answer, folder: Path, monkeypatch: pytest.MonkeyPatch, at: str, told: str
-) -> None:
-    monkeypatch.chdir(folder)
-    answer = study("predict", "ranges", "--at", at, "--json")
-    assert answer.code == 2
-    assert told in answer.err
+    ):
+        assert told in refusal("predict", "ranges", "--at", at, "--json").err
 
 
-def test_a_failed_run_is_left_out_and_said(
-    ran: Answer, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(folder)
-    opened = public.report("ranges", reports=None)
-    first, *rest = opened.records
-    lost = replace(first, status="unstable", responses={"peak_force": {"value": None, "unit": "N"}})
-    (found,) = surfaces(opened.design, [lost, *rest], opened.numerical)
-    assert found.found is not None
-    assert found.found.runs.response.size == 29
-    assert any("1 run without an answer left out" in note for note in found.found.notes)
+def test_the_distribution_is_that_of_the_closed_form(ranges: Finished) -> None:
+    (surface,) = ranges.answer.json["surfaces"]
+    told = surface["uncertainty"]
+    # F = c C10 R^2 at the file's height, 20 mm: a product of independent inputs
+    stretch = 1 - 3.0 / 20
+    c = math.pi * 2e-3 * (stretch**-2 - stretch)
+    half = 0.2
+    square = 10.0**2 + half**2 / 3
+    fourth = 10.0**4 + 6 * 10.0**2 * half**2 / 3 + half**4 / 5
+    mean = c * 7 * square
+    variance = c**2 * ((7**2 + 0.4**2) * fourth - 7**2 * square**2)
+    assert told["fixed"] == {"specimen.height": 20.0}
+    assert abs(told["mean"]["value"] - mean) <= told["mean"]["own"] + 1e-4 * mean
+    assert told["sd"]["value"] == pytest.approx(math.sqrt(variance), rel=0.01)
+    first = told["inputs"][0]
+    assert first["input"] == "material.C10"
+    share = (c * 0.4) ** 2 * square**2 / variance
+    low, high = first["S_interval"]
+    assert low <= share <= high
+    halved = c**2 * ((7**2 + 0.2**2) * fourth - 7**2 * square**2)
+    assert first["sd_if_halved"] == pytest.approx(math.sqrt(halved), rel=0.01)
+    assert first["gain"] == pytest.approx(1 - math.sqrt(halved / variance), abs=0.01)
+    # the page says what to measure better
+    page = both_pages(ranges.folder / ranges.answer.json["report"])
+    assert "Uncertain inputs" in page
+    assert "normal, mean 7 kPa, sd 0.4 kPa" in page
+    assert "uniform, low 0.98 cm, high 1.02 cm" in page  # in the unit of the range
+    assert "twice as well would lower the standard deviation by" in page
+    assert "Held there for it" in page
 
 
-def test_a_surface_without_a_range_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    start, end = DESIGN.index("[factors]"), DESIGN.index("[[response]]")
-    factors = '[factors]\nmaterial.C10 = ["5 kPa", "10 kPa"]\n[analysis]\nsurface = "emulator"\n'
-    (tmp_path / "ranges.toml").write_text(DESIGN[:start] + factors + DESIGN[end:])
-    answer = study("plan", "ranges.toml", "--json")
-    assert answer.code == 2
-    assert "analysis.surface: no factor is a range" in answer.err
+def test_a_standard_uncertainty_is_about_the_value_of_the_file(tmp_path: Path) -> None:
+    (tmp_path / "ranges.toml").write_text(
+        DESIGN + '\n[uncertainty]\nspecimen.radius = "0.2 mm"\nmaterial.C10 = "0.5 kPa"\n'
+        + 'specimen.height = "0.1 mm"\n'
+    )  # fmt: skip
+    with pytest.raises(InputError, match="material.C10"):  # 5 kPa is the end of its range
+        public.load_design(tmp_path / "ranges.toml")
+    text = DESIGN.replace('C10 = "5 kPa"\nincompressible', 'C10 = "7 kPa"\nincompressible')
+    (tmp_path / "ranges.toml").write_text(text + '\n[uncertainty]\nmaterial.C10 = "0.5 kPa"\n')
+    found = public.load_design(tmp_path / "ranges.toml")
+    assert found.uncertainty == pytest.approx({"material.C10": 0.0005})
+    assert found.inputs["material.C10"].numbers == pytest.approx((7.0, 0.5))
+
+
+def _words(page: Path) -> str:
+    text = re.sub(
+        r"<svg.*?</svg>|<style.*?</style>|<script.*?</script>", "", page.read_text(), flags=re.S
+    )
+    plain = re.sub(r"<[^>]+>", " ", text).replace("\N{NARROW NO-BREAK SPACE}", " ")
+    return re.sub(r"\s+", " ", plain.replace("\N{NO-BREAK SPACE}", " "))
+
+
+@pytest.fixture
+def ranged(ranges: Finished) -> Path:
+    return ranges.folder / "reports" / "ranges"
+
+
+def test_the_answer_names_the_factors_by_what_they_do(ranged: Path) -> None:
+    words = _words(ranged / "ranges.html")
+    answer = words[words.index("Answer Peak force") :].split("What would change")[0]
+    found = re.search(
+        r"C10 changes it by up to ([\d.]+) N, radius by up to ([\d.]+) N and height by up to "
+        r"([\d.]+) N",
+        answer,
+    )
+    assert found is not None, answer
+    # the force is a product of three factors that grow or fall throughout, so the range along one
+    # follows from its ends; 95 % of the settings of the other two stay below it
+    rng = np.random.default_rng(1)
+    c10, radius, height = rng.uniform([5, 9, 18], [10, 11, 22], (100_000, 3)).T
+    exact = (
+        _force(10, radius, height) - _force(5, radius, height),
+        _force(c10, 11, height) - _force(c10, 9, height),
+        _force(c10, radius, 18) - _force(c10, radius, 22),
+    )
+    for told, own in zip(found.groups(), exact, strict=True):
+        assert float(told) == pytest.approx(float(np.quantile(own, 0.95)), rel=0.02)
+    assert "C10, radius and height matter" in answer
+    details = (ranged / "ranges-details.html").read_text()
+    assert "Not analyzed" not in details
+    assert "<h2>Error term" not in details
+
+
+def test_its_pictures_hold_the_closed_form(ranged: Path) -> None:
+    data = ranged / "ranges-data"
+    along = pd.read_csv(data / "figure-surface-peak-force-profiles.csv")
+    middle = {"material.C10": 7.5, "specimen.radius": 10.0, "specimen.height": 20.0}
+    for name, part in along.groupby("factor"):
+        at = {**{k: np.full(len(part), v) for k, v in middle.items()}}
+        at[str(name)] = part["setting"].to_numpy() * (10 if name == "specimen.radius" else 1)
+        exact = _force(*at.values())
+        assert ((part["low"] <= exact) & (exact <= part["high"])).all(), name
+    over = pd.read_csv(data / "figure-surface-peak-force-contours.csv")
+    assert list(over.columns) == ["material.C10", "specimen.radius", "value"]
+    exact = _force(over["material.C10"], 10 * over["specimen.radius"], 20.0)
+    assert np.allclose(over["value"], exact, rtol=0.005)
+    left = pd.read_csv(data / "figure-surface-peak-force-left-out.csv")
+    assert len(left) == 30
+    assert np.abs(left["simulated"] - left["predicted"]).max() < 0.01
+    assert left["simulated"].nunique() == 30
+    shares = pd.read_csv(data / "figure-surface-peak-force-shares.csv").set_index("factor")
+    for name, share in zip(middle, _shares(), strict=True):
+        assert shares.loc[name, "low"] <= share <= shares.loc[name, "high"]
+
+
+#: Montgomery, Design and Analysis of Experiments, chapter 11: yield over time and temperature
+YIELD = """time,temperature,yield
+80,170,76.5
+80,180,77.0
+90,170,78.0
+90,180,79.5
+85,175,79.9
+85,175,80.3
+85,175,80.0
+85,175,79.7
+85,175,79.8
+92.07,175,78.4
+77.93,175,75.6
+85,182.07,78.5
+85,167.93,77.0
+"""
+
+
+def test_a_table_has_the_same_page(inside: Path) -> None:
+    (inside / "yield.csv").write_text(YIELD)
+    answer = success(
+        "analyze", "yield.csv", "--response", "yield", "--numeric",
+        "time=80..90,temperature=170..180", "--report", "out", "--json",
+    )  # fmt: skip
+    page = inside / answer.json["report"]
+    assert "The largest prediction in these ranges is 80.2" in _words(page)
+    words = _words(page.with_stem(f"{page.stem}-details"))
+    # published: 79.94 + .995 x1 + .515 x2 - 1.376 x1^2 - 1.001 x2^2 + .250 x1 x2, a maximum of
+    # 80.21 at x1 = .389, x2 = .306 (87 minutes, 176.5 F)
+    table = pd.read_csv(next(page.parent.glob("*-data/table-coefficients-yield.csv")))
+    told = dict(zip(table["term"], table["coefficient"], strict=True))
+    published = {"1": 79.94, "time": 0.995, "temperature": 0.515, "time^2": -1.376}
+    for term, value in published.items():
+        shown = float(str(told[term]).replace("\N{MINUS SIGN}", "-"))
+        assert shown == pytest.approx(value, abs=0.002), term
+    assert "level at a maximum of 80.2, inside the ranges: time 86.9 and temperature 177" in words
+    assert "Failures" not in words
+    assert "study analyze yield.csv" in words
+
+
+def test_a_surface_that_cannot_rank_says_so(inside: Path) -> None:
+    rng = np.random.default_rng(5)
+    frame = pd.DataFrame(rng.uniform(size=(40, 2)), columns=["a", "b"]).assign(
+        y=rng.normal(size=40)
+    )
+    frame.to_csv("noise.csv", index=False)
+    success("analyze", "noise.csv", "--response", "y", "--numeric", "a,b", "--report", "out")
+    assert "fail Surface predicts runs left out" in _words(inside / "out" / "noise.html")
+    words = _words(inside / "out" / "noise-details.html")
+    assert "do not carry an emulator that could rank the factors: add runs" in words

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from study.ground.arrays import Array
-from tests.cli.small import study
+from tests.cli.small import refusal, success
 
 HEAD = """
 schema = 1
@@ -62,11 +62,9 @@ def written(folder: Path, kinds: list[str], name: str = "all") -> Path:
 
 
 def calibrated(path: Path, *more: object) -> Any:
-    found = study(
+    return success(
         "calibrate", path, "--data", path.parent, "--results", path.parent / "r", "--json", *more
-    )
-    assert found.code == 0, found.err
-    return found.json
+    ).json
 
 
 def by_hand(folder: Path, kinds: list[str]) -> tuple[float, float, np.ndarray, float]:
@@ -182,16 +180,15 @@ def test_a_zero_of_the_load_cell_is_no_other_material(tmp_path: Path) -> None:
 def test_words_and_refusals(tmp_path: Path) -> None:
     kinds = ["tension", "planar"]
     measure(tmp_path, dict.fromkeys(kinds, MU_KPA), np.random.default_rng(3))
-    path = written(tmp_path, kinds)
-    words = study("calibrate", path, "--data", tmp_path, "--by", "test")
-    assert words.code == 0, words.err
+    asked = f"--data {tmp_path} --by"
+    command = f"calibrate {written(tmp_path, kinds)} {asked}"
+    words = success(f"{command} test").out
     for word in ("tension", "planar", "common", "power", "agree: one set of constants"):
-        assert word in words.out
-    one = study("calibrate", written(tmp_path, ["planar"], "p"), "--data", tmp_path, "--by", "test")
-    assert (one.code, "second [[tests]]" in one.err) == (2, True)
-    for wrong in (["--by", "batch"], ["--by", "test", "--difference", "0 %"],
-                  ["--by", "test", "--zero", "100 %"]):  # fmt: skip
-        assert study("calibrate", path, "--data", tmp_path, *wrong).code == 2
+        assert word in words
+    alone = refusal(f"calibrate {written(tmp_path, ['planar'], 'p')} {asked} test")
+    assert "second [[tests]]" in alone.err
+    for wrong in ("batch", "test --difference '0 %'", "test --zero '100 %'"):
+        refusal(f"{command} {wrong}")
 
 
 @pytest.mark.slow
@@ -221,13 +218,10 @@ def test_five_percent_of_equal_materials_are_told_apart(
 def test_the_design_tells_two_truths_apart(tmp_path: Path, truth: str, verdict: str) -> None:
     """Plates that are bonded as the calibration says, and plates that slip: mu0 tells it, too."""
     slip = f"presets.way.bonded-compression.test.interface={truth}"
-    made = study("virtual", tmp_path, "--from", DESIGNS / "same-specimen.toml", "-s", slip)
-    assert made.code == 0, made.err
-    found = study(
-        "calibrate", DESIGNS / "one-material.toml", "--by", "test", "--zero", "0.2 %",
-        "--data", tmp_path, "--json",
-    )  # fmt: skip
-    assert found.code == 0, found.err
+    success("virtual", tmp_path, "--from", DESIGNS / "same-specimen.toml", "-s", slip)
+    found = success(
+        f"calibrate {DESIGNS}/one-material.toml --by test --zero '0.2 %' --data {tmp_path} --json"
+    )
     assert found.json["verdict"] == verdict
     mu0 = {one["label"]: one["mu0"] for one in found.json["groups"]}
     others = (mu0["lubricated-compression"] + mu0["flat-indentation"]) / 2

@@ -1,59 +1,66 @@
-"""The verb optimize against optima that are known by hand."""
+"""The verbs optimize and invert against optima and constants that are known by hand."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import qmc
 
-from study.statistics.surfaces import surface_optimum
-from tests.cli.small import study
+from study.api import inverting
+from study.statistics.surfaces import surface_inversion, surface_optimum
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_inversion import agreeing
+from study.statistics.surfaces.surface_profile import fit_curves
+from tests.cli.small import Finished, refusal, study, success
 from tests.cli.test_numeric_factors import DESIGN, _force
 from tests.response_surface.functions import hypercube
 
+BOWL = "optimize bowl.csv --numeric x,y"
 
-def _bowl(folder: Path) -> str:
+
+@pytest.fixture
+def bowl(inside: Path) -> None:
     """f has its least value 1 at (3, 2); c is x + y."""
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 5, 5), np.linspace(0, 5, 5)))
     frame = pd.DataFrame({"x": x, "y": y, "f": (x - 3) ** 2 + (y - 2) ** 2 + 1, "c": x + y})
-    frame.to_csv(folder / "bowl.csv", index=False)
-    return str(folder / "bowl.csv")
+    frame.to_csv("bowl.csv", index=False)
 
 
-def test_a_limit_moves_the_optimum_to_the_point_of_lagrange(tmp_path: Path) -> None:
-    # x + y <= 3: (3, 2) moves along (1, 1) to (2, 1), where f = 3; the multiplier is 2
-    asked = ("optimize", _bowl(tmp_path), "--numeric", "x,y", "--minimize", "f", "--json")
-    free = study(*asked)
-    (one,) = free.json["recommendations"]
-    assert one["settings"] == pytest.approx({"x": 3.0, "y": 2.0}, abs=1e-5)
-    assert one["value"] == pytest.approx(1.0, abs=1e-9)
-    bound = study(*asked, "--subject-to", "c <= 3")
-    (one,) = bound.json["recommendations"]
-    assert one["settings"] == pytest.approx({"x": 2.0, "y": 1.0}, abs=1e-5)
-    assert one["value"] == pytest.approx(3.0, abs=1e-5)
-    assert one["limits_hold"] == "surely"
-    assert "confirm it by a run at x = 2, y = 1" in bound.err
+@pytest.mark.parametrize(
+    ("asked", "settings", "value", "near"),
+    [
+        ("--minimize f", {"x": 3.0, "y": 2.0}, 1.0, 1e-9),
+        # x + y <= 3: (3, 2) moves along (1, 1) to (2, 1), where f = 3; the multiplier is 2
+        ("--minimize f --subject-to 'c <= 3'", {"x": 2.0, "y": 1.0}, 3.0, 1e-5),
+        ("--maximize f --at x=3", {"y": 5.0}, 10.0, 1e-5),
+    ],
+)
+@pytest.mark.usefixtures("bowl")
+def test_an_optimum_is_that_of_the_bowl(
+    asked: str, settings: dict[str, float], value: float, near: float
+) -> None:
+    answer = success(f"{BOWL} {asked} --json")
+    (one,) = answer.json["recommendations"]
+    assert one["settings"] == pytest.approx(settings, abs=1e-5)
+    assert one["value"] == pytest.approx(value, abs=near)
+    assert one["at_end_of_range"] == (["y"] if "at" in asked else [])
+    if "c <=" in asked:
+        assert one["limits_hold"] == "surely"
+        assert "confirm it by a run at x = 2, y = 1" in answer.err
 
 
+@pytest.mark.usefixtures("bowl")
 def test_a_search_that_has_not_converged_recommends_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(surface_optimum, "STEPS", 1)
-    asked = ("optimize", _bowl(tmp_path), "--numeric", "x,y", "--minimize", "f")
-    answer = study(*asked, "--subject-to", "c <= 3")
+    answer = study(f"{BOWL} --minimize f --subject-to 'c <= 3'")
     assert answer.code == 3
     assert "the search for the best setting has not converged in 1 steps" in answer.err
-
-
-def test_a_held_factor_and_an_end_of_the_range(tmp_path: Path) -> None:
-    answer = study("optimize", _bowl(tmp_path), "--numeric", "x,y", "--maximize", "f",
-                   "--at", "x=3", "--json")  # fmt: skip
-    (one,) = answer.json["recommendations"]
-    assert one["settings"] == pytest.approx({"y": 5.0})
-    assert one["value"] == pytest.approx(10.0)
-    assert one["at_end_of_range"] == ["y"]
 
 
 def test_an_emulator_finds_one_of_the_minima_of_branin(tmp_path: Path) -> None:
@@ -72,47 +79,40 @@ def test_an_emulator_finds_one_of_the_minima_of_branin(tmp_path: Path) -> None:
     assert np.abs(minima - found).max(axis=1).min() < 0.02
 
 
-def test_what_cannot_be_optimized_is_refused(tmp_path: Path) -> None:
-    bowl = _bowl(tmp_path)
+@pytest.mark.usefixtures("bowl")
+def test_what_cannot_be_optimized_is_refused() -> None:
     rng = np.random.default_rng(0)
     noise = pd.DataFrame(rng.random((30, 3)), columns=["x", "y", "f"])
-    noise.to_csv(tmp_path / "noise.csv", index=False)
-    for arguments, code, said in (
-        ((bowl, "--minimize", "f", "--subject-to", "c >= 11"), 3, "nearest: c 10"),
-        ((str(tmp_path / "noise.csv"), "--minimize", "f"), 3, "Q2"),
-        ((bowl, "--minimize", "f", "--maximize", "c"), 2, "one response"),
-        ((bowl, "--minimize", "f", "--subject-to", "c = 3"), 2, "cannot read"),
-        ((bowl, "--minimize", "g"), 2, "'g'"),
-        ((bowl, "--minimize", "f", "--at", "x=6"), 2, "outside the settings that were run"),
+    noise.to_csv("noise.csv", index=False)
+    for asked, code, said in (
+        ("bowl.csv --minimize f --subject-to 'c >= 11'", 3, "nearest: c 10"),
+        ("noise.csv --minimize f", 3, "Q2"),
+        ("bowl.csv --minimize f --maximize c", 2, "one response"),
+        ("bowl.csv --minimize f --subject-to 'c = 3'", 2, "cannot read"),
+        ("bowl.csv --minimize g", 2, "'g'"),
+        ("bowl.csv --minimize f --at x=6", 2, "outside the settings that were run"),
     ):
-        answer = study("optimize", *arguments, "--numeric", "x,y")
+        answer = study(f"optimize {asked} --numeric x,y")
         assert answer.code == code, answer.err
         assert said in answer.err
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ranged(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Geometry is a choice, the constant an unknown."""
     home = tmp_path_factory.mktemp("optimum")
     text = DESIGN.replace('name = "ranges"', 'name = "ranges"\nassumed = ["material"]')
     asked = '[[response]]\nname = "stiffness_at"\ndisplacement = "3 mm"\n[report]'
     (home / "ranges.toml").write_text(text.replace("[report]", asked))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(home)
-        answer = study("run", "ranges.toml", "--jobs", 1, "--json")
-    assert answer.code == 0, answer.err
+    success("run", "ranges.toml", "--jobs", 1, "--json", folder=home)
     return home
 
 
-def test_a_study_recommends_choices_alone_and_runs_the_best(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_recommends_choices_alone_and_runs_the_best(ranged: Path) -> None:
     """Least force with a stiffness of at least .25 N/mm, by the closed form on a fine grid."""
-    monkeypatch.chdir(folder)
-    answer = study("optimize", "ranges", "--minimize", "peak_force", "--at",
-                   "material.C10=7.5 kPa", "--subject-to", "stiffness_at >= 250 N/m",
-                   "--json")  # fmt: skip
-    assert answer.code == 0, answer.err
+    answer = success("optimize", "ranges", "--minimize", "peak_force", "--at",
+                     "material.C10=7.5 kPa", "--subject-to", "stiffness_at >= 250 N/m",
+                     "--json", folder=ranged)  # fmt: skip
     (one,) = answer.json["recommendations"]
     assert set(one["settings"]) == {"specimen.radius", "specimen.height"}
     assert one["held"] == pytest.approx({"material.C10": 7.5})
@@ -129,22 +129,157 @@ def test_a_study_recommends_choices_alone_and_runs_the_best(
     exact = _force(7.5, 10 * at["specimen.radius"], at["specimen.height"])
     assert run["values"]["peak_force"] == pytest.approx(exact, rel=2e-3)
     # the run has joined: the surfaces now rest on 31 runs
-    after = study("report", "ranges", "--json")
+    after = success("report", "ranges", "--json", folder=ranged)
     assert {one["runs"] for one in after.json["surfaces"]} == {31}
     assert after.json["cases"]["total"] == 30
 
 
-def test_an_unknown_is_not_recommended(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(folder)
+def test_an_unknown_is_not_recommended(ranged: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ranged)
     asked = ("optimize", "ranges", "--minimize", "peak_force", "--no-confirm", "--json")
     (one,) = study(*asked).json["recommendations"]
     # as the file has it, or the nearest that was run
     assert one["held"] == pytest.approx({"material.C10": 5.0}, rel=0.03)
     spread = one["over_what_is_not_chosen"]
     assert spread["high"] / spread["low"] == pytest.approx(2.0, rel=0.1)
-    every = study(*asked, "--at", "specimen.radius=10 mm, specimen.height=20 mm")
-    assert every.code == 2
+    every = refusal(*asked, "--at", "specimen.radius=10 mm, specimen.height=20 mm")
     assert "no factor is a choice" in every.err
-    wrong = study(*asked, "--subject-to", "stiffness_at >= 3 N")
-    assert wrong.code == 2
+    wrong = refusal(*asked, "--subject-to", "stiffness_at >= 3 N")
     assert "stiffness" in wrong.err
+
+
+KNOWN = "specimen.radius=10.2 mm, specimen.height=19.5 mm"
+
+
+def _curve(displacement: np.ndarray) -> np.ndarray:
+    """Force in N of C10 7.3 kPa, radius 10.2 mm, height 19.5 mm (Treloar 1975)."""
+    stretch = 1 - displacement / 19.5
+    return np.asarray(np.pi * 10.2**2 * 2e-3 * 7.3 * (stretch**-2 - stretch))
+
+
+@pytest.fixture(scope="module")
+def measured(ranges: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    home = tmp_path_factory.mktemp("inversion") / "copy"
+    shutil.copytree(ranges.folder, home)
+    d = np.linspace(0.25, 3.0, 12)
+    rows = [f"{x:.6g},{f:.8g}" for x, f in zip(d, _curve(d), strict=True)]
+    (home / "m.csv").write_text("\n".join(["displacement_mm,force_N", *rows]))
+    return home
+
+
+@pytest.fixture
+def here(measured: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(measured)
+    return measured
+
+
+@pytest.mark.usefixtures("here")
+def test_a_constant_is_found_again() -> None:
+    answer = success("invert", "ranges", "--to", "m.csv", "--at", KNOWN, "--json")
+    (one,) = answer.json["inputs"]
+    assert one["name"] == "material.C10"
+    assert one["verdict"] == "determined"
+    assert one["low"] <= 7.3 <= one["high"]
+    assert one["best"] == pytest.approx(7.3, rel=1e-3)
+    assert answer.json["combinations"] == []
+    assert answer.json["best_run"]["agrees"]
+
+
+LONG = (pytest.mark.slow, pytest.mark.verify)
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("runs", [0, pytest.param(2, marks=LONG)])
+def test_a_set_is_told_where_only_a_product_is_determined(runs: int) -> None:
+    """At a known height the force is that of C10 times the square of the radius."""
+    known = ("--at", "specimen.height=19.5 mm", *(() if runs else ("--no-confirm",)))
+    answer = success("invert", "ranges", "--to", "m.csv", *known, "--json")
+    found = {one["name"]: one for one in answer.json["inputs"]}
+    assert {one["verdict"] for one in found.values()} == {"not determined"}
+    (told,) = answer.json["combinations"]
+    assert told["exponents"] == pytest.approx(
+        {"material.C10": 1.0, "specimen.radius": 2.0}, abs=0.01
+    )
+    assert told["value"] == pytest.approx(7.3 * 1.02**2, rel=5e-3)
+    assert told["ratio"] < 1.02
+    # every radius that was run has its constant, and the true model agrees at both ends
+    for end in ("low", "high"):
+        other = {"low": "high", "high": "low"}[end]
+        radius = found["specimen.radius"][other]
+        assert found["material.C10"][end] == pytest.approx(7.3 * (1.02 / radius) ** 2, rel=2e-3)
+    assert len(answer.json["end_runs"]) == runs
+    assert all(run["agrees"] for run in answer.json["end_runs"])
+    assert "it determines material.C10 * specimen.radius^2" in answer.json["sentence"]
+    members = answer.json["members"]
+    products = [one["material.C10"] * one["specimen.radius"] ** 2 for one in members]
+    np.testing.assert_allclose(products, 7.3 * 1.02**2, rtol=5e-3)
+
+
+@pytest.mark.usefixtures("here")
+def test_an_inversion_that_has_not_settled_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = ("invert", "ranges", "--to", "m.csv", "--at", KNOWN)
+    with monkeypatch.context() as patch:
+        patch.setattr(surface_inversion, "EVALUATIONS", 1)
+        patch.setattr(surface_inversion, "SEARCHES", 1)
+        patch.setattr(surface_inversion, "NEGLIGIBLE", -1.0)
+        answer = study(*asked)
+        assert answer.code == 3
+        assert "nearest to the measured one: the search has not converged" in answer.err
+    # a true model that no emulator of these runs comes near
+    with monkeypatch.context() as patch:
+        force = inverting._force
+        patch.setattr(inverting, "_force", lambda record, curve: 1.2 * force(record, curve))
+        answer = study(*asked, "--json")
+    assert answer.code == 1, answer.err
+    (note,) = [one for one in answer.json["notes"] if one.startswith("after 4 runs")]
+    assert "the emulator still misses the true model there by" in note
+
+
+def test_what_cannot_be_inverted_is_refused(here: Path) -> None:
+    (here / "back.csv").write_text("displacement_mm,force_N\n1,1\n2,2\n1.5,1\n")
+    (here / "far.csv").write_text("displacement_mm,force_N\n1,1\n4,2\n5,3\n")
+    (here / "stiff.csv").write_text("displacement_mm,force_N\n1,10\n2,20\n3,30\n")
+    every = KNOWN + ", material.C10=7 kPa"
+    for arguments, code, said in (
+        (("back.csv",), 2, "back.csv:4: column 'displacement_mm': displacements must increase"),
+        (("far.csv",), 2, "where the runs end"),
+        (("stiff.csv", "--within", "2 %"), 3, "no curve inside of what was run agrees"),
+        (("m.csv", "--at", every), 2, "holds every number"),
+        (("m.csv", "--at", "specimen.heigth=3 mm"), 2, "specimen.height"),
+        (("m.csv", "--units", "N,mm"), 2, "length"),
+    ):
+        answer = study("invert", "ranges", "--to", *arguments, "--no-confirm")
+        assert answer.code == code, answer.err
+        assert said in answer.err
+
+
+def test_every_branch_of_a_set_is_traced() -> None:
+    factors = (NumericFactor("a", 5, 15), NumericFactor("b", 1, 3))
+    cube = qmc.LatinHypercube(2, rng=np.random.default_rng(4), optimization="random-cd").random(60)
+    a, b = 5 + 10 * cube[:, 0], 1 + 2 * cube[:, 1]
+    depth = np.linspace(0.1, 1, 12)
+
+    def curve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return depth * (1 + (a[:, None] - 10) ** 2 / 25) + depth**2 * b[:, None]
+
+    model = fit_curves(Runs("force", factors, 2 * cube - 1, np.zeros(60)), curve(a, b))
+    measured = curve(np.array([7.0]), np.array([2.0]))[0]
+    found = agreeing(model, measured, np.full(2, np.nan), largest=0.02)
+    settings = np.array([factors[0].setting(float(x)) for x in found.points[:, 0]])
+    assert np.abs(settings - 7).min() < 0.2
+    assert np.abs(settings - 13).min() < 0.2
+    assert factors[0].setting(float(found.low[0])) == pytest.approx(7, abs=0.5)
+    assert factors[0].setting(float(found.high[0])) == pytest.approx(13, abs=0.5)
+    # no member lies outside what is told, and none breaks a rule
+    grid = 2 * np.random.default_rng(1).random((4000, 2)) - 1
+    grid = grid[np.abs(model.value(grid) - measured).max(axis=1) < 0.02]
+    assert len(grid) > 0
+    inside = np.abs(grid) < np.abs(2 * cube - 1).max(axis=0)
+    members = np.vstack([found.points, grid[inside.all(axis=1)]])
+    assert (found.points >= found.low - 1e-12).all()
+    assert (found.points <= found.high + 1e-12).all()
+    for rule in found.combinations:
+        logs = np.log([[f.setting(float(x)) for f, x in zip(factors, one, strict=True)]
+                       for one in members])  # fmt: skip
+        off = np.abs(logs @ [rule.exponents[f.name] for f in factors] - np.log(rule.value))
+        assert off.max() <= np.log(rule.ratio) * (1 + 1e-9)

@@ -1,19 +1,27 @@
-"""The program as a process: help, pipes, interruption; and what the README promises."""
+"""The program as a process: help, pipes, signals, completion; what it and the README promise."""
 
 from __future__ import annotations
 
+import io
+import json
+import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
+from contextlib import chdir, redirect_stdout
 from pathlib import Path
 
 import pytest
 
+import study as package
 from study import api
 from study.cli.app import app
 from study.harness.design import load
-from tests.cli.small import study
+from study.harness.record.record import table
+from study.harness.record.store import Store
+from tests.cli.small import Answer, Finished, study, success
 from tests.waiting import CAP_S
 
 ROOT = Path(__file__).parents[2]
@@ -22,18 +30,14 @@ COUNTED = r"\d+/12 cases, \d+/12 calibrations"
 PROGRAM = (sys.executable, "-c", "from study.cli import main; main()")
 
 
-def test_help_names_every_verb() -> None:
-    done = subprocess.run([*PROGRAM, "--help"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    for verb in verbs():
-        assert verb in done.stdout
-
-
 def verbs() -> set[str]:
     return {str(info.callback.__name__) for info in app.registered_commands if info.callback}
 
 
-def test_readers_that_leave_early_are_no_error(home: Path) -> None:
+def test_help_names_every_verb_and_readers_that_leave_early_are_no_error(home: Path) -> None:
+    shown = success("--help").out
+    assert all(verb in shown for verb in verbs())
+    assert success("--version").out == f"study {package.__version__}\n"
     command = " ".join(f"'{part}'" for part in PROGRAM) + " plan small.toml --data data | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert "Traceback" not in done.stderr
@@ -100,26 +104,158 @@ def test_the_end_of_a_file_is_no_interruption(home: Path, monkeypatch: pytest.Mo
         study("plan", "small.toml", "--data", "data")
 
 
-def test_the_design_of_the_readme_loads() -> None:
+def test_what_the_readme_names_exists() -> None:
     (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
     loaded = load.loads(text, "README.md")
     assert [factor.name for factor in loaded.factors] == ["material", "test.interface"]
-
-
-def test_every_verb_of_the_readme_exists() -> None:
     named = set(re.findall(r"(?:^|`)study ([a-z]+)\b", README, re.MULTILINE))
     assert named
     assert named <= verbs()
-
-
-def test_every_file_that_the_readme_names_exists() -> None:
-    named = re.findall(r"\]\(([^)#:]+)\)", README) + re.findall(r"designs/[\w-]+\.toml", README)
-    assert named
-    for name in named:
-        assert (ROOT / name).is_file(), name
-
-
-def test_every_target_of_the_readme_exists() -> None:
+    files = re.findall(r"\]\(([^)#:]+)\)", README) + re.findall(r"designs/[\w-]+\.toml", README)
+    assert files
+    assert [name for name in files if not (ROOT / name).is_file()] == []
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for target in re.findall(r"^make ([a-z]+)", README, re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+
+
+def commands(answer: Answer) -> list[str]:
+    """Return the indented commands that follow the line of the next step."""
+    assert answer.code in (0, 1), answer.err
+    return [
+        line.strip()
+        for line in (answer.out + answer.err).splitlines()
+        if line.startswith("  study ")
+    ]
+
+
+def typed(command: str) -> Answer:
+    program, *arguments = shlex.split(command)
+    assert program == "study"
+    return study(*arguments)
+
+
+def completion(words: str) -> dict[str, str]:
+    """Environment in which a shell asks what follows these words; the last is not finished."""
+    return {
+        "_STUDY_COMPLETE": "complete_bash", "COMP_WORDS": words,
+        "COMP_CWORD": str(words.count(" ")),
+    }  # fmt: skip
+
+
+def test_a_shell_completes_verbs() -> None:
+    done = subprocess.run(
+        PROGRAM, env={**os.environ, **completion("study re")}, text=True, capture_output=True,
+        check=False,
+    )  # fmt: skip
+    assert done.stderr == ""
+    assert done.stdout.split() == ["report", "require"]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("study plan --au", {"--augment"}),
+        ("study status d", {"designs/", "disc"}),
+        ("study run designs/", {"designs/disc.toml"}),
+        ("study analyze d", {"designs/", "disc", "discs.csv"}),
+        ("study why 0", {"0a1b"}),
+        ("study verify x", set()),
+        ("study report --results designs d", {"designs/"}),
+    ],
+)
+def test_a_shell_completes_options_studies_designs_tables_and_cases(
+    inside: Path, monkeypatch: pytest.MonkeyPatch, words: str, expected: set[str]
+) -> None:
+    for name in ("designs/disc.toml", "discs.csv", "notes.txt", "results/disc/cases/0a1b/x"):
+        (inside / name).parent.mkdir(parents=True, exist_ok=True)
+        (inside / name).touch()
+    for name, value in completion(words).items():
+        monkeypatch.setenv(name, value)
+    out = io.StringIO()
+    with redirect_stdout(out), pytest.raises(SystemExit):
+        app(prog_name="study")
+    assert set(out.getvalue().split()) == expected
+
+
+@pytest.mark.usefixtures("inside")
+def test_a_new_file_runs_with_the_commands_that_are_named() -> None:
+    """From nothing to a plan with its cases, typing only what was printed."""
+    make, plan = commands(study("new", "mine.toml"))
+    assert plan == "study plan mine.toml"
+    # without measurements a plan names the same command that makes them
+    assert commands(typed(plan)) == [make]
+    assert commands(typed(make)) == [plan]
+    planned = typed(plan)
+    assert "48 cases: 0 done, 0 failed, 48 missing" in planned.out
+    assert "8 cells in 6 blocks" in planned.out
+    assert commands(planned) == ["study run mine.toml"]
+
+
+def test_measurements_elsewhere_are_named_again(home: Path) -> None:
+    (told,) = commands(study("virtual", "else where", "--from", "small.toml"))
+    assert told == "study plan small.toml --data 'else where'"
+    (run,) = commands(typed(told))
+    assert run == "study run small.toml --data 'else where'"
+
+
+BOTH = "designs/measurements", "measurements"
+
+
+@pytest.mark.parametrize("places", [*((place,) for place in (*BOTH, "designs")), BOTH])
+def test_measurements_are_found_beside_a_design(home: Path, places: tuple[str, ...]) -> None:
+    """A folder that exists and lacks the file hides no other; of two complete ones it is the first.
+
+    The first is that beside the design for the files of a folder `designs`.
+    """
+    for folder in BOTH:
+        (home / folder).mkdir(parents=True)
+    (home / "small.toml").rename(home / "designs" / "small.toml")
+    rows = (home / "data" / "tests.csv").read_text()
+    for number, place in enumerate(reversed(places)):
+        (home / place / "tests.csv").write_text(rows if not number else rows.replace("M1", "X"))
+    planned = study("plan designs/small.toml --json")
+    assert planned.json["blocks"] == ["M1", "M2", "M3"]
+    assert planned.json["next"] == "study run designs/small.toml"
+
+
+def test_a_finished_study_names_what_checks_it(done: Path) -> None:
+    planned = study("plan", "small.toml", "--data", "data")
+    (again,) = commands(planned)
+    assert again == "study report small"
+    (page,) = commands(typed(again))  # the design asks for tables alone
+    assert page == "study report small --format html"
+    (check,) = commands(typed(page))
+    assert check == "study verify small"
+    checked = typed(check)
+    assert checked.code == 0, checked.out
+    assert "all agree" in checked.out
+
+
+@pytest.mark.usefixtures("inside")
+def test_a_study_that_was_named_by_its_folder_and_settings_are_named_again(done: Path) -> None:
+    (page,) = commands(study(f"report {done}/results/small --format csv"))
+    assert page == f"study report small --results {done}/results --format html"
+    options = "small.toml --data data --jobs 1 -s measurements.points=31 --results r"
+    with chdir(done):
+        (run,) = commands(study(f"plan {options}"))
+    assert run == f"study run {options}"
+
+
+def test_hash_seed_language_and_clock_change_no_digit(home: Path, finished: Finished) -> None:
+    """F37: what surrounds a run changes no digit of it; the other run has those of this process."""
+    changed = {"PYTHONHASHSEED": "4711", "LC_ALL": "de_DE.UTF-8", "TZ": "Pacific/Auckland"}
+    done = subprocess.run(
+        [sys.executable, "-m", "study", "run", "small.toml", "--data", "data", "--jobs", "1",
+         "--json"],
+        env={**os.environ, **changed, "PYTHONPATH": str(ROOT)}, capture_output=True, check=True,
+    )  # fmt: skip
+    assert json.loads(done.stdout)["verdicts"] == finished.answer.json["verdicts"]
+    tables = []
+    for folder in (home, finished.folder):
+        store = Store(folder / "results" / "small")
+        manifest = store.read_manifest()
+        assert manifest is not None
+        frame = table(store.records(manifest["cases"])).drop(columns=["seconds"])
+        tables.append(frame.to_json(double_precision=15))
+    assert tables[0] == tables[1]

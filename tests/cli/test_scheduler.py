@@ -16,7 +16,7 @@ from study import api
 from study.harness.record.record import Record
 from study.harness.runner.batch import Progress
 from study.reporting.results.study_result import StudyResult
-from tests.cli.small import study
+from tests.cli.small import refusal, study
 from tests.execution.loopback import ROOT, Loopback, loopback
 from tests.fem.surfaces import box, write
 from tests.forward.test_command import DESIGN as PROGRAMS
@@ -141,60 +141,44 @@ def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
     assert_equal(api.load(folder / "results" / "small"), local)
 
 
-def test_a_study_that_loses_its_scheduler_keeps_what_is_finished_and_resumes(
-    held: Path, tmp_path: Path
-) -> None:
-    cluster_folder, options = tmp_path / "cluster", allowed(held)
-    cluster_folder.mkdir()
-    with loopback(cluster_folder) as cluster:
-        run = started(held, cluster, *options)
-        until(lambda: kept_of(held) or run.poll() is not None)
-        cluster.scheduler.kill()
-        _, err = run.communicate(timeout=CAP_S)
-    assert run.returncode == 130, err
-    assert "the scheduler of the cluster is gone" in err
-    assert "what is finished is kept" in err
-    assert "Traceback" not in err, err
-    kept = {path: path.read_bytes() for path in kept_of(held)}
-    assert kept
-    (held / "go").touch()
-    resumed = study(
-        "run", held / "small.toml", "--data", held / "data", "--results", held / "results",
-        "--jobs", 1, "--json", *options,
-    )  # fmt: skip
-    assert resumed.json["cases"] == {"total": 2, "done": 2, "failed": 0, "missing": 0}
-    assert {path: path.read_bytes() for path in kept} == kept
+LONG = (pytest.mark.slow, pytest.mark.verify)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_ctrl_c_stops_a_study_on_a_cluster_and_leaves_the_cluster(
-    held: Path, tmp_path: Path
+@pytest.mark.parametrize("lost", ["scheduler", pytest.param("terminal", marks=LONG)])
+def test_a_study_that_is_stopped_keeps_what_is_finished_and_resumes(
+    held: Path, tmp_path: Path, lost: str
 ) -> None:
+    """Where its scheduler is gone it goes on here; after Ctrl-C the cluster is there as before."""
     cluster_folder, options = tmp_path / "cluster", allowed(held)
     cluster_folder.mkdir()
-    with loopback(cluster_folder, workers=1) as cluster:
+    again = ["run", held / "small.toml", "--data", held / "data", "--results", held / "results"]
+    with loopback(cluster_folder, workers=2 if lost == "scheduler" else 1) as cluster:
         run = started(held, cluster, *options)
-        until(lambda: (held / "begun").exists() or run.poll() is not None)
-        run.send_signal(signal.SIGINT)
+        if lost == "scheduler":
+            until(lambda: kept_of(held) or run.poll() is not None)
+            cluster.scheduler.kill()
+        else:
+            until(lambda: (held / "begun").exists() or run.poll() is not None)
+            run.send_signal(signal.SIGINT)
         _, err = run.communicate(timeout=CAP_S)
         assert run.returncode == 130, err
-        assert "interrupted: what is finished is kept" in err
+        assert ("the scheduler of the cluster is gone" in err) is (lost == "scheduler")
+        assert "what is finished is kept" in err
+        assert "Traceback" not in err, err
+        kept = {path: path.read_bytes() for path in kept_of(held)}
+        assert kept or lost != "scheduler"
         (held / "go").touch()
-        again = study(
-            "run", held / "small.toml", "--data", held / "data", "--results", held / "results",
-            "--scheduler", cluster.file, "--json", *options,
-        )  # fmt: skip
-    assert again.code == 0, again.err
-    assert again.json["cases"]["done"] == 2
+        where = ("--jobs", 1) if lost == "scheduler" else ("--scheduler", cluster.file)
+        resumed = study(*again, *where, "--json", *options)
+    assert resumed.json["cases"] == {"total": 2, "done": 2, "failed": 0, "missing": 0}
+    assert {path: path.read_bytes() for path in kept} == kept
 
 
 def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    answer = study("run", "small.toml", "--data", "data", "--scheduler", "nowhere.json")
-    assert answer.code == 2
+    answer = refusal("run", "small.toml", "--data", "data", "--scheduler", "nowhere.json")
     assert "'nowhere.json' is no address and no file" in answer.err
     assert "tls://HOST:PORT" in answer.err
     assert not (folder / "results").exists()

@@ -11,11 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from scipy.stats import bartlett, f
 
-from tests.cli.small import DESIGN, Answer, answer_of, study, write_files
+from tests.cli.small import DESIGN, Answer, answer_of, success, write_files
 from tests.conftest import ROOT
 
 SCRIPT = ROOT / "validation" / "conical" / "second_way.py"
@@ -57,10 +55,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_files(folder)
     fourth_specimen(folder / "data")
     (folder / "small.toml").write_text(THREE)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        answer = study("run", "small.toml", "--data", "data", "--jobs", 1)
-    assert answer.code == 0, answer.err
+    success("run", "small.toml", "--data", "data", "--jobs", 1, folder=folder)
     return folder / "reports" / "small"
 
 
@@ -75,11 +70,6 @@ def script(name: str) -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(SCRIPT.parent)
         return importlib.import_module(name)
-
-
-@pytest.fixture(scope="module")
-def loops() -> Any:
-    return script("loops")
 
 
 def second_way(folder: Path, *more: str) -> Answer:
@@ -121,84 +111,50 @@ def test_every_figure_agrees(report: Path) -> None:
                    "relative_rms_force_error of 24 cases", "peak_force_error of 24 cases",
                    ):  # fmt: skip
         assert figure in found.out, figure
-
-
-def test_the_data_folder_itself_may_be_named(report: Path) -> None:
     assert second_way(report / "small-data", "--all").code == 0
 
 
-# far below what a plot would show, above the 1e-6 that is asked for
-@pytest.mark.parametrize("column", ["relative_rms_force_error", "peak_force_error", "mu0"])
-def test_a_falsified_case_is_found(report: Path, column: str) -> None:
-    change(report / "small-data" / "cases.csv", scaled(column, 1 + 1e-5))
-    found = second_way(report)
-    assert found.code == 1
-    assert f"{column}: mean at material" in found.out
-
-
-def test_a_falsified_curve_is_found(report: Path) -> None:
-    change(report / "small-data" / "curves.csv.gz", scaled("predicted_N", 1.01))
-    found = second_way(report)
-    assert found.code == 1
-    assert "relative_rms_force_error of " in found.out
-
-
-@pytest.mark.parametrize("key", ["f", "p", "epsilon_gg", "p_gg", "ss"])
-def test_a_falsified_test_is_found(report: Path, key: str) -> None:
-    path = report / "small-data" / "numbers.json"
+def falsify(path: Path, name: str, row: Callable[[Any], Any], key: str) -> None:
+    """Change a number in numbers.json by a ten-thousandth."""
     numbers: dict[str, Any] = json.loads(path.read_text())
-    row = next(r for r in numbers["responses"]["mu0"]["anova"]["rows"] if r["term"] == "material")
-    row[key] *= 1.0001
+    row(numbers["responses"][name])[key] *= 1.0001
     path.write_text(json.dumps(numbers))
+
+
+def of_material(response: Any) -> Any:
+    return next(r for r in response["anova"]["rows"] if r["term"] == "material")
+
+
+ERROR = "relative_rms_force_error"
+
+
+@pytest.mark.parametrize(
+    ("file", "falsified", "said"),
+    [
+        # far below what a plot would show, above the 1e-6 that is asked for
+        *(("cases.csv", lambda p, c=c: change(p, scaled(c, 1 + 1e-5)), f"{c}: mean at material")
+          for c in (ERROR, "peak_force_error", "mu0")),
+        ("curves.csv.gz", lambda p: change(p, scaled("predicted_N", 1.01)), f"{ERROR} of "),
+        *(("numbers.json", lambda p, key=key: falsify(p, "mu0", of_material, key),
+           ", 1 differ by more than") for key in ("f", "p", "epsilon_gg", "p_gg", "ss")),
+        ("numbers.json", lambda p: falsify(p, ERROR, lambda r: r["normality"], "rj"), "differ"),
+        ("numbers.json", lambda p: falsify(p, ERROR, lambda r: r["normality_rows"][0], "rj"),
+         "differ"),
+    ],
+)  # fmt: skip
+def test_what_was_falsified_is_found(
+    report: Path, file: str, falsified: Callable[[Path], None], said: str
+) -> None:
+    falsified(report / "small-data" / file)
     found = second_way(report)
     assert found.code == 1
-    assert ", 1 differ by more than" in found.out
+    assert said in found.out
 
 
-@pytest.mark.parametrize("test", ["normality", "normality_rows"])
-def test_a_falsified_check_is_found(report: Path, test: str) -> None:
-    path = report / "small-data" / "numbers.json"
-    numbers: dict[str, Any] = json.loads(path.read_text())
-    found = numbers["responses"]["relative_rms_force_error"][test]
-    (found if test == "normality" else found[0])["rj"] *= 1.0001
-    path.write_text(json.dumps(numbers))
-    assert second_way(report).code == 1
-
-
-def test_an_incomplete_table_is_no_silent_pass(report: Path) -> None:
+def test_an_incomplete_table_is_no_silent_pass(report: Path, tmp_path: Path) -> None:
     change(report / "small-data" / "cases.csv", lambda rows: rows.pop(3) and None)
     found = second_way(report)
     assert found.code == 2
     assert "the table is not complete (1 cells without a value" in found.err
-
-
-def test_data_that_are_not_there(tmp_path: Path) -> None:
-    found = second_way(tmp_path)
-    assert found.code == 2
-    assert "cannot recompute" in found.err
-
-
-# scipy's F is good to about 1e-13 here; lgamma of numbers to 150 loses two digits more
-@pytest.mark.parametrize(
-    ("x", "a", "b"),
-    [(0.3, 2, 10), (17.9, 2, 10), (1e-3, 3, 24), (5.0, 1, 5), (800.0, 1.2, 9.6), (1e6, 12, 96),
-     (1.0, 200, 100)],
-)  # fmt: skip
-def test_upper_tail_of_f(loops: Any, x: float, a: float, b: float) -> None:
-    assert loops.upper_f(x, a, b) == pytest.approx(f.sf(x, a, b), rel=1e-11)
-
-
-def test_epsilon_at_its_two_extremes(loops: Any) -> None:
-    # one direction of scatter alone gives 1 / df, equal scatter in all directions gives 1
-    rng = np.random.default_rng(1)
-    line = np.outer([1.0, 0.0, -1.0], rng.normal(size=8))
-    assert loops.greenhouse_geisser(line.tolist(), 2) == pytest.approx(0.5, abs=1e-12)
-    basis = np.linalg.qr(np.column_stack([np.ones(8), rng.normal(size=(8, 4))]))[0][:, 1:]
-    assert loops.greenhouse_geisser(basis.T.tolist(), 3) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_bartlett_against_scipy(loops: Any) -> None:
-    groups = [list(np.random.default_rng(i).normal(0, 1 + i, 6)) for i in range(4)]
-    statistic, df = loops.bartlett(groups)
-    assert statistic == pytest.approx(bartlett(*groups).statistic, rel=1e-12)
-    assert df == 3
+    missing = second_way(tmp_path)
+    assert (missing.code, "cannot recompute" in missing.err) == (2, True)

@@ -13,7 +13,16 @@ import pytest
 
 from study import api
 from study.ground.curve import Curve
-from tests.cli.small import Edit, study
+from tests.cli.small import (
+    CSV,
+    Edit,
+    incompressible_force,
+    pressed,
+    refusal,
+    responses,
+    study,
+    success,
+)
 
 SOLVE_KEYS = {
     "status", "displacement_mm", "force_N", "stiffness_N_per_mm", "parameters", "force_gradient",
@@ -37,9 +46,7 @@ ROW_KEYS = {
 
 def test_solve(home: Path) -> None:
     drawn = ("--vtu", "out.vtu", "--picture", "mesh.svg")
-    answer = study("solve", "problem.toml", "--json", *drawn)
-    assert answer.code == 0, answer.err
-    found = answer.json
+    found = success("solve", "problem.toml", "--json", *drawn).json
     assert set(found) >= SOLVE_KEYS
     assert found["status"] == "converged"
     assert found["displacement_mm"] == [0.5, 1.0]
@@ -59,39 +66,53 @@ def test_solve(home: Path) -> None:
     assert "<image" not in drawing
 
 
-def test_solve_in_words(home: Path) -> None:
-    answer = study("solve", "problem.toml", "-s", 'material.C10="20 kPa"')
-    assert answer.code == 0, answer.err
-    assert "force [N]" in answer.out
-    assert "converged" in answer.out
-    # 2 x 0.02 (1/0.9^2 - 0.9) pi 100
-    assert "4.2040" in answer.out or "4.204" in answer.out
-
-
-def test_a_compression_beyond_the_smooth_surface_is_told_of(home: Path) -> None:
-    """V45: the surface of a neo-Hookean body is unstable below stretch 0.443746 (Biot 1963)."""
-    for depth, warned in (("5.5 mm", False), ("5.6 mm", True)):  # of a height of 10 mm
-        answer = study("solve", "problem.toml", "-s", f'test.displacement="{depth}"')
-        assert answer.code == 0, answer.err
-        assert ("Biot" in answer.err) is warned
-
-
-def test_solve_that_does_not_converge_exits_1(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_solve_that_does_not_converge_exits_1_and_without_a_step_writes_no_fields(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # a solver that gives up takes minutes to do so: the real answer of an easy problem, renamed
-    found = replace(api.solve("problem.toml"), status="not-converged", message="gave up at 1 mm")
-    monkeypatch.setattr(api, "solve", lambda *_, **__: found, raising=False)
-    answer = study("solve", "problem.toml", "--json")
-    assert answer.code == 1
-    assert answer.json["status"] == "not-converged"
-    words = study("solve", "problem.toml")
+    solved = replace(api.solve("problem.toml"), status="not-converged", message="gave up at 1 mm")
+    for found in (replace(solved, curve=Curve(*np.zeros((3, 0))), warm=None), solved):
+        monkeypatch.setattr(api, "solve", lambda *_, found=found, **__: found, raising=False)
+        answer = study("solve problem.toml --vtu out.vtu --json")
+        assert (answer.code, answer.json["status"]) == (1, "not-converged")
+        assert Path("out.vtu").exists() is (answer.json["displacement_mm"] != [])
+    words = study("solve problem.toml")
     assert words.code == 1
     assert "not-converged: gave up at 1 mm" in words.out
 
 
+@pytest.mark.parametrize(
+    ("command", "said", "unsaid"),
+    [
+        ("solve problem.toml", "converged", "warning"),
+        ("solve problem.toml -s 'material.C10=20 kPa'", "4.204", "warning"),  # 0.04 (l^-2 - l) A
+        # V45: the surface of a neo-Hookean body is unstable below stretch 0.443746 (Biot 1963)
+        ("solve problem.toml -s 'test.displacement=5.5 mm'", "converged", "Biot"),
+        ("solve problem.toml -s 'test.displacement=5.6 mm'", "Biot", "not-converged"),
+        ("solve problem.toml -s 'model.mesh_size=50 mm'",
+         "50 mm is larger than the specimen (10 mm", "not-converged"),
+        ("solve problem.toml -s 'specimen.radius=10 m'", "20000 mm is no usual size", "GPa"),
+        ("solve problem.toml -s 'material.C10=10 GPa'", "window of tissue and silicone", "usual"),
+        ("plan small.toml -s 'model.mesh_size=40 mm'",
+         "40 mm is larger than the specimen (25 mm", "soft material"),
+        ("converge --values 1.0,1.1,1.5 --sizes 1,2,4 --tolerance 0.005",
+         "do not carry an order", "order 2"),
+        ("converge --values 1.0,1.1,1.25 --sizes 1,1.1,1.2", "below 1.3", "order -"),
+        # f = 1.4 - 0.4 h: the finest of h = 1, 2, 4 is 0.4 from 1.4, 28.6 %
+        ("converge --values 1.0,0.6,-0.2 --sizes 1,2,4", "28.6 % from its extrapolated", "below"),
+        ("converge --values 0.97050,0.96854,0.96178 --sizes 1,2,4", "order 1.786", "warning"),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("home")
+def test_what_is_hardly_meant_is_warned_of(command: str, said: str, unsaid: str) -> None:
+    answer = success(command)
+    words = answer.out + answer.err
+    assert said in words
+    assert unsaid not in words
+
+
 def test_calibrate_finds_the_constants(home: Path) -> None:
-    answer = study("calibrate", "calibration.toml", "--data", "data", "--json")
-    assert answer.code == 0, answer.err
-    found = answer.json
+    found = success("calibrate", "calibration.toml", "--data", "data", "--json").json
     assert set(found) >= CALIBRATE_KEYS
     assert found["status"] == "converged"
     assert found["stable"] is True
@@ -111,29 +132,23 @@ def test_calibrate_finds_the_constants(home: Path) -> None:
 def test_converge_of_numbers_is_the_published_example() -> None:
     # NASA's tutorial "Examining Spatial (Grid) Convergence": p = 1.786, 0.97130, GCI 0.103 %
     series = ("converge", "--values", "0.97050,0.96854,0.96178", "--sizes", "1,2,4")
-    answer = study(*series, "--formal-order", "2", "--json")
-    assert answer.code == 0
-    found = answer.json
+    found = success(*series, "--formal-order", "2", "--json").json
     assert set(found) >= CONVERGE_KEYS
     assert found["observed_order"] == pytest.approx(1.786170, abs=1e-6)
     assert found["extrapolated"] == pytest.approx(0.971300, abs=1e-6)
     assert found["gci_fine"] == pytest.approx(0.00103083, abs=1e-8)
-    words = study("converge", "--values", "0.97050,0.96854,0.96178", "--sizes", "1,2,4").out
-    assert "order 1.786" in words
 
 
 def test_virtual_measurements_reach_the_deepest_range(home: Path, edit: Edit) -> None:
     shutil.rmtree("data")
-    answer = study("virtual", "data", "--from", "small.toml")
-    assert answer.code == 0, answer.err
+    answer = success("virtual", "data", "--from", "small.toml")
     assert answer.out.split() == ["data/tests.csv", "data/tests.csv.virtual.json"]
     with Path("data/tests.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert set(rows[0]) == {"mix", "specimen", "repeat", "d_mm", "f_N"}
     # one factor asks for 3 mm, the other for 6 mm: both read this file
     assert max(float(row["d_mm"]) for row in rows) > 6
-    plan = study("plan", "small.toml", "--data", "data", "--json")
-    assert plan.code == 0, plan.err
+    plan = success("plan", "small.toml", "--data", "data", "--json")
     assert len(plan.json["blocks"]) == 6
 
 
@@ -147,28 +162,19 @@ def test_doctor() -> None:
     assert {check["outcome"] for check in found["checks"]} <= {"pass", "caution"}
 
 
-@pytest.fixture
-def tidy(home: Path) -> Path:
+@pytest.mark.usefixtures("inside")
+def test_analyze_a_table() -> None:
     """Two factors in four blocks: material adds 2, plates nothing, each block its own height."""
     noise = np.random.default_rng(3).normal(0, 0.05, (4, 2, 3))
-    rows = ["specimen,material,plates,force"]
-    for i, height in enumerate((0.0, 1.0, -1.0, 0.5)):
-        for j, m in enumerate("AB"):
-            rows += [
-                f"{i + 1},{m},{p},{10 + height + 2 * j + noise[i, j, k]:.6f}"
-                for k, p in enumerate("xyz")
-            ]
-    path = home / "tidy.csv"
-    path.write_text("\n".join(rows) + "\n")
-    return path
-
-
-def test_analyze_a_table(tidy: Path) -> None:
-    arguments = ("analyze", tidy, "--response", "force", "--factors", "material,plates",
-                 "--block", "specimen")  # fmt: skip
-    answer = study(*arguments, "--practical", "0.5", "--json")
-    assert answer.code == 0, answer.err
-    found = answer.json
+    table = ["specimen,material,plates,force"] + [
+        f"{i},{m},{p},{10 + height + 2 * j + noise[i, j, k]:.6f}"
+        for i, height in enumerate((0.0, 1.0, -1.0, 0.5))
+        for j, m in enumerate("AB")
+        for k, p in enumerate("xyz")
+    ]
+    Path("tidy.csv").write_text("\n".join(table) + "\n")
+    asked = "analyze tidy.csv --response force --factors material,plates --block specimen"
+    found = success(f"{asked} --practical 0.5 --json").json
     assert set(found) >= ANALYZE_KEYS
     assert set(found["error_term"]) >= {"source", "question", "df"}
     rows = {row["term"]: row for row in found["anova"]["rows"]}
@@ -180,8 +186,7 @@ def test_analyze_a_table(tidy: Path) -> None:
     assert rows["plates"]["p"] > 0.01
     verdicts = {effect["term"]: effect["verdict"] for effect in found["effects"]}
     assert verdicts["plates"] == "no practical difference"
-    words = study(*arguments)
-    assert words.code == 0, words.err
+    words = success(asked)
     assert "material × plates" in words.out
     assert "Ryan-Joiner" in words.out
     assert "--practical" in words.err
@@ -202,20 +207,158 @@ def test_solve_refuses_a_file_that_cannot_be_written_before_it_solves(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(api, "solve", lambda *_, **__: pytest.fail("solved"), raising=False)
-    answer = study("solve", "problem.toml", "--vtu", "nowhere/out.vtu", "--picture", ".")
-    assert answer.code == 2
+    answer = refusal("solve", "problem.toml", "--vtu", "nowhere/out.vtu", "--picture", ".")
     assert "there is no folder nowhere" in answer.err
     assert "is a folder" in answer.err
 
 
-def test_solve_without_a_converged_step_writes_no_fields(
+BONDED = (
+    "-s", 'test.interface="bonded"', "-s", "test.steps=2", "-s", 'model.mesh_size="4 mm"',
+)  # fmt: skip
+
+
+def test_a_bonded_problem_is_refined_and_kept(home: Path) -> None:
+    found = success("converge", "problem.toml", *BONDED, "--json").json
+    assert set(found) >= CONVERGE_KEYS
+    # 2 lambda of the bonded corner, nu close to 0.5 (Williams 1952)
+    assert found["formal_order"] == pytest.approx(1.19, abs=0.02)
+    assert set(found["quantities"]) == {"peak_force", "curve_rms", "work"}
+    assert {row["source"] for row in found["sources"]} == {"mesh", "load steps", "solver tolerance"}
+    assert [m["unknowns"] for m in found["meshes"]] == sorted(
+        (m["unknowns"] for m in found["meshes"]), reverse=True
+    )
+    page = Path(found["report"]).read_text(encoding="utf-8")
+    assert "Figure missing" not in page
+    stored = sorted(Path("results/problem/solves").iterdir())
+    again = success("converge", "problem.toml", *BONDED)
+    assert sorted(Path("results/problem/solves").iterdir()) == stored
+    for words in ("formal order 1.19", "error by source", "stopped: 3 meshes", "report: "):
+        assert words in again.out
+
+
+HEAVY = pressed(
+    """gravity = { density = "0.98 g/cm^3", direction = "down" }
+[material]
+model = "neo-hookean"
+C10 = "2.5 kPa"
+poisson_ratio = 0.499
+[model]
+mesh_size = "6 mm"
+""",
+    height=40,
+    interface="bonded",
+    test='displacement = "4 mm"\nsteps = 4\n',
+)
+FACTOR = (
+    '[study]\nname = "gravity"\n[factors]\n"test.gravity.direction" = ["none", "down", "up"]\n'
+    "[converge]\nlevels = 2\n" + responses(peak_force="0.01 N") + CSV
+)
+WEIGHT = 980e-9 * 9.80665 * np.pi * 10**2 * 40
+
+
+@pytest.mark.parametrize(
+    ("space", "size", "near"),
+    [
+        ("", 6.0, 1e-8),
+        # one or two hexahedra in the radius of 10 mm: the section keeps its area, and none folds
+        ('space = "3d"\nelement_shape = "hexahedron"\n', 10.0, 1e-7),
+        ('space = "3d"\nelement_shape = "hexahedron"\n', 20.0, 1e-7),
+    ],
+)
+def test_the_base_carries_the_weight(inside: Path, space: str, size: float, near: float) -> None:
+    (inside / "p.toml").write_text(HEAVY + space)
+    found = success(f"solve p.toml --json -s 'model.mesh_size={size} mm'")
+    force, base = (np.array(found.json[key]) for key in ("force_N", "base_reaction_N"))
+    np.testing.assert_allclose(base - force, WEIGHT, rtol=near)
+
+
+def test_gravity_is_a_factor(tmp_path: Path) -> None:
+    (tmp_path / "d.toml").write_text(HEAVY + FACTOR, encoding="utf-8")
+    success("run", tmp_path / "d.toml", "--jobs", 1, "--results", tmp_path / "results",
+            "--reports", tmp_path / "reports")  # fmt: skip
+    rows = next((tmp_path / "reports").rglob("cases.csv")).read_text().splitlines()
+    names = rows[0].split(",")
+    peak = {
+        row.split(",")[names.index("test.gravity.direction")]:
+            float(row.split(",")[names.index("peak_force")])
+        for row in rows[1:]
+    }  # fmt: skip
+    # between like plates the plate above carries about half of the weight, one way or the other
+    assert peak["up"] - peak["down"] == pytest.approx(WEIGHT, rel=0.1)
+    assert (peak["up"] + peak["down"]) / 2 == pytest.approx(peak["none"], rel=0.01)
+
+
+def scaled(home: Path, force: float = 1.0, add: float = 0.0) -> None:
+    """Write the forces of the measurements multiplied and shifted."""
+    path = home / "data" / "tests.csv"
+    head, *rows = path.read_text().splitlines()
+    cells = [row.rsplit(",", 1) for row in rows]
+    path.write_text("\n".join([head, *(f"{a},{force * float(b) + add}" for a, b in cells)]))
+
+
+def test_forces_in_another_unit_and_a_load_cell_offset(home: Path) -> None:
+    asked = "plan small.toml --data data"
+    assert success(asked).err == ""
+    scaled(home, add=2.0)
+    said = success(asked).err
+    assert "a load-cell offset?" in said
+    assert "12 of 12 tests" in said
+    assert "offset" not in success(f"{asked} -s 'measurements.zero=\"first\"'").err
+    scaled(home, force=1e4, add=-2e4)
+    said = success(asked).err
+    assert "that of no soft material" in said
+    assert "a force 1000 times smaller would be one" in said
+
+
+def test_calibration_uses_the_loading_branch_and_says_so(home: Path) -> None:
+    d = np.linspace(0.0, 6.5, 66)
+    force = incompressible_force(8.0, 0.5, d)
+    rows = [*zip(d, force, strict=True), *zip(d[-2::-1], 0.7 * force[-2::-1], strict=True)]
+    text = ["repeat,d_mm,f_N", *(f"1,{x:.4f},{f:.10f}" for x, f in rows)]
+    (home / "data" / "one.csv").write_text("\n".join(text))
+    answer = success("calibrate", "calibration.toml", "--data", "data", "--json")
+    constants = answer.json["parameters"]
+    # the constants of the way in; the mean of both ways would give 0.85 of them
+    assert constants["C10"]["value"] == pytest.approx(8.0, rel=2e-3)
+    assert constants["C01"]["value"] == pytest.approx(0.5, rel=3e-2)
+    assert any("65 rows after the first loading left out" in w for w in answer.json["warnings"])
+
+
+TABLE = """material,Space,specimen,Force
+soft,2d,1,1.00
+soft,3d,1,1.10
+stiff,2d,1,2.00
+stiff,3d,1,2.20
+soft,2d,2,1.05
+soft,3d,2,1.15
+{stiff},2d,2,2.10
+stiff,3d,2,2.30
+"""
+ASKED = ("--response", "Force", "--factors", "material,Space", "--block", "specimen")
+
+
+@pytest.mark.parametrize("label", ["Stiff", "st iff", "stiff"])
+def test_levels_that_differ_in_capitals_or_spaces_alone_are_named(home: Path, label: str) -> None:
+    (home / "t.csv").write_text(TABLE.format(stiff=label))
+    answer = success("analyze", "t.csv", *ASKED, "--error", "pooled", "--model", "1", "--json")
+    named = [one for one in answer.json["warnings"] if "differ in capitals or spaces" in one]
+    assert len(named) == (label != "stiff")  # once, not by two rules
+    assert all(f"'stiff' and '{label}'" in one for one in named)
+
+
+def test_a_format_is_checked_before_anything_is_computed(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = replace(
-        api.solve("problem.toml"), status="not-converged", curve=Curve(*np.zeros((3, 0))), warm=None
-    )
-    monkeypatch.setattr(api, "solve", lambda *_, **__: found, raising=False)
-    answer = study("solve", "problem.toml", "--vtu", "out.vtu", "--json")
-    assert answer.code == 1
-    assert answer.json["displacement_mm"] == []
-    assert not Path("out.vtu").exists()
+    from study import api
+
+    def compute(*_: object, **__: object) -> None:
+        raise AssertionError("something was computed")
+
+    (home / "t.csv").write_text(TABLE.format(stiff="stiff"))
+    for verb in ("analyze", "load"):
+        monkeypatch.setattr(api, verb, compute, raising=False)
+    words = ("--report", "out", "--format", "htm")
+    for command in (("analyze", "t.csv", *ASKED, *words), ("report", "small", "--format", "htm")):
+        answer = refusal(*command)
+        assert "did you mean 'html'?" in answer.err
+    assert not (home / "out").exists()
