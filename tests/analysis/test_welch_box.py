@@ -15,7 +15,7 @@ from study.statistics.analysis.comparisons import holm_family
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import helmert, helmert_contrasts
-from study.statistics.analysis.strata import common_seeds
+from study.statistics.analysis.repeats import common_seeds
 from study.statistics.analysis.sums_of_squares import epsilon_gg, welch_box
 
 DIFFERENCE = np.array([1.0, -1.0])

@@ -41,7 +41,7 @@ from study.statistics.analysis.restricted_likelihood import (
     fit_restricted,
 )
 from study.statistics.analysis.simple_effects import Differences, Estimates
-from study.statistics.analysis.split_plot import Plots
+from study.statistics.analysis.strata import Plots
 from study.statistics.analysis.sums_of_squares import (
     alias_warnings,
     factor,

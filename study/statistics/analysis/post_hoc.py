@@ -18,7 +18,7 @@ from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.anova_table import Effect, PairDifference, Row
 from study.statistics.analysis.comparisons import Comparisons, LevelPair, studentized_range_cdf
-from study.statistics.analysis.effects import own_critical, pooled_critical, t_quantile
+from study.statistics.analysis.effects import own_critical, smallest_critical, t_quantile
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Term,
@@ -202,7 +202,7 @@ def dunnett_of_model(
     """
     others = [level for level in effect.levels if level != reference]
     pairs_by_levels = {frozenset((p.first, p.second)): p for p in effect.pairs}
-    critical = pooled_critical(len(effect.levels), len(effect.levels) - 1, df, True, alpha)
+    critical = smallest_critical(len(effect.levels), len(effect.levels) - 1, df, True, alpha)
     sizes = {key: _distances(pair, effect.is_ratio) for key, pair in pairs_by_levels.items()}
     error = {key: half / critical for key, (_, half) in sizes.items()}
     of_reference = [(name, pairs_by_levels[frozenset((name, reference))]) for name in others]
@@ -321,7 +321,7 @@ def _adjusted(
     k, alpha, df = len(effect.levels), analysis.request.alpha, row.df_error
     pairs = k * (k - 1) / 2
     if row.error == "residual":
-        critical = pooled_critical(k, k - 1, df, True, alpha)
+        critical = smallest_critical(k, k - 1, df, True, alpha)
         method = TUKEY
     elif row.error == f"{analysis.data.block}:{effect.term}" and row.df:
         df = float(round(df / row.df))
