@@ -14,11 +14,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.anova_table import Effect, PairDifference, Row
-from study.statistics.analysis.comparisons import Comparisons, LevelPair, studentized_range_cdf
-from study.statistics.analysis.effects import own_critical, smallest_critical, t_quantile
+from study.statistics.analysis.comparisons import (
+    Comparisons,
+    LevelPair,
+    block_multiplier,
+    studentized_range_cdf,
+)
+from study.statistics.analysis.effects import (
+    group_errors,
+    own_critical,
+    smallest_critical,
+    t_quantile,
+)
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Term,
@@ -264,6 +274,53 @@ def _dunnett(
         for name, (d, low, high), p_of_pair in zip(names[1:], ends, p, strict=True)
     )
     return Comparisons("Dunnett", alpha, pairs, {})
+
+
+#: smallest p that is told apart: one of the 4,000 draws of the multiplier
+_LEAST_P = 1 / 4000
+#: halvings of the level, to a thousandth of it
+_STEPS = 14
+
+
+def dunnett_over_groups(
+    values: Mapping[str, Array],
+    reference: str,
+    groups: Sequence[Ints],
+    method: str,
+    alpha: float,
+    seed: int,
+) -> Comparisons:
+    """Compare levels with one of them, each difference with an error of its own.
+
+    A level's values add up to its mean over blocks, or over the rows of its cells; the scatter of
+    each group of them (all blocks, or the rows of a cell) is its own. The differences depend
+    on each other, which the simulated multiplier of the largest |t| counts.
+
+    Shapes: values (b,).
+    """
+    names = [name for name in values if name != reference]
+    parts = np.array([values[name] - values[reference] for name in names])
+    error, df = group_errors(parts, groups)
+    centre = parts.sum(axis=1)
+
+    def half(level: float) -> Array:
+        return block_multiplier(parts, level, seed, groups, df) * error
+
+    def p(i: int) -> float:
+        """Level at which the simultaneous interval of one difference touches zero."""
+        low, high = math.log(_LEAST_P), 0.0
+        for _ in range(_STEPS if centre[i] else 0):
+            middle = (low + high) / 2
+            beyond = abs(centre[i]) > half(math.exp(middle))[i]
+            low, high = (low, middle) if beyond else (middle, high)
+        return math.exp(high)
+
+    ends = zip(names, centre, half(alpha), strict=True)
+    pairs = tuple(
+        LevelPair(name, reference, float(d), float(d - h), float(d + h), p(i))
+        for i, (name, d, h) in enumerate(ends)
+    )
+    return Comparisons(method, alpha, pairs, {})
 
 
 # -------------------------------------------------------------------------------------------------
