@@ -19,6 +19,7 @@ from study.statistics.analysis.repeats import common_seeds
 from study.statistics.analysis.sums_of_squares import epsilon_gg, welch_box
 
 DIFFERENCE = np.array([1.0, -1.0])
+FULL = [pytest.mark.slow, pytest.mark.verify]
 
 
 def p_of_one_group(rows: Array) -> float:
@@ -110,23 +111,6 @@ def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> floa
     return float(rejected.max() / n)
 
 
-@pytest.mark.parametrize(("sizes", "ratio"), [((3, 3), 3.0), ((4, 5), 1.0), ((6, 12), 3.0)])
-def test_groups_with_their_own_covariance_hold_the_size(sizes, ratio) -> None:
-    # 3 standard errors at 800 data sets
-    assert group_rates(sizes, ratio, 800, 41) <= 0.07 + 0.025
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-@pytest.mark.parametrize("sizes", [(3, 3), (4, 5), (3, 6), (6, 12)])
-@pytest.mark.parametrize("ratio", [1.0, 3.0, 1 / 3])
-def test_groups_hold_the_size_everywhere(sizes, ratio) -> None:
-    """Bar 9 at 10,000 data sets."""
-    size = group_rates(sizes, ratio, 10_000, 43)
-    print(f"groups {sizes}, sd ratio {ratio:.2g}: size {size:.4f}")
-    assert size <= 0.07
-
-
 def seed_rates(rho: float, effect: float, n: int, seed: int, seeds: int = 5) -> float:
     """Rejections of a factor whose third level differs by the effect, crossed with two levels."""
     rng = np.random.default_rng(seed)
@@ -170,18 +154,31 @@ def table_rates(spherical: bool, n: int, seed: int) -> tuple[float, float]:
     return float(raw.max() / n), familywise / n
 
 
-def test_a_table_holds_its_familywise_error() -> None:
-    size, familywise = table_rates(False, 600, 63)
-    assert size <= 0.065 + 0.03  # 3 standard errors at 600 data sets
-    assert familywise <= 0.057 + 0.03
+@pytest.mark.parametrize(
+    ("ratio", "n", "sizes"),
+    [
+        (3.0, 800, [(3, 3), (6, 12)]),
+        (1.0, 800, [(4, 5)]),
+        *(pytest.param(r, 10_000, [(3, 3), (4, 5), (3, 6), (6, 12)], marks=FULL)
+          for r in (1.0, 3.0, 1 / 3)),
+    ],
+)  # fmt: skip
+def test_groups_with_their_own_covariance_hold_the_size(
+    ratio: float, n: int, sizes: list[tuple[int, int]]
+) -> None:
+    """Bar 9 at 10,000 data sets; with fewer 3 standard errors more."""
+    rates = [group_rates(pair, ratio, n, 43) for pair in sizes]
+    print(f"groups {sizes}, sd ratio {ratio:.2g}: sizes {rates}")
+    assert max(rates) <= 0.07 + (0.025 if n < 10_000 else 0.0)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-@pytest.mark.parametrize("spherical", [True, False])
-def test_a_table_holds_its_familywise_error_at_full_size(spherical: bool) -> None:
-    """Bar 6, the test of own interactions and Holm, 10,000 data sets."""
-    size, familywise = table_rates(spherical, 10_000, 65)
+@pytest.mark.parametrize(
+    ("spherical", "n", "more"),
+    [(False, 600, 0.03), *(pytest.param(s, 10_000, 0.0, marks=FULL) for s in (True, False))],
+)
+def test_a_table_holds_its_familywise_error(spherical: bool, n: int, more: float) -> None:
+    """Bar 6, the test of own interactions and Holm; with fewer data sets 3 standard errors more."""
+    size, familywise = table_rates(spherical, n, 65)
     print(f"spherical {spherical}: worst size {size:.4f}, familywise {familywise:.4f}")
-    assert size <= 0.065
-    assert familywise <= 0.057
+    assert size <= 0.065 + more
+    assert familywise <= 0.057 + more

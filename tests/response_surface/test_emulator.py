@@ -243,13 +243,6 @@ def test_friedman_gives_the_range_of_its_additive_inputs() -> None:
         assert high - low == pytest.approx(truth, abs=ranges[j].bound)
 
 
-def test_few_runs_of_ishigami_refuse_indices() -> None:
-    found = emulated(functions.ishigami, 3, 50, 1)
-    assert found.q2 < 0.7
-    with pytest.raises(RefusedError, match="100 in all"):
-        found.indices()
-
-
 @pytest.mark.parametrize(
     ("value", "bound", "practical", "verdict"),
     [
