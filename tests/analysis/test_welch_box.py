@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.linalg import helmert
 from scipy.special import fdtrc
 from scipy.stats import ttest_ind
 
@@ -14,7 +15,7 @@ from study.ground.errors import InputError
 from study.statistics.analysis.comparisons import holm_family
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, terms_of
-from study.statistics.analysis.normality import helmert, helmert_contrasts
+from study.statistics.analysis.normality import helmert_contrasts
 from study.statistics.analysis.repeats import common_seeds
 from study.statistics.analysis.sums_of_squares import epsilon_gg, welch_box
 
@@ -51,7 +52,7 @@ def test_several_weight_vectors_by_their_definition() -> None:
     """Three groups, two orthonormal differences; M written out block by block."""
     rng = np.random.default_rng(3)
     groups = [rng.standard_normal((2, n)) * s for n, s in ((4, 1.0), (5, 2.0), (6, 0.5))]
-    w = helmert(3).T
+    w = helmert(3)
     m = np.zeros((4, 4))
     for i, j in product(range(2), repeat=2):
         block = sum(w[i, g] * w[j, g] * np.cov(z) / z.shape[1] for g, z in enumerate(groups))
@@ -98,7 +99,7 @@ def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> floa
     """Worst size of average and difference."""
     rng = np.random.default_rng(seed)
     sd = np.array([3.0, 1.0, 0.3, 0.1])[:, None]
-    basis = helmert(4).T
+    basis = helmert(4)
     rejected = np.zeros(2)
     for _ in range(n):
         cells = [
@@ -114,7 +115,7 @@ def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> floa
 def seed_rates(rho: float, effect: float, n: int, seed: int, seeds: int = 5) -> float:
     """Rejections of a factor whose third level differs by the effect, crossed with two levels."""
     rng = np.random.default_rng(seed)
-    factor = np.kron(helmert(3), np.full((2, 1), 2**-0.5)).T
+    factor = np.kron(helmert(3).T, np.full((2, 1), 2**-0.5)).T
     mean = np.repeat([0.0, 0.0, effect], 2)[:, None]
     count = 0
     for _ in range(n):

@@ -14,7 +14,7 @@ from study.statistics.analysis.anova_table import (
     ModelSummary,
 )
 from study.statistics.analysis.assumptions import Assumptions
-from study.statistics.analysis.data import Structure
+from study.statistics.analysis.data import Crossed, Structure
 from study.statistics.analysis.power import PowerRow
 
 if TYPE_CHECKING:
@@ -76,6 +76,8 @@ class DataSummary:
     bounds: tuple[FailureBound, ...] = ()
     #: What taking rows on one unit as independent would have claimed.
     nested: NestedUnits | None = None
+    #: Cells against blocks, where effects are tested against their own interactions.
+    crossed: Crossed | None = None
     #: What the table is: step of the readings, nesting, empty cells, terms that are not told apart.
     structure: Structure = field(default_factory=Structure)
 

@@ -118,6 +118,7 @@ def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSu
         len(out.copies.groups),
         tuple(tuple(names[c] for c in g) for g in out.copies.groups if len(g) > 1),
         model_matrix,
+        crossed=out.crossed,
         structure=out.structure,
     )
 
