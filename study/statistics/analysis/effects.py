@@ -116,7 +116,9 @@ def pooled_estimate(
 ) -> TermEstimate:
     """Estimate of a term with the error variance ``rss / df`` (none where df is 0)."""
     sample = with_pooled_error(fit, rss, df, alpha, None)
-    critical = pooled_critical(layout, term, df, alpha) if df > 0 else None
+    levels = [len(layout.levels[name]) for name in term]
+    sizes = math.prod(levels), math.prod(k - 1 for k in levels)
+    critical = pooled_critical(*sizes, df, len(term) == 1, alpha) if df > 0 else None
     return sampled_estimate(layout, fit, term, p, sample, critical)
 
 
@@ -148,8 +150,6 @@ def sampled_estimate(
     half = mean_half = None
     if pairs.error is not None and alone.error is not None:
         wide = pairs.error * (pairs.simultaneous if critical is None else critical)
-        # combinations that the model describes alike differ by nothing, whatever the error
-        wide[(component_rows[first] == component_rows[second]).all(axis=1)] = 0.0
         half = np.zeros((k, k))
         half[first, second] = half[second, first] = wide
         mean_half = (alone.error * alone.single)[k:]
@@ -175,14 +175,7 @@ def t_quantile(upper: float, df: float | Array) -> float | Array:
     return np.asarray(quantile) if np.ndim(quantile) else float(quantile)
 
 
-def pooled_critical(layout: CellLayout, term: Term, df: float, alpha: float) -> float:
-    """Smallest valid multiplier of all pairs of levels of a term, or of its combinations."""
-    levels = [len(layout.levels[name]) for name in term]
-    main = len(term) == 1
-    return smallest_critical(math.prod(levels), math.prod(k - 1 for k in levels), df, main, alpha)
-
-
-def smallest_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
+def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
     """Smallest valid simultaneous multiplier: Tukey-Kramer, Bonferroni or Scheffe."""
     from scipy.special import fdtri
 

@@ -27,7 +27,7 @@ from study.statistics.analysis.data import Crossed
 from study.statistics.analysis.effects import (
     group_errors,
     own_critical,
-    smallest_critical,
+    pooled_critical,
     t_quantile,
 )
 from study.statistics.analysis.linear_model import (
@@ -177,7 +177,7 @@ def dunnett_of_model(
     """
     others = [level for level in effect.levels if level != reference]
     pairs_by_levels = {frozenset((p.first, p.second)): p for p in effect.pairs}
-    critical = smallest_critical(len(effect.levels), len(effect.levels) - 1, df, True, alpha)
+    critical = pooled_critical(len(effect.levels), len(effect.levels) - 1, df, True, alpha)
     sizes = {key: _distances(pair, effect.is_ratio) for key, pair in pairs_by_levels.items()}
     error = {key: half / critical for key, (_, half) in sizes.items()}
     of_reference = [(name, pairs_by_levels[frozenset((name, reference))]) for name in others]
@@ -343,7 +343,7 @@ def _adjusted(
     k, alpha, df = len(effect.levels), analysis.request.alpha, row.df_error
     pairs = k * (k - 1) / 2
     if row.error == "residual":
-        critical = smallest_critical(k, k - 1, df, True, alpha)
+        critical = pooled_critical(k, k - 1, df, True, alpha)
         method = TUKEY
     elif row.error == f"{analysis.data.block}:{effect.term}" and row.df:
         df = float(round(df / row.df))

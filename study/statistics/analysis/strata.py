@@ -27,7 +27,6 @@ from study.statistics.analysis.data import Crossed, Data, crossed
 from study.statistics.analysis.effects import (
     over_groups,
     own_critical,
-    pooled_critical,
     pooled_estimate,
     sampled_estimate,
     size,
@@ -175,11 +174,11 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
     effects = []
     by_name = {row.term: row.p for row in rows}
     for term in out.terms:
-        df = place[term].df if term in place else 0
-        critical = pooled_critical(data.layout, term, df, alpha) if df else 0.0
-        p = by_name[term_name(term)]
-        estimate = sampled_estimate(data.layout, whole, term, p, sample, critical)
-        estimate = estimate if df else replace(estimate, half=None)
+        stratum, p = place.get(term), by_name[term_name(term)]
+        fit, df = (whole, 0) if stratum is None else (stratum.fit, stratum.df)
+        estimate = pooled_estimate(data.layout, fit, term, df, p, alpha, fit.rss)
+        of_means = sampled_estimate(data.layout, whole, term, None, sample)
+        estimate = replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half)
         effects.append(size(estimate, out.scale, simple))
     df_of = {term_name(t): float(place[t].df) for t in complete if t in place}
     error = error_of_strata(str(data.block), plots, "the pooled scatter within whole plots", df_of)

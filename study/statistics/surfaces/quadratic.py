@@ -582,16 +582,16 @@ def _surface(
         residual = max(residual, df * (ROUNDING * float(np.abs(response).max())) ** 2)
         covariance = columns.model.unscaled_covariance[:count, :count] * residual / df
         point = _with_region(point, level_by_residual(polynomial, covariance, df))
-    known = covariance is not None and error != "none"
-    errors = np.sqrt(np.diag(covariance)) if known else [None] * count
-    t = float(stdtrit(df, 1.0 - alpha / 2.0)) if known else 0.0
-    terms = []
-    for term, c, se in zip(columns.terms, polynomial.coefficients.tolist(), errors, strict=True):
-        estimate = SurfaceTerm(term.label(runs.names), c)
-        if se is not None:
+    terms = [
+        SurfaceTerm(term.label(runs.names), c)
+        for term, c in zip(columns.terms, polynomial.coefficients.tolist(), strict=True)
+    ]
+    if covariance is not None and error != "none":
+        t = float(stdtrit(df, 1.0 - alpha / 2.0))
+        for i, se in enumerate(np.sqrt(np.diag(covariance)).tolist()):
+            c = terms[i].coefficient
             p = float(2.0 * stdtr(df, -abs(c) / se)) if se > 0 else None
-            estimate = replace(estimate, interval=(float(c - t * se), float(c + t * se)), p=p)
-        terms.append(estimate)
+            terms[i] = replace(terms[i], interval=(c - t * se, c + t * se), p=p)
     aliases = []
     for term, parts in columns.aliases:
         labels = [(part.label(runs.names), weight) for part, weight in parts]
