@@ -67,7 +67,6 @@ class DataSummary:
     residuals: pd.DataFrame
     #: One cell of each distinct computation.
     representatives: tuple[str, ...]
-    distinct: int
     #: Cells that agree in every block.
     copies: tuple[tuple[str, ...], ...]
     #: shape (n, p); columns of the fit.
@@ -80,6 +79,11 @@ class DataSummary:
     crossed: Crossed | None = None
     #: What the table is: step of the readings, nesting, empty cells, terms that are not told apart.
     structure: Structure = field(default_factory=Structure)
+
+    @property
+    def distinct(self) -> int:
+        """Number of distinct computations."""
+        return len(self.representatives)
 
 
 @dataclass(frozen=True)

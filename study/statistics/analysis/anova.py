@@ -115,7 +115,6 @@ def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSu
         _cell_means(out),
         _residual_frame(out),
         tuple(names[c] for c in out.copies.representatives),
-        len(out.copies.groups),
         tuple(tuple(names[c] for c in g) for g in out.copies.groups if len(g) > 1),
         model_matrix,
         crossed=out.crossed,
