@@ -44,12 +44,11 @@ from study.statistics.analysis.comparisons import (
     Comparisons,
     FamilyTest,
     GroupMoments,
-    blocked_dunnett,
     holm_family,
 )
 from study.statistics.analysis.linear_model import Formula, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
-from study.statistics.analysis.post_hoc import dunnett, dunnett_of_model
+from study.statistics.analysis.post_hoc import dunnett, dunnett_of_model, dunnett_over_groups
 from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 
 if TYPE_CHECKING:
@@ -95,12 +94,24 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
     rows = analysis.data.residuals
     if analysis.request.scale.is_log:
         rows = rows.assign(response=np.log(rows["response"]))
-    if analysis.data.block is None:
+    if analysis.data.block is not None:
+        means = rows.pivot_table("response", "block", factor, sort=False).dropna()
+        if len(means) < 2:
+            rule = "two blocks at least need a value at every level"
+            raise InputError(Fault("blocks", rule, "leave incomplete levels out"))
+        values = {str(name): means[name].to_numpy() / len(means) for name in means.columns}
+        blocks = [np.arange(len(means))]
+        return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
+    if analysis.request.error != "welch":
         groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
         return dunnett(groups, reference, alpha, seed)
-    means = rows.pivot_table("response", "block", factor, sort=False).dropna()
-    by_level = {str(name): means[name].to_numpy() for name in means.columns}
-    return blocked_dunnett(by_level, reference, alpha=alpha, seed=seed)
+    cells = [np.asarray(at) for at in rows.groupby("cell", sort=False).indices.values()]
+    level, y = rows[factor].astype(str).to_numpy(), rows["response"].to_numpy()
+    share = np.zeros(len(rows))
+    for cell in cells:  # a level is the mean of the means of its cells
+        share[cell] = 1 / cell.size / sum(level[other[0]] == level[cell[0]] for other in cells)
+    values = {name: (y - y[0]) * share * (level == name) for name in dict.fromkeys(level)}
+    return dunnett_over_groups(values, reference, cells, "Dunnett by Welch", alpha, seed)
 
 
 # Write the page of one analysis: of a CSV, a table, or a study's records.

@@ -28,65 +28,6 @@ def factorial(shape: dict[str, int], repeats: int, seed: int) -> pd.DataFrame:
     return table
 
 
-@pytest.mark.parametrize("kind", ["I", "II", "III"])
-@pytest.mark.parametrize("drop", [0, 4])
-def test_types_against_statsmodels(kind: str, drop: int) -> None:
-    """Other code: statsmodels with sum contrasts on generated names, unbalanced 3 x 2 x 3."""
-    sm = pytest.importorskip("statsmodels.api")
-    ols = pytest.importorskip("statsmodels.formula.api").ols
-    table = factorial({"a": 3, "b": 2, "c": 3}, 3, 5).drop([0, 7, 20, 33][:drop])
-    ours = anova(table, "y", ["a", "b", "c"], type=kind, exact=False)
-    fit = ols("y ~ C(a, Sum) * C(b, Sum) * C(c, Sum)", table).fit()
-    theirs = sm.stats.anova_lm(fit, typ={"I": 1, "II": 2, "III": 3}[kind])
-    theirs.index = theirs.index.str.replace(r"C\((\w), Sum\)", r"\1", regex=True)
-    for row in ours.anova.rows:
-        if row.term == "residual":
-            continue
-        assert row.ss == pytest.approx(theirs.loc[row.term, "sum_sq"], rel=1e-8)
-        assert row.f == pytest.approx(theirs.loc[row.term, "F"], rel=1e-8)
-        assert row.p == pytest.approx(theirs.loc[row.term, "PR(>F)"], rel=1e-7)
-
-
-def test_pooled_blocks_and_listed_terms_against_statsmodels() -> None:
-    sm = pytest.importorskip("statsmodels.api")
-    ols = pytest.importorskip("statsmodels.formula.api").ols
-    table = factorial({"a": 3, "b": 2, "s": 4}, 1, 8)
-    ours = anova(table, "y", ["a", "b"], block="s", model=["a", "b"], error="pooled", exact=False)
-    theirs = sm.stats.anova_lm(ols("y ~ C(s, Sum) + C(a, Sum) + C(b, Sum)", table).fit(), typ=2)
-    assert ours.error_term.source == "E1"
-    assert ours.anova.row("a").f == pytest.approx(theirs.loc["C(a, Sum)", "F"], rel=1e-8)
-    assert ours.anova.row("residual").df == theirs.loc["Residual", "df"]
-
-
-def test_nested_factor_against_statsmodels() -> None:
-    """Specimen labels restart in every mix: the term a:s without s is nested."""
-    sm = pytest.importorskip("statsmodels.api")
-    ols = pytest.importorskip("statsmodels.formula.api").ols
-    table = factorial({"a": 3, "s": 2}, 4, 3)
-    ours = anova(table, "y", ["a", "s"], model=["a", "a:s"], type="I", exact=False)
-    theirs = sm.stats.anova_lm(ols("y ~ a + a:s", table).fit(), typ=1)
-    assert ours.anova.row("a:s").df == 3
-    assert ours.anova.row("a:s").ss == pytest.approx(theirs.loc["a:s", "sum_sq"], rel=1e-8)
-
-
-def test_own_interaction_against_statsmodels() -> None:
-    """Other code: AnovaRM, a repeated-measures ANOVA of two within factors."""
-    rm = pytest.importorskip("statsmodels.stats.anova").AnovaRM
-    table = factorial({"a": 3, "b": 4, "mix": 6}, 1, 9)
-    ours = anova(table, "y", ["a", "b"], block="mix", error="own", exact=False)
-    theirs = rm(table, "y", "mix", within=["a", "b"]).fit().anova_table
-    for term in ("a", "b", "a:b"):
-        row = ours.anova.row(term)
-        assert row.f == pytest.approx(theirs.loc[term, "F Value"], rel=1e-8)
-        assert row.df_error == theirs.loc[term, "Den DF"]
-        assert row.p == pytest.approx(theirs.loc[term, "Pr > F"], rel=1e-7)
-        assert 1 / row.df <= (row.epsilon_gg or 0) <= 1
-        assert (row.p_gg or 0) >= (row.p or 0) or (row.p or 0) > 0.2
-    total = sum(row.ss for row in ours.anova.rows)
-    assert total == pytest.approx(float(((table["y"] - table["y"].mean()) ** 2).sum()), rel=1e-10)
-    assert isinstance(ours.error_term.df, dict)
-
-
 def test_records_take_own_interactions_and_group_copies() -> None:
     rng = np.random.default_rng(2)
     rows = []

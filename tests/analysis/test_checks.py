@@ -122,8 +122,8 @@ def test_shapiro_wilk_does_not_depend_on_the_unit() -> None:
 def test_epsilon_of_spherical_and_of_one_direction() -> None:
     assert epsilon_gg(np.eye(4)) == pytest.approx(1)
     assert epsilon_gg(np.diag([1.0, 0, 0, 0])) == pytest.approx(0.25)
-    assert sphericity(np.random.default_rng(0).normal(size=(1, 9))).epsilon_gg == 1
-    assert sphericity(np.random.default_rng(0).normal(size=(6, 4))).p is None
+    assert sphericity(np.random.default_rng(0).normal(size=(1, 9)), 8).epsilon_gg == 1
+    assert sphericity(np.random.default_rng(0).normal(size=(6, 4)), 3).p is None
 
 
 def test_studentized_range_against_scipy() -> None:

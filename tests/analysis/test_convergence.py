@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from study.ground.errors import InputError
@@ -92,27 +92,6 @@ def test_the_bound_holds_the_error_of_random_series() -> None:
     assert np.isfinite(u).all()
     assert np.mean(error <= u) >= 0.95
     assert np.median(u / error) <= 8
-
-
-@given(
-    st.floats(0.6, 4.0),
-    st.floats(1.3, 3.0),
-    st.floats(1.3, 3.0),
-    st.floats(-5, 5),
-    st.sampled_from([-1.0, 0.3]),
-    st.integers(3, 5),
-)
-def test_known_orders_are_recovered(p, r1, r2, limit, slope, meshes) -> None:
-    h = np.cumprod([1.0, r1, r2, r1, r2])[:meshes]
-    f = limit + slope * h**p
-    assume(abs(limit) > 0.1)
-    result = grid_convergence(h, f)
-    assert result.behaviour == "monotone"
-    assert result.observed_order == pytest.approx(p, abs=1e-5)
-    # extrapolation amplifies the rounding of the values by 1 / (r^p - 1)
-    assert result.extrapolated == pytest.approx(limit, abs=1e-6 * max(1, abs(f).max()))
-    assert result.u_num is not None
-    assert result.u_num >= abs(f[0] - limit) * 0.999
 
 
 @pytest.mark.parametrize(

@@ -61,20 +61,6 @@ def test_growing_changes_are_divergent(r1, r2, p, size) -> None:
     assert result.u_num == pytest.approx(3 * np.ptp(f))
 
 
-@given(RATIO, st.floats(1.05, 20), st.floats(0.1, 10))
-def test_growing_oscillations_are_divergent(r, growth, size) -> None:
-    f = 1 + size * np.array([0.0, growth, growth - 1])
-    result = grid_convergence([1, r, r * r], f)
-    assert result.behaviour == "divergent"
-
-
-@given(st.floats(-1e6, 1e6), RATIO, st.integers(3, 6))
-def test_constant_values_are_at_the_noise_floor(value, r, meshes) -> None:
-    result = grid_convergence(r ** np.arange(meshes), np.full(meshes, value))
-    assert result.behaviour == "noise-floor"
-    assert result.u_num == 0
-
-
 @given(st.floats(1, 1e6), st.integers(0, 2**31 - 1))
 def test_noise_within_the_tolerance_is_the_noise_floor(value, seed) -> None:
     tolerance = 1e-7 * value

@@ -11,11 +11,7 @@ from study.ground.arrays import Array
 from study.statistics.analysis.comparisons import ASYMPTOTIC_BLOCKS, block_multiplier
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import (
-    Factorization,
-    complement,
-    factorize,
     model_matrix,
-    terms_of,
 )
 from study.statistics.analysis.sums_of_squares import factor, influence, two_way
 from study.statistics.analysis.unreplicated import group_cells
@@ -30,44 +26,6 @@ def layout(sizes: tuple[int, ...], rows: int | None, seed: int) -> Layout:
     names = "abcd"[: len(sizes)]
     levels = {n: tuple(map(str, range(k))) for n, k in zip(names, sizes, strict=True)}
     return Layout(levels, {n: cells[:, i] for i, n in enumerate(names)})
-
-
-def others(model: Factorization, i: int, kind: str) -> Array:
-    """Columns of R that a type of sums of squares adjusts term ``i`` for."""
-    terms = model.matrix.terms
-    kept = {
-        "I": range(i),
-        "II": [j for j in range(len(terms)) if j != i and not set(terms[i]) < set(terms[j])],
-        "III": [j for j in range(len(terms)) if j != i],
-    }[kind]
-    return np.hstack([model.r[:, model.matrix.blocks[j]] for j in kept])
-
-
-@pytest.mark.parametrize("kind", ["I", "II", "III"])
-@pytest.mark.parametrize("rows", [None, 40])
-def test_spaces_of_terms_are_those_of_a_factorization_of_their_own(
-    kind: str, rows: int | None
-) -> None:
-    here = layout((3, 4, 2), rows, 4)
-    model = factorize(model_matrix(here, terms_of("abc")))
-    assert model.is_triangular
-    for i in range(1, len(model.matrix.terms)):
-        basis = model.space(i, kind).basis
-        own = complement(others(model, i, kind), model.r[:, model.matrix.blocks[i]])
-        # bases differ by a rotation, which no statistic sees
-        assert basis @ basis.T == pytest.approx(own @ own.T, abs=1e-12)
-
-
-def test_an_empty_cell_leaves_the_rest_estimable() -> None:
-    here = layout((3, 3), None, 0)
-    kept = np.arange(9) != 8
-    holed = Layout(here.levels, {n: c[kept] for n, c in here.codes.items()})
-    model = factorize(model_matrix(holed, terms_of("ab")))
-    assert model.rank == 8
-    assert not model.is_full
-    assert model.space(3, "III").basis.shape[1] == 3
-    rows = model_matrix(here, terms_of("ab")).columns
-    assert model.estimable(rows).tolist() == [True] * 8 + [False]
 
 
 @pytest.mark.parametrize("drop", [0.0, 0.3])

@@ -15,7 +15,6 @@ from study.ground.errors import InputError, RefusedError
 from study.ground.tabular import read_tidy_csv as read_csv
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.equal_variance import levene
-from study.statistics.analysis.normality import ryan_joiner
 
 
 def factorial(shape: dict[str, int], repeats: int, seed: int, **effect: float) -> pd.DataFrame:
@@ -55,13 +54,6 @@ def test_f15_repeated_cells_of_a_study_are_replicates_only_if_declared() -> None
     assert again.anova.row("a").f == pytest.approx(declared.anova.row("a").f, rel=1e-10)
 
 
-def test_f16_copies_have_no_pure_error() -> None:
-    table = pd.concat([factorial({"a": 2, "b": 2}, 1, 1)] * 3, ignore_index=True)
-    with pytest.raises(RefusedError, match="no pure error") as refused:
-        anova(table, "y", ["a", "b"])
-    assert refused.value.exit_code == 3
-
-
 def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported() -> None:
     table = factorial({"a": 3}, 3, 1)
     table.loc[table["a"] == "L1", "y"] = 1.0
@@ -75,14 +67,6 @@ def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported() -> N
     result = anova(lone, "y", ["a"], exact=False)
     assert "bartlett: not applicable: group L9 has one value" in result.notes
     assert levene([[1.0, 2.0, 3.0], [4.0]]).reason.startswith("group 2 has one value")
-
-
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_f18_ryan_joiner_needs_four_values(n: int) -> None:
-    result = ryan_joiner(np.arange(float(n)))
-    assert not result.applicable
-    assert result.p_exact is None
-    assert f"needs n >= 4, got n = {n}" in result.reason
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-15])

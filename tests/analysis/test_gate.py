@@ -14,7 +14,7 @@ from scipy.stats import t as student
 from study.api import contrasts
 from study.ground.errors import RefusedError
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.data import prepare, refuse_copied_rows, resolution
+from study.statistics.analysis.data import prepare, refuse_copied_rows
 from study.statistics.analysis.equal_variance import own_variances, variances_beside_blocks
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
@@ -114,12 +114,6 @@ def test_readings_as_coarse_as_the_differences_claim_nothing() -> None:
     assert anova(fine, "y", ["a"], block="s", practical=1.5, exact=False).effect("a").verdict == (
         MATTERS
     )
-
-
-def test_the_step_of_readings() -> None:
-    assert resolution(np.array([0.5, 1.75, 3.0])) == 0.25
-    assert resolution(np.array([1200.0, 1350.0])) == 150.0
-    assert resolution(np.random.default_rng(0).normal(size=5)) == 0.0
 
 
 @pytest.mark.parametrize("times", [2, 3])

@@ -87,15 +87,6 @@ def test_a_contrast_by_name_is_that_of_the_mixed_model() -> None:
     assert contrast.ci == pytest.approx(effect.ci95, rel=1e-9)
 
 
-def test_only_who_asks_gets_a_pooled_error() -> None:
-    table = less_one_a_block(gels())
-    for error, df in (("auto", 6), ("own", 6), ("pooled", 49 - 7 - 7)):
-        found = study.anova(
-            table, "y", ["material", "mesh"], block="specimen", error=error, exact=False
-        )
-        assert found.anova.row("material").df_error == pytest.approx(df, abs=0.05)
-
-
 def sandwich(y: Array, code: Array, layout: Layout) -> Sandwich:
     fixed = factor(model_matrix(layout, [("a",)]), y)
     return Sandwich(fit_restricted(fixed.q, y, [code]), fixed, y, code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from itertools import product
 
 import numpy as np
@@ -129,7 +128,7 @@ def test_likelihood_and_inference_are_those_of_the_dense_covariance(
     assert fit.moments.information / at[-1] ** 2 == pytest.approx(dense.information, rel=1e-8)
     for basis in (np.eye(4)[:, 1:2], np.eye(4)[:, 1:3], np.eye(4)[:, 1:]):
         test = fit.test(basis)
-        assert (test.f, test.df, test.p) == pytest.approx(dense.f_test(basis), rel=1e-7)
+        assert (test.f, test.df_error, test.p) == pytest.approx(dense.f_test(basis), rel=1e-7)
     single = fit.estimate(np.eye(4)[1:2])
     assert single.error[0] ** 2 == pytest.approx(dense.adjusted[1, 1], rel=1e-8)
     assert single.df[0] == pytest.approx(dense.f_test(np.eye(4)[:, 1:2])[1], rel=1e-7)
@@ -313,30 +312,6 @@ def test_f_is_scaled_where_whole_plots_lack_some_subplots() -> None:
         assert term.f < float(wald) / term.df
 
 
-def test_incomplete_blocks_as_statsmodels_fits_them() -> None:
-    """A balanced incomplete design: four treatments in blocks of three."""
-    random = np.random.default_rng(4)
-    scatter = random.normal(0, 1.5, 8)
-    rows = [
-        ("wxyz"[a], k, a + scatter[k] + random.normal(0, 0.7))
-        for k, a in product(range(8), range(4))
-        if a != k % 4
-    ]
-    table = pd.DataFrame(rows, columns=["a", "block", "y"])
-    found = study.mixed_model(table, "y", ["a"], block="block")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        other = smf.mixedlm("y ~ C(a)", table, groups=table["block"]).fit(
-            reml=True, method="bfgs", gtol=1e-8
-        )
-    block, within = found.components
-    assert block.sd**2 == pytest.approx(float(other.cov_re.iloc[0, 0]), rel=2e-4)
-    assert within.sd**2 == pytest.approx(float(other.scale), rel=1e-4)
-    (term,) = found.terms
-    # between the intrablock 24 - 8 - 3 and all rows
-    assert 13 <= term.df_error <= 20
-
-
 def test_no_scatter_between_blocks_is_the_boundary() -> None:
     table = blocked(3)
     table["y"] -= table.groupby("block")["y"].transform("mean")
@@ -382,24 +357,6 @@ def test_a_halved_step_is_not_taken_for_the_end(seed: int) -> None:
     assert np.abs(step / fit.v).max() < 1e-4
 
 
-def test_an_interaction_with_the_blocks_is_a_component() -> None:
-    """The mean square of the interaction exceeds that within by 4 times its variance."""
-    random = np.random.default_rng(6)
-    own = random.normal(0, 1.0, (10, 3))
-    rows = [
-        ("xyz"[a], k, own[k, a] + random.normal(0, 0.5))
-        for k, a, _ in product(range(10), range(3), range(4))
-    ]
-    table = pd.DataFrame(rows, columns=["a", "block", "y"])
-    found = study.mixed_model(table, "y", ["a"], block="block", random=["a"])
-    within = float(table.groupby(["block", "a"])["y"].var().mean())
-    by = {c.source: c for c in found.components}
-    assert by["within"].sd ** 2 == pytest.approx(within, rel=1e-9)
-    assert by["block:a"].low < 1.0 < by["block:a"].high
-    # the term is tested against the interaction: 2 and 18 degrees of freedom
-    assert found.terms[0].df_error == pytest.approx(18, rel=0.2)
-
-
 def test_random_factors_that_cross_are_two_components() -> None:
     """Ten materials in six laboratories, every pair once: a two-way table of mean squares."""
     random = np.random.default_rng(12)
@@ -424,18 +381,23 @@ def test_random_factors_that_cross_are_two_components() -> None:
         ({"random": ["copy"]}, "do not tell the scatter over"),
         ({"random": ["group"]}, "do not tell the scatter over 'group'"),
         ({"contrasts": ["z - w"]}, "w"),
+        ({"block": "pair"}, "needs 3"),
+        ({"response": "flat"}, "response: is the same in every row"),
+        *(({"alpha": alpha}, "alpha: must be between") for alpha in (np.nan, 0.0, 1.0, 1e-300)),
+        ({"covariates": ["tx"]}, "no such column"),
+        ({"covariates": ["a"]}, "already"),
+        ({"covariates": ["text"]}, "text"),
+        ({"covariates": ["gap"]}, "row 3"),
+        ({"covariates": ["flat"]}, "never"),
     ],
 )
 def test_what_cannot_be_fitted_is_named(change: dict[str, object], rule: str) -> None:
     table = blocked()
-    table["copy"], table["group"] = table["block"] + 10, table["a"]
+    table["copy"], table["group"], table["pair"] = table["block"] + 10, table["a"], table.index % 2
+    table = table.assign(text="warm", flat=1.0, gap=1.0)
+    table.loc[2, "gap"] = np.nan
     with pytest.raises(InputError, match=rule):
-        study.mixed_model(table, "y", ["a"], **({"block": "block"} | change))
-
-
-def test_two_blocks_are_too_few() -> None:
-    with pytest.raises(InputError, match="needs 3"):
-        study.mixed_model(blocked(blocks=2), "y", ["a"], block="block")
+        study.mixed_model(table, factors=["a"], **({"response": "y", "block": "block"} | change))
 
 
 def test_rows_without_scatter_within_are_refused() -> None:
@@ -466,36 +428,6 @@ def test_a_covariate_within_blocks_has_the_slope_of_least_squares() -> None:
     (effect,) = found.effects
     assert effect.verdict == "matters"
     assert effect.mean == pytest.approx(table.groupby("a")["y"].mean().tolist(), rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("column", "rule"),
-    [
-        ("tx", "no such column"),
-        ("a", "already"),
-        ("text", "text"),
-        ("gap", "row 3"),
-        ("flat", "never"),
-    ],
-)
-def test_a_covariate_that_is_none_is_refused(column: str, rule: str) -> None:
-    table = blocked().assign(text="warm", flat=1.0, gap=1.0)
-    table.loc[2, "gap"] = np.nan
-    with pytest.raises(InputError, match=rule):
-        study.mixed_model(table, "y", ["a"], block="block", covariates=[column])
-
-
-@pytest.mark.parametrize("alpha", [float("nan"), 0.0, 1.0, 1e-300])
-def test_an_impossible_error_probability_is_refused(alpha: float) -> None:
-    table = pd.DataFrame({"a": ["x", "y"] * 4, "b": list("ppqqrrss"), "y": np.arange(8.0)})
-    with pytest.raises(InputError, match="alpha: must be between"):
-        study.mixed_model(table, "y", ["a"], block="b", alpha=alpha)
-
-
-def test_a_response_that_never_changes_is_refused_in_words() -> None:
-    table = pd.DataFrame({"a": ["x", "y"] * 4, "b": list("ppqqrrss"), "y": 1e9})
-    with pytest.raises(InputError, match="response: is the same in every row"):
-        study.mixed_model(table, "y", ["a"], block="b")
 
 
 @pytest.mark.slow

@@ -142,7 +142,7 @@ def test_the_naive_size_is_what_null_studies_show() -> None:
     nested = anova(table.assign(y=y), "y", ["a"], unit="s", exact=False).data.nested
     assert nested is not None
     assert nested.units == 8
-    from study.statistics.analysis.strata import _naive_size
+    from study.statistics.analysis.repeats import _naive_size
 
     z = rng.normal(size=(2000, 8))[:, unit] + rng.normal(size=(2000, 48))
     first, second = z[:, :24], z[:, 24:]

@@ -270,12 +270,6 @@ def test_remedies_and_summary() -> None:
     )
 
 
-def test_the_reference_covers_every_family() -> None:
-    designs = {key[0] for key in reference()}
-    assert {"crossed", "blocked", "nested", "splitplot", "splitblocks", "latin"} <= designs
-    assert {"crossed-unbalanced", "incomplete", "fraction", "repeated"} <= designs
-
-
 @pytest.mark.parametrize("whole", [True, False])
 def test_nested_labels_may_start_again_or_be_unique(whole: bool) -> None:
     table = data("nested", whole=whole)

@@ -10,6 +10,7 @@ import study
 from study.statistics.analysis import gate
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
+from study.statistics.analysis.post_hoc import coefficient_table
 
 #: noise of the fits of four cells to one curve: pairs are nearly the same fit
 CORRELATED = np.kron([[1.0, 0.3], [0.3, 1.0]], [[1.0, 0.95], [0.95, 1.0]])
@@ -65,6 +66,8 @@ def test_more_resamples_narrow_no_interval(resamples: int) -> None:
     half = (effect.ci95[1] - effect.ci95[0]) / 2
     # variance of a difference of two pair means: 2 (0.975 - 0.3) = 1.35; sd of 25: 14 %
     assert half == pytest.approx(2.0 * np.sqrt(1.35), rel=0.3)
+    (own,) = [c for c in coefficient_table(result).coefficients if c.term == "energy[a]"]
+    assert own.t**2 == pytest.approx(result.anova.row("energy").f)  # nor a coefficient's error
     assert not result.detection.power  # nor does a plan promise that they would
 
 

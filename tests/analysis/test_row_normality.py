@@ -9,7 +9,7 @@ import pytest
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError
-from study.statistics.analysis.equal_variance import _levene_statistic, _normal_draws, levene
+from study.statistics.analysis.equal_variance import _levene_statistic, _normal_draws
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import (
@@ -106,12 +106,6 @@ def test_the_block_that_carries_the_interaction_is_named() -> None:
     assert block_share({"A": np.ones((1, 9))}) is None
 
 
-def test_the_share_of_a_block_by_hand() -> None:
-    found = block_share({"A": np.array([[3.0, -1.0, -1.0, -1.0]])})
-    assert found is not None
-    assert (found.block, found.share) == (0, pytest.approx(0.75))
-
-
 @pytest.mark.parametrize("kind", ["spherical", "non-spherical"])
 def test_row_normality_holds_its_size(kind: str) -> None:
     assert rejections(kind, 6, 600, 71) <= 0.07 + 0.012
@@ -139,16 +133,6 @@ def levene_size(each: int, n: int, seed: int) -> float:
     w = _levene_statistic([rng.standard_normal((n, each)) for _ in range(4)], "median")
     beyond = null.size - np.searchsorted(null, w, side="left")
     return float(np.mean((1 + beyond) / (null.size + 1) < 0.05))
-
-
-def test_levene_by_monte_carlo_is_the_tools_own() -> None:
-    groups = [np.random.default_rng(80 + i).standard_normal(5) for i in range(4)]
-    found = levene(groups, center="median", simulations=20_000)
-    sizes = np.full(4, 5)
-    simulated = [_levene_statistic(g, "median") for g in _normal_draws(sizes, 20_000, 2011)]
-    null = np.concatenate(simulated)
-    count = np.count_nonzero(null >= found.statistic)
-    assert found.p_monte_carlo == pytest.approx((1 + count) / (null.size + 1))
 
 
 @pytest.mark.parametrize("each", [3, 5, 6, 10])

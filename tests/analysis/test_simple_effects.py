@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -18,13 +17,13 @@ from study.reporting.content.verdicts import told
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import (
     block_multiplier,
-    blocked_dunnett,
     bonferroni,
     holm_family,
 )
 from study.statistics.analysis.effects import over_groups
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, model_matrix, terms_of
+from study.statistics.analysis.post_hoc import dunnett_over_groups
 from study.statistics.analysis.simple_effects import (
     MATTERS,
     NO_DIFFERENCE,
@@ -116,24 +115,16 @@ def test_levels_against_a_reference_in_blocks() -> None:
     rng = np.random.default_rng(6)
     block = rng.standard_normal(8)
     levels = {
-        name: mean + block + 0.1 * rng.standard_normal(8)
+        name: (mean + block + 0.1 * rng.standard_normal(8)) / 8
         for name, mean in {"none": 0.0, "same": 0.0, "far": 1.0}.items()
     }
-    found = blocked_dunnett(levels, "none")
+    found = dunnett_over_groups(levels, "none", [np.arange(8)], "", 0.05, 2011)
     same, far = found.pairs
     assert same.lower < 0 < same.upper
     assert far.lower > 0
     assert far.p < 0.05 < same.p
     for pair in found.pairs:  # interval and p agree
         assert (pair.p < 0.05) == (pair.lower > 0 or pair.upper < 0)
-    with pytest.raises(InputError, match="two blocks at least"):
-        blocked_dunnett({name: values[:1] for name, values in levels.items()}, "none")
-
-
-def test_holm_by_hand() -> None:
-    p = {"A": 0.01, "B": 0.04, "C": 0.03, "A:B": 0.005, "D": None}
-    found = {t.term: t.p_holm for t in holm_family({"force": p})}
-    assert found == pytest.approx({"A": 0.03, "B": 0.06, "C": 0.06, "A:B": 0.02, "D": None})
 
 
 def test_primary_terms_form_the_family() -> None:
@@ -209,34 +200,24 @@ def held(case: Case, found: dict[str, float], error: float) -> None:
 
 
 ERRORS = ("spherical", "graded", "near copies", "t4")
-
-
-@pytest.mark.parametrize("errors", ERRORS)
-def test_simple_effects_hold_their_rates(errors: str) -> None:
-    case = Case(2, 5, errors)
-    held(case, outcomes(case, 100, 31), error=0.06)  # 3 standard errors of a rate of .95 or .03
+FEW = [*((2, 5, e) for e in ERRORS), (2, 6, "graded"), (4, 5, "t4"), (4, 9, "near copies")]
+ALL = [(k, b, e) for k in (2, 4) for b in (5, 6, 9) for e in ERRORS]
 
 
 @pytest.mark.parametrize(
-    ("levels", "blocks", "errors"), [(2, 6, "graded"), (4, 5, "t4"), (4, 9, "near copies")]
-)
-def test_other_levels_and_blocks_hold_their_rates(levels: int, blocks: int, errors: str) -> None:
-    case = Case(levels, blocks, errors)
-    held(case, outcomes(case, 100, 32), error=0.06)
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-@pytest.mark.parametrize(
-    ("levels", "blocks", "errors"),
-    [(k, b, e) for (k, b), e in product(product((2, 4), (5, 6, 9)), ERRORS)],
-)
-def test_simple_effects_hold_their_rates_everywhere(levels: int, blocks: int, errors: str) -> None:
+    ("case", "n", "error"),
+    [
+        # 3 standard errors of a rate of .95 or .03
+        *((Case(*case), 100, 0.06) for case in FEW),
+        *(pytest.param(Case(*case), 1000, 0.0, marks=[pytest.mark.slow, pytest.mark.verify])
+          for case in ALL),
+    ],
+)  # fmt: skip
+def test_simple_effects_hold_their_rates(case: Case, n: int, error: float) -> None:
     """Bar 5 at 1,000 data sets."""
-    case = Case(levels, blocks, errors)
-    found = outcomes(case, 1000, 33)
+    found = outcomes(case, n, 31)
     print(case, found)
-    held(case, found, error=0.0)
+    held(case, found, error)
 
 
 def test_a_table_says_that_only_single_settings_matter():

@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.linalg import helmert
 from scipy.special import fdtrc
 from scipy.stats import ttest_ind
 
@@ -14,11 +15,12 @@ from study.ground.errors import InputError
 from study.statistics.analysis.comparisons import holm_family
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, terms_of
-from study.statistics.analysis.normality import helmert, helmert_contrasts
-from study.statistics.analysis.strata import common_seeds
+from study.statistics.analysis.normality import helmert_contrasts
+from study.statistics.analysis.repeats import common_seeds
 from study.statistics.analysis.sums_of_squares import epsilon_gg, welch_box
 
 DIFFERENCE = np.array([1.0, -1.0])
+FULL = [pytest.mark.slow, pytest.mark.verify]
 
 
 def p_of_one_group(rows: Array) -> float:
@@ -50,7 +52,7 @@ def test_several_weight_vectors_by_their_definition() -> None:
     """Three groups, two orthonormal differences; M written out block by block."""
     rng = np.random.default_rng(3)
     groups = [rng.standard_normal((2, n)) * s for n, s in ((4, 1.0), (5, 2.0), (6, 0.5))]
-    w = helmert(3).T
+    w = helmert(3)
     m = np.zeros((4, 4))
     for i, j in product(range(2), repeat=2):
         block = sum(w[i, g] * w[j, g] * np.cov(z) / z.shape[1] for g, z in enumerate(groups))
@@ -97,7 +99,7 @@ def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> floa
     """Worst size of average and difference."""
     rng = np.random.default_rng(seed)
     sd = np.array([3.0, 1.0, 0.3, 0.1])[:, None]
-    basis = helmert(4).T
+    basis = helmert(4)
     rejected = np.zeros(2)
     for _ in range(n):
         cells = [
@@ -110,27 +112,10 @@ def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> floa
     return float(rejected.max() / n)
 
 
-@pytest.mark.parametrize(("sizes", "ratio"), [((3, 3), 3.0), ((4, 5), 1.0), ((6, 12), 3.0)])
-def test_groups_with_their_own_covariance_hold_the_size(sizes, ratio) -> None:
-    # 3 standard errors at 800 data sets
-    assert group_rates(sizes, ratio, 800, 41) <= 0.07 + 0.025
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-@pytest.mark.parametrize("sizes", [(3, 3), (4, 5), (3, 6), (6, 12)])
-@pytest.mark.parametrize("ratio", [1.0, 3.0, 1 / 3])
-def test_groups_hold_the_size_everywhere(sizes, ratio) -> None:
-    """Bar 9 at 10,000 data sets."""
-    size = group_rates(sizes, ratio, 10_000, 43)
-    print(f"groups {sizes}, sd ratio {ratio:.2g}: size {size:.4f}")
-    assert size <= 0.07
-
-
 def seed_rates(rho: float, effect: float, n: int, seed: int, seeds: int = 5) -> float:
     """Rejections of a factor whose third level differs by the effect, crossed with two levels."""
     rng = np.random.default_rng(seed)
-    factor = np.kron(helmert(3), np.full((2, 1), 2**-0.5)).T
+    factor = np.kron(helmert(3).T, np.full((2, 1), 2**-0.5)).T
     mean = np.repeat([0.0, 0.0, effect], 2)[:, None]
     count = 0
     for _ in range(n):
@@ -170,18 +155,31 @@ def table_rates(spherical: bool, n: int, seed: int) -> tuple[float, float]:
     return float(raw.max() / n), familywise / n
 
 
-def test_a_table_holds_its_familywise_error() -> None:
-    size, familywise = table_rates(False, 600, 63)
-    assert size <= 0.065 + 0.03  # 3 standard errors at 600 data sets
-    assert familywise <= 0.057 + 0.03
+@pytest.mark.parametrize(
+    ("ratio", "n", "sizes"),
+    [
+        (3.0, 800, [(3, 3), (6, 12)]),
+        (1.0, 800, [(4, 5)]),
+        *(pytest.param(r, 10_000, [(3, 3), (4, 5), (3, 6), (6, 12)], marks=FULL)
+          for r in (1.0, 3.0, 1 / 3)),
+    ],
+)  # fmt: skip
+def test_groups_with_their_own_covariance_hold_the_size(
+    ratio: float, n: int, sizes: list[tuple[int, int]]
+) -> None:
+    """Bar 9 at 10,000 data sets; with fewer 3 standard errors more."""
+    rates = [group_rates(pair, ratio, n, 43) for pair in sizes]
+    print(f"groups {sizes}, sd ratio {ratio:.2g}: sizes {rates}")
+    assert max(rates) <= 0.07 + (0.025 if n < 10_000 else 0.0)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-@pytest.mark.parametrize("spherical", [True, False])
-def test_a_table_holds_its_familywise_error_at_full_size(spherical: bool) -> None:
-    """Bar 6, the test of own interactions and Holm, 10,000 data sets."""
-    size, familywise = table_rates(spherical, 10_000, 65)
+@pytest.mark.parametrize(
+    ("spherical", "n", "more"),
+    [(False, 600, 0.03), *(pytest.param(s, 10_000, 0.0, marks=FULL) for s in (True, False))],
+)
+def test_a_table_holds_its_familywise_error(spherical: bool, n: int, more: float) -> None:
+    """Bar 6, the test of own interactions and Holm; with fewer data sets 3 standard errors more."""
+    size, familywise = table_rates(spherical, n, 65)
     print(f"spherical {spherical}: worst size {size:.4f}, familywise {familywise:.4f}")
-    assert size <= 0.065
-    assert familywise <= 0.057
+    assert size <= 0.065 + more
+    assert familywise <= 0.057 + more

@@ -82,7 +82,7 @@ def with_result(facts: Facts, assumptions: Assumptions, *, u_num_by_term: bool =
         (),
         Detection(None, None, u_num_by_term, {}),
         assumptions,
-        DataSummary(0, None, 0.0, none, none, (), 0, ()),
+        DataSummary(0, None, 0.0, none, none, (), ()),
         (),
     )
     return replace(facts, result=result)

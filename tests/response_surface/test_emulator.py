@@ -37,7 +37,7 @@ from study.statistics.surfaces.gaussian_process import (
     hyperparameters,
     log_likelihood,
 )
-from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_factors import Runs
 from tests.response_surface import functions
 
 THETA = np.log([0.4, 0.7, 1.3, 1.7, 1e-4])
@@ -243,13 +243,6 @@ def test_friedman_gives_the_range_of_its_additive_inputs() -> None:
         assert high - low == pytest.approx(truth, abs=ranges[j].bound)
 
 
-def test_few_runs_of_ishigami_refuse_indices() -> None:
-    found = emulated(functions.ishigami, 3, 50, 1)
-    assert found.q2 < 0.7
-    with pytest.raises(RefusedError, match="100 in all"):
-        found.indices()
-
-
 @pytest.mark.parametrize(
     ("value", "bound", "practical", "verdict"),
     [
@@ -339,18 +332,6 @@ def test_a_thousand_runs() -> None:
     print(f"1,000 runs: {seconds:.0f} s, {peak / 1e9:.2f} GB")
     assert peak < 2e9
     assert seconds < 180
-
-
-def test_low_and_high_are_coded_by_the_factor() -> None:
-    x = functions.hypercube(2, 30, 1)
-    factors = (NumericFactor("a", 1.0, 100.0, log=True), NumericFactor("b", 0.0, 2.0))
-    settings = np.column_stack([10.0 ** (2.0 * x[:, 0]), 2.0 * x[:, 1]])
-    coded = np.column_stack([f.coded(c) for f, c in zip(factors, settings.T, strict=True)])
-    found = fit_emulator(Runs("y", factors, coded, np.log10(settings[:, 0]) + settings[:, 1]))
-    at = found.runs.points({"a": 10.0, "b": 1.0})
-    value, half = found.predict(at)
-    assert value[0] == pytest.approx(2.0, abs=1e-3)
-    assert half[0] < 1e-2
 
 
 def flat_specimen(x: Array) -> Array:

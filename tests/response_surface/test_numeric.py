@@ -287,13 +287,6 @@ def test_what_a_table_may_hold(
     assert said in " ".join(answer.err.split())
 
 
-def test_ten_thousand_runs_are_refused_with_what_to_do(tmp_path: Path) -> None:
-    x = np.random.default_rng(1).random(10_000)
-    answer = analyze(write(tmp_path / "t.csv", {"x": x, "y": x**3}), "x", "--surface", "emulator")
-    assert answer.code == 3
-    assert "every 5th row" in answer.err
-
-
 def test_a_saturated_surface_has_no_error_and_says_so(tmp_path: Path) -> None:
     path = write(tmp_path / "t.csv", {"x": [1.0, 2.0, 3.0], "y": [1.0, 4.0, 9.0]})
     answer = analyze(path, "x", "--json")

@@ -19,7 +19,7 @@ from study.statistics.analysis.analysis_request import (
 )
 from study.statistics.analysis.anova import analyze, effects
 from study.statistics.analysis.linear_model import Model, terms_of
-from study.statistics.analysis.strata import common_seeds
+from study.statistics.analysis.repeats import common_seeds
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -26,7 +26,7 @@ from study.reporting.content.report_facts import Facts
 from study.reporting.content.report_facts import facts as read_facts
 from study.reporting.content.text import clean, listing, name_of, plural_of, term_name
 from study.reporting.results.study_result import Check, ReportData
-from study.statistics.analysis import strata
+from study.statistics.analysis import repeats
 from study.statistics.analysis.anova_table import Effect, Row
 from study.statistics.analysis.simple_effects import NOT_RESOLVED, REFUSALS
 from study.statistics.surfaces.emulator import GIVEN, RANKED
@@ -495,7 +495,7 @@ def _detectable(analysis: AnalysisResult) -> Table | None:
 def unit_sentences(analysis: AnalysisResult) -> tuple[str, ...]:
     """Say what the analysis by units claims, and what one by rows would have; empty without."""
     nested = analysis.data.nested
-    return () if nested is None else tuple(strata.sentences(nested, analysis.request.alpha))
+    return () if nested is None else tuple(repeats.sentences(nested, analysis.request.alpha))
 
 
 def _by_units(nested: NestedUnits) -> Table:

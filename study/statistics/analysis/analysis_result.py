@@ -14,7 +14,7 @@ from study.statistics.analysis.anova_table import (
     ModelSummary,
 )
 from study.statistics.analysis.assumptions import Assumptions
-from study.statistics.analysis.data import Structure
+from study.statistics.analysis.data import Crossed, Structure
 from study.statistics.analysis.power import PowerRow
 
 if TYPE_CHECKING:
@@ -67,7 +67,6 @@ class DataSummary:
     residuals: pd.DataFrame
     #: One cell of each distinct computation.
     representatives: tuple[str, ...]
-    distinct: int
     #: Cells that agree in every block.
     copies: tuple[tuple[str, ...], ...]
     #: shape (n, p); columns of the fit.
@@ -76,8 +75,15 @@ class DataSummary:
     bounds: tuple[FailureBound, ...] = ()
     #: What taking rows on one unit as independent would have claimed.
     nested: NestedUnits | None = None
+    #: Cells against blocks, where effects are tested against their own interactions.
+    crossed: Crossed | None = None
     #: What the table is: step of the readings, nesting, empty cells, terms that are not told apart.
     structure: Structure = field(default_factory=Structure)
+
+    @property
+    def distinct(self) -> int:
+        """Number of distinct computations."""
+        return len(self.representatives)
 
 
 @dataclass(frozen=True)

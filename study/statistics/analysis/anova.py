@@ -11,7 +11,7 @@ import numpy as np
 from study.ground.arrays import Array, one_thread
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.tabular import names_of
-from study.statistics.analysis import error_ledger, failures, strata
+from study.statistics.analysis import error_ledger, failures, repeats
 from study.statistics.analysis.analysis_request import (
     _NO_ERROR,
     AnalysisOutcome,
@@ -58,8 +58,7 @@ from study.statistics.analysis.linear_model import (
 )
 from study.statistics.analysis.power import PowerRow, planned
 from study.statistics.analysis.simple_effects import without_each
-from study.statistics.analysis.split_plot import Plots, split_plot, whole_plots
-from study.statistics.analysis.strata import own, own_groups
+from study.statistics.analysis.strata import Plots, own, split_plot, whole_plots
 from study.statistics.analysis.sums_of_squares import influence
 from study.statistics.analysis.unreplicated import (
     copies_of,
@@ -116,9 +115,9 @@ def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSu
         _cell_means(out),
         _residual_frame(out),
         tuple(names[c] for c in out.copies.representatives),
-        len(out.copies.groups),
         tuple(tuple(names[c] for c in g) for g in out.copies.groups if len(g) > 1),
         model_matrix,
+        crossed=out.crossed,
         structure=out.structure,
     )
 
@@ -254,7 +253,7 @@ def effects(table: pd.DataFrame, request: AnalysisRequest) -> tuple[Effect, ...]
     table, request, _ = _of_one_block(table, request)
     request, _ = _of_units(table, request)
     if request.layout.unit is not None:
-        table = strata.average_units(table, request, request.layout.unit, request.layout.block)
+        table = repeats.average_units(table, request, request.layout.unit, request.layout.block)
     return _found(table, request).effects
 
 
@@ -273,7 +272,7 @@ def _of_one_block(
     if len(labels) != 1 or name in request.factors:
         return table, request, ""
     request = replace(request, specimens=1, error="auto", layout=replace(layout, block=()))
-    means = strata.average_units(table[table[name].notna()], request, name)
+    means = repeats.average_units(table[table[name].notna()], request, name)
     note = (
         f"one {name} ({labels[0]}): differences are those of this {name}, and how another one "
         "would differ cannot be told; measure two or more"
@@ -287,7 +286,7 @@ def _of_units(table: pd.DataFrame, request: AnalysisRequest) -> tuple[AnalysisRe
     The text says so of a unit; it is empty otherwise.
     """
     unit = request.layout.unit
-    if unit is not None and not request.layout.block and strata.crosses(table, request, unit):
+    if unit is not None and not request.layout.block and repeats.crosses(table, request, unit):
         layout = replace(request.layout, block=(unit,), unit=None)
         note = f"every {unit} is measured in several cells: it is a block (--block {unit})"
         return replace(request, layout=layout), note
@@ -488,7 +487,7 @@ def _with_nested(
 
 def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> AnalysisResult:
     """Analysis of the means of the units, set beside that of all rows."""
-    means = strata.average_units(table, request, unit, request.layout.block)
+    means = repeats.average_units(table, request, unit, request.layout.block)
     result = _complete(means, request)
     if result.error_term.source == "E0":
         between_units = replace(
@@ -502,10 +501,10 @@ def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> Ana
     if rows.data.missing:
         lost = tuple(w for w in rows.data.warnings if w not in result.notes)
         result = replace(result, notes=(*lost, *result.notes))
-    nested = strata.compare_naive(table, request, unit, result.anova, rows.anova)
+    nested = repeats.compare_naive(table, request, unit, result.anova, rows.anova)
     if nested is None:
         return result
-    notes = strata.sentences(nested, request.alpha)
+    notes = repeats.sentences(nested, request.alpha)
     return replace(result, data=replace(result.data, nested=nested)).noted(*notes)
 
 
@@ -543,7 +542,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
         mixed = incomplete_blocks(out) if plots is None or not plots.nested else None
         if mixed is not None:
             return mixed
-        tested = own(out) if plots is None or not plots.nested else own_groups(out, plots)
+        tested = own(out, plots if plots is not None and plots.nested else None)
         if tested is not None:
             return tested
         lacking = _lacking(data, plots)
@@ -659,7 +658,7 @@ def _lacking(data: Data, plots: Plots | None) -> str:
 def _averaged(out: AnalysisOutcome, table: pd.DataFrame) -> AnalysisOutcome:
     """Outcome of the means of the cells in each block; missing rows stay counted."""
     first, *others = out.data.blocks
-    means = strata.average_units(table, out.request, first, others)
+    means = repeats.average_units(table, out.request, first, others)
     start = _start(means, out.request)
     data = replace(start.data, missing=out.data.missing, warnings=out.data.warnings)
     return replace(start, data=data, tolerance=out.tolerance, structure=out.structure)

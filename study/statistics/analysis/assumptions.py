@@ -43,7 +43,7 @@ from study.statistics.analysis.normality import (
     ryan_joiner,
     shapiro_wilk,
 )
-from study.statistics.analysis.strata import OwnTerm, own_terms
+from study.statistics.analysis.strata import OwnTests, own_tests
 from study.statistics.analysis.sums_of_squares import (
     Factored,
     TermSum,
@@ -441,23 +441,21 @@ def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:
     return side_by_side([term_name(t) for t in out.terms], p, out.request.alpha)
 
 
-def _tests(out: AnalysisOutcome, model: Factorization, table: Crossed, kind: str) -> list[OwnTerm]:
-    y = table.y
-    floor = max(out.working_tolerance(), ulp_floor(y))
-    total = float(np.sum((y - y[0, 0] - (y - y[0, 0]).mean()) ** 2))
-    fit = fitted(model, y.mean(axis=1))
-    return own_terms(table, fit, kind, str(out.data.block), floor, total)
+def _tests(out: AnalysisOutcome, model: Factorization, table: Crossed, kind: str) -> OwnTests:
+    floor = max(out.working_tolerance(), ulp_floor(table.y))
+    fit = fitted(model, table.y.mean(axis=1))
+    return own_tests(table, fit, out.terms, kind, str(out.data.block), floor)
 
 
-def _p(tests: Sequence[OwnTerm], how: str) -> dict[str, float | None]:
+def _p(tests: OwnTests, how: str) -> dict[str, float | None]:
     from scipy.special import fdtrc
 
     p: dict[str, float | None] = {}
-    for test in tests:
-        row = test.row
+    for row in tests.rows.values():
         p[row.term] = row.p_gg
+        sphere = tests.sphericity.get(row.term)
         if how == "hf" and row.f is not None and row.df_error is not None:
-            epsilon = max(test.sphericity.epsilon_hf, test.sphericity.epsilon_gg)
+            epsilon = max(sphere.epsilon_hf, sphere.epsilon_gg) if sphere else 1.0
             p[row.term] = float(fdtrc(row.df * epsilon, row.df_error * epsilon, row.f))
     return p
 

@@ -115,33 +115,11 @@ def pooled_estimate(
     rss: float,
 ) -> TermEstimate:
     """Estimate of a term with the error variance ``rss / df`` (none where df is 0)."""
-    levels, component_rows, mean_rows = term_rows(layout, fit, term)
-    component_rows = over_complete_settings(layout, fit, term, component_rows)
-    settings = settings_of(layout, term)
-    beta = fit.coefficients()
-    mean = fit.shift + mean_rows @ beta
-    mean[np.logical_not(fit.estimable(mean_rows))] = np.nan
-    component = component_rows @ beta
-    if not fit.estimable(component_rows).all():
-        component = np.full_like(component, np.nan)
-    if df <= 0 or rss <= 0:
-        return TermEstimate(term, levels, component, mean, None, None, p, settings)
-    covariance = fit.unscaled_covariance * rss / df
-    spread = np.einsum("ij,ij->i", mean_rows @ covariance, mean_rows)
-    df_term = int(np.prod([len(layout.levels[name]) - 1 for name in term]))
-    critical = pooled_critical(len(levels), df_term, df, len(term) == 1, alpha)
-    of_levels = component_rows @ covariance @ component_rows.T
-    square = np.diag(of_levels)[:, None] + np.diag(of_levels) - 2 * of_levels
-    return TermEstimate(
-        term,
-        levels,
-        component,
-        mean,
-        critical * np.sqrt(np.maximum(square, 0.0)),
-        t_quantile(alpha / 2, df) * np.sqrt(np.maximum(spread, 0)),
-        p,
-        settings,
-    )
+    sample = with_pooled_error(fit, rss, df, alpha, None)
+    levels = [len(layout.levels[name]) for name in term]
+    sizes = math.prod(levels), math.prod(k - 1 for k in levels)
+    critical = pooled_critical(*sizes, df, len(term) == 1, alpha) if df > 0 else None
+    return sampled_estimate(layout, fit, term, p, sample, critical)
 
 
 def sampled_estimate(
@@ -338,16 +316,41 @@ def cell_welch(
     )
     variance = np.maximum(variances[0], reading**2)
     member = np.eye(len(variance))[cell[first]]
+
+    def shares(along: Array) -> Array:
+        weight = along @ fit.q[first].T
+        weight[np.abs(weight) < 1e-12 * np.abs(weight).max(initial=0.0)] = 0.0
+        return np.asarray((weight**2 * count) @ member)
+
+    return with_sources(fit, shares, variance, variances[1], alpha, ranges=True)
+
+
+def with_sources(
+    fit: Factored,
+    shares: Callable[[Array], Array],
+    variance: Array,
+    free: Array,
+    alpha: float,
+    *,
+    ranges: bool = False,
+) -> Sample:
+    """Estimate combinations whose variance is a sum over sources, with Satterthwaite's df.
+
+    ``shares`` gives the part (m, k) that combinations along the orthonormal columns have of each
+    source; with ``ranges`` pairs of levels have the multipliers of Games and Howell.
+
+    Shapes: variance, free (k,).
+    """
     coefficients = fit.coefficients()
 
     def estimate(differences: Differences) -> Estimates:
         rows = differences.rows
         value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
-        weight = (rows @ fit.inverse) @ fit.q[first].T
-        weight[np.abs(weight) < 1e-12 * np.abs(weight).max(initial=0.0)] = 0.0
-        error, df = by_components((weight**2 * count) @ member, variance, variances[1])
-        every = games_howell_multiplier(differences, df, alpha)
-        return Estimates(value, error, t_quantile(alpha / 2, df), every)
+        error, df = by_components(shares(rows @ fit.inverse), variance, free)
+        wide = bonferroni(max(len(value), 1), df, alpha)
+        if ranges:
+            wide = games_howell_multiplier(differences, df, alpha)
+        return Estimates(value, error, t_quantile(alpha / 2, df), wide)
 
     return estimate
 

@@ -67,20 +67,6 @@ ENOUGH_SEEDS = 8
 BIAS = "the bias of this mesh size is common to all seeds: read the effect over U"
 
 
-def error_of_strata(
-    block: str, plots: str, between: tuple[str, ...], others: str, df: dict[str, float]
-) -> ErrorTerm:
-    """E1 of a split plot: some factors vary between whole plots, the others within."""
-    named = ", ".join(between)
-    return ErrorTerm(
-        "E1",
-        f"would the ranking change with another {block}? ({named} against whole plots "
-        f"({plots}), the others against {others})",
-        df,
-        f"split plot: {named} is the same on the whole of a {plots}",
-    )
-
-
 def best_source(
     out: AnalysisOutcome, fit: Factored, sums: Sequence[TermSum]
 ) -> tuple[ErrorTerm, tuple[str, ...]]:

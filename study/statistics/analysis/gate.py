@@ -244,28 +244,6 @@ def rivals_over_groups(
     return rivals
 
 
-def rivals_over_blocks(
-    out: AnalysisOutcome, cells: CellLayout, y: Array, fit: Factored, sample: Sample
-) -> tuple[list[Rival], list[str]]:
-    """Rivals where each effect is tested over blocks, and what was seen of the declared model.
-
-    Shapes: y (cells, b).
-    """
-    blocks = [np.arange(y.shape[1])]
-    rivals = rivals_over_groups(out, fit, per_block(fit, y), blocks, sample, y)
-    notes = []
-    full = every_term(out, cells)
-    if full is not None:
-        whole = factor(model_matrix(cells, full), y.mean(axis=1))
-        p, note = _lack_of_fit_over_blocks(fit, whole, y)
-        notes += [note] if note else []
-        if p < DOUBT:
-            alpha, seed = out.request.alpha, out.request.interval_seed
-            other = over_groups(whole, per_block(whole, y), blocks, alpha, seed)
-            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=whole.matrix))
-    return rivals, notes
-
-
 def per_block(fit: Factored, y: Array) -> Array:
     """Find what each block of y (cells, b) adds to the mean coefficients of a fit, shape (p, b)."""
     return np.asarray(fit.inverse @ (fit.q.T @ (y - fit.shift)) / y.shape[1])
@@ -345,23 +323,31 @@ def rival_of_every_term(
     return [Rival(f"{LACK_OF_FIT} ({note})", at(out.request.alpha), matrix=whole.matrix)], [note]
 
 
-def _lack_of_fit_over_blocks(fit: Factored, whole: Factored, y: Array) -> tuple[float, str]:
-    """P of the terms left out, all together and each direction, against their own interactions."""
+def rival_over_blocks(
+    fit: Factored, whole: Factored, y: Array, sample: Sample
+) -> tuple[list[Rival], list[str]]:
+    """Rival of the full model, where what the declared one leaves out is seen over the blocks.
+
+    ``sample`` is that of the full model; the terms left out are tested against their own
+    interactions, all together and each direction. Shapes: y (cells, b).
+    """
     from scipy.special import stdtr
 
     rest = span(whole.q - fit.q @ (fit.q.T @ whole.q))
     df, b = rest.shape[1], y.shape[1]
-    if not df or b < 2:
-        return 1.0, ""
+    if not df:
+        return [], []
     z = rest.T @ (y - y[0, 0])
     centre, test = z.mean(axis=1), over_blocks(z)
     if test is None:
-        return 0.0 if float(centre @ centre) > 0 else 1.0, "lack of fit without any scatter"
-    spread = np.sqrt(np.maximum(z.var(axis=1, ddof=1), 1e-300) / b)
-    each = 2 * stdtr(b - 1, -np.abs(centre) / spread)
-    return min(test.p, df * float(each.min())), (
-        f"{LACK}: F({df:g}, {df * (b - 1):g}) = {test.f:.4g}, p = {test.p:.2g} against the blocks"
-    )
+        p, note = float(not centre.any()), "lack of fit without any scatter"
+    else:
+        spread = np.sqrt(np.maximum(z.var(axis=1, ddof=1), 1e-300) / b)
+        p = min(test.p, df * float(2 * stdtr(b - 1, -np.abs(centre) / spread).min()))
+        note = f"{LACK}: F({df:g}, {df * (b - 1):g}) = {test.f:.4g}, p = {test.p:.2g}"
+        note += " against the blocks"
+    rivals = [Rival(f"{LACK_OF_FIT} ({note})", sample, matrix=whole.matrix)] if p < DOUBT else []
+    return rivals, [note]
 
 
 def _lack_of_fit_of_rows(

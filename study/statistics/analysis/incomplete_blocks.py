@@ -41,7 +41,7 @@ from study.statistics.analysis.restricted_likelihood import (
     fit_restricted,
 )
 from study.statistics.analysis.simple_effects import Differences, Estimates
-from study.statistics.analysis.split_plot import Plots
+from study.statistics.analysis.strata import Plots
 from study.statistics.analysis.sums_of_squares import (
     alias_warnings,
     factor,
@@ -86,9 +86,9 @@ def incomplete_blocks(out: AnalysisOutcome, plots: Plots | None = None) -> Analy
             continue
         test = fit.test(basis.basis)
         epsilon, p_own = sandwich.test(basis.basis)
-        df_error[row.term], p[s.term] = test.df, max(test.p, p_own)
+        df_error[row.term], p[s.term] = test.df_error, max(test.p, p_own)
         rows[i] = replace(
-            row, df=float(test.count), f=test.f, p=test.p, error="REML", df_error=test.df,
+            row, df=test.df, f=test.f, p=test.p, error="REML", df_error=test.df_error,
             epsilon_gg=epsilon, p_gg=max(test.p, p_own),
         )  # fmt: skip
     rows.append(replace(rows[0], term="residual", df=within.df_residual, ss=within.rss, ms=None))
@@ -157,7 +157,9 @@ def _rivals(
         every = np.hstack(bases)
         test = whole.fit.test(every)
         p = min(test.p, *(len(bases) * its_own.test(basis)[1] for basis in bases))
-        note = f"{LACK}: F({test.count:g}, {test.df:.4g}) = {test.f:.4g}, p = {test.p:.2g} by REML"
+        note = (
+            f"{LACK}: F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}, p = {test.p:.2g} by REML"
+        )
         notes.append(note)
         if p < DOUBT:
             rivals.append(Rival(f"{LACK_OF_FIT} ({note})", whole.sample, matrix=whole.factors))

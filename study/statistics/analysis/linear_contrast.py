@@ -6,6 +6,7 @@ of the first kind less that of the second; a factor that a side leaves out is av
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
@@ -18,7 +19,13 @@ from study.ground.contrast import Setting, sides_of
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.comparisons import block_multiplier, bonferroni, holm
-from study.statistics.analysis.effects import UNEQUAL, Scale, by_components, t_quantile
+from study.statistics.analysis.effects import (
+    UNEQUAL,
+    Scale,
+    by_components,
+    group_errors,
+    t_quantile,
+)
 from study.statistics.analysis.equal_variance import doubted_variances
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
@@ -144,28 +151,18 @@ def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Esti
     # every cell counts once, whatever its repeats
     means = [side.groupby(["block", "cell"])["y"].mean().groupby("block").mean() for side in sides]
     both = means[0].index.intersection(means[1].index)
-    if len(both):
-        return _within((means[0][both] - means[1][both]).to_numpy(), cells.resampled)
-    return _between(*(mean.to_numpy() for mean in means))
-
-
-def _within(differences: Array, resampled: bool) -> _Estimate:
-    b = differences.size
-    if b < 2:
-        return _Estimate(float(differences.mean()), None, None, differences)
-    error = float(differences.std(ddof=1) / (1.0 if resampled else np.sqrt(b)))
-    return _Estimate(float(differences.mean()), error, b - 1.0, differences)
-
-
-def _between(first: Array, second: Array) -> _Estimate:
-    """Welch's difference of two sets of blocks."""
-    value = float(first.mean() - second.mean())
-    if min(first.size, second.size) < 2:
-        return _Estimate(value, None, None)
-    parts = np.array([side.var(ddof=1) / side.size for side in (first, second)])
-    below = float(np.sum(parts**2 / (np.array([first.size, second.size]) - 1)))
-    total = float(parts.sum())
-    return _Estimate(value, float(np.sqrt(total)), total**2 / below if below else None)
+    differences = (means[0][both] - means[1][both]).to_numpy() if len(both) else None
+    # within blocks, else by Welch between two sets of blocks
+    sets = [mean.to_numpy() for mean in means] if differences is None else [differences]
+    parts = np.concatenate([side / side.size for side in (sets[0], *(-s for s in sets[1:]))])
+    value, least = float(parts.sum()), min(side.size for side in sets)
+    if least < 2:
+        return _Estimate(value, None, None, differences)
+    groups = np.split(np.arange(parts.size), [side.size for side in sets[:-1]])
+    error, df = (float(a[0]) for a in group_errors(parts[None], groups))
+    if cells.resampled and differences is not None:
+        error *= math.sqrt(least)
+    return _Estimate(value, error, df if error or differences is not None else None, differences)
 
 
 def _of_cells(

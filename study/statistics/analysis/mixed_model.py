@@ -213,7 +213,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     rivals = [_unequal_rows(cells, data.y - shift)] if few else []
     return MixedModel(
         components(fit, [*names, WITHIN], alpha),
-        tuple(MixedTerm(term_name(t), s.count, s.f, s.df, s.p) for t, s in tests.items()),
+        tuple(MixedTerm(term_name(t), int(s.df), s.f, s.df_error, s.p) for t, s in tests.items()),
         fit.deviance,
         data.y.size,
         tuple(cells.slope(name) for name in covariates),

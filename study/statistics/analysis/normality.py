@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import linalg
 
 from study.ground.arrays import Array, one_thread
 from study.ground.errors import Fault, InputError
@@ -51,15 +52,8 @@ class RyanJoinerResult:
         """JSON document; None where the test does not apply."""
         if not self.applicable:
             return None
-        return {
-            "rj": self.rj,
-            "n": self.n,
-            "p_minitab": self.p_minitab,
-            "p_exact": self.p_exact,
-            "simulations": self.simulations,
-            "seed": self.seed,
-            "decision": self.decision,
-        }
+        keys = ("rj", "n", "p_minitab", "p_exact", "simulations", "seed", "decision")
+        return {key: getattr(self, key) for key in keys}
 
 
 @dataclass(frozen=True)
@@ -376,19 +370,6 @@ class BlockShare:
     p: float
 
 
-def helmert(k: int) -> Array:
-    """Orthonormal Helmert contrasts of ``k`` levels, shape (k, k - 1).
-
-    Examples
-    --------
-    >>> helmert(3).round(3).tolist()
-    [[0.707, 0.408], [-0.707, 0.408], [0.0, -0.816]]
-    """
-    j = np.arange(1, k)
-    raw = np.triu(np.ones((k, k - 1))) - np.diag(j.astype(float), -1)[:, : k - 1]
-    return np.asarray(raw / np.sqrt(j * (j + 1.0)))
-
-
 def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> dict[str, Array]:
     """Contrasts of every term in every block.
 
@@ -403,7 +384,7 @@ def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> di
         columns = np.ones((layout.n, 1))
         for name in factors:
             k = len(layout.levels[name])
-            code = helmert(k) if name in term else np.full((k, 1), k**-0.5)
+            code = linalg.helmert(k).T if name in term else np.full((k, 1), k**-0.5)
             part = code[layout.codes[name]]
             columns = (columns[:, :, None] * part[:, None, :]).reshape(layout.n, -1)
         contrasts[term_name(term)] = columns.T @ (y - y[0, 0])

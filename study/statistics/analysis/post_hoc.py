@@ -14,13 +14,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.anova_table import Effect, PairDifference, Row
-from study.statistics.analysis.comparisons import Comparisons, LevelPair, studentized_range_cdf
-from study.statistics.analysis.effects import own_critical, pooled_critical, t_quantile
+from study.statistics.analysis.comparisons import (
+    Comparisons,
+    LevelPair,
+    block_multiplier,
+    studentized_range_cdf,
+)
+from study.statistics.analysis.data import Crossed
+from study.statistics.analysis.effects import (
+    group_errors,
+    own_critical,
+    pooled_critical,
+    t_quantile,
+)
 from study.statistics.analysis.linear_model import (
-    CellLayout,
     Term,
     factorize_columns,
     model_matrix,
@@ -78,37 +88,22 @@ def coefficient_table(analysis: AnalysisResult) -> CoefficientTable:
         return CoefficientTable(
             reason="the levels of a nested factor have no contrasts of their own"
         )
-    layout = _layout(analysis)
-    if layout is None:
+    levels = {effect.term: effect.levels for effect in analysis.effects}
+    if any(len(levels.get(name, ())) < 2 for name in analysis.request.factors):
         return CoefficientTable(reason="a level of a factor has no row")
     names: tuple[str, ...] = ("Constant",)
     for term in terms:  # every level but the last ones
-        levels = product(*(layout.levels[name][:-1] for name in term))
-        names += tuple(f"{':'.join(term)}[{' '.join(combination)}]" for combination in levels)
+        every = product(*(levels[name][:-1] for name in term))
+        names += tuple(f"{':'.join(term)}[{' '.join(combination)}]" for combination in every)
     if len(names) > MOST_COEFFICIENTS:
         return CoefficientTable(reason=f"{len(names)} coefficients are more than anyone reads")
     block = analysis.data.block
     if analysis.data.model_matrix is not None and all(":" not in str(error) for error in tested):
         return _pooled(analysis, names)
-    if block is not None and all(str(error).startswith(f"{block}:") for error in tested):
-        return _own(analysis, layout, terms, names)
+    crossed = analysis.data.crossed
+    if crossed is not None and all(str(error).startswith(f"{block}:") for error in tested):
+        return _own(crossed, terms, names)
     return CoefficientTable(reason="the strata of the table have different errors")
-
-
-def _layout(analysis: AnalysisResult) -> CellLayout | None:
-    """Levels of every row that was fitted; None where a factor has no effect to list them."""
-    rows = analysis.data.residuals
-    levels: dict[str, tuple[str, ...]] = {}
-    codes = {}
-    for name in analysis.request.factors:
-        of_factor = next((e.levels for e in analysis.effects if e.term == name), ())
-        index = {level: i for i, level in enumerate(of_factor)}
-        labels = rows[name].astype(str).tolist()
-        if len(of_factor) < 2 or not set(labels) <= set(of_factor):
-            return None
-        levels[name] = of_factor
-        codes[name] = np.array([index[label] for label in labels], dtype=np.int64)
-    return CellLayout(levels, codes)
 
 
 def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> CoefficientTable:
@@ -130,14 +125,10 @@ def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> CoefficientTabl
     return _table(names, beta[of_factors], error[of_factors], residual.df, inflation[of_factors])
 
 
-def _own(
-    analysis: AnalysisResult, layout: CellLayout, terms: tuple[Term, ...], names: tuple[str, ...]
-) -> CoefficientTable:
+def _own(table: Crossed, terms: tuple[Term, ...], names: tuple[str, ...]) -> CoefficientTable:
     """Mean of the blocks' own coefficients, and its standard error."""
-    cells, values = _by_block(analysis, layout)
-    if values.shape[1] < 2:
-        return CoefficientTable(reason="fewer than two blocks have every cell")
-    matrix = model_matrix(cells, terms).columns
+    values = table.y
+    matrix = model_matrix(table.layout, terms).columns
     if np.linalg.matrix_rank(matrix) < matrix.shape[1]:
         return CoefficientTable(reason="some terms are aliased with others")
     shift = float(values[0, 0])
@@ -146,22 +137,6 @@ def _own(
     blocks = values.shape[1]
     error = beta.std(axis=1, ddof=1) / np.sqrt(blocks)
     return _table(names, beta.mean(axis=1), error, blocks - 1.0, None)
-
-
-def _by_block(analysis: AnalysisResult, layout: CellLayout) -> tuple[CellLayout, Array]:
-    """Means of the cells in every complete block, shape (cells, blocks), and their levels."""
-    import pandas as pd
-
-    rows = analysis.data.residuals
-    names = tuple(layout.levels)
-    index = layout.cell(names)
-    y = _working(analysis, rows["response"].to_numpy(float))
-    labels = rows["block"].astype(str).to_numpy()
-    frame = pd.DataFrame({"cell": index, "block": labels, "y": y})
-    wide = frame.pivot_table("y", "cell", "block", aggfunc="mean")
-    complete = wide[wide.notna().mean(axis=1) > 0.5].dropna(axis=1)
-    first = np.array([int(np.flatnonzero(index == cell)[0]) for cell in complete.index])
-    return layout.take(first), complete.to_numpy(float)
 
 
 def _working(analysis: AnalysisResult, y: Array) -> Array:
@@ -264,6 +239,53 @@ def _dunnett(
         for name, (d, low, high), p_of_pair in zip(names[1:], ends, p, strict=True)
     )
     return Comparisons("Dunnett", alpha, pairs, {})
+
+
+#: smallest p that is told apart: one of the 4,000 draws of the multiplier
+_LEAST_P = 1 / 4000
+#: halvings of the level, to a thousandth of it
+_STEPS = 14
+
+
+def dunnett_over_groups(
+    values: Mapping[str, Array],
+    reference: str,
+    groups: Sequence[Ints],
+    method: str,
+    alpha: float,
+    seed: int,
+) -> Comparisons:
+    """Compare levels with one of them, each difference with an error of its own.
+
+    A level's values add up to its mean over blocks, or over the rows of its cells; the scatter of
+    each group of them (all blocks, or the rows of a cell) is its own. The differences depend
+    on each other, which the simulated multiplier of the largest |t| counts.
+
+    Shapes: values (b,).
+    """
+    names = [name for name in values if name != reference]
+    parts = np.array([values[name] - values[reference] for name in names])
+    error, df = group_errors(parts, groups)
+    centre = parts.sum(axis=1)
+
+    def half(level: float) -> Array:
+        return block_multiplier(parts, level, seed, groups, df) * error
+
+    def p(i: int) -> float:
+        """Level at which the simultaneous interval of one difference touches zero."""
+        low, high = math.log(_LEAST_P), 0.0
+        for _ in range(_STEPS if centre[i] else 0):
+            middle = (low + high) / 2
+            beyond = abs(centre[i]) > half(math.exp(middle))[i]
+            low, high = (low, middle) if beyond else (middle, high)
+        return math.exp(high)
+
+    ends = zip(names, centre, half(alpha), strict=True)
+    pairs = tuple(
+        LevelPair(name, reference, float(d), float(d - h), float(d + h), p(i))
+        for i, (name, d, h) in enumerate(ends)
+    )
+    return Comparisons(method, alpha, pairs, {})
 
 
 # -------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from scipy.special import chdtri, fdtrc
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import RefusedError
-from study.statistics.analysis.sums_of_squares import Factored
+from study.statistics.analysis.sums_of_squares import Factored, FRatioTest
 
 #: Ratio of a variance to that of the residual at which derivatives are taken where it is zero:
 #: far below every other rounding, and a square root of it is still a number.
@@ -467,16 +467,6 @@ class Estimated:
 
 
 @dataclass(frozen=True)
-class FTest:
-    """F of ``count`` fixed effects together: scaled, with its denominator degrees of freedom."""
-
-    count: int
-    f: float
-    df: float
-    p: float
-
-
-@dataclass(frozen=True)
 class RestrictedFit:
     """A mixed model at its largest restricted likelihood."""
 
@@ -521,8 +511,8 @@ class RestrictedFit:
         square = np.einsum("ka,ab,kb->k", rows, self.adjusted, rows, optimize=True)
         return Estimated(rows @ m.beta, np.sqrt(np.maximum(square, 0.0)), df)
 
-    def test(self, basis: Array) -> FTest:
-        """F test of the directions ``basis``, shape (r, l), against zero."""
+    def test(self, basis: Array) -> FRatioTest:
+        """Scaled F test of the directions ``basis``, shape (r, l), against zero."""
         m = self.moments
         count = basis.shape[1]
         theta = basis @ np.linalg.inv(basis.T @ m.f @ basis) @ basis.T
@@ -533,7 +523,7 @@ class RestrictedFit:
         value = basis.T @ m.beta
         wald = float(value @ np.linalg.solve(basis.T @ self.adjusted @ basis, value)) / count
         f = scaling * wald
-        return FTest(count, f, df, float(fdtrc(count, df, f)))
+        return FRatioTest(f, float(count), df, float(fdtrc(count, df, f)))
 
     def interval(self, which: int, alpha: float) -> tuple[float, float]:
         """Interval of a standard deviation by the profile of the restricted likelihood."""

@@ -384,10 +384,10 @@ def epsilon_gg(covariance: Array) -> float:
     return float(min(1.0, max(1.0 / d, np.trace(covariance) ** 2 / (d * square))))
 
 
-def sphericity(contrasts: Array) -> SphericityResult:
-    """Mauchly's test of the orthonormal contrasts of a term.
+def sphericity(residual: Array, df: int) -> SphericityResult:
+    """Mauchly's test of the orthonormal contrasts of a term, by their residuals over the blocks.
 
-    Shapes: contrasts (d, b).
+    Shapes: residual (d, b), of ``df`` degrees of freedom (b - 1 of one group).
 
     Notes
     -----
@@ -396,8 +396,8 @@ def sphericity(contrasts: Array) -> SphericityResult:
     """
     from scipy.special import chdtrc
 
-    d, b = contrasts.shape
-    s = np.atleast_2d(np.cov(contrasts))
+    d, b = residual.shape[0], df + 1
+    s = residual @ residual.T / df
     gg = epsilon_gg(s)
     if d == 1:
         return SphericityResult(1.0, 0.0, 0, None, 1.0, 1.0, "one degree of freedom")

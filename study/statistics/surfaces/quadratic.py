@@ -446,31 +446,23 @@ def fit_quadratic(runs: Runs, alpha: float = 0.05) -> QuadraticSurface:
     # copies of a deterministic run are one run: counted twice, they would only weigh more
     single = replace(runs, coded=settings, response=means, blocks=(), u_num=None)
     columns = factorize(second_order(single.levels()), settings)
-    b = columns.coefficients(means)
-    terms = _estimates(_labels(runs, columns), b, np.zeros_like(b), 0, alpha)
     notes = ["no p: a deterministic surface has misfit, not noise"]
     copies = runs.response.size - means.size
     notes += [f"{copies} copies of deterministic runs count once"] if copies else []
-    return _surface(runs, columns, means, terms, "none", notes=notes)
+    return _surface(runs, columns, means, "none", alpha, notes=notes)
 
 
 def _with_replicates(
     runs: Runs, which: Ints, alpha: float, columns: ModelColumns | None = None
 ) -> QuadraticSurface:
     columns = columns or factorize(second_order(runs.levels()), runs.coded)
-    b = columns.coefficients(runs.response)
-    df = runs.response.size - b.size
-    residual = float((columns.residuals(runs.response) ** 2).sum())
-    errors = np.sqrt(np.diag(columns.model.unscaled_covariance) * residual / max(df, 1))
-    labels = _labels(runs, columns)
-    terms = _estimates(labels, b[: len(labels)], errors[: len(labels)], df, alpha)
     fit = lack_of_fit(columns, runs.response, which)
     notes = []
     if fit is not None and fit.p < alpha:
         notes.append(
             "lack of fit: p and intervals of the terms rest on a surface that does not fit"
         )
-    return _surface(runs, columns, runs.response, terms, "replicates", lack=fit, notes=notes)
+    return _surface(runs, columns, runs.response, "replicates", alpha, lack=fit, notes=notes)
 
 
 def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
@@ -492,17 +484,15 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
     table = sums[:, whole] / counts[:, whole]
     columns = factorize(second_order(runs.levels()), settings)
     each = columns.coefficients(table)
-    b, blocks = each.mean(axis=1), each.shape[1]
-    terms = _estimates(
-        _labels(runs, columns), b, each.std(axis=1, ddof=1) / np.sqrt(blocks), blocks - 1, alpha
-    )
+    blocks = each.shape[1]
     lost = [name for name, kept in zip(names, whole, strict=True) if not kept]
     notes = [f"left out, with settings that lack a run: {', '.join(lost)}"] if lost else []
     if blocks <= len(runs.factors):
         notes.append("no region of the stationary point: it needs more blocks than factors")
     found = _surface(
-        runs, columns, table.mean(axis=1), terms, "blocks",
+        runs, columns, table.mean(axis=1), "blocks", alpha,
         lack=against_blocks(columns.complement(), table), notes=notes,
+        of_blocks=(np.atleast_2d(np.cov(each)) / blocks, blocks - 1),
     )  # fmt: skip
     surfaces = [QuadraticPolynomial(columns.terms, c, len(runs.factors)) for c in each.T]
     tests = {}
@@ -515,8 +505,6 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
         stationary=_with_region(
             found.stationary, level_by_blocks(surfaces) if blocks > len(runs.factors) else None
         ),
-        covariance=np.atleast_2d(np.cov(each)) / blocks,
-        df=blocks - 1,
     )
 
 
@@ -553,37 +541,18 @@ def _with_region(point: StationaryPoint | None, member: Member | None) -> Statio
     return replace(point, region=Region(low, high, leaves))
 
 
-def _labels(runs: Runs, columns: ModelColumns) -> list[str]:
-    return [term.label(runs.names) for term in columns.terms]
-
-
-def _estimates(
-    labels: list[str], b: Array, errors: Array, df: int, alpha: float
-) -> tuple[SurfaceTerm, ...]:
-    if df < 1:
-        return tuple(SurfaceTerm(label, float(c)) for label, c in zip(labels, b, strict=True))
-    t = float(stdtrit(df, 1.0 - alpha / 2.0))
-    return tuple(
-        SurfaceTerm(
-            label,
-            float(c),
-            (float(c - t * se), float(c + t * se)),
-            float(2.0 * stdtr(df, -abs(c) / se)) if se > 0 else None,
-        )
-        for label, c, se in zip(labels, b, errors, strict=True)
-    )
-
-
 def _surface(
     runs: Runs,
     columns: ModelColumns,
     response: Array,
-    terms: tuple[SurfaceTerm, ...],
     error: Error,
+    alpha: float,
     *,
     lack: FRatioTest | None = None,
     notes: list[str],
+    of_blocks: tuple[Array, int] | None = None,
 ) -> QuadraticSurface:
+    """Surface of a response with the errors of its residual, or of blocks with their df."""
     count = len(columns.terms)
     polynomial = QuadraticPolynomial(
         columns.terms, columns.coefficients(response)[:count], len(runs.factors)
@@ -606,20 +575,29 @@ def _surface(
     # a stationary point needs every square
     squares = sum(len(t.factors) == 2 and t.factors[0] == t.factors[1] for t in columns.terms)
     point = stationary_point(polynomial) if squares == polynomial.k else None
-    df = response.size - columns.model.rank
-    covariance = None
-    if error != "blocks" and df > 0:
+    covariance, df = of_blocks or (None, response.size - columns.model.rank)
+    if of_blocks is None and df > 0:
         residual = float((columns.residuals(response) ** 2).sum())
         # misfit below rounding moves nothing: what scatters least stands for it
         residual = max(residual, df * (ROUNDING * float(np.abs(response).max())) ** 2)
         covariance = columns.model.unscaled_covariance[:count, :count] * residual / df
         point = _with_region(point, level_by_residual(polynomial, covariance, df))
+    terms = [
+        SurfaceTerm(term.label(runs.names), c)
+        for term, c in zip(columns.terms, polynomial.coefficients.tolist(), strict=True)
+    ]
+    if covariance is not None and error != "none":
+        t = float(stdtrit(df, 1.0 - alpha / 2.0))
+        for i, se in enumerate(np.sqrt(np.diag(covariance)).tolist()):
+            c = terms[i].coefficient
+            p = float(2.0 * stdtr(df, -abs(c) / se)) if se > 0 else None
+            terms[i] = replace(terms[i], interval=(c - t * se, c + t * se), p=p)
     aliases = []
     for term, parts in columns.aliases:
         labels = [(part.label(runs.names), weight) for part, weight in parts]
         parts_text = [x if abs(w - 1) < 1e-9 else f"{w:.3g} {x}" for x, w in labels]
         aliases.append(f"{term.label(runs.names)} = {' + '.join(parts_text)}")
     return QuadraticSurface(
-        runs, polynomial, terms, {}, error, loo, lack, point,
+        runs, polynomial, tuple(terms), {}, error, loo, lack, point,
         tuple(aliases), (*notes, *said), covariance, df,
     )  # fmt: skip
