@@ -35,7 +35,6 @@ from study.harness.runner.batch import missing, open_fits
 from study.harness.runner.cost import Costs, program_calls
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import externals
-from study.harness.runner.solve_task import is_kept
 from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
 from study.harness.runner.tasks import default_jobs
 
@@ -216,7 +215,7 @@ def _counted(
     plain = work.plain()
     # cells of the spaces' control that have no solution yet
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    controls = upcoming(plain, store.on_demand(hashes), lambda task: is_kept(task, store))
+    controls = upcoming(plain, store.on_demand(hashes), store)
     seconds = costs.total_seconds(fits, todo, workers)
     if not own_series(plain, {}):  # else the cells themselves are a series of meshes
         finer = missing(refinement_work(plain), store)

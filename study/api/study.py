@@ -172,16 +172,16 @@ def run(
     check_allowed(externals(job.case.problem for job in work.jobs), allow_commands)
     clock.mark("reading")
     # one executor for cells and refined cases alike, so that all of them fit into the memory
-    executor = None if room is None else processes(jobs or default_jobs(), timeout_s, room)
+    executor = processes(jobs, timeout_s, room)
     if engine is not None:
         read = {path for job in work.jobs for path in surface_files(job.case.cell)}
-        executor, jobs = computing_on(engine, jobs, timeout_s, sorted(read))
+        executor = computing_on(engine, jobs, timeout_s, sorted(read))
     with store.lock():
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
         with _records_written():
             work, summary = _compute(
-                work, store, clock, jobs, progress, timeout_s, refine, executor,
+                work, store, clock, executor, noted_progress(store, progress), refine,
                 lambda design: expand(design, root, allowed),
             )  # fmt: skip
             _finish(store, work, clock.parts, summary)
@@ -208,21 +208,16 @@ def _compute(
     work: Work,
     store: Store,
     clock: _Clock,
-    jobs: int | None,
-    progress: Callable[[Progress], None] | None,
-    timeout_s: float | None,
+    executor: Executor,
+    progress: Callable[[Progress], None],
     refine: bool,
-    executor: Executor | None,
     expanded: Callable[[Design], Work],
 ) -> tuple[Work, Summary]:
     """Cases, then what says how far they can be trusted."""
-    noted = noted_progress(store, progress)
     work, summary = run_adaptive(
         work,
         store,
-        lambda part: run_batch(
-            part, store, jobs=jobs, progress=noted, timeout_s=timeout_s, executor=executor
-        ),
+        lambda part: run_batch(part, store, executor, progress),
         expanded,
         lambda part: store.begin_run(manifest_of(part)),
     )  # fmt: skip
@@ -230,11 +225,11 @@ def _compute(
     clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
         return work, summary
-    refine_study(plain, store, jobs, noted, timeout_s, executor)
-    compare_spaces(plain, store, jobs, noted, executor)
+    refine_study(plain, store, executor, progress)
+    compare_spaces(plain, store, executor, progress)
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:
-        validate(plain, store, jobs, progress, timeout_s, executor)
+        validate(plain, store, executor, progress)
         clock.mark("uncertain inputs")
     return work, summary
 

@@ -30,7 +30,7 @@ from .conftest import DESIGN, SPECIMEN, TRUTH, fake, make_data, material
 
 def run(work: Work, folder: Path, executor: Executor | None = None) -> tuple[Summary, list[Record]]:
     store = Store(folder)
-    summary = run_batch(work, store, jobs=2, executor=executor or fake())
+    summary = run_batch(work, store, executor or fake())
     return summary, store.records(work.input_hashes)
 
 
@@ -209,7 +209,7 @@ def test_progress_ends_at_the_total_and_time_left_at_zero(
 ) -> None:
     seen: list[Progress] = []
     store = Store(tmp_path / "results")
-    run_batch(expand(design, one_mix), store, jobs=2, executor=fake(2), progress=seen.append)
+    run_batch(expand(design, one_mix), store, fake(2), seen.append)
     assert [p.done for p in seen] == list(range(1, 13))
     assert seen[-1].total == 12
     assert seen[-1].seconds_left == pytest.approx(0.0, abs=1e-6)

@@ -15,7 +15,7 @@ import pytest
 
 from study.harness.design.load import loads_problem
 from study.harness.runner import judgement
-from study.harness.runner.refinement import formal_order, refine, solving
+from study.harness.runner.refinement import formal_order, refine
 from study.harness.runner.solve_task import in_process
 from tests.fem.answers import layers
 
@@ -61,7 +61,7 @@ def series(text: str) -> dict[str, Any]:
     one = judgement.series_of(loaded.problem, loaded.converge, formal)
     with warnings.catch_warnings():  # a Newton step that fails on its way may overflow
         warnings.simplefilter("ignore", RuntimeWarning)
-        refine([one], solving(in_process))
+        refine([one], in_process)
     return judgement.judge(one, formal).to_json()
 
 

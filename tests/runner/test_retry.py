@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,10 @@ from study.harness.execution.supervisor import Inline
 from study.harness.execution.task import stopped_late
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.batch import Summary, computing, notes_of, run_batch
+from study.harness.runner.batch import Summary, computed, notes_of, run_batch
+from study.harness.runner.case_series import refine_cases
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseTask, Work
-from study.harness.runner.refinement import refine
 from study.harness.runner.study_refinement import study_series
 from study.harness.runner.tasks import adapted, limit_of, processes
 from tests.pages import both_pages
@@ -34,7 +35,7 @@ def design(policy: str) -> str:
 
 def run(work: Work, folder: Path) -> tuple[Summary, dict[str, Record]]:
     store = Store(folder)
-    summary = run_batch(work, store, jobs=2, executor=fake(2))
+    summary = run_batch(work, store, fake(2))
     return summary, {r.case_id: r for r in store.records(work.input_hashes)}
 
 
@@ -104,8 +105,8 @@ def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(
     store = Store(tmp_path / "results")
     run(work, tmp_path / "results")
     series = study_series(work.plain(), store.by_case(work.input_hashes))
-    compute = computing(work.plain(), store, jobs=2, executor=fake(2))
-    refine(series, compute)
+    compute = partial(computed, work.plain(), store, fake(2), lambda _: None)
+    refine_cases(series, compute)
     found = {one.base.case.levels["material"]: one for one in series}
     assert found["neo-hookean"].uncertainty("mu0", "kPa").u_num is not None
     lacking = found["mooney-rivlin"].uncertainty("mu0", "kPa")

@@ -651,9 +651,8 @@ class Cluster:
             finally:
                 crew.dismiss()
 
-    def slots(self) -> int:
-        """Count the tasks that run at once, having waited for a worker and compared versions."""
+    def reached(self) -> Cluster:
+        """Return it, having waited for a worker and compared versions."""
         with connected(self.scheduler) as client:
-            crew = Crew(client, self.perform, self.identity, self.jobs, None)
-            crew.gather()
-            return crew.wanted
+            Crew(client, self.perform, self.identity, self.jobs, None).gather()
+        return self

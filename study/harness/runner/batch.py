@@ -29,7 +29,7 @@ from study.harness.runner.fit_task import FitTask
 from study.harness.runner.job import CaseJob, CaseTask, FitJob, Work, fits_of
 from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.solve_task import LASTING
-from study.harness.runner.tasks import adapted, default_jobs, limit_of, processes
+from study.harness.runner.tasks import adapted, limit_of
 
 # What is tried when a case has no answer: declared in the design, by cause, and never silent.
 #
@@ -162,20 +162,20 @@ class Progress:
     total: int
     failed: int
     seconds: float
-    seconds_left: float
     label: str
     fits_done: int = 0
     fits: int = 0
+
+    @property
+    def seconds_left(self) -> float:
+        """Seconds of what is not done at the rate of what is."""
+        return self.seconds / max(self.done, 1) * (self.total - self.done)
 
     @property
     def counted(self) -> str:
         """Cases and calibrations in words: ``3/6 cases, 4/4 calibrations``."""
         cases = f"{self.done - self.fits_done}/{self.total - self.fits} cases"
         return cases + (f", {self.fits_done}/{self.fits} calibrations" if self.fits else "")
-
-
-#: seconds of computing for which a prediction is believed as it is
-_TRUSTED_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -207,62 +207,39 @@ class Summary:
 def run_batch(
     work: Work,
     store: Store,
-    *,
-    jobs: int | None = None,
-    progress: Callable[[Progress], None] | None = None,
-    timeout_s: float | None = None,
-    executor: Executor | None = None,
-    memory_MB: float | None = None,  # noqa: N803
+    executor: Executor,
+    progress: Callable[[Progress], None] = lambda _: None,
 ) -> Summary:
-    """Compute every case of ``work`` that the store does not hold yet."""
+    """Compute every case of ``work`` that the store does not hold yet.
+
+    Of those that failed, what the design says is tried until nothing is left to be tried.
+    """
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
         check_allowed(externals(job.case.problem for job in todo), work.allowed.commands)
-        workers, report = jobs or default_jobs(), progress or (lambda _: None)
-        place = executor or processes(workers, timeout_s, memory_MB)
-        first = _Batch(work, store, todo, report).execute(workers, place)
-        return _retried(work, store, first, workers, place, report)
+        total = _Batch(work, store, todo, progress).execute(executor)
+        while again := attempts(work, store, limit_of(executor) is not None):
+            ways = {(a.longer, a.alone): None for a in again}
+            for longer, alone in ways:
+                alike = [a for a in again if (a.longer, a.alone) == (longer, alone)]
+                notes = {a.job.case.case_id: a.notes for a in alike}
+                batch = _Batch(work, store, [a.job for a in alike], progress, notes)
+                total = total.with_retried(batch.execute(adapted(executor, longer, alone)))
+        return total
 
 
-def _retried(
+def computed(
     work: Work,
     store: Store,
-    first: Summary,
-    workers: int,
-    place: Executor,
+    executor: Executor,
     progress: Callable[[Progress], None],
-) -> Summary:
-    """Try what the design says of the cases that failed, until nothing is left to be tried."""
-    total = first
-    while todo := attempts(work, store, limit_of(place) is not None):
-        ways = {(a.longer, a.alone): None for a in todo}
-        for longer, alone in ways:
-            alike = [a for a in todo if (a.longer, a.alone) == (longer, alone)]
-            notes = {a.job.case.case_id: a.notes for a in alike}
-            batch = _Batch(work, store, [a.job for a in alike], progress, notes)
-            there = adapted(place, longer, alone)
-            total = total.with_retried(batch.execute(1 if alone else workers, there))
-    return total
-
-
-def computing(
-    work: Work,
-    store: Store,
-    *,
-    jobs: int | None = None,
-    progress: Callable[[Progress], None] | None = None,
-    timeout_s: float | None = None,
-    executor: Executor | None = None,
-) -> Callable[[Sequence[CaseJob]], list[Record | None]]:
-    """Make the computation of cases, for :func:`study.harness.runner.refinement.refine`."""
-
-    def compute(cases: Sequence[CaseJob]) -> list[Record | None]:
-        part = replace(work, jobs=tuple(cases))
-        run_batch(part, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor)
-        records = store.by_case(part.input_hashes)
-        return [records.get(case.case.case_id) for case in cases]
-
-    return compute
+    cases: Sequence[CaseJob],
+) -> list[Record | None]:
+    """Compute further cases of a study; the record of each."""
+    part = replace(work, jobs=tuple(cases))
+    run_batch(part, store, executor, progress)
+    records = store.by_case(part.input_hashes)
+    return [records.get(case.case.case_id) for case in cases]
 
 
 def missing(work: Work, store: Store) -> list[CaseJob]:
@@ -299,23 +276,16 @@ class _Batch:
         self.fits_done = 0
         self.spent = {"fits": 0.0, "cases": 0.0}
 
-    def execute(self, workers: int, executor: Executor) -> Summary:
+    def execute(self, executor: Executor) -> Summary:
         began = time.monotonic()
         tasks = self._tasks()
-        prices = {task.key: task.seconds for task in tasks}
-        whole = left = sum(prices.values())
         outcomes = executor.run(tasks, self.known)
         with contextlib.closing(outcomes):
             for count, outcome in enumerate(outcomes, 1):
                 self._keep(outcome)
-                left -= prices[outcome.key]
-                seconds = time.monotonic() - began
-                # predicted seconds go on at the rate of those that are done, of which the first
-                # ones say more of how long processes take to start
-                rate = (seconds + _TRUSTED_S) / (whole - left + workers * _TRUSTED_S)
                 self.fits_done += outcome.key in self.fits
                 state = Progress(
-                    count, len(tasks), self.failed, seconds, max(left * rate, 0.0),
+                    count, len(tasks), self.failed, time.monotonic() - began,
                     self._label(outcome.key),
                     self.fits_done, len(self.fits),
                 )  # fmt: skip

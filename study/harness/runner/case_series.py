@@ -7,7 +7,7 @@ are a factor of the study, and the finest of them is what the others are compare
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -266,6 +266,16 @@ class CaseSeries:
         refinement = job.case.problem.refinement
         unit = "mm" if refinement is None else f"({refinement.name})"
         return f"{size_of(job):.4g} {unit}"
+
+
+def refine_cases(
+    series: Sequence[CaseSeries], compute: Callable[[Sequence[CaseJob]], Sequence[Record | None]]
+) -> None:
+    """Compute what is missing of every series, all of it together."""
+    due = [(member, job) for member in series for job in member.due()]
+    records = compute([job for _, job in due]) if due else ()
+    for (member, job), record in zip(due, records, strict=True):
+        member.add(job, record)
 
 
 def size_of(job: CaseJob) -> float:

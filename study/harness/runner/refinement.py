@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,34 +30,6 @@ from study.mechanics.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdg
 if TYPE_CHECKING:
     from study.harness.design.study_file import Converge
     from study.harness.runner.job import CaseJob
-
-
-#: a computation, and what it gave
-Step = TypeVar("Step")
-Found_contra = TypeVar("Found_contra", contravariant=True)
-Found = TypeVar("Found")
-
-
-class Refinable(Protocol[Step, Found_contra]):
-    """A series of computations on finer and finer meshes."""
-
-    def due(self) -> Sequence[Step]:
-        """List what is to be computed next; empty where the series has ended."""
-        ...
-
-    def add(self, step: Step, result: Found_contra) -> None:
-        """Take what a computation gave."""
-        ...
-
-
-def refine(
-    series: Sequence[Refinable[Step, Found]], compute: Callable[[Sequence[Step]], Sequence[Found]]
-) -> None:
-    """Compute what is due of every series, all series of one round together, until none is."""
-    while due := [(member, step) for member in series for step in member.due()]:
-        results = compute([step for _, step in due])
-        for (member, step), result in zip(due, results, strict=True):
-            member.add(step, result)
 
 
 #: seed of the other mesh of a surface, whose difference tells how far a choice of meshes moves it
@@ -83,15 +55,6 @@ class Predictions:
     seconds: float | None = None
     memory_MB: float | None = None  # noqa: N815
     unknowns: int | None = None
-
-
-@dataclass(frozen=True)
-class PlannedMesh:
-    """A mesh that is due: its solution, and what that is predicted to take."""
-
-    mesh_size_mm: float
-    task: SolveTask
-    predicted: Predictions
 
 
 @dataclass(frozen=True)
@@ -172,17 +135,11 @@ class RefinementSeries:
         """Meshes with an answer."""
         return [level for level in self.levels if level.result.converged]
 
-    def due(self) -> list[PlannedMesh]:
-        """List the next mesh; none where the series has ended (``stopped`` says why)."""
+    @property
+    def next_mm(self) -> float | None:
+        """Size of the next mesh; None where the series has ended (``stopped`` says why)."""
         self.stopped = self.stopped or self._end()
-        if self.stopped:
-            return []
-        size = float(self.first_mm / self.spec.ratio ** len(self.levels))
-        return [PlannedMesh(size, SolveTask.of(self.problem, size), self.predicted())]
-
-    def add(self, step: PlannedMesh, result: SolveResult) -> None:
-        """Take a solution."""
-        self.levels.append(MeshLevel(step.mesh_size_mm, result, step.predicted))
+        return None if self.stopped else float(self.first_mm / self.spec.ratio ** len(self.levels))
 
     def _end(self) -> str:
         """Why no further mesh is solved; empty while one is wanted."""
@@ -239,20 +196,22 @@ def _exponent(before: SolveResult, last: SolveResult, usual: float) -> float:
     return min(max(exponent, 1.0), 3.0)
 
 
-def solving(
-    solve: Solver, progress: Callable[[str], None] = lambda _: None
-) -> Callable[[Sequence[PlannedMesh]], list[SolveResult]]:
-    """Make the computation of the meshes of problems, for :func:`refine`."""
-
-    def compute(planned: Sequence[PlannedMesh]) -> list[SolveResult]:
-        foretold = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
-        sizes = ", ".join(dict.fromkeys(f"{mesh.mesh_size_mm:.3g}" for mesh in planned[:4]))
+def refine(
+    series: Sequence[RefinementSeries],
+    solve: Solver,
+    progress: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Solve the next mesh of every series, all of one round together, until all have ended."""
+    while due := [(member, mm) for member in series if (mm := member.next_mm) is not None]:
+        predicted = [member.predicted() for member, _ in due]
+        foretold = [each.seconds for each in predicted if each.seconds is not None]
+        sizes = ", ".join(dict.fromkeys(f"{mm:.3g}" for _, mm in due[:4]))
         cost = f", about {sum(foretold):.2g} s of computing" if foretold else ""
-        several = "s" if len(planned) > 1 else ""
-        progress(f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}")
-        return solutions(solve, [mesh.task for mesh in planned])
-
-    return compute
+        several = "s" if len(due) > 1 else ""
+        progress(f"mesh size {sizes} mm: {len(due)} solution{several}{cost}")
+        results = solutions(solve, [SolveTask.of(member.problem, mm) for member, mm in due])
+        for (member, mm), result, cost_of in zip(due, results, predicted, strict=True):
+            member.levels.append(MeshLevel(mm, result, cost_of))
 
 
 # Single numbers of a curve whose convergence is judged: peak force, root mean square, work.

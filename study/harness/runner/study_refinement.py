@@ -9,7 +9,7 @@ is bounded by its own series, or by the scatter of the error over those that wer
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, cast
 
@@ -22,6 +22,7 @@ from study.harness.design.cell import Cell, CellProblem, Config, case_id, plain
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case
 from study.harness.record.record import Record
+from study.harness.record.store import Store
 from study.harness.runner.case_series import CaseSeries, force_at_places, size_of
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job, meshed
@@ -340,9 +341,7 @@ def pairs(work: Work, records: Mapping[str, Record]) -> list[SpacePair]:
     return compared_pairs
 
 
-def upcoming(
-    work: Work, records: Mapping[str, Record], solved: Callable[[SolveTask], bool]
-) -> list[CaseJob]:
+def upcoming(work: Work, records: Mapping[str, Record], store: Store) -> list[CaseJob]:
     """List the cells whose cylinder is still to be solved, each at the cost of the cell's own."""
     given = {job.case.case_id: _constants(records.get(job.case.case_id)) for job in in_blocks(work)}
     hopeful = [
@@ -352,7 +351,7 @@ def upcoming(
     for _, chosen in _chosen(hopeful):
         for job in chosen:
             constants = given[job.case.case_id]
-            if not constants or not solved(_task(job, constants)):
+            if not constants or store.read_solution(_task(job, constants).key) is None:
                 open_cells.append(job)
     return open_cells
 

@@ -28,6 +28,7 @@ from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.runner import provenance
 from study.harness.runner.job import TRUTH_SUFFIX
 from study.harness.runner.solve_task import SolveTask, by_workers
+from study.harness.runner.tasks import processes
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.measurement_section import MeasurementSpec
@@ -196,7 +197,7 @@ def _task(
 
 
 def _solved(task: SolveTask, what: str) -> Curve:
-    ((_, result),) = by_workers(1)([task])
+    ((_, result),) = by_workers(processes(1))([task])
     if not result.converged:
         rule = f"{what} failed: {result.message}"
         raise InputError(Fault("virtual specimens", rule))
