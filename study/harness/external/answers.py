@@ -31,6 +31,7 @@ from study.harness.design.forward_section import (
     target_and_source,
 )
 from study.harness.execution.local import Process, ProcessPool
+from study.harness.record.document import ProgramDocument
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
@@ -233,17 +234,17 @@ LARGEST = 1e30
 
 
 class NoAnswer(Exception):
-    """The program has no answer; carries the status of the record."""
+    """A part of a case has no answer; carries the status of the record."""
 
     #: characters of the reason
-    REASON = 500
+    REASON = 1000
 
     def __init__(self, status: str, message: str) -> None:
         cut = f"{message[: self.REASON]}..."
         super().__init__(message if len(message) <= self.REASON else cut)
         self.status = status
         #: What ran, and the zip of its folder where that is kept.
-        self.program: object = None
+        self.program: ProgramDocument | None = None
         self.folder = b""
 
 
@@ -383,8 +384,10 @@ def converted(value: float, unit: str, into: str, where: str) -> float:
         raise NoAnswer("failed", f"{rule}; the study file asks for {into or 'no unit'}") from error
 
 
-def values_of_files(value_file: ValueFile, folder: Path, output: str) -> dict[str, float]:
+def values_of_files(value_file: ValueFile | None, folder: Path, output: str) -> dict[str, float]:
     """Every named value that a program left in its file or said in its output."""
+    if value_file is None:
+        return {}
     tables: Mapping[str, object] = {}
     if value_file.file and any(not pattern for _, _, pattern, *_ in value_file.names):
         tables = _table(read_text(folder, value_file.file), value_file.file)

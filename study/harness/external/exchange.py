@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import base64
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -28,8 +30,10 @@ from study.harness.external.answers import (
     checked_curve,
     column_of,
     quantity_in,
+    read_text,
     table_rows,
 )
+from study.harness.record.document import ProgramDocument
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.declaration import values_of
 from study.mechanics.setup.setup import Problem
@@ -47,29 +51,25 @@ MOST_ELEMENTS = 2**53
 #: share of the displacement asked for that a curve may end before: digits of a text file
 _SHORT = 1e-6
 
-Text = Mapping[str, str]
-
 
 @dataclass(frozen=True)
 class ProgramAnswer:
-    """What a program found."""
+    """What a program or function answered, and how."""
 
-    #: Forces at the displacements that were asked for, with the gradients that it knows.
-    curve: Curve
+    #: Forces at the displacements that were asked for, with the gradients that it knows; of
+    #: parameters alone as it gives them, without a point where it gives none.
+    curve: Curve = field(default_factory=lambda: Curve(np.zeros(0), np.zeros(0)))
     #: Of its mesh; 0 where it does not say.
     dofs: int = 0
     elements: int = 0
-    gradients: tuple[str, ...] = field(default=())
     #: Further numbers, in the units of the study file.
     values: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class ParameterAnswer:
-    """What a program or function found for parameters alone."""
-
-    values: Mapping[str, float]
-    curve: Curve | None = None
+    seconds: float = 0.0
+    program: ProgramDocument | None = None
+    #: Zip of the folder of the case, where it is kept.
+    folder: bytes = b""
+    #: Files that were rendered.
+    rendered: Mapping[str, str] = field(default_factory=dict)
 
 
 def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
@@ -123,12 +123,12 @@ def context_of(request: Mapping[str, object]) -> dict[str, object]:
     return {**request, "material": properties}
 
 
-def answer(files: Text, displacement_mm: Array, reaches: bool = True) -> ProgramAnswer:
-    """Read what a program wrote. Shapes: displacement_mm (n,)."""
-    header, rows = table_rows(files[CURVE_FILE], CURVE_FILE)
+def answer(folder: Path, displacement_mm: Array, reaches: bool = True) -> ProgramAnswer:
+    """Read the curve that a program wrote. Shapes: displacement_mm (n,)."""
+    header, rows = table_rows(read_text(folder, CURVE_FILE), CURVE_FILE)
     names = (DISPLACEMENT, FORCE, *(name for name in header if name.startswith(GRADIENT)))
     columns = {name: column_of(header, rows, name, CURVE_FILE) for name in names}
-    facts = _facts(files.get(FACTS_FILE, "{}"))
+    facts = _facts(read_text(folder, FACTS_FILE)) if os.path.lexists(folder / FACTS_FILE) else {}
     return at_points(columns, displacement_mm, facts, reaches)
 
 
@@ -158,7 +158,7 @@ def at_points(
         curve = Curve(displacement_mm, forces, force_gradient=gradient)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
-    return ProgramAnswer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(gradients))
+    return ProgramAnswer(curve, facts.get("dofs", 0), facts.get("elements", 0))
 
 
 def _facts(text: str) -> dict[str, int]:
@@ -234,26 +234,27 @@ class PythonFunction:
         columns = _python_function_columns(cast("ArrayLike", returned), displacement_mm)
         return replace(at_points(columns, displacement_mm, {}), values=values)
 
-    def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> ParameterAnswer:
+    def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> ProgramAnswer:
         """Values of parameters alone, or the curve; a value has the unit of its response."""
         returned = self(case)
         if isinstance(returned, Curve):
             whole = checked_curve(returned.displacement_mm, returned.force_N, "the function")
-            return ParameterAnswer({}, whole)
+            return ProgramAnswer(whole)
         if not isinstance(returned, Mapping) or not returned:
             rule = f"the function returned {type(returned).__name__}, not names with numbers"
             raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}} or a study.Curve')
-        curve = None
+        answered = ProgramAnswer()
         if {DISPLACEMENT, FORCE} <= set(returned):
             columns = [np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE)]
             if columns[0].ndim != 1 or columns[0].shape != columns[1].shape:
                 raise NoAnswer("failed", "the columns of the function's curve differ in length")
             curve = checked_curve(columns[0], columns[1], "the function's curve")
+            answered = ProgramAnswer(curve)
             returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
         scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
                    for k, v in returned.items()}  # fmt: skip
         values = {k: quantity_in(v, units.get(k, ""), k) for k, v in scalars.items()}
-        return ParameterAnswer(values, curve)
+        return replace(answered, values=values)
 
 
 class _Attributed(dict[str, object]):

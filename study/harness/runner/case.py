@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import base64
 import time
+import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -255,104 +256,61 @@ def marker_responses(cell: CellProblem, document: MarkerDocument) -> dict[str, Q
 _ANCHORS = Anchors()
 
 
-class Stopped(Exception):
-    """A part of the case has no answer; carries the status of the record."""
-
-    def __init__(self, status: str, message: str, cause: NoAnswer | None = None) -> None:
-        super().__init__(message)
-        self.status = status if status in STATUSES else "failed"
-        self.cause = cause
-
-
-@dataclass(frozen=True)
-class Executed:
-    """Record of a case, and the zip of its folder where that is kept."""
-
-    record: Record
-    folder: bytes = b""
-
-
 def perform(task: CaseTask) -> dict[str, object]:
-    """Execute one case: a task for a worker."""
-    done = executed(task)
-    record = done.record
-    answer: dict[str, object] = {
-        "status": record.status,
-        "message": record.message,
-        "record": record.to_json(),
-    }
-    if done.folder:
-        answer["folder"] = base64.b64encode(done.folder).decode("ascii")
-    return answer
-
-
-def executed(task: CaseTask) -> Executed:
-    """Execute one case; what has no answer is a status of its record."""
-    began = time.perf_counter()
+    """Execute one case: a task for a worker; what has no answer is a status of its record."""
+    began, folder = time.perf_counter(), b""
     try:
         for direction in task.job.directions:
             _check_fit(task.fit(direction), direction)
         if not isinstance(task.job.case.problem, CellProblem):
-            return _of_parameters(task)
-        if task.job.origin.predicts:
-            return _predicted(task)
-        # a fit to resampled noise: its constants, and no prediction
-        return Executed(
-            replace(
-                task.record("converged", ""),
-                responses=_wanted(task, _constants(task), {}),
-                parameters=_parameters(task),
-                fit=_fits(task),
-                timings=_seconds(task, []),
-            )
-        )
-    except Stopped as stop:
-        seconds = time.perf_counter() - began
-        record, cause = task.record(stop.status, str(stop), seconds=seconds), stop.cause
-        if cause is None or cause.program is None:
-            return Executed(record)
-        solver = cast("SolverDocument", {"program": cause.program})
-        return Executed(replace(record, solver=solver), cause.folder)
+            record, folder = _of_parameters(task)
+        elif task.job.origin.predicts:
+            record, folder = _predicted(task)
+        else:  # a fit to resampled noise: its constants, and no prediction
+            record = _record(task, _constants(task), _seconds(task, []))
+    except NoAnswer as error:
+        status = error.status if error.status in STATUSES else "failed"
+        record = task.record(status, str(error), seconds=time.perf_counter() - began)
+        if error.program is not None:
+            record, folder = replace(record, solver={"program": error.program}), error.folder
     except InputError as error:
-        return Executed(task.record("failed", str(error)))
+        record = task.record("failed", str(error))
+    kept = {"folder": base64.b64encode(folder).decode("ascii")} if folder else {}
+    return {
+        "status": record.status, "message": record.message, "record": record.to_json(), **kept
+    }  # fmt: skip
 
 
 #: characters of a rendered file that a record keeps
 _RENDERED = 64_000
 
 
-def _of_parameters(task: CaseTask) -> Executed:
-    """Record of a case of parameters alone."""
-    try:
-        solved, solver = answer_of_parameters(task.job.case.problem, task.job.case.case_id)
-    except NoAnswer as error:
-        raise Stopped(error.status, str(error), error) from error
-    answer = solved.answer
-    values = {**answer.values, "seconds": solved.seconds}
+def _of_parameters(task: CaseTask) -> tuple[Record, bytes]:
+    """Record of a case of parameters alone, and the zip of its folder where that is kept."""
+    answer = answer_of_parameters(task.job.case.problem, task.job.case.case_id)
+    values, curve = {**answer.values, "seconds": answer.seconds}, answer.curve
     responses: dict[str, ResponseDocument] = {}
     for name, unit in task.units.items():
         value = values.get(name)
-        if value is None and answer.curve is not None and is_simulated(name):
-            place, end = simulated_at(name)[1], float(answer.curve.displacement_mm[-1])
+        if value is None and len(curve) and is_simulated(name):
+            place, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
             if place is not None and place > end * (1 + 1e-9):
-                raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
-            value = response.simulated(name, answer.curve)
+                raise NoAnswer("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
+            value = response.simulated(name, curve)
         if value is None:
             named = nearest(name, answer.values) if answer.values else "it gives a curve alone"
-            raise Stopped("failed", f"there is no {name} among the answers ({named})")
+            raise NoAnswer("failed", f"there is no {name} among the answers ({named})")
         responses[name] = {"value": float(value), "unit": unit}
     record = task.record("converged", "")
-    return Executed(
-        replace(
-            record,
-            responses=responses,
-            curves={} if answer.curve is None else {CurveKey("predicted", "all"): answer.curve},
-            timings={"predict": solved.seconds, "total": solved.seconds},
-            solver=solver,
-            extra={**record.extra, **_rendered(solved.rendered)},
-        ),
-        solved.folder,
+    whole = replace(
+        record,
+        responses=responses,
+        curves={CurveKey("predicted", "all"): curve} if len(curve) else {},
+        timings={"predict": answer.seconds, "total": answer.seconds},
+        solver=answer.solver,
+        extra={**record.extra, **_rendered(answer.rendered)},
     )
+    return whole, answer.folder
 
 
 def _rendered(files: Mapping[str, str]) -> dict[str, object]:
@@ -365,14 +323,36 @@ def _check_fit(fit: FitResult | None, direction: ScorePair) -> None:
         return
     if not fit.converged:
         where = f"calibration on {direction.fit_label or 'the measured curve'}"
-        raise Stopped(fit.status, f"{where}: {fit.message}")
+        raise NoAnswer(fit.status, f"{where}: {fit.message}")
     if not fit.usable:
         stability = fit.fit.get("stability")
-        raise Stopped("unstable", f"the fitted constants are unstable: {stability}")
+        raise NoAnswer("unstable", f"the fitted constants are unstable: {stability}")
 
 
-def _predicted(task: CaseTask) -> Executed:
-    """Record of a case whose curves are predicted and scored."""
+def _record(
+    task: CaseTask,
+    means: Mapping[str, Quantity],
+    seconds: Mapping[str, float],
+    steps: Mapping[str, float] = types.MappingProxyType({}),
+) -> Record:
+    """Record of a case by its fits, and responses with the uncertainty of the load steps."""
+    responses: dict[str, ResponseDocument] = {}
+    for name, unit in task.units.items():
+        mean = means.get(name, {"value": None, "unit": unit})
+        responses[name] = {"value": mean["value"], "unit": mean["unit"]}
+        if name in steps:
+            responses[name]["u_steps"] = steps[name]
+    return replace(
+        task.record("converged", ""),
+        responses=responses,
+        parameters=_parameters(task),
+        fit=_fits(task),
+        timings=seconds,
+    )
+
+
+def _predicted(task: CaseTask) -> tuple[Record, bytes]:
+    """Record of a case whose curves are predicted and scored, and the zip of its folder."""
     directions = task.scored
     predictions = [_predict(task, direction) for direction in directions]
     compared = [
@@ -390,15 +370,10 @@ def _predicted(task: CaseTask) -> Executed:
     for name in predictions[0].values:
         every = [prediction.values[name] for prediction in predictions if name in prediction.values]
         means[name] = {"value": float(np.mean(every)), "unit": task.units.get(name, "")}
-    steps = _step_uncertainty(task, predictions)
-    record = task.record("converged", "")
+    record = _record(task, means, seconds, _step_uncertainty(task, predictions))
     whole = replace(
         record,
-        responses=_wanted(task, means, steps),
-        parameters=_parameters(task),
-        fit=_fits(task),
         curves=_curves(predictions, directions),
-        timings=seconds,
         mesh=predictions[-1].mesh,
         solver=_solver(predictions),
         extra={
@@ -408,25 +383,12 @@ def _predicted(task: CaseTask) -> Executed:
             **_rendered(predictions[-1].rendered),
         },
     )
-    return Executed(whole, predictions[-1].folder)
+    return whole, predictions[-1].folder
 
 
 def _constants(task: CaseTask) -> dict[str, Quantity]:
     """Constants averaged over the directions that give them, with units."""
     return response.averaged([response.constants_of(task.compared(p)) for p in task.identified])
-
-
-def _wanted(
-    task: CaseTask, means: Mapping[str, Quantity], steps: Mapping[str, float]
-) -> dict[str, ResponseDocument]:
-    """Responses that the record of a case holds, with the uncertainty of the load steps."""
-    responses: dict[str, ResponseDocument] = {}
-    for name, unit in task.units.items():
-        mean = means.get(name, {"value": None, "unit": unit})
-        responses[name] = {"value": mean["value"], "unit": mean["unit"]}
-        if name in steps:
-            responses[name]["u_steps"] = steps[name]
-    return responses
 
 
 def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
@@ -437,42 +399,21 @@ def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
         return fit.prediction
     constants = None if fit is None else fit.constants
     if task.problem.markers is not None:
-        return _marked(task, constants, direction.depth_mm)
+        block = str(task.job.case.block)
+        return predicted_markers(task.problem, constants, block, direction.depth_mm)
     if task.job.forward == "closed-form":
         return _closed_form(task, constants, direction)
     if task.job.forward == "external" or External.of(task.problem) is not None:
-        return _external(task.problem, constants, direction)
+        measured, steps = direction.measured, task.problem.test.steps
+        even = direction.depth_mm * np.arange(1, steps + 1) / steps
+        at = even if measured is None else measured.displacement_mm
+        return external_curve(task.problem, constants, at)
     problem_at = partial(task.problem.at, depth_mm=direction.depth_mm)
     anchored = _ANCHORS.predict(problem_at, constants, task.anchor)
     solution = anchored.solution
     if solution.status != "converged":
-        raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
+        raise NoAnswer(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
     return PredictedCurve.of(solution, anchored.cold_seconds)
-
-
-def _marked(
-    task: CaseTask, constants: Mapping[str, float] | None, depth_mm: float
-) -> PredictedCurve:
-    """Curve of a specimen with markers, and what these say of it."""
-    try:
-        return predicted_markers(task.problem, constants, str(task.job.case.block), depth_mm)
-    except NoAnswer as error:
-        raise Stopped(error.status, str(error)) from error
-
-
-def _external(
-    problem: CellProblem, constants: Mapping[str, float] | None, direction: ScorePair
-) -> PredictedCurve:
-    """Curve of another program, at the measured displacements or at the load steps."""
-    if direction.measured is not None:
-        at = direction.measured.displacement_mm
-    else:
-        steps = problem.test.steps
-        at = direction.depth_mm * np.arange(1, steps + 1) / steps
-    try:
-        return external_curve(problem, constants, at)
-    except NoAnswer as error:
-        raise Stopped(error.status, str(error), error) from error
 
 
 #: fewest steps of a curve in closed form beside which nothing was measured: interpolation between
@@ -489,7 +430,7 @@ def _closed_form(
         test = replace(problem.test, steps=max(problem.test.steps, _STEPS))
         solution = closed_form.solution(replace(problem, test=test))
         if solution.status != "converged":
-            raise Stopped(solution.status, solution.message)
+            raise NoAnswer(solution.status, solution.message)
         return PredictedCurve(solution.curve.without_gradients(), solver={"name": solution.solver})
     setup, material = problem.setup, problem.material
     if measured.time_s is None and response.of_prediction(task.units):
@@ -497,7 +438,7 @@ def _closed_form(
     else:
         curve = closed_form.at_rows(setup, material, measured)
     if not np.all(np.isfinite(curve.force_N)):
-        raise Stopped("unstable", "the material has no equilibrium state in this range")
+        raise NoAnswer("unstable", "the material has no equilibrium state in this range")
     return PredictedCurve(curve.without_gradients(), solver={"name": "closed form"})
 
 

@@ -14,13 +14,12 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.cell import CellProblem
 from study.harness.design.forward_model import ForwardCell
 from study.harness.external.answers import NoAnswer
-from study.harness.external.command import External, Solved, steps_of
-from study.harness.external.exchange import ParameterAnswer, ProgramAnswer
+from study.harness.external.command import External, steps_of
+from study.harness.external.exchange import ProgramAnswer
 from study.harness.record.document import (
     FitDocument,
     MarkerDocument,
     MeshDocument,
-    ProgramDocument,
     SolverDocument,
 )
 from study.mechanics.calibration.fit import Fit
@@ -287,7 +286,7 @@ class InverseExternal:
         self._external, self._problem, self._names = _external(problem), problem, names
         self._grids = [curve.displacement_mm for curve in measured]
         self._points = np.unique(np.concatenate(self._grids))
-        self._last: tuple[bytes, Solved[ProgramAnswer]] | None = None
+        self._last: tuple[bytes, ProgramAnswer] | None = None
         #: solutions so far
         self.solves = 0
 
@@ -295,16 +294,16 @@ class InverseExternal:
         """Predict the forces at the measured displacements for constants in MPa."""
         solved = self._solved(values)
         self._last = (values.tobytes(), solved)
-        curve = solved.answer.curve
+        curve = solved.curve
         gradient = {
             name: curve.force_gradient[name]
-            if name in solved.answer.gradients
+            if name in curve.force_gradient
             else self._difference(values, i, curve.force_N)
             for i, name in enumerate(self._names)
         }
         return [self._at(curve, gradient, grid) for grid in self._grids]
 
-    def _solved(self, values: Array) -> Solved[ProgramAnswer]:
+    def _solved(self, values: Array) -> ProgramAnswer:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         self.solves += 1
         try:
@@ -320,7 +319,7 @@ class InverseExternal:
             moved = values.copy()
             moved[i] += signed
             try:
-                ahead = self._solved(moved).answer.curve.force_N
+                ahead = self._solved(moved).curve.force_N
             except EvaluationFailed:
                 continue
             return np.asarray((ahead - force) / (moved[i] - values[i]))
@@ -338,26 +337,23 @@ class InverseExternal:
         return predicted_of(solved, self._external)
 
 
-def predicted_of(solved: Solved[ProgramAnswer], external: External) -> PredictedCurve:
+def predicted_of(answer: ProgramAnswer, external: External) -> PredictedCurve:
     """Prediction of an external forward model, for the record."""
-    answer = solved.answer
     mesh: MeshDocument = {}
     if answer.dofs or answer.elements:
         mesh = {"dofs": answer.dofs, "elements": answer.elements}
-    return PredictedCurve(
-        answer.curve.without_gradients(), mesh, _solver(solved.program, external), solved.seconds,
-        values=answer.values, folder=solved.folder, rendered=solved.rendered,
-    )  # fmt: skip
-
-
-def _solver(program: ProgramDocument | None, external: External) -> SolverDocument:
-    """Say what answered, for the record."""
+    solver: SolverDocument
     if external.function is not None:
-        return {"name": f"Python function, version {external.function.version}"}
-    name = external.section.argv[0][0]
-    if program is None:
-        return {"name": name}
-    return {"name": program["version"] or name, "program": program}
+        solver = {"name": f"Python function, version {external.function.version}"}
+    else:
+        solver = {"name": external.section.argv[0][0]}
+        if answer.program is not None:
+            name = answer.program["version"] or solver["name"]
+            solver = {"name": name, "program": answer.program}
+    return PredictedCurve(
+        answer.curve.without_gradients(), mesh, solver, answer.seconds,
+        values=answer.values, folder=answer.folder, rendered=answer.rendered,
+    )  # fmt: skip
 
 
 def _external(problem: ForwardCell) -> External:
@@ -367,13 +363,11 @@ def _external(problem: ForwardCell) -> External:
     return external
 
 
-def answer_of_parameters(
-    problem: ForwardCell, case_id: str
-) -> tuple[Solved[ParameterAnswer], SolverDocument]:
-    """Answer of a program or function for parameters alone, and how it was found."""
+def answer_of_parameters(problem: ForwardCell, case_id: str) -> PredictedCurve:
+    """Answer of a program or function for parameters alone."""
     external = _external(problem)
-    solved = external.answer({"case_id": case_id, **problem.own_tables()})
-    return solved, _solver(solved.program, external)
+    answer = external.answer({"case_id": case_id, **problem.own_tables()})
+    return predicted_of(answer, external)
 
 
 def external_curve(
