@@ -34,7 +34,7 @@ from study.harness.runner.case_series import CaseSeries, refine_cases, stored_co
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob, fits_of
-from study.harness.runner.judgement import SeriesJudgement, judge, series_of, with_sources
+from study.harness.runner.judgement import SeriesJudgement, judge, with_sources
 from study.harness.runner.refinement import (
     QUANTITIES,
     Budget,
@@ -263,11 +263,11 @@ def _judged(
     """Refine problems until their meshes are enough, and study their other errors besides."""
     refinement.quantity(spec.qoi)
     cells = [
-        series_of(cell, spec, order, budget, its_labels)
+        RefinementSeries(cell, spec, order, budget, its_labels)
         for cell, order, its_labels in zip(problems, formal, labels, strict=True)
     ]
     refine(cells, solver, progress)
-    judged = [judge(cell, order, tolerance) for cell, order in zip(cells, formal, strict=True)]
+    judged = [judge(cell, tolerance) for cell in cells]
     if any(judgement.quantities for judgement in judged):
         progress("load steps and solver tolerance")
     return cells, [

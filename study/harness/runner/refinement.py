@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,10 +23,10 @@ from study.ground.errors import Fault, InputError, nearest
 from study.ground.memory import free_memory_MB
 from study.harness.design.cell import CellProblem
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
-from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder, Enclosed, Flat
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
+from study.statistics.convergence.grid_convergence import ConvergenceResult, grid_convergence
 
 if TYPE_CHECKING:
     from study.harness.design.study_file import Converge
@@ -100,12 +101,47 @@ class Budget:
         return ""
 
 
-@dataclass(frozen=True)
-class Outlook:
-    """What the meshes so far say: whether they are enough, else the size that would be."""
+# What a series says of its quantities.
 
-    settled: bool
-    size_needed_mm: float | None = None
+Values = Mapping[str, tuple[Sequence[float], str]]
+
+#: relative error of a force at the solver's tolerance
+SOLVER_TOLERANCE = 1e-7
+
+#: a value of this part of the largest of its kind is nothing to be settled
+_NOTHING = 1e-9
+
+
+def judged(
+    sizes: Sequence[float],
+    values: Values,
+    formal: float | None,
+    tolerance: float = SOLVER_TOLERANCE,
+) -> dict[str, ConvergenceResult]:
+    """Judge every quantity of a series of at least three meshes."""
+    return {
+        name: grid_convergence(
+            sizes, numbers, formal_order=formal, qoi=name, unit=unit,
+            tolerance=tolerance * max(abs(v) for v in numbers),
+        )
+        for name, (numbers, unit) in values.items()
+    }  # fmt: skip
+
+
+def within(results: Mapping[str, ConvergenceResult], accuracy: float) -> dict[str, bool]:
+    """Whether the uncertainty of each quantity is at most a fraction of its value."""
+    return {
+        name: r.u_num is not None and r.u_num <= accuracy * abs(r.value[0]) + _NOTHING
+        for name, r in results.items()
+    }
+
+
+def size_needed(result: ConvergenceResult, accuracy: float) -> float | None:
+    """Mesh size whose uncertainty would be the wanted fraction of the value, by the order used."""
+    if result.order_used is None or not result.u_num or result.extrapolated in (None, 0.0):
+        return None
+    allowed = accuracy * abs(result.extrapolated)
+    return float(result.mesh_size[0] * (allowed / result.u_num) ** (1 / result.order_used))
 
 
 @dataclass
@@ -115,11 +151,9 @@ class RefinementSeries:
     problem: CellProblem
     #: Ratio, number of meshes, wanted accuracy.
     spec: Converge
-    #: Element size of the problem, the coarsest of the series.
-    first_mm: float
-    budget: Budget
-    #: What its meshes so far say.
-    outlook: Callable[[Sequence[MeshLevel]], Outlook]
+    #: What the elements promise, and what limits it.
+    formal: FormalOrder
+    budget: Budget = field(default_factory=Budget)
     #: Levels of the factors, where the problem is a cell.
     levels_of: Mapping[str, str] = field(default_factory=dict)
     levels: list[MeshLevel] = field(default_factory=list)
@@ -129,6 +163,13 @@ class RefinementSeries:
     def setup(self) -> Setup:
         """Specimen, test and discretization of what is refined."""
         return self.problem.setup
+
+    @cached_property
+    def first_mm(self) -> float:
+        """Element size of the problem, the coarsest of the series."""
+        from study.mechanics.mesh.mesher import mesh_size
+
+        return float(mesh_size(self.problem.at().setup))
 
     @property
     def good(self) -> list[MeshLevel]:
@@ -147,15 +188,26 @@ class RefinementSeries:
         if count >= needed and len(self.good) >= FEWEST:
             if self.spec.tolerance is None:
                 return f"{count} meshes were asked for"
-            seen = self.outlook(self.levels)
-            if seen.settled:
+            settled, needed_mm = self._outlook(self.spec.tolerance)
+            if settled:
                 return "every quantity has the wanted accuracy"
-            if hopeless := self._hopeless(seen.size_needed_mm):
+            if hopeless := self._hopeless(needed_mm):
                 return hopeless
         if count >= MOST or (count >= needed + 2 and len(self.good) < FEWEST):
             return f"{count} meshes are enough"
         next_one = self.predicted()
         return self.budget.refuses(next_one.seconds, next_one.memory_MB) if count else ""
+
+    def _outlook(self, accuracy: float) -> tuple[bool, float | None]:
+        """Whether every quantity has the wanted accuracy, and the mesh size that it takes."""
+        meshes, _ = usable(self.levels)
+        if len(meshes) < FEWEST:
+            return False, None
+        sizes = representative_sizes(meshes, self.setup)
+        results = judged(sizes, curve_values(meshes), self.formal.order)
+        needed = [size_needed(result, accuracy) for result in results.values()]
+        known = [size for size in needed if size is not None]
+        return all(within(results, accuracy).values()), min(known, default=None)
 
     def _hopeless(self, needed_mm: float | None) -> str:
         """Why the mesh that would be fine enough is out of reach; empty if it may be."""
@@ -316,15 +368,11 @@ def formal_order(problem: Problem) -> FormalOrder:
     return FormalOrder(order, why)
 
 
-def formal_of_case(job: CaseJob) -> FormalOrder:
-    """Formal order of a case whose constants are not known yet."""
-    return formal_order(_in_mind(job))
-
-
 def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
     """Limit that a singularity sets, and why."""
     if isinstance(singularity, ClampedCorner):
-        exponent = clamped_corner(poisson_ratio(problem.material))
+        K, mu = problem.material.bulk, problem.material.mu0
+        exponent = clamped_corner(0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu)))
         return 2 * exponent, (
             f"the corner between a bonded and a free face: the displacement goes as "
             f"s^{exponent:.3f} there"
@@ -394,20 +442,14 @@ def clamped_corner(nu: float) -> float:
     return float(brentq(mismatch, 0.3, 1.0)) if mismatch(1.0) > 0 else 1.0
 
 
-def poisson_ratio(material: Material) -> float:
-    """Give the initial Poisson's ratio of a material."""
-    K, mu = material.bulk, material.mu0
-    return 0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu))
-
-
 def base_size_mm(job: CaseJob) -> float:
     """Element size of a case, named or given, in mm."""
     from study.mechanics.mesh.mesher import mesh_size
 
-    return float(mesh_size(_in_mind(job).setup))
+    return float(mesh_size(in_mind(job).setup))
 
 
-def _in_mind(job: CaseJob) -> Problem:
+def in_mind(job: CaseJob) -> Problem:
     """Problem of a case whose constants are not known yet."""
     return job.case.tested.with_placeholder(job.depth_mm if job.directions else 1.0)
 
@@ -453,16 +495,8 @@ def series_sizes(
     anchor: int = -1,
 ) -> list[float]:
     """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
-    if edge_rules(setup):
+    if edge_rules(setup) or min(elements) <= 0 or len(set(elements)) < len(elements):
         return list(sizes)
-    return by_elements(sizes, elements, setup.model.space, anchor=anchor)
-
-
-def by_elements(
-    sizes: Sequence[float], elements: Sequence[int], space: str, *, anchor: int = -1
-) -> list[float]:
-    """Sizes h = (V / N)^(1/d) of N elements, scaled to one of them (Celik et al. 2008)."""
-    if min(elements) <= 0 or len(set(elements)) < len(elements):
-        return list(sizes)
-    power = 1 / (3 if space == "3d" else 2)
+    # h = (V / N)^(1/d) of N elements, scaled to one of them (Celik et al. 2008)
+    power = 1 / (3 if setup.model.space == "3d" else 2)
     return [sizes[anchor] * (elements[anchor] / n) ** power for n in elements]
