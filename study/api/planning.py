@@ -28,9 +28,9 @@ from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.overview import Overview, overview
 from study.harness.design.spec import Design
 from study.harness.external.command import common_digest
-from study.harness.record.index import Survey
 from study.harness.record.record import write_csv
 from study.harness.record.store import Store
+from study.harness.record.survey import Survey
 from study.harness.runner.batch import missing, open_fits
 from study.harness.runner.cost import Costs, program_calls
 from study.harness.runner.expansion import expand
