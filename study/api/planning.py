@@ -221,9 +221,8 @@ def _counted(
         finer = missing(refinement_work(plain), store)
         seconds += Costs().total_seconds(open_fits(finer, store), finer, workers)
     each = Costs()
-    seconds += each.side_by_side(
-        [each.solve_seconds(job.case.tested, job.depth_mm) for job in controls], workers
-    )
+    solved = [each.solve_seconds(job.case.tested, job.depth_mm) for job in controls]
+    seconds += max(sum(solved) / workers, max(solved, default=0.0))  # the longest takes its time
     found_models = externals(job.case.problem for job in work.jobs)
     commands = [program for program in found_models if program.section.model == "command"]
     memory = workers * max(

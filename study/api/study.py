@@ -38,7 +38,7 @@ from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed, externals
-from study.harness.runner.provenance import surface_files, versions
+from study.harness.runner.provenance import placed_files, versions
 from study.harness.runner.study_uncertainty import compare_spaces, validate
 from study.harness.runner.study_uncertainty import refine as refine_study
 from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
@@ -174,7 +174,7 @@ def run(
     # one executor for cells and refined cases alike, so that all of them fit into the memory
     executor = processes(jobs, timeout_s, room)
     if engine is not None:
-        read = {path for job in work.jobs for path in surface_files(job.case.cell)}
+        read = {Path(f.path) for job in work.jobs for f in placed_files(job.case.cell)}
         executor = computing_on(engine, jobs, timeout_s, sorted(read))
     with store.lock():
         warnings += check_stale(work, store, stale)

@@ -43,11 +43,9 @@ class Pending(Protocol):
 
     def result(self) -> tuple[str, str]:
         """Text of the answer, and how its process died."""
-        ...
 
     def add_done_callback(self, call: Callable[[Pending], None]) -> None:
         """Call with the future when it ends."""
-        ...
 
 
 class Client(Protocol):
@@ -57,25 +55,20 @@ class Client(Protocol):
 
     def submit(self, call: Callable[..., object], *args: object, **options: object) -> Pending:
         """Have a call made on a worker."""
-        ...
 
     def run(
         self, call: Callable[..., object], *args: object, **options: object
     ) -> dict[str, object]:
         """Make a call on every worker at once, beside its tasks."""
-        ...
 
     def nthreads(self) -> Mapping[str, int]:
         """Threads of every worker, by its address."""
-        ...
 
     def cancel(self, futures: Sequence[Pending], **options: object) -> None:
         """Give futures up."""
-        ...
 
     def close(self) -> None:
         """Leave the cluster."""
-        ...
 
 
 #: loggers that tell the loss of a scheduler with a traceback each; our error tells it once

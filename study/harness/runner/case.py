@@ -28,13 +28,11 @@ from study.harness.record.document import (
     PlateFitDocument,
     Quantity,
     ResponseDocument,
-    ScoreDocument,
     SolverDocument,
 )
 from study.harness.record.record import STATUSES, Record
 from study.harness.runner import response
 from study.harness.runner.fit_summary import (
-    FitResult,
     PredictedCurve,
     answer_of_parameters,
     external_curve,
@@ -76,47 +74,6 @@ _SETTLED = 1e-6
 _MOST_STEPS = 15
 
 
-@dataclass(frozen=True)
-class PlateFit:
-    """Errors of markers under one motion of the plate."""
-
-    #: {"nominal", "rigid", "slipping"}: what it is taken to do.
-    plate: str
-    #: Markers that told its motion: ``"none"``, ``"all"``, or layers.
-    fitted: str
-    #: shape (7,); as :data:`COMPONENTS`; standard errors treat the coordinates of one marker
-    #: together.
-    motion: Array
-    standard_error: Array
-    #: shape (n, 3); measured less predicted displacement of every marker, mm.
-    errors: Array
-    #: shape (n,); markers that are judged.
-    scored: Flags
-
-    @property
-    def rms_mm(self) -> float:
-        """Root mean square of the distances, over the markers that are judged."""
-        return rms(self.errors[self.scored])
-
-    def to_json(self, layers: tuple[str, ...]) -> PlateFitDocument:
-        """Plain values, for a record and a report."""
-        shown = zip(COMPONENTS, self.motion, self.standard_error, strict=True)
-        layer_of = np.array(layers) if layers else np.full(len(self.errors), "")
-        names = dict.fromkeys(layer_of[self.scored].tolist()) if layers else {}
-        by_axis = np.sqrt((self.errors[self.scored] ** 2).mean(axis=0))
-        return {
-            "plate": self.plate,
-            "fitted": self.fitted,
-            "markers": int(self.scored.sum()),
-            "error_mm": self.rms_mm,
-            "error_by_axis_mm": [float(v) for v in by_axis],
-            "error_by_layer_mm": {
-                str(k): rms(self.errors[self.scored & (layer_of == k)]) for k in names
-            },
-            "motion": {name: [float(value), float(error)] for name, value, error in shown},
-        }
-
-
 def rms(errors: Array) -> float:
     """Root mean square length of vectors; errors (n, 3), mm."""
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
@@ -124,7 +81,7 @@ def rms(errors: Array) -> float:
 
 def plate_fits(
     spec: MarkerSpec, markers: MarkerStates, label: str, problem: Problem, solution: Solution
-) -> tuple[PlateFit, ...]:
+) -> list[PlateFitDocument]:
     """Compare a simulated block with markers, by what its plate is taken to do."""
     fitter = _Fitter.of(markers, label, problem, solution)
     every = np.ones(len(markers.rest), dtype=bool)
@@ -132,7 +89,7 @@ def plate_fits(
     if spec.fit:
         chosen = markers.within(spec.fit)
         fits.append(fitter.fitted(spec.plate, f"layers {', '.join(spec.fit)}", chosen, ~chosen))
-    return tuple(fits)
+    return fits
 
 
 @dataclass
@@ -144,6 +101,8 @@ class _Fitter:
     measured: Array
     size_mm: float
     at: MovedPlate
+    #: Of every marker; empty where they have none.
+    layers: Sequence[str]
 
     @classmethod
     def of(cls, markers: MarkerStates, label: str, problem: Problem, solution: Solution) -> _Fitter:
@@ -153,16 +112,15 @@ class _Fitter:
         plate = PrescribedMotion(problem, solution)
         interpolated = interpolation(plate.system.mesh, problem.model, markers.rest)
         height = plate.system.height_mm
-        return cls(plate, interpolated, markers.moved[label], height, plate.start)
+        return cls(
+            plate, interpolated, markers.moved[label], height, plate.start, markers.layers
+        )  # fmt: skip
 
-    def fitted(self, plate: str, name: str, chosen: Flags, scored: Flags) -> PlateFit:
+    def fitted(self, plate: str, name: str, chosen: Flags, scored: Flags) -> PlateFitDocument:
         """Fit the motion to some markers and judge it on others."""
         free = _FREE[plate]
         if not free:
-            at = self.motion.start
-            return PlateFit(
-                plate, "none", at.motion * _SHOWN, np.zeros(7), self._errors(at), scored
-            )
+            return self._document(plate, "none", self.motion.start, np.zeros(7), scored)
         length = np.array([1.0, 1.0, 1.0, *[self.size_mm / 2] * 4])[:free]
         for _ in range(_MOST_STEPS):
             slope = self._slope(self.at, free, chosen)
@@ -178,10 +136,28 @@ class _Fitter:
             rule = f"the motion of the {plate} plate has not settled in {_MOST_STEPS} steps"
             mend = "see whether the markers belong to this test and to this displacement"
             raise RefusedError(str(Fault("markers", rule, mend)))
-        errors = self._errors(self.at)
-        spread = np.zeros(7)
-        spread[:free] = _standard_errors(self._slope(self.at, free, chosen), errors[chosen])
-        return PlateFit(plate, name, self.at.motion * _SHOWN, spread * _SHOWN, errors, scored)
+        spread, errors = np.zeros(7), self._errors(self.at)[chosen]
+        spread[:free] = _standard_errors(self._slope(self.at, free, chosen), errors)
+        return self._document(plate, name, self.at, spread, scored)
+
+    def _document(
+        self, plate: str, fitted: str, at: MovedPlate, spread: Array, scored: Flags
+    ) -> PlateFitDocument:
+        """Errors of the markers that are judged under one motion, for a record and a report."""
+        # spread, shape (7,): standard errors, which treat the coordinates of one marker together
+        errors = self._errors(at)[scored]
+        shown = zip(COMPONENTS, at.motion * _SHOWN, spread * _SHOWN, strict=True)
+        layer_of = np.array(self.layers or [""] * len(scored))[scored]
+        names = dict.fromkeys(layer_of.tolist()) if self.layers else {}
+        return {
+            "plate": plate,
+            "fitted": fitted,
+            "markers": len(errors),
+            "error_mm": rms(errors),
+            "error_by_axis_mm": [float(v) for v in np.sqrt((errors**2).mean(axis=0))],
+            "error_by_layer_mm": {str(k): rms(errors[layer_of == k]) for k in names},
+            "motion": {name: [float(value), float(error)] for name, value, error in shown},
+        }
 
     def _errors(self, at: MovedPlate) -> Array:
         return np.asarray(self.measured - self.interpolated(at.displacement))
@@ -235,7 +211,7 @@ def predicted_markers(
     document: MarkerDocument = {
         "state": label,
         "floor_mm": markers.localization_floor(label),
-        "fits": [fit.to_json(markers.layers) for fit in fits],
+        "fits": fits,
     }
     predicted = PredictedCurve.of(solution, time.perf_counter() - began)
     return replace(predicted, markers=document)
@@ -261,7 +237,13 @@ def perform(task: CaseTask) -> dict[str, object]:
     began, folder = time.perf_counter(), b""
     try:
         for direction in task.job.directions:
-            _check_fit(task.fit(direction), direction)
+            fit = task.fit(direction)
+            if fit is not None and not fit.converged:
+                where = f"calibration on {direction.fit_label or 'the measured curve'}"
+                raise NoAnswer(fit.status, f"{where}: {fit.message}")
+            if fit is not None and not fit.usable:
+                stability = fit.fit.get("stability")
+                raise NoAnswer("unstable", f"the fitted constants are unstable: {stability}")
         if not isinstance(task.job.case.problem, CellProblem):
             record, folder = _of_parameters(task)
         elif task.job.origin.predicts:
@@ -318,17 +300,6 @@ def _rendered(files: Mapping[str, str]) -> dict[str, object]:
     return {"rendered": {k: text[:_RENDERED] for k, text in files.items()}} if files else {}
 
 
-def _check_fit(fit: FitResult | None, direction: ScorePair) -> None:
-    if fit is None:
-        return
-    if not fit.converged:
-        where = f"calibration on {direction.fit_label or 'the measured curve'}"
-        raise NoAnswer(fit.status, f"{where}: {fit.message}")
-    if not fit.usable:
-        stability = fit.fit.get("stability")
-        raise NoAnswer("unstable", f"the fitted constants are unstable: {stability}")
-
-
 def _record(
     task: CaseTask,
     means: Mapping[str, Quantity],
@@ -378,7 +349,16 @@ def _predicted(task: CaseTask) -> tuple[Record, bytes]:
         solver=_solver(predictions),
         extra={
             **record.extra,
-            "directions": list(map(_score_document, directions, scores)),
+            "directions": [
+                {
+                    "score": direction.label,
+                    "fit": direction.fit_label,
+                    "role": direction.role,
+                    "scatter_N": None if direction.scatter_N is None else list(direction.scatter_N),
+                    "responses": dict(responses),
+                }
+                for direction, responses in zip(directions, scores, strict=True)
+            ],
             **({"markers": marked} if marked else {}),
             **_rendered(predictions[-1].rendered),
         },
@@ -484,29 +464,23 @@ def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
     fits = [
         FitDocument() if (fit := task.fit(pair)) is None else fit.fit for pair in task.identified
     ]
-    return {
-        name: {
+    parameters: dict[str, ParameterDocument] = {}
+    for name, mean in _constants(task).items():
+        scale = response.scale_of(name)
+        errors = [fit.get("standard_error", {}).get(name) for fit in fits]
+        errors_shown = [scale * float(error) for error in errors if error is not None]
+        # None unless all fits know theirs
+        complete = bool(errors_shown) and len(errors_shown) == len(fits)
+        error = np.sqrt(np.sum(np.square(errors_shown))) / len(fits) if complete else None
+        # the interval of one fit; that of an average of two specimens is the blocks' business
+        pair = fits[0].get("ci95", {}).get(name) if len(fits) == 1 else None
+        ends = [scale * float(end) for end in pair or () if end is not None]
+        parameters[name] = {
             **mean,
-            "standard_error": _standard_error(name, fits),
-            # the interval of one fit; that of an average of two specimens is the blocks' business
-            "ci95": _interval(name, fits[0]) if len(fits) == 1 else None,
+            "standard_error": None if error is None else float(error),
+            "ci95": ends if len(ends) == 2 else None,
         }
-        for name, mean in _constants(task).items()
-    }
-
-
-def _standard_error(name: str, fits: Sequence[FitDocument]) -> float | None:
-    """Find the standard error of the mean of a constant; None unless all fits know theirs."""
-    errors = [fit.get("standard_error", {}).get(name) for fit in fits]
-    in_unit = [response.scale_of(name) * float(e) for e in errors if e is not None]
-    complete = bool(in_unit) and len(in_unit) == len(fits)
-    return float(np.sqrt(np.sum(np.square(in_unit))) / len(in_unit)) if complete else None
-
-
-def _interval(name: str, fit: FitDocument) -> list[float] | None:
-    pair = fit.get("ci95", {}).get(name) or ()
-    in_unit = [response.scale_of(name) * float(end) for end in pair if end is not None]
-    return in_unit if len(in_unit) == 2 else None
+    return parameters
 
 
 def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
@@ -536,13 +510,3 @@ def _curves(
             out[CurveKey("measured", direction.label)] = direction.measured
         out[CurveKey("predicted", direction.label)] = prediction.curve
     return out
-
-
-def _score_document(direction: ScorePair, responses: Mapping[str, Quantity]) -> ScoreDocument:
-    return {
-        "score": direction.label,
-        "fit": direction.fit_label,
-        "role": direction.role,
-        "scatter_N": None if direction.scatter_N is None else list(direction.scatter_N),
-        "responses": dict(responses),
-    }

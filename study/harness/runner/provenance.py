@@ -7,7 +7,7 @@ import contextlib
 import functools
 import hashlib
 import platform
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -16,7 +16,7 @@ import study
 from study.ground.bounded_file import sha256_of
 from study.ground.errors import Fault, InputError, MissingDataError, StoreError, nearest
 from study.harness.design.cell import Cell, CellProblem
-from study.harness.design.forward_model import ForwardCell, PlacedFile
+from study.harness.design.forward_model import PlacedFile
 from study.harness.record.atomic_files import write_atomic
 from study.mechanics.measurement.marker_states import read_markers
 from study.mechanics.measurement.recording import check_relative, locate
@@ -255,30 +255,20 @@ def find(name: str, places: Sequence[Path]) -> Path:
 
 def surface_notes(cells: Iterable[Cell]) -> tuple[str, ...]:
     """List what was mended in the surfaces of some cells, each once."""
-    return tuple(dict.fromkeys(note for cell in cells for note in _notes(cell)))
+    notes = dict[str, None]()
+    for cell in cells:
+        if isinstance(cell.problem, CellProblem) and isinstance(cell.problem.specimen, Surface):
+            from study.mechanics.surface.closed_surface import body
+
+            made = cell.problem.setup.specimen
+            notes |= dict.fromkeys(body(made).notes if isinstance(made, Enclosed) else ())
+    return tuple(notes)
 
 
-def _notes(cell: Cell) -> Iterator[str]:
-    if isinstance(cell.problem, CellProblem) and isinstance(cell.problem.specimen, Surface):
-        from study.mechanics.surface.closed_surface import body
-
-        made = cell.problem.setup.specimen
-        if isinstance(made, Enclosed):
-            yield from body(made).notes
-
-
-def fingerprints(cell: Cell) -> list[str]:
-    """Hashes of the files of surfaces and markers that a cell uses."""
-    other = cell.fitted_elsewhere
-    files = [_surface_of(cell.problem), cell.problem.marker_file, _surface_of(other)]
-    return [file.sha256 for file in files if file is not None]
-
-
-def surface_files(cell: Cell) -> set[Path]:
-    """Files of the surfaces of a cell whose files were found."""
-    files = (_surface_of(cell.problem), _surface_of(cell.fitted_elsewhere))
-    return {Path(file.path) for file in files if file is not None}
-
-
-def _surface_of(problem: ForwardCell | None) -> PlacedFile | None:
-    return problem.surface_file if isinstance(problem, CellProblem) else None
+def placed_files(cell: Cell) -> list[PlacedFile]:
+    """Files of surfaces and markers that a cell uses, as they were found."""
+    files = []
+    for problem in (cell.problem, cell.fitted_elsewhere):
+        if isinstance(problem, CellProblem):
+            files += [problem.surface_file, problem.marker_file]
+    return [file for file in files if file is not None]

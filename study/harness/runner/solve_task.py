@@ -14,7 +14,7 @@ import numpy as np
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.harness.design.cell import CellProblem
-from study.harness.execution.task import Executor, Task
+from study.harness.execution.task import Executor, Results, Task
 from study.harness.external.command import External
 from study.harness.record.folder import own_folder
 from study.harness.record.store import Store
@@ -166,8 +166,11 @@ def in_process(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
 def by_workers(executor: Executor) -> Solver:
     """Solve on several worker processes; a worker that dies costs its own solution only."""
 
+    def payload(task: SolveTask) -> Callable[[Results], SolveTask]:
+        return lambda results: task
+
     def solve(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
-        work = [Task(task.key, lambda results, task=task: task) for task in tasks]
+        work = [Task(task.key, payload(task)) for task in tasks]
         for outcome in executor.run(work):
             yield outcome.key, SolveResult.from_json(outcome.result)
 

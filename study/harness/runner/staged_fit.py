@@ -260,21 +260,19 @@ def begun_stage(
         if number + 1 == len(starts) or not _nowhere(done.fit):
             break
         fruitless, number = fruitless + done.fit.evaluations, number + 1
-    notes = () if number == 0 else (_told(stage, starts[: number + 1], _nowhere(done.fit)),)
-    return replace(done, fruitless=fruitless, notes=notes)
+    if not number:
+        return replace(done, fruitless=fruitless)
+    in_vain = _nowhere(done.fit)
+    failed = starts[: number + 1] if in_vain else starts[:number]
+    note = f"the {stage} led nowhere from {', nor from '.join(start.words for start in failed)}"
+    note += "" if in_vain else f": it was begun with {starts[number].words}"
+    return replace(done, fruitless=fruitless, notes=(note,))
 
 
 def _nowhere(fit_result: Fit) -> bool:
     """Whether the model had no answer at the start of a fit, or nowhere around it."""
     stuck = fit_result.status is Status.too_many_failures and len(fit_result.history) <= 1
     return fit_result.status is Status.start_failed or stuck
-
-
-def _told(stage: str, tried: Sequence[Start], in_vain: bool) -> str:
-    """Say which starts were given up, and what was begun with."""
-    failed = tried if in_vain else tried[:-1]
-    rule = f"the {stage} led nowhere from {', nor from '.join(start.words for start in failed)}"
-    return rule if in_vain else f"{rule}: it was begun with {tried[-1].words}"
 
 
 def single_stage(

@@ -90,14 +90,13 @@ def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[NumericalU
     rows = store.read_rows("numerical", NumericalRow, fault_of_series)
     if document is not None and document["of"] == digest(cases):
         rows = [*rows, *document["rows"]]
-    return tuple(map(_of_row, rows))
-
-
-def _of_row(row: NumericalRow) -> NumericalUncertainty:
-    return NumericalUncertainty(
-        row["levels"], row["response"], row["value"], row["u_num"], row["unit"],
-        row["behaviour"], row["note"], tuple(row.get("mesh_size", ())),
-        tuple(row.get("series", ())), row.get("formal_order"), row.get("formal_reason", ""),
+    return tuple(
+        NumericalUncertainty(
+            row["levels"], row["response"], row["value"], row["u_num"], row["unit"],
+            row["behaviour"], row["note"], tuple(row.get("mesh_size", ())),
+            tuple(row.get("series", ())), row.get("formal_order"), row.get("formal_reason", ""),
+        )
+        for row in rows
     )  # fmt: skip
 
 

@@ -76,7 +76,7 @@ def computing_on(
     if isinstance(engine, str | os.PathLike) or hasattr(engine, "nthreads"):
         scheduler = cast("str | Path | Client", engine)
         return Cluster(perform, scheduler, versions, jobs, timeout_s, files).reached()
-    return cast("Executor", engine)
+    return engine
 
 
 def limit_of(place: Executor) -> float | None:

@@ -11,6 +11,7 @@ import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from math import factorial
 from pathlib import Path
 from typing import cast
@@ -100,10 +101,7 @@ class Truth:
     words: str
 
 
-def _yeoh() -> Truth:
-    constants = {"C10": 7.7021e-3, "C20": -0.0628e-3, "C30": 0.2479e-3}
-    higher = tuple({n: constants[n]} for n in ("C20", "C30"))
-    return Truth("reduced-polynomial", constants, higher, "reduced polynomial of order 3")
+_YEOH = {"C10": 7.7021e-3, "C20": -0.0628e-3, "C30": 0.2479e-3}
 
 
 def _ogden() -> Truth:
@@ -128,7 +126,16 @@ def _humphrey() -> Truth:
     return Truth("reduced-polynomial", constants, (exponent,), "Humphrey's exponential energy")
 
 
-TRUTHS: Mapping[str, Truth] = {"yeoh": _yeoh(), "ogden": _ogden(), "humphrey": _humphrey()}
+TRUTHS: Mapping[str, Truth] = {
+    "yeoh": Truth(
+        "reduced-polynomial",
+        _YEOH,
+        tuple({n: _YEOH[n]} for n in ("C20", "C30")),
+        "reduced polynomial of order 3",
+    ),
+    "ogden": _ogden(),
+    "humphrey": _humphrey(),
+}
 
 
 def truth(name: str) -> Truth:
@@ -143,46 +150,17 @@ def truth(name: str) -> Truth:
 
 def reference_curve(
     problem: CellProblem,
-    material: Truth,
-    poisson_ratio: float,
-    *,
-    as_designed: bool = False,
-    virtual: Virtual | None = None,
-) -> Curve:
-    """Solve for the reference force and its gradient, in a worker of one thread."""
-    task = _task(problem, material, poisson_ratio, as_designed, virtual)
-    return _solved(task, "the reference curve")
-
-
-def reference_error(
-    problem: CellProblem,
-    material: Truth,
-    poisson_ratio: float,
-    curve: Curve,
-    *,
-    as_designed: bool,
-    virtual: Virtual | None = None,
-) -> float:
-    """Largest change of the reference force on the next coarser mesh, over the largest force."""
-    coarser = _task(problem, material, poisson_ratio, as_designed, virtual, coarser=True)
-    other = _solved(coarser, "the reference curve on the next coarser mesh")
-    change = other.force_at(curve.displacement_mm) - curve.force_N
-    return float(np.abs(change).max() / np.abs(curve.force_N).max())
-
-
-def _task(
-    problem: CellProblem,
     truth: Truth,
     poisson_ratio: float,
-    as_designed: bool,
-    asked_for: Virtual | None,
     *,
+    as_designed: bool,
+    virtual: Virtual,
     coarser: bool = False,
-) -> SolveTask:
-    """Solution of a reference curve, or of its next coarser mesh without gradients."""
+) -> Curve:
+    """Solve for the reference force and its gradient, or the force on the next coarser mesh."""
     from study.mechanics.mesh.mesher import mesh_size
 
-    virtual, setup = asked_for or Virtual(), problem.setup
+    setup = problem.setup
     loaded = problem if as_designed else problem.loaded(interface="bonded", base="bonded")
     # the grid runs a little past the range, as a real test does
     loaded = loaded.loaded(steps=virtual.steps, displacement_mm=1.03 * setup.test.depth_mm)
@@ -193,14 +171,11 @@ def _task(
     finer = as_designed and not virtual.chooses_mesh and not setup.is_homogeneous
     if refined := finer - coarser:  # no cell of the design generates its own data
         made = made.on_mesh(mesh_size_mm=mesh_size(made.setup) / model.mesh_ratio**refined)
-    return SolveTask(made, gradients=not coarser)
-
-
-def _solved(task: SolveTask, what: str) -> Curve:
-    ((_, result),) = by_workers(processes(1))([task])
+    # in a worker of one thread
+    ((_, result),) = by_workers(processes(1))([SolveTask(made, gradients=not coarser)])
     if not result.converged:
-        rule = f"{what} failed: {result.message}"
-        raise InputError(Fault("virtual specimens", rule))
+        what = "the reference curve" + " on the next coarser mesh" * coarser
+        raise InputError(Fault("virtual specimens", f"{what} failed: {result.message}"))
     return result.curve
 
 
@@ -308,11 +283,14 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     written = []
     several = len(sources) > 1
     for number, (spec, problem) in enumerate(sources):
-        given = (problem, truth(generator.truth), generator.poisson_ratio)
-        reference = reference_curve(*given, as_designed=several, virtual=design.virtual)
-        stated = {}
+        of = partial(
+            reference_curve, problem, truth(generator.truth), generator.poisson_ratio,
+            as_designed=several, virtual=design.virtual or Virtual(),
+        )  # fmt: skip
+        reference, stated = of(), {}
         if design.virtual is not None:
-            change = reference_error(*given, reference, as_designed=several, virtual=design.virtual)
+            apart = of(coarser=True).force_at(reference.displacement_mm) - reference.force_N
+            change = float(np.abs(apart).max() / np.abs(reference.force_N).max())
             stated = {"reference": {**asdict(design.virtual), "change_by_coarser_mesh": change}}
         weighs = problem.test.gravity is not None
         which = number if several else None
