@@ -48,7 +48,7 @@ def solve_by_command(made, given, points):
     answer = command.run_commands(
         made.section, contents, lambda folder, said: exchange.answer(folder, points)
     )
-    return answer, answer.program
+    return answer, answer.solver["program"]
 
 
 DESIGN = """
@@ -523,7 +523,7 @@ def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
     exact = compression(given.specimen, given.material, np.array([1.5, 3.75])).force_N
     np.testing.assert_allclose(found.curve.force_N, exact, rtol=close)
     assert document["version"].startswith("This is Version")
-    assert found.elements > 0
+    assert found.mesh["elements"] > 0
 
 
 def test_the_curve_of_a_coarse_program_is_a_spline_through_its_steps():
@@ -543,7 +543,7 @@ def test_a_folder_is_kept_whatever_its_names_and_depth(tmp_path):
         "open('deep.txt', 'w').write('deep')\n"
     )
     made = commands((("python", "make.py"),), {"make.py": code}, keep="all")
-    kept = command.run_commands(made.section, made.contents, lambda *_: exchange.ProgramAnswer())
+    kept = command.run_commands(made.section, made.contents, lambda *_: exchange.PredictedCurve())
     names = zipfile.ZipFile(io.BytesIO(kept.folder)).namelist()
     assert {"make.py", "odd-?.txt"} <= set(names)
     assert [name for name in names if name.endswith("d/deep.txt")]

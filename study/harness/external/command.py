@@ -38,8 +38,8 @@ from study.harness.external.answers import (
     files_of,
     values_of_files,
 )
-from study.harness.external.exchange import ProgramAnswer, PythonFunction
-from study.harness.record.document import ProgramDocument, StepDocument
+from study.harness.external.exchange import PredictedCurve, PythonFunction
+from study.harness.record.document import ProgramDocument, SolverDocument, StepDocument
 from study.mechanics.setup.setup import Problem
 
 # One run of a program: supervised, within limits of time, output and disk, with nothing left.
@@ -223,9 +223,9 @@ _KEPT_BYTES = 50_000_000
 def run_commands(
     command: ForwardModel,
     contents: Mapping[str, str],
-    read: Callable[[Path, str], ProgramAnswer],
+    read: Callable[[Path, str], PredictedCurve],
     digest: str = "",
-) -> ProgramAnswer:
+) -> PredictedCurve:
     """Run the commands in a fresh folder and read their answer; the folder goes along if kept.
 
     ``contents`` are names and texts of the files of that folder. ``read`` gets the folder and what
@@ -254,8 +254,9 @@ def run_commands(
             error.program = document
             error.folder = _packed(folder) if command.keep in ("all", "failed") else b""
             raise
+        solver: SolverDocument = {"name": document["version"] or command.argv[0][0]}
         packed = _packed(folder) if command.keep == "all" else b""
-        return replace(answer, program=document, folder=packed)
+        return replace(answer, solver={**solver, "program": document}, folder=packed)
 
 
 def _packed(folder: Path) -> bytes:
@@ -391,7 +392,7 @@ class External:
 
     def solve(
         self, problem: Problem, displacement_mm: Array, extra: Mapping[str, object] | None = None
-    ) -> ProgramAnswer:
+    ) -> PredictedCurve:
         """Solve one problem; ``extra`` are tables of the user's own."""
         # Shapes: displacement_mm (n,).
         section = self.section
@@ -400,7 +401,7 @@ class External:
         def context() -> dict[str, object]:
             return {"case_id": digest(request), **exchange.context_of(request)}
 
-        def read(folder: Path, text: str) -> ProgramAnswer:
+        def read(folder: Path, text: str) -> PredictedCurve:
             values = values_of_files(section.values, folder, text)
             if section.curve is None:
                 curve = exchange.answer(folder, displacement_mm, section.reaches)
@@ -412,39 +413,41 @@ class External:
                 curve = exchange.at_points(columns, displacement_mm, {}, section.reaches)
             return replace(curve, values=values)
 
-        def call(function: PythonFunction) -> ProgramAnswer:
+        def call(function: PythonFunction) -> PredictedCurve:
             return function.solve(request, displacement_mm, section.units)
 
         return self._asked(call, context, (exchange.PROBLEM_FILE, request), read)
 
-    def answer(self, case: Mapping[str, object]) -> ProgramAnswer:
+    def answer(self, case: Mapping[str, object]) -> PredictedCurve:
         """Ask for the values and the curve of parameters alone."""
         section = self.section
 
-        def read(folder: Path, text: str) -> ProgramAnswer:
+        def read(folder: Path, text: str) -> PredictedCurve:
             values = values_of_files(section.values, folder, text)
             if section.curve is None:
-                return ProgramAnswer(values=values)
-            return ProgramAnswer(curve_of(section.curve, folder), values=values)
+                return PredictedCurve(values=values)
+            return PredictedCurve(curve_of(section.curve, folder), values=values)
 
-        def call(function: PythonFunction) -> ProgramAnswer:
+        def call(function: PythonFunction) -> PredictedCurve:
             return function.values(case, section.units)
 
         return self._asked(call, lambda: case, (exchange.CASE_FILE, case), read)
 
     def _asked(
         self,
-        call: Callable[[PythonFunction], ProgramAnswer],
+        call: Callable[[PythonFunction], PredictedCurve],
         context: Callable[[], Mapping[str, object]],
         file: tuple[str, Mapping[str, object]],
-        read: Callable[[Path, str], ProgramAnswer],
-    ) -> ProgramAnswer:
+        read: Callable[[Path, str], PredictedCurve],
+    ) -> PredictedCurve:
         """Call the function, or run the commands with their templates and the file of the case."""
         began, section = time.perf_counter(), self.section
         if section.model == "python":
             if self.function is None:
                 raise NoAnswer("failed", "no function was given: study.run(..., forward=f)")
-            return replace(call(self.function), seconds=time.perf_counter() - began)
+            solver: SolverDocument = {"name": f"Python function, version {self.function.version}"}
+            answer = call(self.function)
+            return replace(answer, solver=solver, seconds=time.perf_counter() - began)
         contents, rendered = self.rendered(context())
         contents[file[0]] = json.dumps(file[1], indent=1)
         answer = run_commands(section, contents, read, self.digest)

@@ -20,6 +20,7 @@ from study.harness.design.cell import CellProblem
 from study.harness.design.study_file import is_simulated, simulated_at
 from study.harness.external.answers import NoAnswer
 from study.harness.external.command import External
+from study.harness.external.exchange import PredictedCurve
 from study.harness.record.document import (
     CurveKey,
     FitDocument,
@@ -33,7 +34,6 @@ from study.harness.record.document import (
 from study.harness.record.record import STATUSES, Record
 from study.harness.runner import response
 from study.harness.runner.fit_summary import (
-    PredictedCurve,
     answer_of_parameters,
     external_curve,
     judged_where_simulated,

@@ -19,12 +19,12 @@ from study.ground.canonical import digest
 from study.ground.curve import Curve, spline_from_origin
 from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
+from study.harness.external.exchange import PredictedCurve
 from study.harness.record.document import FitDocument
 from study.harness.runner.fit_problem import FitProblem
 from study.harness.runner.fit_summary import (
     FitResult,
     InverseExternal,
-    PredictedCurve,
     described,
     status_of,
 )
