@@ -50,7 +50,7 @@ from study.reporting.results.study_result import StudyResult
 
 if TYPE_CHECKING:
     from study.harness.execution.task import Executor
-    from study.harness.runner.batch import Progress, Summary
+    from study.harness.runner.batch import Progress
     from study.harness.runner.job import Work
     from study.harness.runner.tasks import Engine
 
@@ -180,11 +180,11 @@ def run(
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
         with _records_written():
-            work, summary = _compute(
+            work, computed = _compute(
                 work, store, clock, executor, noted_progress(store, progress), refine,
                 lambda design: expand(design, root, allowed),
             )  # fmt: skip
-            _finish(store, work, clock.parts, summary)
+            _finish(store, work, clock.parts, computed)
             warnings += mixed_meshes(work, store)
     if confirm:
         confirm_claims(load_study(store.path), Permission(data, allowed, progress))
@@ -212,9 +212,9 @@ def _compute(
     progress: Callable[[Progress], None],
     refine: bool,
     expanded: Callable[[Design], Work],
-) -> tuple[Work, Summary]:
+) -> tuple[Work, int]:
     """Cases, then what says how far they can be trusted."""
-    work, summary = run_adaptive(
+    work, computed = run_adaptive(
         work,
         store,
         lambda part: run_batch(part, store, executor, progress),
@@ -224,22 +224,22 @@ def _compute(
     plain = work.plain()
     clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
-        return work, summary
+        return work, computed
     refine_study(plain, store, executor, progress)
     compare_spaces(plain, store, executor, progress)
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:
         validate(plain, store, executor, progress)
         clock.mark("uncertain inputs")
-    return work, summary
+    return work, computed
 
 
-def _finish(store: Store, work: Work, timings: Mapping[str, float], summary: Summary) -> None:
+def _finish(store: Store, work: Work, timings: Mapping[str, float], computed: int) -> None:
     """Make the run the one that is read from; one that computed nothing leaves what is known."""
     meta, manifest = manifest_of(work), store.read_manifest()
     if manifest is not None and is_same(manifest, meta):
         spent = dict(manifest.get("timings", {}))
-        if not summary.computed:
+        if not computed:
             meta |= {"timings": spent, "versions": manifest.get("versions", meta["versions"])}
             store.finish_run(meta)
             return

@@ -178,54 +178,28 @@ class Progress:
         return cases + (f", {self.fits_done}/{self.fits} calibrations" if self.fits else "")
 
 
-@dataclass(frozen=True)
-class Summary:
-    """What a run did."""
-
-    #: Cases computed now, and those of them without an answer.
-    computed: int
-    failed: int
-    already: int
-    fits: int
-    seconds: float
-    #: Worker seconds spent on ``"fits"`` and ``"cases"``.
-    compute_seconds: Mapping[str, float]
-
-    def with_retried(self, other: Summary) -> Summary:
-        """Add what was computed of cases that had failed."""
-        spent = {k: v + other.compute_seconds[k] for k, v in self.compute_seconds.items()}
-        saved = other.computed - other.failed
-        return replace(
-            self,
-            failed=max(self.failed - saved, 0),
-            fits=self.fits + other.fits,
-            seconds=self.seconds + other.seconds,
-            compute_seconds=spent,
-        )
-
-
 def run_batch(
     work: Work,
     store: Store,
     executor: Executor,
     progress: Callable[[Progress], None] = lambda _: None,
-) -> Summary:
-    """Compute every case of ``work`` that the store does not hold yet.
+) -> int:
+    """Compute every case of ``work`` that the store does not hold yet; how many these are.
 
     Of those that failed, what the design says is tried until nothing is left to be tried.
     """
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
         check_allowed(externals(job.case.problem for job in todo), work.allowed.commands)
-        total = _Batch(work, store, todo, progress).execute(executor)
+        _Batch(work, store, todo, progress).execute(executor)
         while again := attempts(work, store, limit_of(executor) is not None):
             ways = {(a.longer, a.alone): None for a in again}
             for longer, alone in ways:
                 alike = [a for a in again if (a.longer, a.alone) == (longer, alone)]
                 notes = {a.job.case.case_id: a.notes for a in alike}
                 batch = _Batch(work, store, [a.job for a in alike], progress, notes)
-                total = total.with_retried(batch.execute(adapted(executor, longer, alone)))
-        return total
+                batch.execute(adapted(executor, longer, alone))
+        return len(todo)
 
 
 def computed(
@@ -274,9 +248,8 @@ class _Batch:
                 self.known[job.key] = stored
         self.failed = 0
         self.fits_done = 0
-        self.spent = {"fits": 0.0, "cases": 0.0}
 
-    def execute(self, executor: Executor) -> Summary:
+    def execute(self, executor: Executor) -> None:
         began = time.monotonic()
         tasks = self._tasks()
         outcomes = executor.run(tasks, self.known)
@@ -290,11 +263,6 @@ class _Batch:
                     self.fits_done, len(self.fits),
                 )  # fmt: skip
                 self.progress(state)
-        already = len(self.work.jobs) - len(self.cases)
-        seconds = time.monotonic() - began
-        return Summary(
-            len(self.cases), self.failed, already, len(self.fits), seconds, dict(self.spent)
-        )
 
     def _tasks(self) -> list[Task]:
         """List fits and cases with what they are predicted to take, which gives their order."""
@@ -329,11 +297,9 @@ class _Batch:
 
     def _keep(self, outcome: Outcome) -> None:
         if outcome.key in self.fits:
-            self.spent["fits"] += outcome.seconds
             if outcome.status in LASTING:
                 self.store.write_fit(outcome.key, outcome.result, followed=outcome.followed)
             return
-        self.spent["cases"] += outcome.seconds
         record = self._record(outcome)
         self.failed += not record.converged
         tried = self.notes.get(record.case_id)
