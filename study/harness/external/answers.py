@@ -329,16 +329,11 @@ def table_rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
         ]  # fmt: skip
     except csv.Error as error:
         raise NoAnswer("failed", f"{name}: {error}") from error
-    if all(_is_number(cell) for cell in split[0]):
-        return [], split
-    return split[0], split[1:]
-
-
-def _is_number(cell: str) -> bool:
     try:
-        return math.isfinite(float(cell)) or True
+        list(map(float, split[0]))
     except ValueError:
-        return False
+        return split[0], split[1:]
+    return [], split
 
 
 def column_of(header: list[str], rows: list[list[str]], column: str | int, name: str) -> Array:

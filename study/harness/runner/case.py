@@ -124,7 +124,14 @@ class _Fitter:
         length = np.array([1.0, 1.0, 1.0, *[self.size_mm / 2] * 4])[:free]
         for _ in range(_MOST_STEPS):
             slope = self._slope(self.at, free, chosen)
-            change = _solved(slope * (1 / length), self._errors(self.at)[chosen].ravel()) / length
+            left = self._errors(self.at)[chosen].ravel()
+            step, _, rank, _ = np.linalg.lstsq(slope * (1 / length), left, rcond=1e-10)
+            if rank < slope.shape[1]:
+                rule = (
+                    "the markers that are fitted do not tell every component of the plate's motion"
+                )
+                raise InputError(Fault("markers.fit", rule, "fit more layers, or another plate"))
+            change = step / length
             moved = self.at.motion.copy()
             moved[:free] += change
             if free < 7:
@@ -166,14 +173,6 @@ class _Fitter:
         """Differentiate the displacements of markers, shape (3 n, free)."""
         each = [self.interpolated(at.rates[:, :, k]) for k in range(free)]
         return np.stack(each, axis=-1)[chosen].reshape(-1, free)
-
-
-def _solved(slope: Array, errors: Array) -> Array:
-    solution, _, rank, _ = np.linalg.lstsq(slope, errors, rcond=1e-10)
-    if rank < slope.shape[1]:
-        rule = "the markers that are fitted do not tell every component of the plate's motion"
-        raise InputError(Fault("markers.fit", rule, "fit more layers, or another plate"))
-    return np.asarray(solution)
 
 
 def _standard_errors(slope: Array, errors: Array) -> Array:
@@ -341,10 +340,15 @@ def _predicted(task: CaseTask) -> tuple[Record, bytes]:
     for name in predictions[0].values:
         every = [prediction.values[name] for prediction in predictions if name in prediction.values]
         means[name] = {"value": float(np.mean(every)), "unit": task.units.get(name, "")}
+    curves: dict[CurveKey, Curve] = {}
+    for prediction, direction in zip(predictions, directions, strict=True):
+        if direction.measured is not None:
+            curves[CurveKey("measured", direction.label)] = direction.measured
+        curves[CurveKey("predicted", direction.label)] = prediction.curve
     record = _record(task, means, seconds, _step_uncertainty(task, predictions))
     whole = replace(
         record,
-        curves=_curves(predictions, directions),
+        curves=curves,
         mesh=predictions[-1].mesh,
         solver=_solver(predictions),
         extra={
@@ -499,14 +503,3 @@ def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
             document = judged_where_simulated(document, task.problem, direction.depth_mm)
         described[name] = {**document, "key": key}
     return described or None
-
-
-def _curves(
-    predictions: Sequence[PredictedCurve], directions: Sequence[ScorePair]
-) -> dict[CurveKey, Curve]:
-    out: dict[CurveKey, Curve] = {}
-    for prediction, direction in zip(predictions, directions, strict=True):
-        if direction.measured is not None:
-            out[CurveKey("measured", direction.label)] = direction.measured
-        out[CurveKey("predicted", direction.label)] = prediction.curve
-    return out

@@ -75,7 +75,13 @@ class Costs:
         solve_s = self.solve_seconds(job.case.tested, job.depth_mm)
         solves = float(job.predictions)
         if job.group:
-            solves = _from_anchor(job.case.tested) * solves + (job.group not in self._anchored)
+            # weight stays what it is where a modulus doubles, so that nothing scales
+            tested = job.case.tested
+            kind, is_heavy = tested.setup.kind, bool(tested.setup.test.weight_N_mm3)
+            share = _FROM_ANCHOR_INDENTED if kind.takes_indenter else _FROM_ANCHOR
+            if len(tested.calibrated_names) == 1 and not is_heavy:
+                share = _SCALED
+            solves = share * solves + (job.group not in self._anchored)
             self._anchored.add(job.group)
         return _OVERHEAD_S + solves * solve_s
 
@@ -133,14 +139,6 @@ def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
         for test in fit.problem.tests
         if test.method == "external"
     )
-
-
-def _from_anchor(problem: CellProblem) -> float:
-    # weight stays what it is where a modulus doubles, so that nothing scales
-    setup = problem.setup
-    if len(problem.calibrated_names) == 1 and not setup.test.weight_N_mm3:
-        return _SCALED
-    return _FROM_ANCHOR_INDENTED if setup.kind.takes_indenter else _FROM_ANCHOR
 
 
 def _estimated(

@@ -442,10 +442,15 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
 def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     """Give a cell's cases its anchor, which decides last digits: its first direction's fit."""
     jobs = tuple(unanchored)
-    groups = [
-        digest([job.case.cell.content_key, job.depth_mm], 32) if _may_share_a_start(job) else ""
-        for job in jobs
-    ]
+    groups = []
+    for job in jobs:  # predictions, all of one depth, may start from another specimen's load steps
+        shares = (
+            len({pair.depth_mm for pair in job.directions}) == 1
+            and job.forward == "simulation"
+            and not job.case.tested.setup.has_close_equilibria
+        )
+        name = [job.case.cell.content_key, job.depth_mm]
+        groups.append(digest(name, 32) if shares else "")
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):
@@ -460,11 +465,3 @@ def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
         name = digest([job.input_hash, None if anchor is None else anchor.key])
         anchored.append(replace(job, group=group, anchor=anchor, input_hash=name))
     return tuple(anchored)
-
-
-def _may_share_a_start(job: CaseJob) -> bool:
-    """Whether predictions, all of one depth, may start from another specimen's load steps."""
-    one_depth = len({pair.depth_mm for pair in job.directions}) == 1
-    return (
-        one_depth and job.forward == "simulation" and not job.case.tested.setup.has_close_equilibria
-    )

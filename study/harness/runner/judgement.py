@@ -105,20 +105,17 @@ def _source(source: str, name: str, good: Sequence[tuple[float, SolveResult]]) -
     values = tuple(function(result.curve) for _, result in good)
     settings, reference = tuple(k for k, _ in good), values[0]
     # steps: what the problem's own number of them is off by; tolerance: what ten times it costs
-    u = _error_of(values) if source == "load steps" else abs(values[1] - reference)
+    if source == "load steps":  # the changes of a halved step form a series
+        u = abs(values[-1] - values[0])
+        if len(values) > 2:
+            of_steps = grid_convergence([1.0, 2.0, 4.0], values, tolerance=1e-8 * abs(values[0]))
+            u = max(u, of_steps.bound_of(values[-1]) or 0.0)
+    else:
+        u = abs(values[1] - reference)
     if source == "another mesh":
         u *= CAUTIOUS  # of two values, as of the coarser of two meshes
     relative = u / abs(reference) if reference else None
     return ErrorSource(source, name, unit, settings, values, u, relative)
-
-
-def _error_of(values: Sequence[float]) -> float:
-    """Uncertainty of the last (coarsest) value: the changes of a halved step form a series."""
-    change = abs(values[-1] - values[0])
-    if len(values) < 3:
-        return change
-    result = grid_convergence([1.0, 2.0, 4.0], values, tolerance=1e-8 * abs(values[0]))
-    return max(change, result.bound_of(values[-1]) or 0.0)
 
 
 def one_table(

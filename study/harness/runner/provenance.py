@@ -110,8 +110,10 @@ def _numeric_files(root: Path) -> Sequence[tuple[Path, ast.Module]]:
     waiting = list(_TASKS)
     while waiting:
         module = waiting.pop()
-        path = _file_of(root, module)
         parts = module.split(".")
+        home = root.joinpath(*parts[1:])
+        files = (home.with_suffix(".py"), home / "__init__.py")
+        path = next(filter(Path.is_file, files), None)  # a name may be no module
         if path is None or module in trees or module in _WITHOUT_NUMBERS:
             continue
         if not f"{module}.".startswith(tuple(f"{room}." for room in _NUMERIC_ROOMS)):
@@ -123,21 +125,12 @@ def _numeric_files(root: Path) -> Sequence[tuple[Path, ast.Module]]:
     return [trees[module] for module in sorted(trees)]
 
 
-def _file_of(root: Path, module: str) -> Path | None:
-    """File of a module or package of ours; None where a name is no module."""
-    path = root.joinpath(*module.split(".")[1:])
-    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
-        if candidate.is_file():
-            return candidate
-    return None
-
-
 def _imported(tree: ast.Module) -> Sequence[str]:
     """Names of ours that a file imports, in functions too; what is for types alone is left out."""
     for_types = {
         id(inner)
         for node in ast.walk(tree)
-        if isinstance(node, ast.If) and _is_type_checking(node.test)
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
         for statement in node.body
         for inner in ast.walk(statement)
     }
@@ -150,25 +143,12 @@ def _imported(tree: ast.Module) -> Sequence[str]:
     return [name for name in names if name.split(".")[0] == "study"]
 
 
-def _is_type_checking(test: ast.expr) -> bool:
-    name = test.attr if isinstance(test, ast.Attribute) else getattr(test, "id", "")
-    return name == "TYPE_CHECKING"
-
-
 def _code_only(tree: ast.Module) -> str:
     for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list) and body and _is_text(body[0]):
-            body[0] = ast.Pass()
+        match getattr(node, "body", None):
+            case [ast.Expr(ast.Constant(str())), *_] as body:
+                body[0] = ast.Pass()
     return ast.unparse(tree)
-
-
-def _is_text(node: object) -> bool:
-    return (
-        isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )
 
 
 _WHERE = "specimen.file"

@@ -233,19 +233,13 @@ class RefinementSeries:
         growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
         time_exponent = _TIME_EXPONENT[space]
         if len(solved) > 1 and solved[-2].dofs < last.dofs:
-            growth = last.dofs / solved[-2].dofs
-            time_exponent = _exponent(solved[-2], last, time_exponent)
+            before, growth = solved[-2], last.dofs / solved[-2].dofs
+            if before.seconds >= 0.02 and last.seconds > before.seconds:  # small times say nothing
+                followed = math.log(last.seconds / before.seconds) / math.log(growth)
+                time_exponent = min(max(followed, 1.0), 3.0)
         growth_MB = max(last.memory_MB - last.base_MB, 1.0)
         memory = last.base_MB + growth_MB * growth**_MEMORY_EXPONENT
         return Predictions(last.seconds * growth**time_exponent, memory, round(last.dofs * growth))
-
-
-def _exponent(before: SolveResult, last: SolveResult, usual: float) -> float:
-    """Power of the unknowns that the time followed; small times say nothing."""
-    if before.seconds < 0.02 or last.seconds <= before.seconds:
-        return usual
-    exponent = math.log(last.seconds / before.seconds) / math.log(last.dofs / before.dofs)
-    return min(max(exponent, 1.0), 3.0)
 
 
 def refine(

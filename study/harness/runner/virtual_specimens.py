@@ -321,19 +321,15 @@ def _sources(design: Design) -> list[tuple[MeasurementSpec, CellProblem]]:
             spec = problem.measurements
             name = str(spec.file or spec.files)
             if name in sources:  # every treatment reads its own range from the same file
-                deepest = max(problem, sources[name][1], key=_depth)
-                finest = min(sources[name][1], problem, key=_coarseness)
+                pair = (sources[name][1], problem)
+                deepest = max(problem, pair[0], key=_depth)
+                # a given size, else the named level
+                sizes = [(p.model.mesh_size_mm or np.inf, p.model.level) for p in pair]
+                finest = pair[1] if sizes[1] < sizes[0] else pair[0]
                 problem = replace(deepest, model=finest.model)
                 spec = deepest.measurements or spec
             sources[name] = (spec, problem)
     return list(sources.values())
-
-
-def _coarseness(problem: CellProblem) -> tuple[float, int]:
-    """Order of meshes: a given size, else the named level."""
-    model = problem.model
-    size = model.mesh_size_mm
-    return (np.inf if size is None else size, model.level)
 
 
 def _depth(problem: CellProblem) -> float:
