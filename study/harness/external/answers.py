@@ -26,9 +26,7 @@ from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, UnitError, nearest
 from study.harness.design.forward_section import (
     CurveFile,
-    ForwardModel,
     ValueFile,
-    target_and_source,
 )
 from study.harness.execution.local import Process, ProcessPool
 from study.harness.record.document import ProgramDocument
@@ -246,18 +244,6 @@ class NoAnswer(Exception):
         #: What ran, and the zip of its folder where that is kept.
         self.program: ProgramDocument | None = None
         self.folder = b""
-
-
-def files_of(
-    section: ForwardModel, contents: Mapping[str, str], context: Mapping[str, object]
-) -> tuple[dict[str, str], dict[str, str]]:
-    """Files of the folder of a case, and of these the ones that were rendered."""
-    templates = dict(map(target_and_source, section.files))
-    made = {
-        target: rendered(contents[target], context, templates[target])
-        for target in section.rendered
-    }
-    return {**contents, **made}, made
 
 
 # Answers: a curve, named values of JSON or CSV, numbers of a log; each in the unit asked for.

@@ -30,12 +30,12 @@ from study.ground.canonical import digest
 from study.ground.errors import Fault, RefusedError, StoreError
 from study.ground.working_folder import environment
 from study.harness.design.forward_model import ForwardCell
-from study.harness.design.forward_section import ForwardFiles, ForwardModel
+from study.harness.design.forward_section import ForwardFiles, ForwardModel, target_and_source
 from study.harness.external import exchange
 from study.harness.external.answers import (
     NoAnswer,
     curve_of,
-    files_of,
+    rendered,
     values_of_files,
 )
 from study.harness.external.exchange import PredictedCurve, PythonFunction
@@ -455,7 +455,12 @@ class External:
 
     def rendered(self, case: Mapping[str, object]) -> tuple[dict[str, str], dict[str, str]]:
         """Files of the folder of a case, and those that were rendered."""
-        return files_of(self.section, self.contents, case)
+        templates = dict(map(target_and_source, self.section.files))
+        made = {
+            target: rendered(self.contents[target], case, templates[target])
+            for target in self.section.rendered
+        }
+        return {**self.contents, **made}, made
 
 
 @functools.lru_cache(maxsize=1000)  # it is asked for several times a case

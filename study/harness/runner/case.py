@@ -428,13 +428,11 @@ def _closed_form(
 
 def _step_uncertainty(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
-    if External.of(task.problem) is not None:
-        each = [response.splined_uncertainty(p.curve, task.units) for p in predictions]
-    else:
-        each = [
-            response.step_uncertainty(p.curve, direction.measured, task.units)
-            for p, direction in zip(predictions, task.scored, strict=True)
-        ]
+    is_splined = External.of(task.problem) is not None
+    each = [
+        response.step_uncertainty(p.curve, direction.measured, task.units, is_splined=is_splined)
+        for p, direction in zip(predictions, task.scored, strict=True)
+    ]
     # of one direction fewer points may have been measured, too few to leave half of them out
     names = [name for name in each[0] if all(name in u for u in each)]
     return {name: float(np.mean([u[name] for u in each])) for name in names}

@@ -7,14 +7,16 @@ of resampled residuals follow: each step takes the values of the one before and 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 from study.ground.canonical import canonical, digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem, plain
+from study.harness.design.forward_section import ForwardModel
 from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
 from study.harness.record.record import Record
 from study.harness.runner import provenance
@@ -22,10 +24,10 @@ from study.harness.runner.fit_problem import (
     NOTHING,
     Allowed,
     FitProblem,
-    Forwards,
     check_templates,
     fit_problem,
     identity,
+    placed_model,
     start_problem,
     together,
 )
@@ -205,13 +207,14 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
     planned = seeded(_distinct(cases(design, blocks)), design)
-    asked, forwards = units_asked(design), Forwards(places, allowed.function)
+    # each forward model is looked for once for all cells that share it
+    asked, model_of = units_asked(design), cache(partial(placed_model, places, allowed.function))
     shared: dict[int, Computed] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
         place = id(case.cell)  # one for all blocks of a cell, kept alive by its cases
         if place not in shared:
-            shared[place] = Computed.of(_located(case, places, forwards), list(asked))
+            shared[place] = Computed.of(_located(case, places, model_of), list(asked))
         return _job(case, data, design, origin, shared[place])
 
     jobs = _anchored(job(case, origin) for case, origin in planned)
@@ -306,12 +309,14 @@ def _distinct(repeated_cases: Sequence[Case]) -> tuple[Case, ...]:
     return tuple(out)
 
 
-def _located(case: Case, places: Sequence[Path], forwards: Forwards) -> Case:
+def _located(
+    case: Case, places: Sequence[Path], model_of: Callable[[ForwardModel], ForwardModel]
+) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
     cell = provenance.located_cell(case.cell, places)
     section = cell.problem.forward
     if section is not None and section.is_external:
-        problem = replace(cell.problem, forward=forwards.placed(section))
+        problem = replace(cell.problem, forward=model_of(section))
         check_templates(problem, case.case_id)
         cell = replace(cell, problem=problem)
     return replace(case, cell=cell)

@@ -265,25 +265,17 @@ class Work:
         return fits_of(self.jobs)
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What was done to the measurements."""
-        return self.data.notes()
-
-    @property
     def cautions(self) -> tuple[str, ...]:
         """What was done to measurements and surfaces that may not be what they seem."""
         mended = provenance.surface_notes(job.case.cell for job in self.jobs)
-        return (*(note for note in self.notes if is_caution(note)), *mended)
-
-    @property
-    def files(self) -> dict[str, str]:
-        """Name of each measurement file and its sha256."""
-        return self.data.files()
+        return (*(note for note in self.data.notes() if is_caution(note)), *mended)
 
     @property
     def virtual(self) -> bool:
         """Whether the measurements were generated."""
-        return any((self.data.root / f"{name}{TRUTH_SUFFIX}").is_file() for name in self.files)
+        return any(
+            (self.data.root / f"{name}{TRUTH_SUFFIX}").is_file() for name in self.data.files()
+        )
 
     def plain(self) -> Work:
         """Leave the replicates out: the first mesh of a cell, the curve as measured."""
