@@ -390,7 +390,7 @@ class RemoteSlot:
 
     def begin(self) -> None:
         """Send what waits to a worker, if there is one."""
-        if self.waiting is None or not self.crew.place(self):
+        if self.waiting is None or (worker := self.crew.place(self)) is None:
             return
         (payloads, done, ticket), self.waiting = self.waiting, None
         answered: list[bool] = []
@@ -402,7 +402,7 @@ class RemoteSlot:
                 done.put((ticket, answer))
 
         self.end = end
-        self.future = self.crew.send(self.number, self.worker, payloads)
+        self.future = self.crew.send(self.number, worker, payloads)
         self.future.add_done_callback(functools.partial(self._ended, end))
 
     def kill(self) -> None:
@@ -482,7 +482,7 @@ class Crew:
         self.slots += [RemoteSlot(self, k) for k in range(count, max(self.wanted, count))]
         return self.slots[count:]
 
-    def place(self, slot: RemoteSlot) -> bool:
+    def place(self, slot: RemoteSlot) -> ClusterWorker | None:
         """Find a worker for a slot: its own, unless it is gone or another has more room."""
         best = max(self.workers.values(), key=lambda worker: worker.free, default=None)
         old = slot.worker
@@ -492,14 +492,10 @@ class Crew:
             if old is not None:
                 old.load -= 1
             best.load, slot.worker = best.load + 1, best
-        return slot.worker is not None
+        return slot.worker
 
-    def send(
-        self, number: int, worker: ClusterWorker | None, payloads: Sequence[object]
-    ) -> Pending:
+    def send(self, number: int, worker: ClusterWorker, payloads: Sequence[object]) -> Pending:
         """Submit tasks to one worker."""
-        if worker is None:
-            raise RuntimeError("a slot without a worker sends no task")
         self._check_scheduler()
         return self.client.submit(
             serve, (self.name, number), self.perform, payloads, self.limit_s,

@@ -67,23 +67,20 @@ def attempts(work: Work, store: Store, limited: bool) -> list[Attempt]:
     """List the cases that failed for a cause of which something is still to be tried."""
     if not work.design.retry:
         return []
-    failed = store.survey(work.input_hashes).failed
-    jobs = {job.case.case_id: job for job in work.jobs}
-    attempted = []
-    for case_id in failed:
+    jobs, again = {job.case.case_id: job for job in work.jobs}, []
+    for case_id in store.survey(work.input_hashes).failed:
         record = store.read(case_id)
-        if record is not None and case_id in jobs:
-            attempt = _next(work, jobs[case_id], record, limited)
-            attempted += [] if attempt is None else [attempt]
-    return attempted
-
-
-def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | None:
-    """Next change of a failed case; None where there is none left."""
-    before = notes_of(record)
-    done = [note["change"] for note in before]
-    for change in work.design.retry.get(record.status, ()):
-        if change in done or not _applies(change, job, limited):
+        if record is None:
+            continue
+        job, before = jobs[case_id], notes_of(record)
+        done = [note["change"] for note in before]
+        open_changes = (
+            change
+            for change in work.design.retry.get(record.status, ())
+            if change not in done and _applies(change, job, limited)
+        )
+        change = next(open_changes, None)
+        if change is None:
             continue
         changed, what = _changed(job, [*done, change], work)
         note = {
@@ -93,8 +90,8 @@ def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | 
             "what": what,
         }
         longer = LIMIT_FACTOR if LONGER_LIMIT in (*done, change) else 1.0
-        return Attempt(changed, (*before, note), longer, MORE_MEMORY in (*done, change))
-    return None
+        again.append(Attempt(changed, (*before, note), longer, MORE_MEMORY in (*done, change)))
+    return again
 
 
 def notes_of(record: Record) -> tuple[Mapping[str, str], ...]:

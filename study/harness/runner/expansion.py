@@ -25,6 +25,7 @@ from study.harness.runner.fit_problem import (
     Allowed,
     FitProblem,
     check_templates,
+    fit_key,
     fit_problem,
     identity,
     placed_model,
@@ -441,7 +442,7 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
     """Make a fit and those that give its start values."""
     before = start_problem(problem)
     start = None if before is None else fit_job(before, measured, label)
-    return FitJob.of(problem, measured, start, label)
+    return FitJob(fit_key(problem, measured), problem, measured, start, label)
 
 
 def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:

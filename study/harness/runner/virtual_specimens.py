@@ -364,8 +364,17 @@ def generate(
     random = np.random.default_rng(generator.seed)
     cell = random if noise is None else np.random.default_rng([generator.seed, 1 + noise])
     d = np.arange(0.0, float(reference.displacement_mm[-1]), generator.spacing_mm)
-    force, slopes = reference.force_at(d), _shape_changes(reference, generator, d)
-    by_weight = _weight_change(reference, generator, d) if weighs else 0.0 * d
+    material, force, by_weight = truth(generator.truth), reference.force_at(d), 0.0 * d
+    # change of the force with each direction of the truth's scatter
+    slopes = [
+        sum((rate * reference.gradient_at(n, d) for n, rate in direction.items()), 0.0 * d)
+        for direction in material.directions
+        if set(direction) <= set(reference.force_gradient)
+    ]
+    if weighs:  # change with the logarithm of the density, as the force's degree 1 (Euler) gives it
+        moduli = [name for name in material.constants if unit_shown(name)]
+        stiff = (material.constants[name] * reference.gradient_at(name, d) for name in moduli)
+        by_weight = force - sum(stiff, 0.0 * d)
     # without a column for them, further batches could not be told from the first
     batches = generator.batches if spec.block else 1
     for batch in range(1, batches + 1):
@@ -377,23 +386,6 @@ def generate(
             for labels in _repeats(spec, groups, generator.repeats):
                 true = factor * (force + shape) + (1 - factor) * by_weight
                 yield VirtualTest(labels, d, _measured(d, true, generator, cell))
-
-
-def _shape_changes(reference: Curve, generator: Generator, d: Array) -> list[Array]:
-    """Change of the force with each direction of the truth's scatter."""
-    return [
-        sum((rate * reference.gradient_at(n, d) for n, rate in direction.items()), 0.0 * d)
-        for direction in truth(generator.truth).directions
-        if set(direction) <= set(reference.force_gradient)
-    ]
-
-
-def _weight_change(reference: Curve, generator: Generator, d: Array) -> Array:
-    """Change of the force with the logarithm of the density, as its degree 1 (Euler) gives it."""
-    material = truth(generator.truth)
-    moduli = [name for name in material.constants if unit_shown(name)]
-    stiff = (material.constants[name] * reference.gradient_at(name, d) for name in moduli)
-    return np.asarray(reference.force_at(d) - sum(stiff, 0.0 * d))
 
 
 def _measured(d: Array, force: Array, generator: Generator, random: np.random.Generator) -> Array:
