@@ -455,8 +455,8 @@ def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
             and job.forward == "simulation"
             and not job.case.tested.setup.has_close_equilibria
         )
-        name = [job.case.cell.content_key, job.depth_mm]
-        groups.append(digest(name, 32) if shares else "")
+        content = [job.case.cell.content_key, job.depth_mm]
+        groups.append(digest(content, 32) if shares else "")
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):
