@@ -99,11 +99,9 @@ def sagging(stiffer: float) -> Curve:
 
 def test_a_stiffer_specimen_sags_less() -> None:
     """The weight does not grow with the moduli: the reference says by how much, to first order."""
-    one, quiet = sagging(1.0), Generator(batches=1, repeats=1, batch_sd=0.15, specimen_sd=0,
+    one, quiet = sagging(1.0), Generator(batches=1, repeats=1, batch_sd=0.034, specimen_sd=0,
                                          shape_sd=0, noise_N=0)  # fmt: skip
-    (naive,), (weighed,) = (
-        list(generate(one, quiet, SPEC, weighs=heavy)) for heavy in (False, True)
-    )
+    naive, weighed = (next(generate(one, quiet, SPEC, weighs=heavy)) for heavy in (False, True))
     d = naive.displacement_mm[-1:]
     exact = sagging(float(naive.force_N[-1] / one.force_at(d)[0])).force_at(d)[0]
     apart = abs(naive.force_N[-1] - exact)
