@@ -59,13 +59,8 @@ def differences(then: Mapping[str, str], now: Mapping[str, str]) -> dict[str, tu
 CURRENT = "record.json"
 
 
-@dataclass(frozen=True)
-class FileStamp:
-    """A file as it lies on the disk; whoever alters it alters one of these."""
-
-    size: int
-    modified_ns: int
-    changed_ns: int
+class FileStamp(tuple[int, int, int]):
+    """Size and times of a file as it lies on the disk; whoever alters it alters one of these."""
 
     @classmethod
     def of(cls, path: str | Path) -> FileStamp | None:
@@ -74,7 +69,7 @@ class FileStamp:
             status = os.stat(path)
         except (OSError, ValueError):
             return None
-        return cls(status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+        return cls((status.st_size, status.st_mtime_ns, status.st_ctime_ns))
 
 
 @dataclass(frozen=True)
