@@ -32,6 +32,7 @@ from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseTask
+from study.harness.runner.tasks import processes
 from study.mechanics.forward.closed_form import compression
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
@@ -193,7 +194,7 @@ def compare_workers(folder: Path, cases: int) -> None:
         design.write_text(EQUAL_STUDY.format(constants=constants))
         work = expand(load_design(design), folder)
         began = time.monotonic()
-        run_batch(work, Store(folder / f"equal-{jobs}-{count}"), jobs=jobs)
+        run_batch(work, Store(folder / f"equal-{jobs}-{count}"), processes(jobs))
         seconds[jobs] = time.monotonic() - began
     print(f"{cases} equal cases: one worker {seconds[1]:.1f} s, two {seconds[2]:.1f} s")
     print(f"ratio {seconds[1] / seconds[2]:.2f} (asked: 1.8, on a machine with two idle cores)")
@@ -291,7 +292,7 @@ def idle_parts(folder: Path, jobs: int) -> dict[str, Callable[[], object]]:
         store = Store(results / "idle")
         with store.lock():
             store.write_manifest({**manifest_of(work), "finished": True})
-            run_batch(work, store, jobs=jobs, executor=Loky(do_nothing, jobs))
+            run_batch(work, store, Loky(do_nothing, jobs))
 
     return {
         "plan": lambda: plan(design, data=folder, results=results),

@@ -46,7 +46,6 @@ from study.statistics.surfaces.surface_result import analysis_of
 if TYPE_CHECKING:
     from study.harness.record.record import Record
     from study.harness.record.store import Store
-    from study.harness.runner.batch import Summary
     from study.harness.runner.job import Work
 
 
@@ -109,14 +108,14 @@ class _Fitted:
 def run_adaptive(
     work: Work,
     store: Store,
-    compute: Callable[[Work], Summary],
+    compute: Callable[[Work], int],
     expanded: Callable[[Design], Work],
     note: Callable[[Work], None],
-) -> tuple[Work, Summary]:
+) -> tuple[Work, int]:
     """Compute the cells of a design, and those that are added to it, until it says enough."""
-    summary = compute(work)
+    computed = compute(work)
     if work.design.scheme.sequential is None:
-        return work, summary
+        return work, computed
     size = len(work.design.treatments)
     history_rows = store.read_rows(HISTORY, AdaptiveStep)
     history: list[object] = [row for row in history_rows if row["cells"] < size]
@@ -130,18 +129,10 @@ def run_adaptive(
         with store.lock():
             store.write_json(HISTORY, history)
         if not chosen:
-            return work, summary
+            return work, computed
         work = expanded(with_added(work.design, [*added(work.design), *chosen]))
         note(work)
-        more = compute(work)
-        summary = replace(
-            more,
-            computed=summary.computed + more.computed,
-            failed=summary.failed + more.failed,
-            already=summary.already,
-            fits=summary.fits + more.fits,
-            seconds=summary.seconds + more.seconds,
-        )
+        computed += compute(work)
 
 
 def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[float]], AdaptiveStep]:

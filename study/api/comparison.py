@@ -14,9 +14,9 @@ from study.api.opened_study import load as load_study
 from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.load import load
 from study.harness.record.document import ManifestDocument
-from study.harness.record.index import differences
 from study.harness.record.record import Record
 from study.harness.record.store import Store
+from study.harness.record.survey import differences
 from study.harness.runner.expansion import expand
 from study.harness.runner.provenance import versions
 from study.reporting.content.comparison_content import summary

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -28,24 +29,23 @@ from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner import provenance, refinement, study_refinement
 from study.harness.runner.batch import Progress as RunProgress
-from study.harness.runner.batch import computing
-from study.harness.runner.case_series import CaseSeries, stored_convergence
+from study.harness.runner.batch import computed
+from study.harness.runner.case_series import CaseSeries, refine_cases, stored_convergence
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob, fits_of
-from study.harness.runner.judgement import SeriesJudgement, judge, series_of, with_sources
+from study.harness.runner.judgement import SeriesJudgement, judge, with_sources
 from study.harness.runner.refinement import (
     QUANTITIES,
     Budget,
     FormalOrder,
     RefinementSeries,
     refine,
-    solving,
 )
 from study.harness.runner.refinement import formal_order as promised
 from study.harness.runner.solve_task import SolveTask, by_workers, in_process, kept, slug, store_of
 from study.harness.runner.study_uncertainty import uncertainties
-from study.harness.runner.tasks import default_jobs
+from study.harness.runner.tasks import default_jobs, processes
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.setup.setup import Problem, Tables
 from study.reporting.figures.axes import shown
@@ -241,7 +241,7 @@ def problem_cells(
     places = provenance.folders(design.source, data_root(design.source))
     problems = [provenance.located(tested(t.cell.problem), places) for t in design.treatments]
     labels = [dict(treatment.levels) for treatment in design.treatments]
-    solver = solve or kept(by_workers(jobs), store_of(results, design.name))
+    solver = solve or kept(by_workers(processes(jobs)), store_of(results, design.name))
     formal = [promised(one.at()) for one in problems]
     budget = Budget(spec.budget_s, memory_MB)
     cells, judged = _judged(problems, spec, formal, labels, budget, solver, progress)
@@ -263,11 +263,11 @@ def _judged(
     """Refine problems until their meshes are enough, and study their other errors besides."""
     refinement.quantity(spec.qoi)
     cells = [
-        series_of(cell, spec, order, budget, its_labels)
+        RefinementSeries(cell, spec, order, budget, its_labels)
         for cell, order, its_labels in zip(problems, formal, labels, strict=True)
     ]
-    refine(cells, solving(solver, progress))
-    judged = [judge(cell, order, tolerance) for cell, order in zip(cells, formal, strict=True)]
+    refine(cells, solver, progress)
+    judged = [judge(cell, tolerance) for cell in cells]
     if any(judgement.quantities for judgement in judged):
         progress("load steps and solver tolerance")
     return cells, [
@@ -369,9 +369,9 @@ def measured_cells(
     def say(state: RunProgress) -> None:
         progress(f"{state.done}/{state.total}: {state.label}")
 
-    compute = computing(work, store, jobs=jobs, executor=executor, progress=say)
+    compute = partial(computed, work, store, executor or processes(jobs), say)
     if seconds is None:
-        refine(every, compute)
+        refine_cases(every, compute)
     else:
         refine_within(seconds, jobs, every, compute)
     series = [case_series for case_series in every if len(case_series.records) > 1]

@@ -150,10 +150,10 @@ def manifest_of(work: Work) -> ManifestDocument:
         "source": Path(work.design.source).name,
         "cases": work.input_hashes,
         "blocks": list(work.blocks),
-        "notes": list(work.notes),
-        "files": dict(work.files),
+        "notes": list(work.data.notes()),
+        "files": work.data.files(),
         "virtual": work.virtual,
-        "truths": read_truths(work.data.root, work.files),
+        "truths": read_truths(work.data.root, work.data.files()),
         "versions": versions(),
         "timings": {},
     }

@@ -28,14 +28,13 @@ from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.overview import Overview, overview
 from study.harness.design.spec import Design
 from study.harness.external.command import common_digest
-from study.harness.record.index import Survey
 from study.harness.record.record import write_csv
 from study.harness.record.store import Store
+from study.harness.record.survey import Survey
 from study.harness.runner.batch import missing, open_fits
 from study.harness.runner.cost import Costs, program_calls
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import externals
-from study.harness.runner.solve_task import is_kept
 from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
 from study.harness.runner.tasks import default_jobs
 
@@ -218,15 +217,14 @@ def _counted(
     plain = work.plain()
     # cells of the spaces' control that have no solution yet
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    controls = upcoming(plain, store.on_demand(hashes), lambda task: is_kept(task, store))
+    controls = upcoming(plain, store.on_demand(hashes), store)
     seconds = costs.total_seconds(fits, todo, workers)
     if not own_series(plain, {}):  # else the cells themselves are a series of meshes
         finer = missing(refinement_work(plain), store)
         seconds += Costs().total_seconds(open_fits(finer, store), finer, workers)
     each = Costs()
-    seconds += each.side_by_side(
-        [each.solve_seconds(job.case.tested, job.depth_mm) for job in controls], workers
-    )
+    solved = [each.solve_seconds(job.case.tested, job.depth_mm) for job in controls]
+    seconds += max(sum(solved) / workers, max(solved, default=0.0))  # the longest takes its time
     found_models = externals(job.case.problem for job in work.jobs)
     commands = [program for program in found_models if program.section.model == "command"]
     memory = workers * max(

@@ -25,6 +25,7 @@ from study.harness.runner.batch import Progress, run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import NOTHING, Allowed
 from study.harness.runner.provenance import code_version
+from study.harness.runner.tasks import processes
 from study.statistics.surfaces.surface_factors import NumericFactor
 
 if TYPE_CHECKING:
@@ -263,7 +264,7 @@ def confirm(
         raise RefusedError(str(Fault(study.design.name, rule, mend)))
     work = expand(design, design_root(study.design, permission.data), permission.allowed)
     store = Store(study.folder)
-    run_batch(work, store, jobs=1, progress=permission.progress)
+    run_batch(work, store, processes(1), permission.progress or (lambda _: None))
     stored = store.records(work.input_hashes)
     in_study = {*study.manifest["cases"]}
     rows_before = store.read_rows(CONFIRMED, ConfirmedRow)

@@ -38,7 +38,7 @@ from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed, externals
-from study.harness.runner.provenance import surface_files, versions
+from study.harness.runner.provenance import placed_files, versions
 from study.harness.runner.study_uncertainty import compare_spaces, validate
 from study.harness.runner.study_uncertainty import refine as refine_study
 from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
@@ -50,7 +50,7 @@ from study.reporting.results.study_result import StudyResult
 
 if TYPE_CHECKING:
     from study.harness.execution.task import Executor
-    from study.harness.runner.batch import Progress, Summary
+    from study.harness.runner.batch import Progress
     from study.harness.runner.job import Work
     from study.harness.runner.tasks import Engine
 
@@ -172,19 +172,19 @@ def run(
     check_allowed(externals(job.case.problem for job in work.jobs), allow_commands)
     clock.mark("reading")
     # one executor for cells and refined cases alike, so that all of them fit into the memory
-    executor = None if room is None else processes(jobs or default_jobs(), timeout_s, room)
+    executor = processes(jobs, timeout_s, room)
     if engine is not None:
-        read = {path for job in work.jobs for path in surface_files(job.case.cell)}
-        executor, jobs = computing_on(engine, jobs, timeout_s, sorted(read))
+        read = {Path(f.path) for job in work.jobs for f in placed_files(job.case.cell)}
+        executor = computing_on(engine, jobs, timeout_s, sorted(read))
     with store.lock():
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
         with _records_written():
-            work, summary = _compute(
-                work, store, clock, jobs, progress, timeout_s, refine, executor,
+            work, computed = _compute(
+                work, store, clock, executor, noted_progress(store, progress), refine,
                 lambda design: expand(design, root, allowed),
             )  # fmt: skip
-            _finish(store, work, clock.parts, summary)
+            _finish(store, work, clock.parts, computed)
             warnings += mixed_meshes(work, store)
     if confirm:
         confirm_claims(load_study(store.path), Permission(data, allowed, progress))
@@ -208,43 +208,38 @@ def _compute(
     work: Work,
     store: Store,
     clock: _Clock,
-    jobs: int | None,
-    progress: Callable[[Progress], None] | None,
-    timeout_s: float | None,
+    executor: Executor,
+    progress: Callable[[Progress], None],
     refine: bool,
-    executor: Executor | None,
     expanded: Callable[[Design], Work],
-) -> tuple[Work, Summary]:
+) -> tuple[Work, int]:
     """Cases, then what says how far they can be trusted."""
-    noted = noted_progress(store, progress)
-    work, summary = run_adaptive(
+    work, computed = run_adaptive(
         work,
         store,
-        lambda part: run_batch(
-            part, store, jobs=jobs, progress=noted, timeout_s=timeout_s, executor=executor
-        ),
+        lambda part: run_batch(part, store, executor, progress),
         expanded,
         lambda part: store.begin_run(manifest_of(part)),
     )  # fmt: skip
     plain = work.plain()
     clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
-        return work, summary
-    refine_study(plain, store, jobs, noted, timeout_s, executor)
-    compare_spaces(plain, store, jobs, noted, executor)
+        return work, computed
+    refine_study(plain, store, executor, progress)
+    compare_spaces(plain, store, executor, progress)
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:
-        validate(plain, store, jobs, progress, timeout_s, executor)
+        validate(plain, store, executor, progress)
         clock.mark("uncertain inputs")
-    return work, summary
+    return work, computed
 
 
-def _finish(store: Store, work: Work, timings: Mapping[str, float], summary: Summary) -> None:
+def _finish(store: Store, work: Work, timings: Mapping[str, float], computed: int) -> None:
     """Make the run the one that is read from; one that computed nothing leaves what is known."""
     meta, manifest = manifest_of(work), store.read_manifest()
     if manifest is not None and is_same(manifest, meta):
         spent = dict(manifest.get("timings", {}))
-        if not summary.computed:
+        if not computed:
             meta |= {"timings": spent, "versions": manifest.get("versions", meta["versions"])}
             store.finish_run(meta)
             return

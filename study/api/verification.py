@@ -29,6 +29,7 @@ from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed
+from study.harness.runner.tasks import processes
 from study.reporting.output import write
 from study.reporting.output.page import DETAILS
 
@@ -253,7 +254,7 @@ def _solve_again(
     part = replace(work, jobs=tuple(solved[k] for k in drawn))
     with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
         again = Store(Path(place))
-        run_batch(part, again, jobs=1)
+        run_batch(part, again, processes(1))
         fresh = again.by_case(part.input_hashes)
     for job in part.jobs:
         verification.solved += 1

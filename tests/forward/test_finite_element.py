@@ -15,6 +15,7 @@ from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
+from study.harness.runner.tasks import processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.mechanics.forward.finite_element import Anchors
 
@@ -84,7 +85,7 @@ def whole(work: Work, tmp_path_factory: pytest.TempPathFactory) -> list[Record]:
 
 def finished(work: Work, folder: Path, jobs: int = 2) -> list[Record]:
     store = Store(folder)
-    run_batch(work, store, jobs=jobs)
+    run_batch(work, store, processes(jobs))
     return store.records(work.input_hashes)
 
 

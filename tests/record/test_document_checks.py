@@ -213,13 +213,3 @@ def test_a_pipe_is_no_lock(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"\.lock: cannot be written \(it is no file"):  # noqa: SIM117
         with atomic_files.exclusive(tmp_path):
             pass
-
-
-def test_an_index_beyond_the_limit_is_as_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with Store(tmp_path).lock() as store:
-        store.write(record("a1"))
-    with open(tmp_path / "index.json", "r+b") as stream:
-        stream.truncate(300_000_000)  # takes no room on the disk
-    assert Store(tmp_path).done_ids({"a1": "h-a1"}) == {"a1"}

@@ -70,7 +70,7 @@ def clean(tmp_path_factory):
 @pytest.mark.parametrize("power_loss", [False, True], ids=["disk full", "power loss"])
 def test_failure_at_every_operation_then_resume(tmp_path, clean, power_loss, followed):
     expected, operations = clean
-    assert operations > 30
+    assert operations > 25
     if followed:
         whole = FailingDisk()
         run(tmp_path / "whole", whole, followed)

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from study.harness.design.load import loads_problem
-from study.harness.runner import judgement
-from study.harness.runner.refinement import edge_rules, formal_order, refine, series_sizes, solving
+from study.harness.runner import judgement, refinement
+from study.harness.runner.refinement import edge_rules, formal_order, refine, series_sizes
 from study.harness.runner.solve_task import in_process
 from study.mechanics.setup.geometry import Cylinder, Flat, Sphere
 from study.mechanics.setup.setup import Model, Setup
@@ -55,9 +55,9 @@ def punch_series(
     )  # fmt: skip
     loaded = loads_problem(text, "punch.toml")
     formal = formal_order(loaded.problem.at())
-    one = judgement.series_of(loaded.problem, loaded.converge, formal)
-    refine([one], solving(in_process))
-    found: dict[str, Any] = judgement.judge(one, formal).to_json()
+    one = refinement.RefinementSeries(loaded.problem, loaded.converge, formal)
+    refine([one], in_process)
+    found: dict[str, Any] = judgement.judge(one).to_json()
     unit = 4.0 / (1 - nu)  # 4 mu a d / (1 - nu), N
     found["kappa"] = [value / unit for value in found["value"]]
     found["u_kappa"] = found["u_num"] / unit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,10 +11,10 @@ from study.harness.design.load import load
 from study.harness.design.spec import Design
 from study.harness.record.store import Store
 from study.harness.runner import case_series, refinement, study_refinement
-from study.harness.runner.batch import computing, run_batch
+from study.harness.runner.batch import computed, run_batch
+from study.harness.runner.case_series import refine_cases
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
-from study.harness.runner.refinement import refine
 
 from .conftest import fake
 
@@ -56,9 +56,9 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
     design: Design, one_mix: Path, tmp_path: Path
 ) -> None:
     work, store = expand(design, one_mix), Store(tmp_path / "results")
-    run_batch(work, store, jobs=2, executor=fake(2))
+    run_batch(work, store, fake(2))
     series = study_refinement.study_series(work, store.by_case(work.input_hashes))
-    refine(series, computing(work, store, jobs=2, executor=fake(2)))
+    refine_cases(series, partial(computed, work, store, fake(2), lambda _: None))
     row = series[-1].uncertainty("mu0", "kPa")
     # the fake solver is too stiff by 1e-3 of the mesh size: mu0 too low by that share
     size = row.mesh_size[0]
@@ -86,33 +86,6 @@ def test_a_series_without_an_order_takes_three_times_its_range() -> None:
     slow = [1.0, 1.1, 1.1 + 0.1 / 1.5**0.1]
     limit = slow[2] + (slow[2] - slow[1]) / (1.5**0.5 - 1)
     assert case_series.half_width(slow, sizes, 1.0)[1] == pytest.approx(3 * (limit - slow[0]))
-
-
-class Halved:
-    """A series that asks for so many numbers, each half of the one before."""
-
-    def __init__(self, wanted: int) -> None:
-        self.wanted, self.found = wanted, [1.0]
-
-    def due(self) -> list[float]:
-        return [self.found[-1] / 2] if len(self.found) <= self.wanted else []
-
-    def add(self, step: float, found: float) -> None:
-        assert found == step
-        self.found.append(found)
-
-
-def test_every_round_computes_what_is_due_of_all_series_together() -> None:
-    rounds: list[list[float]] = []
-
-    def compute(steps: Sequence[float]) -> list[float]:
-        rounds.append(list(steps))
-        return list(steps)
-
-    series = [Halved(1), Halved(3), Halved(0)]
-    refine(series, compute)
-    assert rounds == [[0.5, 0.5], [0.25], [0.125]]
-    assert [one.found for one in series] == [[1.0, 0.5], [1.0, 0.5, 0.25, 0.125], [1.0]]
 
 
 def test_an_order_above_the_formal_one_is_not_believed_for_the_interval() -> None:

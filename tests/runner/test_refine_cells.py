@@ -140,11 +140,11 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     text += '"specimen.radius" = "0.1 mm"\n"measurements.force" = "0.02 N"\n'
     design = loads(text, "small.toml")
     work, store = expand(design, one_mix), Store(tmp_path / "results")
-    run_batch(work, store, jobs=2, executor=fake(2))
-    run_batch(study_refinement.refinement_work(work), store, jobs=2, executor=fake(2))
+    run_batch(work, store, fake(2))
+    run_batch(study_refinement.refinement_work(work), store, fake(2))
     moved = study_refinement.input_work(work)
     assert {job.origin.input for job in moved.jobs} == {"specimen.radius"}
-    run_batch(moved, store, jobs=2, executor=fake(2))
+    run_batch(moved, store, fake(2))
     rows = {tuple(r["levels"].values()): r for r in study_uncertainty.compared(work, moved, store)}
     assert len(rows) == 4
     row = rows["neo-hookean", "bonded"]
@@ -178,7 +178,7 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / "results")
     moved = study_refinement.input_work(work)
     for part in (work, moved):
-        run_batch(part, store, jobs=2, executor=fake(2))
+        run_batch(part, store, fake(2))
     rows = study_uncertainty.compared(work, moved, store)
     assert len(rows) == len(work.jobs) == 12
     sizes = {j.case.case_id: refinement.base_size_mm(j) for j in work.jobs}

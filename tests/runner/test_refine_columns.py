@@ -20,6 +20,7 @@ from study.harness.runner.job import Work
 from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.study_refinement import own_series
 from study.harness.runner.study_uncertainty import refine
+from study.harness.runner.tasks import processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.statistics.convergence.contrast_bound import response_bounds
 from tests.forward.test_finite_element import DESIGN, finished
@@ -90,7 +91,7 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
     work: Work, records: dict[str, Record], results: Path, tmp_path: Path
 ) -> None:
     store = Store(results)
-    refine(work, store, 1, None, None)
+    refine(work, store, processes(1), lambda _: None)
     store.write_manifest(manifest_of(work))
     study = open_study(results)
     (response,) = study.analyses

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from study.harness.design.load import loads_problem
-from study.harness.runner import judgement
-from study.harness.runner.refinement import formal_order, refine, solving
+from study.harness.runner import judgement, refinement
+from study.harness.runner.refinement import formal_order, refine
 from study.harness.runner.solve_task import in_process
 from tests.fem.answers import layers
 
@@ -58,11 +58,11 @@ def volume_law(nu: float) -> str:
 def series(text: str) -> dict[str, Any]:
     loaded = loads_problem(text, "known.toml")
     formal = formal_order(loaded.problem.at())
-    one = judgement.series_of(loaded.problem, loaded.converge, formal)
+    one = refinement.RefinementSeries(loaded.problem, loaded.converge, formal)
     with warnings.catch_warnings():  # a Newton step that fails on its way may overflow
         warnings.simplefilter("ignore", RuntimeWarning)
-        refine([one], solving(in_process))
-    return judgement.judge(one, formal).to_json()
+        refine([one], in_process)
+    return judgement.judge(one).to_json()
 
 
 def judged(name: str, text: str, truth: float, digits: float, unit: float) -> tuple[Any, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,10 @@ from study.harness.execution.supervisor import Inline
 from study.harness.execution.task import stopped_late
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.batch import Summary, computing, notes_of, run_batch
+from study.harness.runner.batch import computed, notes_of, run_batch
+from study.harness.runner.case_series import refine_cases
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseTask, Work
-from study.harness.runner.refinement import refine
 from study.harness.runner.study_refinement import study_series
 from study.harness.runner.tasks import adapted, limit_of, processes
 from tests.pages import both_pages
@@ -32,10 +33,13 @@ def design(policy: str) -> str:
     return f"{DESIGN}\n[execution]\nretry = {{ {policy} }}\n"
 
 
-def run(work: Work, folder: Path) -> tuple[Summary, dict[str, Record]]:
+def run(work: Work, folder: Path) -> tuple[int, dict[str, Record]]:
     store = Store(folder)
-    summary = run_batch(work, store, jobs=2, executor=fake(2))
-    return summary, {r.case_id: r for r in store.records(work.input_hashes)}
+    return run_batch(work, store, fake(2)), {r.case_id: r for r in store.records(work.input_hashes)}
+
+
+def failed(records: Mapping[str, Record]) -> int:
+    return sum(not record.converged for record in records.values())
 
 
 def wished(folder: Path, monkeypatch: pytest.MonkeyPatch, wish: str) -> None:
@@ -56,8 +60,8 @@ def test_smaller_steps_mend_a_case_and_its_record_says_so(
     wished(tmp_path, monkeypatch, "mooney-rivlin needs 40 steps")
     policy = 'not-converged = ["smaller-steps", "finer-mesh"]'
     work = expand(loads(design(policy), "small.toml"), one_mix)
-    summary, records = run(work, tmp_path / "results")
-    assert (summary.computed, summary.failed) == (4, 0)
+    count, records = run(work, tmp_path / "results")
+    assert (count, failed(records)) == (4, 0)
     found = bonded_mooney(records)
     (note,) = notes_of(found)
     assert note["cause"] == "not-converged"
@@ -75,7 +79,7 @@ def test_smaller_steps_mend_a_case_and_its_record_says_so(
         assert found.response(name) == expected.response(name)
     # it is a record of the planned case: nothing is computed again
     again, _ = run(work, tmp_path / "results")
-    assert (again.computed, again.fits, again.failed) == (0, 0, 0)
+    assert again == 0
 
 
 def test_changes_are_tried_one_after_the_other_and_add_up(
@@ -86,8 +90,8 @@ def test_changes_are_tried_one_after_the_other_and_add_up(
         'mesh = "coarse"', 'mesh_size = "8 mm"'
     )
     work = expand(loads(text, "small.toml"), one_mix)
-    summary, records = run(work, tmp_path / "results")
-    assert summary.failed == 0
+    _, records = run(work, tmp_path / "results")
+    assert failed(records) == 0
     found = bonded_mooney(records)
     assert [note["change"] for note in notes_of(found)] == ["smaller-steps", "finer-mesh"]
     assert notes_of(found)[1]["what"] == "elements of 5.333 mm instead of 8 mm"
@@ -104,8 +108,8 @@ def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(
     store = Store(tmp_path / "results")
     run(work, tmp_path / "results")
     series = study_series(work.plain(), store.by_case(work.input_hashes))
-    compute = computing(work.plain(), store, jobs=2, executor=fake(2))
-    refine(series, compute)
+    compute = partial(computed, work.plain(), store, fake(2), lambda _: None)
+    refine_cases(series, compute)
     found = {one.base.case.levels["material"]: one for one in series}
     assert found["neo-hookean"].uncertainty("mu0", "kPa").u_num is not None
     lacking = found["mooney-rivlin"].uncertainty("mu0", "kPa")
@@ -119,13 +123,13 @@ def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(
 ) -> None:
     wished(tmp_path, monkeypatch, "mooney-rivlin")
     work = expand(loads(design('not-converged = "smaller-steps"'), "small.toml"), one_mix)
-    summary, records = run(work, tmp_path / "results")
-    assert summary.failed == 2
+    _, records = run(work, tmp_path / "results")
+    assert failed(records) == 2
     found = bonded_mooney(records)
     assert (found.status, len(notes_of(found))) == ("not-converged", 1)
     # and it is not tried for ever
     again, _ = run(work, tmp_path / "results")
-    assert (again.computed, again.fits) == (0, 0)
+    assert again == 0
 
 
 def test_without_a_policy_nothing_is_tried(
@@ -133,14 +137,14 @@ def test_without_a_policy_nothing_is_tried(
 ) -> None:
     wished(tmp_path, monkeypatch, "mooney-rivlin needs 40 steps")
     work = expand(loads(DESIGN, "small.toml"), one_mix)
-    summary, records = run(work, tmp_path / "results")
-    assert summary.failed == 2
+    _, records = run(work, tmp_path / "results")
+    assert failed(records) == 2
     assert all(not notes_of(record) for record in records.values())
     # a policy that comes later changes no key: what failed is tried, nothing else is computed
     later = expand(loads(design('not-converged = "smaller-steps"'), "small.toml"), one_mix)
     assert later.input_hashes == work.input_hashes
-    summary, records = run(later, tmp_path / "results")
-    assert summary.computed == 0
+    count, records = run(later, tmp_path / "results")
+    assert count == 0
     assert all(record.converged for record in records.values())
 
 
@@ -151,8 +155,8 @@ def test_a_task_that_lacked_memory_is_computed_alone(
     wished(tmp_path, monkeypatch, "mooney-rivlin needs memory")
     text = design('crashed = "more-memory"').replace("swap = true", "")
     work = expand(loads(text, "small.toml"), one_mix)
-    summary, records = run(work, tmp_path / "results")
-    assert summary.failed == 0
+    _, records = run(work, tmp_path / "results")
+    assert failed(records) == 0
     (note,) = notes_of(bonded_mooney(records))
     assert note["cause"] == "crashed"
     assert note["what"] == "computed with nothing else beside it"

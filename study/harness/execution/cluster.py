@@ -43,11 +43,9 @@ class Pending(Protocol):
 
     def result(self) -> tuple[str, str]:
         """Text of the answer, and how its process died."""
-        ...
 
     def add_done_callback(self, call: Callable[[Pending], None]) -> None:
         """Call with the future when it ends."""
-        ...
 
 
 class Client(Protocol):
@@ -57,25 +55,20 @@ class Client(Protocol):
 
     def submit(self, call: Callable[..., object], *args: object, **options: object) -> Pending:
         """Have a call made on a worker."""
-        ...
 
     def run(
         self, call: Callable[..., object], *args: object, **options: object
     ) -> dict[str, object]:
         """Make a call on every worker at once, beside its tasks."""
-        ...
 
     def nthreads(self) -> Mapping[str, int]:
         """Threads of every worker, by its address."""
-        ...
 
     def cancel(self, futures: Sequence[Pending], **options: object) -> None:
         """Give futures up."""
-        ...
 
     def close(self) -> None:
         """Leave the cluster."""
-        ...
 
 
 #: loggers that tell the loss of a scheduler with a traceback each; our error tells it once
@@ -201,8 +194,9 @@ class Processes:
     """The processes of one machine, by the run and the slot that they serve."""
 
     def __init__(self) -> None:
-        self._idle: dict[tuple[str, int], tuple[Process, float]] = {}
-        self._busy: dict[Process, str] = {}
+        self._processes: dict[tuple[str, int], Process] = {}
+        #: since when those that do nothing have done so
+        self._idle_since: dict[tuple[str, int], float] = {}
         self._lock = threading.Lock()
         self._is_watched = False
 
@@ -215,54 +209,39 @@ class Processes:
         unwanted: Callable[[], bool],
     ) -> Answer:
         """Do some tasks; never raises, never dies."""
-        process = self._taken(place, perform)
-        try:
-            return _watched(process, payloads, limit_s, unwanted)
-        finally:
-            self._put_back(place, process)
-
-    def end(self, run: str) -> None:
-        """Kill the processes of a run and no other's."""
-        with self._lock:
-            idle = [place for place in self._idle if place[0] == run]
-            ours = [self._idle.pop(place)[0] for place in idle]
-            ours += [process for process, name in self._busy.items() if name == run]
-        for process in ours:
-            process.kill()
-
-    def close(self) -> None:
-        """Kill all processes."""
-        with self._lock:
-            runs = {place[0] for place in self._idle} | set(self._busy.values())
-        for run in runs:
-            self.end(run)
-
-    def end_idle(self, idle_s: float = IDLE_S) -> None:
-        """Kill the processes that had nothing to do for longer than so many seconds."""
-        now = time.monotonic()
-        with self._lock:
-            late = [place for place, (_, since) in self._idle.items() if now - since > idle_s]
-            ours = [self._idle.pop(place)[0] for place in late]
-        for process in ours:
-            process.kill()
-
-    def _taken(self, place: tuple[str, int], perform: Perform) -> Process:
         with self._lock:
             if not self._is_watched:
                 self._is_watched = True
                 self._prepare()
-            process, _ = self._idle.pop(place, (None, 0.0))
-            process = process or Process(perform)
-            self._busy[process] = place[0]
-        return process
+            is_idle = self._idle_since.pop(place, None) is not None
+            process = self._processes[place] if is_idle else Process(perform)
+            self._processes[place] = process
+        try:
+            return _watched(process, payloads, limit_s, unwanted)
+        finally:
+            with self._lock:
+                is_ours = self._processes.get(place) is process
+                if is_ours:
+                    self._idle_since[place] = time.monotonic()
+            if not is_ours:  # the run has ended, or its slot began anew beside a task given up
+                process.kill()
 
-    def _put_back(self, place: tuple[str, int], process: Process) -> None:
+    def end(self, run: str) -> None:
+        """Kill the processes of a run and no other's."""
+        self._end(lambda place: place[0] == run)
+
+    def end_idle(self, idle_s: float = IDLE_S) -> None:
+        """Kill the processes that had nothing to do for longer than so many seconds."""
+        now = time.monotonic()
+        self._end(lambda place: now - self._idle_since.get(place, now) > idle_s)
+
+    def _end(self, is_over: Callable[[tuple[str, int]], bool]) -> None:
         with self._lock:
-            del self._busy[process]
-            other, _ = self._idle.get(place, (None, 0.0))
-            if other is None:
-                self._idle[place] = process, time.monotonic()
-        if other is not None:
+            ended = [place for place in self._processes if is_over(place)]
+            processes = [self._processes.pop(place) for place in ended]
+            for place in ended:
+                self._idle_since.pop(place, None)
+        for process in processes:
             process.kill()
 
     def _prepare(self) -> None:
@@ -270,7 +249,7 @@ class Processes:
         # workers of a cluster are children of their nannies, which may have none of their own
         multiprocessing.current_process().daemon = False
         # not atexit: such a child runs none of its functions, and waits for its own children
-        Finalize(None, self.close, exitpriority=FIRST)
+        Finalize(None, self._end, (lambda place: True,), exitpriority=FIRST)
         threading.Thread(target=self._watch, daemon=True).start()
 
     def _watch(self) -> None:
@@ -411,7 +390,7 @@ class RemoteSlot:
 
     def begin(self) -> None:
         """Send what waits to a worker, if there is one."""
-        if self.waiting is None or not self.crew.place(self):
+        if self.waiting is None or (worker := self.crew.place(self)) is None:
             return
         (payloads, done, ticket), self.waiting = self.waiting, None
         answered: list[bool] = []
@@ -423,7 +402,7 @@ class RemoteSlot:
                 done.put((ticket, answer))
 
         self.end = end
-        self.future = self.crew.send(self.number, self.worker, payloads)
+        self.future = self.crew.send(self.number, worker, payloads)
         self.future.add_done_callback(functools.partial(self._ended, end))
 
     def kill(self) -> None:
@@ -503,7 +482,7 @@ class Crew:
         self.slots += [RemoteSlot(self, k) for k in range(count, max(self.wanted, count))]
         return self.slots[count:]
 
-    def place(self, slot: RemoteSlot) -> bool:
+    def place(self, slot: RemoteSlot) -> ClusterWorker | None:
         """Find a worker for a slot: its own, unless it is gone or another has more room."""
         best = max(self.workers.values(), key=lambda worker: worker.free, default=None)
         old = slot.worker
@@ -513,14 +492,10 @@ class Crew:
             if old is not None:
                 old.load -= 1
             best.load, slot.worker = best.load + 1, best
-        return slot.worker is not None
+        return slot.worker
 
-    def send(
-        self, number: int, worker: ClusterWorker | None, payloads: Sequence[object]
-    ) -> Pending:
+    def send(self, number: int, worker: ClusterWorker, payloads: Sequence[object]) -> Pending:
         """Submit tasks to one worker."""
-        if worker is None:
-            raise RuntimeError("a slot without a worker sends no task")
         self._check_scheduler()
         return self.client.submit(
             serve, (self.name, number), self.perform, payloads, self.limit_s,
@@ -651,9 +626,8 @@ class Cluster:
             finally:
                 crew.dismiss()
 
-    def slots(self) -> int:
-        """Count the tasks that run at once, having waited for a worker and compared versions."""
+    def reached(self) -> Cluster:
+        """Return it, having waited for a worker and compared versions."""
         with connected(self.scheduler) as client:
-            crew = Crew(client, self.perform, self.identity, self.jobs, None)
-            crew.gather()
-            return crew.wanted
+            Crew(client, self.perform, self.identity, self.jobs, None).gather()
+        return self

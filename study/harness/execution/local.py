@@ -73,11 +73,9 @@ class ProcessPool(Protocol):
 
     def submit(self, call: Callable[..., Given], /, *args: object) -> Future[Given]:
         """Begin a call in a process."""
-        ...
 
     def shutdown(self, wait: bool = True, kill_workers: bool = False) -> None:
         """End the processes."""
-        ...
 
 
 class Process:

@@ -197,7 +197,6 @@ class Slot(Protocol):
 
     def kill(self) -> None:
         """End whatever runs; the next start begins afresh."""
-        ...
 
 
 @dataclass

@@ -63,7 +63,6 @@ class Executor(Protocol):
         self, tasks: Sequence[Task], finished: Results | None = None
     ) -> Generator[Outcome, None, None]:
         """Yield the outcome of every task as it comes; ``close()`` stops what still runs."""
-        ...
 
 
 def answers(perform: Perform, payloads: Sequence[object]) -> str:

@@ -26,11 +26,10 @@ from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, UnitError, nearest
 from study.harness.design.forward_section import (
     CurveFile,
-    ForwardModel,
     ValueFile,
-    target_and_source,
 )
 from study.harness.execution.local import Process, ProcessPool
+from study.harness.record.document import ProgramDocument
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
@@ -233,30 +232,18 @@ LARGEST = 1e30
 
 
 class NoAnswer(Exception):
-    """The program has no answer; carries the status of the record."""
+    """A part of a case has no answer; carries the status of the record."""
 
     #: characters of the reason
-    REASON = 500
+    REASON = 1000
 
     def __init__(self, status: str, message: str) -> None:
         cut = f"{message[: self.REASON]}..."
         super().__init__(message if len(message) <= self.REASON else cut)
         self.status = status
         #: What ran, and the zip of its folder where that is kept.
-        self.program: object = None
+        self.program: ProgramDocument | None = None
         self.folder = b""
-
-
-def files_of(
-    section: ForwardModel, contents: Mapping[str, str], context: Mapping[str, object]
-) -> tuple[dict[str, str], dict[str, str]]:
-    """Files of the folder of a case, and of these the ones that were rendered."""
-    templates = dict(map(target_and_source, section.files))
-    made = {
-        target: rendered(contents[target], context, templates[target])
-        for target in section.rendered
-    }
-    return {**contents, **made}, made
 
 
 # Answers: a curve, named values of JSON or CSV, numbers of a log; each in the unit asked for.
@@ -328,16 +315,11 @@ def table_rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
         ]  # fmt: skip
     except csv.Error as error:
         raise NoAnswer("failed", f"{name}: {error}") from error
-    if all(_is_number(cell) for cell in split[0]):
-        return [], split
-    return split[0], split[1:]
-
-
-def _is_number(cell: str) -> bool:
     try:
-        return math.isfinite(float(cell)) or True
+        list(map(float, split[0]))
     except ValueError:
-        return False
+        return split[0], split[1:]
+    return [], split
 
 
 def column_of(header: list[str], rows: list[list[str]], column: str | int, name: str) -> Array:
@@ -383,8 +365,10 @@ def converted(value: float, unit: str, into: str, where: str) -> float:
         raise NoAnswer("failed", f"{rule}; the study file asks for {into or 'no unit'}") from error
 
 
-def values_of_files(value_file: ValueFile, folder: Path, output: str) -> dict[str, float]:
+def values_of_files(value_file: ValueFile | None, folder: Path, output: str) -> dict[str, float]:
     """Every named value that a program left in its file or said in its output."""
+    if value_file is None:
+        return {}
     tables: Mapping[str, object] = {}
     if value_file.file and any(not pattern for _, _, pattern, *_ in value_file.names):
         tables = _table(read_text(folder, value_file.file), value_file.file)

@@ -18,10 +18,9 @@ import uuid
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -31,17 +30,16 @@ from study.ground.canonical import digest
 from study.ground.errors import Fault, RefusedError, StoreError
 from study.ground.working_folder import environment
 from study.harness.design.forward_model import ForwardCell
-from study.harness.design.forward_section import ForwardFiles, ForwardModel
+from study.harness.design.forward_section import ForwardFiles, ForwardModel, target_and_source
 from study.harness.external import exchange
 from study.harness.external.answers import (
     NoAnswer,
     curve_of,
-    files_of,
-    read_text,
+    rendered,
     values_of_files,
 )
-from study.harness.external.exchange import ParameterAnswer, ProgramAnswer, PythonFunction
-from study.harness.record.document import ProgramDocument, StepDocument
+from study.harness.external.exchange import PredictedCurve, PythonFunction
+from study.harness.record.document import ProgramDocument, SolverDocument, StepDocument
 from study.mechanics.setup.setup import Problem
 
 # One run of a program: supervised, within limits of time, output and disk, with nothing left.
@@ -211,8 +209,6 @@ def _remove(home: Path) -> None:
         os.rmdir(home)
 
 
-Answer = TypeVar("Answer")
-
 #: word that stands for the interpreter that runs this package
 PYTHON = "python"
 #: seconds that a program may take to say its version, and bytes that it may say
@@ -227,9 +223,9 @@ _KEPT_BYTES = 50_000_000
 def run_commands(
     command: ForwardModel,
     contents: Mapping[str, str],
-    read: Callable[[Path, str], Answer],
+    read: Callable[[Path, str], PredictedCurve],
     digest: str = "",
-) -> tuple[Answer, ProgramDocument, bytes]:
+) -> PredictedCurve:
     """Run the commands in a fresh folder and read their answer; the folder goes along if kept.
 
     ``contents`` are names and texts of the files of that folder. ``read`` gets the folder and what
@@ -258,7 +254,9 @@ def run_commands(
             error.program = document
             error.folder = _packed(folder) if command.keep in ("all", "failed") else b""
             raise
-        return answer, document, _packed(folder) if command.keep == "all" else b""
+        solver: SolverDocument = {"name": document["version"] or command.argv[0][0]}
+        packed = _packed(folder) if command.keep == "all" else b""
+        return replace(answer, solver={**solver, "program": document}, folder=packed)
 
 
 def _packed(folder: Path) -> bytes:
@@ -339,14 +337,6 @@ def _last(text: str) -> str:
     return (errors or lines or ["no output"])[-1][:200]
 
 
-def curve_files(folder: Path) -> dict[str, str]:
-    """Texts of the files of a curve as this package exchanges it."""
-    texts = {exchange.CURVE_FILE: read_text(folder, exchange.CURVE_FILE)}
-    if (folder / exchange.FACTS_FILE).is_symlink() or (folder / exchange.FACTS_FILE).exists():
-        texts[exchange.FACTS_FILE] = read_text(folder, exchange.FACTS_FILE)
-    return texts
-
-
 # Forward models that are not ours, as a resolved table ``forward`` says them.
 
 #: digits of the name of a set of commands that a person compares and gives
@@ -354,19 +344,6 @@ DIGITS = 12
 #: step of a finite difference, relative to a constant (or, where that is 0, to the largest):
 #: programs print six digits or more, of which a step of 1e-3 leaves three
 STEP = 1e-3
-
-
-@dataclass(frozen=True)
-class Solved(Generic[Answer]):
-    """Answer of an external forward model, and how it was found."""
-
-    answer: Answer
-    seconds: float
-    program: ProgramDocument | None = None
-    #: Zip of the folder of the case, where it is kept.
-    folder: bytes = b""
-    #: Files that were rendered.
-    rendered: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -415,7 +392,7 @@ class External:
 
     def solve(
         self, problem: Problem, displacement_mm: Array, extra: Mapping[str, object] | None = None
-    ) -> Solved[ProgramAnswer]:
+    ) -> PredictedCurve:
         """Solve one problem; ``extra`` are tables of the user's own."""
         # Shapes: displacement_mm (n,).
         section = self.section
@@ -424,10 +401,10 @@ class External:
         def context() -> dict[str, object]:
             return {"case_id": digest(request), **exchange.context_of(request)}
 
-        def read(folder: Path, text: str) -> ProgramAnswer:
-            values = {} if section.values is None else values_of_files(section.values, folder, text)
+        def read(folder: Path, text: str) -> PredictedCurve:
+            values = values_of_files(section.values, folder, text)
             if section.curve is None:
-                curve = exchange.answer(curve_files(folder), displacement_mm, section.reaches)
+                curve = exchange.answer(folder, displacement_mm, section.reaches)
             else:
                 given = curve_of(section.curve, folder)
                 columns = {
@@ -436,46 +413,54 @@ class External:
                 curve = exchange.at_points(columns, displacement_mm, {}, section.reaches)
             return replace(curve, values=values)
 
-        def call(function: PythonFunction) -> ProgramAnswer:
+        def call(function: PythonFunction) -> PredictedCurve:
             return function.solve(request, displacement_mm, section.units)
 
         return self._asked(call, context, (exchange.PROBLEM_FILE, request), read)
 
-    def answer(self, case: Mapping[str, object]) -> Solved[ParameterAnswer]:
+    def answer(self, case: Mapping[str, object]) -> PredictedCurve:
         """Ask for the values and the curve of parameters alone."""
         section = self.section
 
-        def read(folder: Path, text: str) -> ParameterAnswer:
-            values = {} if section.values is None else values_of_files(section.values, folder, text)
-            curve = None if section.curve is None else curve_of(section.curve, folder)
-            return ParameterAnswer(values, curve)
+        def read(folder: Path, text: str) -> PredictedCurve:
+            values = values_of_files(section.values, folder, text)
+            if section.curve is None:
+                return PredictedCurve(values=values)
+            return PredictedCurve(curve_of(section.curve, folder), values=values)
 
-        def call(function: PythonFunction) -> ParameterAnswer:
+        def call(function: PythonFunction) -> PredictedCurve:
             return function.values(case, section.units)
 
         return self._asked(call, lambda: case, (exchange.CASE_FILE, case), read)
 
     def _asked(
         self,
-        call: Callable[[PythonFunction], Answer],
+        call: Callable[[PythonFunction], PredictedCurve],
         context: Callable[[], Mapping[str, object]],
         file: tuple[str, Mapping[str, object]],
-        read: Callable[[Path, str], Answer],
-    ) -> Solved[Answer]:
+        read: Callable[[Path, str], PredictedCurve],
+    ) -> PredictedCurve:
         """Call the function, or run the commands with their templates and the file of the case."""
         began, section = time.perf_counter(), self.section
         if section.model == "python":
             if self.function is None:
                 raise NoAnswer("failed", "no function was given: study.run(..., forward=f)")
-            return Solved(call(self.function), time.perf_counter() - began)
+            solver: SolverDocument = {"name": f"Python function, version {self.function.version}"}
+            answer = call(self.function)
+            return replace(answer, solver=solver, seconds=time.perf_counter() - began)
         contents, rendered = self.rendered(context())
         contents[file[0]] = json.dumps(file[1], indent=1)
-        answer, document, folder = run_commands(section, contents, read, self.digest)
-        return Solved(answer, time.perf_counter() - began, document, folder, rendered)
+        answer = run_commands(section, contents, read, self.digest)
+        return replace(answer, seconds=time.perf_counter() - began, rendered=rendered)
 
     def rendered(self, case: Mapping[str, object]) -> tuple[dict[str, str], dict[str, str]]:
         """Files of the folder of a case, and those that were rendered."""
-        return files_of(self.section, self.contents, case)
+        templates = dict(map(target_and_source, self.section.files))
+        made = {
+            target: rendered(self.contents[target], case, templates[target])
+            for target in self.section.rendered
+        }
+        return {**self.contents, **made}, made
 
 
 @functools.lru_cache(maxsize=1000)  # it is asked for several times a case

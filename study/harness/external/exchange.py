@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import base64
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import cast
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,11 +30,16 @@ from study.harness.external.answers import (
     checked_curve,
     column_of,
     quantity_in,
+    read_text,
     table_rows,
 )
+from study.harness.record.document import MarkerDocument, MeshDocument, SolverDocument
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.declaration import values_of
 from study.mechanics.setup.setup import Problem
+
+if TYPE_CHECKING:
+    from study.mechanics.solver.solution import Solution
 
 SCHEMA = 1
 PROBLEM_FILE = "problem.json"
@@ -47,29 +54,63 @@ MOST_ELEMENTS = 2**53
 #: share of the displacement asked for that a curve may end before: digits of a text file
 _SHORT = 1e-6
 
-Text = Mapping[str, str]
-
 
 @dataclass(frozen=True)
-class ProgramAnswer:
-    """What a program found."""
+class PredictedCurve:
+    """A prediction, and how it was found: by our solver, a program or a function."""
 
-    #: Forces at the displacements that were asked for, with the gradients that it knows.
-    curve: Curve
-    #: Of its mesh; 0 where it does not say.
-    dofs: int = 0
-    elements: int = 0
-    gradients: tuple[str, ...] = field(default=())
-    #: Further numbers, in the units of the study file.
+    #: Forces at the displacements that were asked for; of parameters alone as they are given,
+    #: without a point where none is.
+    curve: Curve = field(default_factory=lambda: Curve(np.zeros(0), np.zeros(0)))
+    #: How it was found; a closed form has no mesh.
+    mesh: MeshDocument = field(default_factory=MeshDocument)
+    solver: SolverDocument = field(default_factory=SolverDocument)
+    #: What it cost beside the fit that gave the constants.
+    seconds: float = 0.0
+    #: What markers inside the specimen say of it.
+    markers: MarkerDocument | None = None
+    #: Further numbers of another program, in the units of the study file.
     values: Mapping[str, float] = field(default_factory=dict)
+    #: Zip of its folder, where that is kept.
+    folder: bytes = b""
+    #: Files that were rendered for it.
+    rendered: Mapping[str, str] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, solution: Solution, seconds: float = 0.0) -> PredictedCurve:
+        """Prediction of a solution, without the gradients that nobody reads from the store."""
+        touching = solution.equilibria.contact
+        mesh: MeshDocument = {
+            "dofs": int(solution.dofs),
+            "elements": int(solution.elements),
+            "hash": str(solution.mesh_hash),
+            "mesh_size_mm": float(solution.mesh_size_mm),
+        }
+        solver: SolverDocument = {
+            "name": str(solution.solver),
+            "min_j": float(solution.min_j),
+            "energy_mismatch": float(solution.energy.largest_mismatch),
+            "stabilization_share": float(solution.energy.stabilization_share),
+            "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
+            "penetration_mm": max((contact.penetration_mm for contact in touching), default=0.0),
+            "gap_mm": max((contact.gap_mm for contact in touching), default=0.0),
+        }
+        return cls(solution.curve.without_gradients(), mesh, solver, seconds)
 
-@dataclass(frozen=True)
-class ParameterAnswer:
-    """What a program or function found for parameters alone."""
+    def to_json(self) -> dict[str, object]:
+        """Plain data, for the store and for workers."""
+        values = {"named_values": dict(self.values)} if self.values else {}
+        return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver, **values}
 
-    values: Mapping[str, float]
-    curve: Curve | None = None
+    @classmethod
+    def from_json(cls, document: Mapping[str, object]) -> PredictedCurve:
+        """Inverse of :meth:`to_json`."""
+        return cls(
+            Curve.from_dict(cast("Mapping[str, object]", document["curve"])),
+            cast(MeshDocument, document.get("mesh", {})),
+            cast(SolverDocument, document["solver"]),
+            values=cast("Mapping[str, float]", document.get("named_values", {})),
+        )
 
 
 def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
@@ -123,12 +164,12 @@ def context_of(request: Mapping[str, object]) -> dict[str, object]:
     return {**request, "material": properties}
 
 
-def answer(files: Text, displacement_mm: Array, reaches: bool = True) -> ProgramAnswer:
-    """Read what a program wrote. Shapes: displacement_mm (n,)."""
-    header, rows = table_rows(files[CURVE_FILE], CURVE_FILE)
+def answer(folder: Path, displacement_mm: Array, reaches: bool = True) -> PredictedCurve:
+    """Read the curve that a program wrote. Shapes: displacement_mm (n,)."""
+    header, rows = table_rows(read_text(folder, CURVE_FILE), CURVE_FILE)
     names = (DISPLACEMENT, FORCE, *(name for name in header if name.startswith(GRADIENT)))
     columns = {name: column_of(header, rows, name, CURVE_FILE) for name in names}
-    facts = _facts(files.get(FACTS_FILE, "{}"))
+    facts = _facts(read_text(folder, FACTS_FILE)) if os.path.lexists(folder / FACTS_FILE) else {}
     return at_points(columns, displacement_mm, facts, reaches)
 
 
@@ -137,7 +178,7 @@ def at_points(
     displacement_mm: Array,
     facts: Mapping[str, int],
     reaches: bool = True,
-) -> ProgramAnswer:
+) -> PredictedCurve:
     """Curve of some columns at the displacements asked for."""
     # Shapes: columns (m,), MPa; displacement_mm (n,).
     if not reaches and columns[DISPLACEMENT].size:
@@ -158,7 +199,10 @@ def at_points(
         curve = Curve(displacement_mm, forces, force_gradient=gradient)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
-    return ProgramAnswer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(gradients))
+    mesh: MeshDocument = {}
+    if any(facts.values()):
+        mesh = {"dofs": facts.get("dofs", 0), "elements": facts.get("elements", 0)}
+    return PredictedCurve(curve, mesh)
 
 
 def _facts(text: str) -> dict[str, int]:
@@ -223,7 +267,7 @@ class PythonFunction:
 
     def solve(
         self, request: Mapping[str, object], displacement_mm: Array, units: Mapping[str, str]
-    ) -> ProgramAnswer:
+    ) -> PredictedCurve:
         """Curve and further values of a problem."""
         returned = self(request)
         values = {}
@@ -234,26 +278,27 @@ class PythonFunction:
         columns = _python_function_columns(cast("ArrayLike", returned), displacement_mm)
         return replace(at_points(columns, displacement_mm, {}), values=values)
 
-    def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> ParameterAnswer:
+    def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> PredictedCurve:
         """Values of parameters alone, or the curve; a value has the unit of its response."""
         returned = self(case)
         if isinstance(returned, Curve):
             whole = checked_curve(returned.displacement_mm, returned.force_N, "the function")
-            return ParameterAnswer({}, whole)
+            return PredictedCurve(whole)
         if not isinstance(returned, Mapping) or not returned:
             rule = f"the function returned {type(returned).__name__}, not names with numbers"
             raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}} or a study.Curve')
-        curve = None
+        answered = PredictedCurve()
         if {DISPLACEMENT, FORCE} <= set(returned):
             columns = [np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE)]
             if columns[0].ndim != 1 or columns[0].shape != columns[1].shape:
                 raise NoAnswer("failed", "the columns of the function's curve differ in length")
             curve = checked_curve(columns[0], columns[1], "the function's curve")
+            answered = PredictedCurve(curve)
             returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
         scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
                    for k, v in returned.items()}  # fmt: skip
         values = {k: quantity_in(v, units.get(k, ""), k) for k, v in scalars.items()}
-        return ParameterAnswer(values, curve)
+        return replace(answered, values=values)
 
 
 class _Attributed(dict[str, object]):

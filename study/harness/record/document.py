@@ -409,7 +409,16 @@ def fault_of_curves(
             return f"its curve {key} has columns of unequal length, or gaps"
     for key, curve in curves.items():
         measured = curves.get(CurveKey("measured", key.label))
-        if key.role == "predicted" and measured is not None and not _reaches(curve, measured):
+        if key.role != "predicted" or measured is None:
+            continue
+        # known at every measured place; see :meth:`Curve.force_at`
+        there, reach = measured.displacement_mm, curve.displacement_mm
+        if curve.time_s is not None:
+            near = 1e-6 * float(np.abs(reach).max())
+            reaches = there.shape == reach.shape and np.allclose(there, reach, rtol=0, atol=near)
+        else:
+            reaches = there.min() >= -1e-12 and there.max() <= reach[-1] * (1 + 1e-9) + 1e-12
+        if not reaches:
             return f"its curve {key} ends before the measured one"
     lost = [row for row in directions if CurveKey("predicted", row["score"]) not in curves]
     return f"it has no curve predicted:{lost[0]['score']}" if lost else ""
@@ -451,15 +460,6 @@ def _is_readable(curve: Curve) -> bool:
 def _is_finite(values: Array) -> bool:
     """Whether every number is finite, which the ends tell sooner than every number does."""
     return math.isfinite(values.max()) and math.isfinite(values.min())
-
-
-def _reaches(predicted: Curve, measured: Curve) -> bool:
-    """Whether a prediction is known at every measured place; see :meth:`Curve.force_at`."""
-    there, reach = measured.displacement_mm, predicted.displacement_mm
-    if predicted.time_s is not None:
-        span = float(np.abs(reach).max())
-        return there.shape == reach.shape and np.allclose(there, reach, rtol=0, atol=1e-6 * span)
-    return bool(there.min() >= -1e-12 and there.max() <= reach[-1] * (1 + 1e-9) + 1e-12)
 
 
 @cache

@@ -210,16 +210,13 @@ def plain(value: object, where: str, lost: dict[str, str]) -> object:
         lost[where] = str(value)
         return None
     if isinstance(value, Mapping):
-        return {_key(k, where): plain(v, f"{where}.{k}", lost) for k, v in value.items()}
+        for key in value:
+            if not isinstance(key, str):
+                raise TypeError(f"{where}: keys must be text, got {key!r}")
+        return {key: plain(v, f"{where}.{key}", lost) for key, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v, f"{where}.{k}", lost) for k, v in enumerate(value)]
     raise TypeError(f"{where}: {type(value).__name__} has no place in a record")
-
-
-def _key(key: object, where: str) -> str:
-    if not isinstance(key, str):
-        raise TypeError(f"{where}: keys must be text, got {key!r}")
-    return key
 
 
 def canonical(content: object) -> str:
@@ -346,13 +343,17 @@ def answered_often(
 
 def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) -> None:
     """Write a table as CSV, whole or not at all."""
+    texts = [("header", str(name)) for name in frame.columns]
+    for name in frame.columns:
+        values = dict.fromkeys(v for v in frame[name].tolist() if isinstance(v, str))
+        texts += [(f"column {name}", value) for value in values]
     faults = [
         Fault(
             f"{path.name}: {place}",
             f"a spreadsheet would run {text[:40]!r} as a formula",
             "rename it so that it does not begin with = + - @ or a control character",
         )
-        for place, text in _texts(frame)
+        for place, text in texts
         if is_formula(text)
     ]
     if faults:
@@ -363,14 +364,6 @@ def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) ->
     except UnicodeEncodeError as error:
         raise InputError(Fault(path.name, f"a name is not valid text ({error.reason})")) from error
     write_atomic(path, data, system)
-
-
-def _texts(frame: DataFrame) -> list[tuple[str, str]]:
-    texts = [("header", str(name)) for name in frame.columns]
-    for name in frame.columns:
-        values = dict.fromkeys(v for v in frame[name].tolist() if isinstance(v, str))
-        texts += [(f"column {name}", value) for value in values]
-    return texts
 
 
 def _units(records: Sequence[Record]) -> dict[str, str]:

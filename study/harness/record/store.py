@@ -33,19 +33,16 @@ from study.harness.record.document import (
     fault_of_fits,
 )
 from study.harness.record.folder import ID, OUTSIDE, ManifestFolder, inside
-from study.harness.record.index import (
+from study.harness.record.record import CONVERGED, Record
+from study.harness.record.survey import (
     CURRENT,
     Entry,
-    FileStamp,
     OtherLibraries,
-    RecordIndex,
     StoredRecords,
     Survey,
     differences,
     name_of,
 )
-from study.harness.record.index import NAME as INDEX
-from study.harness.record.record import CONVERGED, Record
 
 # Results that are no records: fits that cases share, solutions of refinement series.
 
@@ -137,14 +134,12 @@ class Store(ManifestFolder):
         """Store a record, whole or not at all."""
         path = self._case(record.case_id) / CURRENT
         self._lay_by(record)
-        self._write(path, record.to_json().encode(), followed, partial(self._written, record, path))
-        if self._locked and self._index.is_due:
-            self._write_index()
+        self._write(path, record.to_json().encode(), followed, partial(self._note, record))
 
-    def _written(self, record: Record, path: Path) -> None:
-        """Note a record that is in place now."""
+    def _note(self, record: Record) -> None:
+        """Note what a record says that is in place, for as long as nobody else writes."""
         if self._locked:
-            self._index.note(record, FileStamp.of(path))
+            self._entries[record.case_id] = Entry.of(record)
 
     def write_folder(self, case_id: str, packed: bytes) -> None:
         """Keep the folder in which a program computed a case, as a zip beside the records."""
@@ -153,10 +148,9 @@ class Store(ManifestFolder):
     def read(self, case_id: str, input_hash: str | None = None) -> Record | None:
         """Record of a case; None if there is none or it is damaged (set aside, and warned)."""
         folder = self._case(case_id)
-        stamp = FileStamp.of(folder / CURRENT)  # taken first: what changes meanwhile is read again
         record = self._read_file(case_id, folder / CURRENT)
-        if record is not None and self._locked:
-            self._index.note(record, stamp)
+        if record is not None:
+            self._note(record)
         if input_hash is None or (record is not None and record.input_hash == input_hash):
             return record
         laid = self._read_file(case_id, folder / laid_by(input_hash))
@@ -174,7 +168,7 @@ class Store(ManifestFolder):
             raise
         except StoreError as error:
             self._set_aside(path, str(error))
-            self._distrust(case_id)
+            self._entries.pop(case_id, None)
             return None
         return record
 
@@ -198,7 +192,7 @@ class Store(ManifestFolder):
                     foreign.append(case_id)
                 continue
             made_with[case_id] = entry.libraries
-            if entry.converged:
+            if entry.status == CONVERGED:
                 done.append(case_id)
             else:
                 statuses[case_id] = entry.status
@@ -258,11 +252,11 @@ class Store(ManifestFolder):
         return others
 
     @cached_property
-    def _index(self) -> RecordIndex:
-        return RecordIndex(self.path)
+    def _entries(self) -> dict[str, Entry]:
+        return {}
 
     def _begin(self) -> None:
-        for cached in ("_index", "_finished"):  # another runner may have written since
+        for cached in ("_entries", "_finished"):  # another runner may have written since
             self.__dict__.pop(cached, None)
         names = [os.path.join(self.path, "cases", name) for name in self._case_ids()]
         folders = [os.path.join(self.path, name) for name in ("", "fits", "runs")]
@@ -270,18 +264,10 @@ class Store(ManifestFolder):
 
     def _end(self) -> None:
         self._batch.finish()
-        self._write_index()
-
-    def _write_index(self) -> None:
-        """Write the index where it would say something new."""
-        index = self._index
-        if index.is_stale:
-            self._write(self._json(INDEX), index.text().encode())
-            index.written()
 
     def _said(self, case_id: str, input_hash: str) -> Entry | None:
-        """Say what a record says: the one that is wanted, by the index where that knows it."""
-        entry = self._index.entry(case_id)
+        """Say what a record says: the one that is wanted, unread where that is noted."""
+        entry = self._entries.get(case_id) if self._locked else None
         if entry is not None and entry.input_hash == input_hash:
             return entry
         record = self.read(case_id, input_hash)
@@ -324,14 +310,6 @@ class Store(ManifestFolder):
             if meta["cases"].get(case_id) != finished_hash:
                 with contextlib.suppress(OSError):  # only space is lost
                     self._system.unlink(self._case(case_id) / laid_by(finished_hash))
-
-    def _distrust(self, case_id: str) -> None:
-        """Forget a damaged record; an index that vouched for it is worth nothing."""
-        vouched = self._index.entry(case_id) is not None
-        self._index.forget(case_id)
-        if vouched:
-            with contextlib.suppress(OSError):  # who may not delete it may not run here either
-                self._system.unlink(self._json(INDEX))
 
     def _case(self, case_id: str) -> Path:
         if not ID.fullmatch(case_id):

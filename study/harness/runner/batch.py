@@ -29,7 +29,7 @@ from study.harness.runner.fit_task import FitTask
 from study.harness.runner.job import CaseJob, CaseTask, FitJob, Work, fits_of
 from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.solve_task import LASTING
-from study.harness.runner.tasks import adapted, default_jobs, limit_of, processes
+from study.harness.runner.tasks import adapted, limit_of
 
 # What is tried when a case has no answer: declared in the design, by cause, and never silent.
 #
@@ -67,23 +67,20 @@ def attempts(work: Work, store: Store, limited: bool) -> list[Attempt]:
     """List the cases that failed for a cause of which something is still to be tried."""
     if not work.design.retry:
         return []
-    failed = store.survey(work.input_hashes).failed
-    jobs = {job.case.case_id: job for job in work.jobs}
-    attempted = []
-    for case_id in failed:
+    jobs, again = {job.case.case_id: job for job in work.jobs}, []
+    for case_id in store.survey(work.input_hashes).failed:
         record = store.read(case_id)
-        if record is not None and case_id in jobs:
-            attempt = _next(work, jobs[case_id], record, limited)
-            attempted += [] if attempt is None else [attempt]
-    return attempted
-
-
-def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | None:
-    """Next change of a failed case; None where there is none left."""
-    before = notes_of(record)
-    done = [note["change"] for note in before]
-    for change in work.design.retry.get(record.status, ()):
-        if change in done or not _applies(change, job, limited):
+        if record is None:
+            continue
+        job, before = jobs[case_id], notes_of(record)
+        done = [note["change"] for note in before]
+        open_changes = (
+            change
+            for change in work.design.retry.get(record.status, ())
+            if change not in done and _applies(change, job, limited)
+        )
+        change = next(open_changes, None)
+        if change is None:
             continue
         changed, what = _changed(job, [*done, change], work)
         note = {
@@ -93,8 +90,8 @@ def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | 
             "what": what,
         }
         longer = LIMIT_FACTOR if LONGER_LIMIT in (*done, change) else 1.0
-        return Attempt(changed, (*before, note), longer, MORE_MEMORY in (*done, change))
-    return None
+        again.append(Attempt(changed, (*before, note), longer, MORE_MEMORY in (*done, change)))
+    return again
 
 
 def notes_of(record: Record) -> tuple[Mapping[str, str], ...]:
@@ -162,10 +159,14 @@ class Progress:
     total: int
     failed: int
     seconds: float
-    seconds_left: float
     label: str
     fits_done: int = 0
     fits: int = 0
+
+    @property
+    def seconds_left(self) -> float:
+        """Seconds of what is not done at the rate of what is."""
+        return self.seconds / max(self.done, 1) * (self.total - self.done)
 
     @property
     def counted(self) -> str:
@@ -174,95 +175,42 @@ class Progress:
         return cases + (f", {self.fits_done}/{self.fits} calibrations" if self.fits else "")
 
 
-#: seconds of computing for which a prediction is believed as it is
-_TRUSTED_S = 10.0
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a run did."""
-
-    #: Cases computed now, and those of them without an answer.
-    computed: int
-    failed: int
-    already: int
-    fits: int
-    seconds: float
-    #: Worker seconds spent on ``"fits"`` and ``"cases"``.
-    compute_seconds: Mapping[str, float]
-
-    def with_retried(self, other: Summary) -> Summary:
-        """Add what was computed of cases that had failed."""
-        spent = {k: v + other.compute_seconds[k] for k, v in self.compute_seconds.items()}
-        saved = other.computed - other.failed
-        return replace(
-            self,
-            failed=max(self.failed - saved, 0),
-            fits=self.fits + other.fits,
-            seconds=self.seconds + other.seconds,
-            compute_seconds=spent,
-        )
-
-
 def run_batch(
     work: Work,
     store: Store,
-    *,
-    jobs: int | None = None,
-    progress: Callable[[Progress], None] | None = None,
-    timeout_s: float | None = None,
-    executor: Executor | None = None,
-    memory_MB: float | None = None,  # noqa: N803
-) -> Summary:
-    """Compute every case of ``work`` that the store does not hold yet."""
+    executor: Executor,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> int:
+    """Compute every case of ``work`` that the store does not hold yet; how many these are.
+
+    Of those that failed, what the design says is tried until nothing is left to be tried.
+    """
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
         check_allowed(externals(job.case.problem for job in todo), work.allowed.commands)
-        workers, report = jobs or default_jobs(), progress or (lambda _: None)
-        place = executor or processes(workers, timeout_s, memory_MB)
-        first = _Batch(work, store, todo, report).execute(workers, place)
-        return _retried(work, store, first, workers, place, report)
+        _Batch(work, store, todo, progress).execute(executor)
+        while again := attempts(work, store, limit_of(executor) is not None):
+            ways = {(a.longer, a.alone): None for a in again}
+            for longer, alone in ways:
+                alike = [a for a in again if (a.longer, a.alone) == (longer, alone)]
+                notes = {a.job.case.case_id: a.notes for a in alike}
+                batch = _Batch(work, store, [a.job for a in alike], progress, notes)
+                batch.execute(adapted(executor, longer, alone))
+        return len(todo)
 
 
-def _retried(
+def computed(
     work: Work,
     store: Store,
-    first: Summary,
-    workers: int,
-    place: Executor,
+    executor: Executor,
     progress: Callable[[Progress], None],
-) -> Summary:
-    """Try what the design says of the cases that failed, until nothing is left to be tried."""
-    total = first
-    while todo := attempts(work, store, limit_of(place) is not None):
-        ways = {(a.longer, a.alone): None for a in todo}
-        for longer, alone in ways:
-            alike = [a for a in todo if (a.longer, a.alone) == (longer, alone)]
-            notes = {a.job.case.case_id: a.notes for a in alike}
-            batch = _Batch(work, store, [a.job for a in alike], progress, notes)
-            there = adapted(place, longer, alone)
-            total = total.with_retried(batch.execute(1 if alone else workers, there))
-    return total
-
-
-def computing(
-    work: Work,
-    store: Store,
-    *,
-    jobs: int | None = None,
-    progress: Callable[[Progress], None] | None = None,
-    timeout_s: float | None = None,
-    executor: Executor | None = None,
-) -> Callable[[Sequence[CaseJob]], list[Record | None]]:
-    """Make the computation of cases, for :func:`study.harness.runner.refinement.refine`."""
-
-    def compute(cases: Sequence[CaseJob]) -> list[Record | None]:
-        part = replace(work, jobs=tuple(cases))
-        run_batch(part, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor)
-        records = store.by_case(part.input_hashes)
-        return [records.get(case.case.case_id) for case in cases]
-
-    return compute
+    cases: Sequence[CaseJob],
+) -> list[Record | None]:
+    """Compute further cases of a study; the record of each."""
+    part = replace(work, jobs=tuple(cases))
+    run_batch(part, store, executor, progress)
+    records = store.by_case(part.input_hashes)
+    return [records.get(case.case.case_id) for case in cases]
 
 
 def missing(work: Work, store: Store) -> list[CaseJob]:
@@ -297,34 +245,21 @@ class _Batch:
                 self.known[job.key] = stored
         self.failed = 0
         self.fits_done = 0
-        self.spent = {"fits": 0.0, "cases": 0.0}
 
-    def execute(self, workers: int, executor: Executor) -> Summary:
+    def execute(self, executor: Executor) -> None:
         began = time.monotonic()
         tasks = self._tasks()
-        prices = {task.key: task.seconds for task in tasks}
-        whole = left = sum(prices.values())
         outcomes = executor.run(tasks, self.known)
         with contextlib.closing(outcomes):
             for count, outcome in enumerate(outcomes, 1):
                 self._keep(outcome)
-                left -= prices[outcome.key]
-                seconds = time.monotonic() - began
-                # predicted seconds go on at the rate of those that are done, of which the first
-                # ones say more of how long processes take to start
-                rate = (seconds + _TRUSTED_S) / (whole - left + workers * _TRUSTED_S)
                 self.fits_done += outcome.key in self.fits
                 state = Progress(
-                    count, len(tasks), self.failed, seconds, max(left * rate, 0.0),
+                    count, len(tasks), self.failed, time.monotonic() - began,
                     self._label(outcome.key),
                     self.fits_done, len(self.fits),
                 )  # fmt: skip
                 self.progress(state)
-        already = len(self.work.jobs) - len(self.cases)
-        seconds = time.monotonic() - began
-        return Summary(
-            len(self.cases), self.failed, already, len(self.fits), seconds, dict(self.spent)
-        )
 
     def _tasks(self) -> list[Task]:
         """List fits and cases with what they are predicted to take, which gives their order."""
@@ -359,11 +294,9 @@ class _Batch:
 
     def _keep(self, outcome: Outcome) -> None:
         if outcome.key in self.fits:
-            self.spent["fits"] += outcome.seconds
             if outcome.status in LASTING:
                 self.store.write_fit(outcome.key, outcome.result, followed=outcome.followed)
             return
-        self.spent["cases"] += outcome.seconds
         record = self._record(outcome)
         self.failed += not record.converged
         tried = self.notes.get(record.case_id)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import base64
 import time
+import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from study.harness.design.cell import CellProblem
 from study.harness.design.study_file import is_simulated, simulated_at
 from study.harness.external.answers import NoAnswer
 from study.harness.external.command import External
+from study.harness.external.exchange import PredictedCurve
 from study.harness.record.document import (
     CurveKey,
     FitDocument,
@@ -27,14 +29,11 @@ from study.harness.record.document import (
     PlateFitDocument,
     Quantity,
     ResponseDocument,
-    ScoreDocument,
     SolverDocument,
 )
 from study.harness.record.record import STATUSES, Record
 from study.harness.runner import response
 from study.harness.runner.fit_summary import (
-    FitResult,
-    PredictedCurve,
     answer_of_parameters,
     external_curve,
     judged_where_simulated,
@@ -75,47 +74,6 @@ _SETTLED = 1e-6
 _MOST_STEPS = 15
 
 
-@dataclass(frozen=True)
-class PlateFit:
-    """Errors of markers under one motion of the plate."""
-
-    #: {"nominal", "rigid", "slipping"}: what it is taken to do.
-    plate: str
-    #: Markers that told its motion: ``"none"``, ``"all"``, or layers.
-    fitted: str
-    #: shape (7,); as :data:`COMPONENTS`; standard errors treat the coordinates of one marker
-    #: together.
-    motion: Array
-    standard_error: Array
-    #: shape (n, 3); measured less predicted displacement of every marker, mm.
-    errors: Array
-    #: shape (n,); markers that are judged.
-    scored: Flags
-
-    @property
-    def rms_mm(self) -> float:
-        """Root mean square of the distances, over the markers that are judged."""
-        return rms(self.errors[self.scored])
-
-    def to_json(self, layers: tuple[str, ...]) -> PlateFitDocument:
-        """Plain values, for a record and a report."""
-        shown = zip(COMPONENTS, self.motion, self.standard_error, strict=True)
-        layer_of = np.array(layers) if layers else np.full(len(self.errors), "")
-        names = dict.fromkeys(layer_of[self.scored].tolist()) if layers else {}
-        by_axis = np.sqrt((self.errors[self.scored] ** 2).mean(axis=0))
-        return {
-            "plate": self.plate,
-            "fitted": self.fitted,
-            "markers": int(self.scored.sum()),
-            "error_mm": self.rms_mm,
-            "error_by_axis_mm": [float(v) for v in by_axis],
-            "error_by_layer_mm": {
-                str(k): rms(self.errors[self.scored & (layer_of == k)]) for k in names
-            },
-            "motion": {name: [float(value), float(error)] for name, value, error in shown},
-        }
-
-
 def rms(errors: Array) -> float:
     """Root mean square length of vectors; errors (n, 3), mm."""
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
@@ -123,7 +81,7 @@ def rms(errors: Array) -> float:
 
 def plate_fits(
     spec: MarkerSpec, markers: MarkerStates, label: str, problem: Problem, solution: Solution
-) -> tuple[PlateFit, ...]:
+) -> list[PlateFitDocument]:
     """Compare a simulated block with markers, by what its plate is taken to do."""
     fitter = _Fitter.of(markers, label, problem, solution)
     every = np.ones(len(markers.rest), dtype=bool)
@@ -131,7 +89,7 @@ def plate_fits(
     if spec.fit:
         chosen = markers.within(spec.fit)
         fits.append(fitter.fitted(spec.plate, f"layers {', '.join(spec.fit)}", chosen, ~chosen))
-    return tuple(fits)
+    return fits
 
 
 @dataclass
@@ -143,6 +101,8 @@ class _Fitter:
     measured: Array
     size_mm: float
     at: MovedPlate
+    #: Of every marker; empty where they have none.
+    layers: Sequence[str]
 
     @classmethod
     def of(cls, markers: MarkerStates, label: str, problem: Problem, solution: Solution) -> _Fitter:
@@ -152,20 +112,26 @@ class _Fitter:
         plate = PrescribedMotion(problem, solution)
         interpolated = interpolation(plate.system.mesh, problem.model, markers.rest)
         height = plate.system.height_mm
-        return cls(plate, interpolated, markers.moved[label], height, plate.start)
+        return cls(
+            plate, interpolated, markers.moved[label], height, plate.start, markers.layers
+        )  # fmt: skip
 
-    def fitted(self, plate: str, name: str, chosen: Flags, scored: Flags) -> PlateFit:
+    def fitted(self, plate: str, name: str, chosen: Flags, scored: Flags) -> PlateFitDocument:
         """Fit the motion to some markers and judge it on others."""
         free = _FREE[plate]
         if not free:
-            at = self.motion.start
-            return PlateFit(
-                plate, "none", at.motion * _SHOWN, np.zeros(7), self._errors(at), scored
-            )
+            return self._document(plate, "none", self.motion.start, np.zeros(7), scored)
         length = np.array([1.0, 1.0, 1.0, *[self.size_mm / 2] * 4])[:free]
         for _ in range(_MOST_STEPS):
             slope = self._slope(self.at, free, chosen)
-            change = _solved(slope * (1 / length), self._errors(self.at)[chosen].ravel()) / length
+            left = self._errors(self.at)[chosen].ravel()
+            step, _, rank, _ = np.linalg.lstsq(slope * (1 / length), left, rcond=1e-10)
+            if rank < slope.shape[1]:
+                rule = (
+                    "the markers that are fitted do not tell every component of the plate's motion"
+                )
+                raise InputError(Fault("markers.fit", rule, "fit more layers, or another plate"))
+            change = step / length
             moved = self.at.motion.copy()
             moved[:free] += change
             if free < 7:
@@ -177,10 +143,28 @@ class _Fitter:
             rule = f"the motion of the {plate} plate has not settled in {_MOST_STEPS} steps"
             mend = "see whether the markers belong to this test and to this displacement"
             raise RefusedError(str(Fault("markers", rule, mend)))
-        errors = self._errors(self.at)
-        spread = np.zeros(7)
-        spread[:free] = _standard_errors(self._slope(self.at, free, chosen), errors[chosen])
-        return PlateFit(plate, name, self.at.motion * _SHOWN, spread * _SHOWN, errors, scored)
+        spread, errors = np.zeros(7), self._errors(self.at)[chosen]
+        spread[:free] = _standard_errors(self._slope(self.at, free, chosen), errors)
+        return self._document(plate, name, self.at, spread, scored)
+
+    def _document(
+        self, plate: str, fitted: str, at: MovedPlate, spread: Array, scored: Flags
+    ) -> PlateFitDocument:
+        """Errors of the markers that are judged under one motion, for a record and a report."""
+        # spread, shape (7,): standard errors, which treat the coordinates of one marker together
+        errors = self._errors(at)[scored]
+        shown = zip(COMPONENTS, at.motion * _SHOWN, spread * _SHOWN, strict=True)
+        layer_of = np.array(self.layers or [""] * len(scored))[scored]
+        names = dict.fromkeys(layer_of.tolist()) if self.layers else {}
+        return {
+            "plate": plate,
+            "fitted": fitted,
+            "markers": len(errors),
+            "error_mm": rms(errors),
+            "error_by_axis_mm": [float(v) for v in np.sqrt((errors**2).mean(axis=0))],
+            "error_by_layer_mm": {str(k): rms(errors[layer_of == k]) for k in names},
+            "motion": {name: [float(value), float(error)] for name, value, error in shown},
+        }
 
     def _errors(self, at: MovedPlate) -> Array:
         return np.asarray(self.measured - self.interpolated(at.displacement))
@@ -189,14 +173,6 @@ class _Fitter:
         """Differentiate the displacements of markers, shape (3 n, free)."""
         each = [self.interpolated(at.rates[:, :, k]) for k in range(free)]
         return np.stack(each, axis=-1)[chosen].reshape(-1, free)
-
-
-def _solved(slope: Array, errors: Array) -> Array:
-    solution, _, rank, _ = np.linalg.lstsq(slope, errors, rcond=1e-10)
-    if rank < slope.shape[1]:
-        rule = "the markers that are fitted do not tell every component of the plate's motion"
-        raise InputError(Fault("markers.fit", rule, "fit more layers, or another plate"))
-    return np.asarray(solution)
 
 
 def _standard_errors(slope: Array, errors: Array) -> Array:
@@ -234,7 +210,7 @@ def predicted_markers(
     document: MarkerDocument = {
         "state": label,
         "floor_mm": markers.localization_floor(label),
-        "fits": [fit.to_json(markers.layers) for fit in fits],
+        "fits": fits,
     }
     predicted = PredictedCurve.of(solution, time.perf_counter() - began)
     return replace(predicted, markers=document)
@@ -255,104 +231,67 @@ def marker_responses(cell: CellProblem, document: MarkerDocument) -> dict[str, Q
 _ANCHORS = Anchors()
 
 
-class Stopped(Exception):
-    """A part of the case has no answer; carries the status of the record."""
-
-    def __init__(self, status: str, message: str, cause: NoAnswer | None = None) -> None:
-        super().__init__(message)
-        self.status = status if status in STATUSES else "failed"
-        self.cause = cause
-
-
-@dataclass(frozen=True)
-class Executed:
-    """Record of a case, and the zip of its folder where that is kept."""
-
-    record: Record
-    folder: bytes = b""
-
-
 def perform(task: CaseTask) -> dict[str, object]:
-    """Execute one case: a task for a worker."""
-    done = executed(task)
-    record = done.record
-    answer: dict[str, object] = {
-        "status": record.status,
-        "message": record.message,
-        "record": record.to_json(),
-    }
-    if done.folder:
-        answer["folder"] = base64.b64encode(done.folder).decode("ascii")
-    return answer
-
-
-def executed(task: CaseTask) -> Executed:
-    """Execute one case; what has no answer is a status of its record."""
-    began = time.perf_counter()
+    """Execute one case: a task for a worker; what has no answer is a status of its record."""
+    began, folder = time.perf_counter(), b""
     try:
         for direction in task.job.directions:
-            _check_fit(task.fit(direction), direction)
+            fit = task.fit(direction)
+            if fit is not None and not fit.converged:
+                where = f"calibration on {direction.fit_label or 'the measured curve'}"
+                raise NoAnswer(fit.status, f"{where}: {fit.message}")
+            if fit is not None and not fit.usable:
+                stability = fit.fit.get("stability")
+                raise NoAnswer("unstable", f"the fitted constants are unstable: {stability}")
         if not isinstance(task.job.case.problem, CellProblem):
-            return _of_parameters(task)
-        if task.job.origin.predicts:
-            return _predicted(task)
-        # a fit to resampled noise: its constants, and no prediction
-        return Executed(
-            replace(
-                task.record("converged", ""),
-                responses=_wanted(task, _constants(task), {}),
-                parameters=_parameters(task),
-                fit=_fits(task),
-                timings=_seconds(task, []),
-            )
-        )
-    except Stopped as stop:
-        seconds = time.perf_counter() - began
-        record, cause = task.record(stop.status, str(stop), seconds=seconds), stop.cause
-        if cause is None or cause.program is None:
-            return Executed(record)
-        solver = cast("SolverDocument", {"program": cause.program})
-        return Executed(replace(record, solver=solver), cause.folder)
+            record, folder = _of_parameters(task)
+        elif task.job.origin.predicts:
+            record, folder = _predicted(task)
+        else:  # a fit to resampled noise: its constants, and no prediction
+            record = _record(task, _constants(task), _seconds(task, []))
+    except NoAnswer as error:
+        status = error.status if error.status in STATUSES else "failed"
+        record = task.record(status, str(error), seconds=time.perf_counter() - began)
+        if error.program is not None:
+            record, folder = replace(record, solver={"program": error.program}), error.folder
     except InputError as error:
-        return Executed(task.record("failed", str(error)))
+        record = task.record("failed", str(error))
+    kept = {"folder": base64.b64encode(folder).decode("ascii")} if folder else {}
+    return {
+        "status": record.status, "message": record.message, "record": record.to_json(), **kept
+    }  # fmt: skip
 
 
 #: characters of a rendered file that a record keeps
 _RENDERED = 64_000
 
 
-def _of_parameters(task: CaseTask) -> Executed:
-    """Record of a case of parameters alone."""
-    try:
-        solved, solver = answer_of_parameters(task.job.case.problem, task.job.case.case_id)
-    except NoAnswer as error:
-        raise Stopped(error.status, str(error), error) from error
-    answer = solved.answer
-    values = {**answer.values, "seconds": solved.seconds}
+def _of_parameters(task: CaseTask) -> tuple[Record, bytes]:
+    """Record of a case of parameters alone, and the zip of its folder where that is kept."""
+    answer = answer_of_parameters(task.job.case.problem, task.job.case.case_id)
+    values, curve = {**answer.values, "seconds": answer.seconds}, answer.curve
     responses: dict[str, ResponseDocument] = {}
     for name, unit in task.units.items():
         value = values.get(name)
-        if value is None and answer.curve is not None and is_simulated(name):
-            place, end = simulated_at(name)[1], float(answer.curve.displacement_mm[-1])
+        if value is None and len(curve) and is_simulated(name):
+            place, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
             if place is not None and place > end * (1 + 1e-9):
-                raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
-            value = response.simulated(name, answer.curve)
+                raise NoAnswer("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
+            value = response.simulated(name, curve)
         if value is None:
             named = nearest(name, answer.values) if answer.values else "it gives a curve alone"
-            raise Stopped("failed", f"there is no {name} among the answers ({named})")
+            raise NoAnswer("failed", f"there is no {name} among the answers ({named})")
         responses[name] = {"value": float(value), "unit": unit}
     record = task.record("converged", "")
-    return Executed(
-        replace(
-            record,
-            responses=responses,
-            curves={} if answer.curve is None else {CurveKey("predicted", "all"): answer.curve},
-            timings={"predict": solved.seconds, "total": solved.seconds},
-            solver=solver,
-            extra={**record.extra, **_rendered(solved.rendered)},
-        ),
-        solved.folder,
+    whole = replace(
+        record,
+        responses=responses,
+        curves={CurveKey("predicted", "all"): curve} if len(curve) else {},
+        timings={"predict": answer.seconds, "total": answer.seconds},
+        solver=answer.solver,
+        extra={**record.extra, **_rendered(answer.rendered)},
     )
+    return whole, answer.folder
 
 
 def _rendered(files: Mapping[str, str]) -> dict[str, object]:
@@ -360,19 +299,30 @@ def _rendered(files: Mapping[str, str]) -> dict[str, object]:
     return {"rendered": {k: text[:_RENDERED] for k, text in files.items()}} if files else {}
 
 
-def _check_fit(fit: FitResult | None, direction: ScorePair) -> None:
-    if fit is None:
-        return
-    if not fit.converged:
-        where = f"calibration on {direction.fit_label or 'the measured curve'}"
-        raise Stopped(fit.status, f"{where}: {fit.message}")
-    if not fit.usable:
-        stability = fit.fit.get("stability")
-        raise Stopped("unstable", f"the fitted constants are unstable: {stability}")
+def _record(
+    task: CaseTask,
+    means: Mapping[str, Quantity],
+    seconds: Mapping[str, float],
+    steps: Mapping[str, float] = types.MappingProxyType({}),
+) -> Record:
+    """Record of a case by its fits, and responses with the uncertainty of the load steps."""
+    responses: dict[str, ResponseDocument] = {}
+    for name, unit in task.units.items():
+        mean = means.get(name, {"value": None, "unit": unit})
+        responses[name] = {"value": mean["value"], "unit": mean["unit"]}
+        if name in steps:
+            responses[name]["u_steps"] = steps[name]
+    return replace(
+        task.record("converged", ""),
+        responses=responses,
+        parameters=_parameters(task),
+        fit=_fits(task),
+        timings=seconds,
+    )
 
 
-def _predicted(task: CaseTask) -> Executed:
-    """Record of a case whose curves are predicted and scored."""
+def _predicted(task: CaseTask) -> tuple[Record, bytes]:
+    """Record of a case whose curves are predicted and scored, and the zip of its folder."""
     directions = task.scored
     predictions = [_predict(task, direction) for direction in directions]
     compared = [
@@ -390,43 +340,39 @@ def _predicted(task: CaseTask) -> Executed:
     for name in predictions[0].values:
         every = [prediction.values[name] for prediction in predictions if name in prediction.values]
         means[name] = {"value": float(np.mean(every)), "unit": task.units.get(name, "")}
-    steps = _step_uncertainty(task, predictions)
-    record = task.record("converged", "")
+    curves: dict[CurveKey, Curve] = {}
+    for prediction, direction in zip(predictions, directions, strict=True):
+        if direction.measured is not None:
+            curves[CurveKey("measured", direction.label)] = direction.measured
+        curves[CurveKey("predicted", direction.label)] = prediction.curve
+    record = _record(task, means, seconds, _step_uncertainty(task, predictions))
     whole = replace(
         record,
-        responses=_wanted(task, means, steps),
-        parameters=_parameters(task),
-        fit=_fits(task),
-        curves=_curves(predictions, directions),
-        timings=seconds,
+        curves=curves,
         mesh=predictions[-1].mesh,
         solver=_solver(predictions),
         extra={
             **record.extra,
-            "directions": list(map(_score_document, directions, scores)),
+            "directions": [
+                {
+                    "score": direction.label,
+                    "fit": direction.fit_label,
+                    "role": direction.role,
+                    "scatter_N": None if direction.scatter_N is None else list(direction.scatter_N),
+                    "responses": dict(responses),
+                }
+                for direction, responses in zip(directions, scores, strict=True)
+            ],
             **({"markers": marked} if marked else {}),
             **_rendered(predictions[-1].rendered),
         },
     )
-    return Executed(whole, predictions[-1].folder)
+    return whole, predictions[-1].folder
 
 
 def _constants(task: CaseTask) -> dict[str, Quantity]:
     """Constants averaged over the directions that give them, with units."""
     return response.averaged([response.constants_of(task.compared(p)) for p in task.identified])
-
-
-def _wanted(
-    task: CaseTask, means: Mapping[str, Quantity], steps: Mapping[str, float]
-) -> dict[str, ResponseDocument]:
-    """Responses that the record of a case holds, with the uncertainty of the load steps."""
-    responses: dict[str, ResponseDocument] = {}
-    for name, unit in task.units.items():
-        mean = means.get(name, {"value": None, "unit": unit})
-        responses[name] = {"value": mean["value"], "unit": mean["unit"]}
-        if name in steps:
-            responses[name]["u_steps"] = steps[name]
-    return responses
 
 
 def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
@@ -437,42 +383,21 @@ def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
         return fit.prediction
     constants = None if fit is None else fit.constants
     if task.problem.markers is not None:
-        return _marked(task, constants, direction.depth_mm)
+        block = str(task.job.case.block)
+        return predicted_markers(task.problem, constants, block, direction.depth_mm)
     if task.job.forward == "closed-form":
         return _closed_form(task, constants, direction)
     if task.job.forward == "external" or External.of(task.problem) is not None:
-        return _external(task.problem, constants, direction)
+        measured, steps = direction.measured, task.problem.test.steps
+        even = direction.depth_mm * np.arange(1, steps + 1) / steps
+        at = even if measured is None else measured.displacement_mm
+        return external_curve(task.problem, constants, at)
     problem_at = partial(task.problem.at, depth_mm=direction.depth_mm)
     anchored = _ANCHORS.predict(problem_at, constants, task.anchor)
     solution = anchored.solution
     if solution.status != "converged":
-        raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
+        raise NoAnswer(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
     return PredictedCurve.of(solution, anchored.cold_seconds)
-
-
-def _marked(
-    task: CaseTask, constants: Mapping[str, float] | None, depth_mm: float
-) -> PredictedCurve:
-    """Curve of a specimen with markers, and what these say of it."""
-    try:
-        return predicted_markers(task.problem, constants, str(task.job.case.block), depth_mm)
-    except NoAnswer as error:
-        raise Stopped(error.status, str(error)) from error
-
-
-def _external(
-    problem: CellProblem, constants: Mapping[str, float] | None, direction: ScorePair
-) -> PredictedCurve:
-    """Curve of another program, at the measured displacements or at the load steps."""
-    if direction.measured is not None:
-        at = direction.measured.displacement_mm
-    else:
-        steps = problem.test.steps
-        at = direction.depth_mm * np.arange(1, steps + 1) / steps
-    try:
-        return external_curve(problem, constants, at)
-    except NoAnswer as error:
-        raise Stopped(error.status, str(error), error) from error
 
 
 #: fewest steps of a curve in closed form beside which nothing was measured: interpolation between
@@ -489,7 +414,7 @@ def _closed_form(
         test = replace(problem.test, steps=max(problem.test.steps, _STEPS))
         solution = closed_form.solution(replace(problem, test=test))
         if solution.status != "converged":
-            raise Stopped(solution.status, solution.message)
+            raise NoAnswer(solution.status, solution.message)
         return PredictedCurve(solution.curve.without_gradients(), solver={"name": solution.solver})
     setup, material = problem.setup, problem.material
     if measured.time_s is None and response.of_prediction(task.units):
@@ -497,19 +422,17 @@ def _closed_form(
     else:
         curve = closed_form.at_rows(setup, material, measured)
     if not np.all(np.isfinite(curve.force_N)):
-        raise Stopped("unstable", "the material has no equilibrium state in this range")
+        raise NoAnswer("unstable", "the material has no equilibrium state in this range")
     return PredictedCurve(curve.without_gradients(), solver={"name": "closed form"})
 
 
 def _step_uncertainty(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
-    if External.of(task.problem) is not None:
-        each = [response.splined_uncertainty(p.curve, task.units) for p in predictions]
-    else:
-        each = [
-            response.step_uncertainty(p.curve, direction.measured, task.units)
-            for p, direction in zip(predictions, task.scored, strict=True)
-        ]
+    is_splined = External.of(task.problem) is not None
+    each = [
+        response.step_uncertainty(p.curve, direction.measured, task.units, is_splined=is_splined)
+        for p, direction in zip(predictions, task.scored, strict=True)
+    ]
     # of one direction fewer points may have been measured, too few to leave half of them out
     names = [name for name in each[0] if all(name in u for u in each)]
     return {name: float(np.mean([u[name] for u in each])) for name in names}
@@ -543,29 +466,23 @@ def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
     fits = [
         FitDocument() if (fit := task.fit(pair)) is None else fit.fit for pair in task.identified
     ]
-    return {
-        name: {
+    parameters: dict[str, ParameterDocument] = {}
+    for name, mean in _constants(task).items():
+        scale = response.scale_of(name)
+        errors = [fit.get("standard_error", {}).get(name) for fit in fits]
+        errors_shown = [scale * float(error) for error in errors if error is not None]
+        # None unless all fits know theirs
+        complete = bool(errors_shown) and len(errors_shown) == len(fits)
+        error = np.sqrt(np.sum(np.square(errors_shown))) / len(fits) if complete else None
+        # the interval of one fit; that of an average of two specimens is the blocks' business
+        pair = fits[0].get("ci95", {}).get(name) if len(fits) == 1 else None
+        ends = [scale * float(end) for end in pair or () if end is not None]
+        parameters[name] = {
             **mean,
-            "standard_error": _standard_error(name, fits),
-            # the interval of one fit; that of an average of two specimens is the blocks' business
-            "ci95": _interval(name, fits[0]) if len(fits) == 1 else None,
+            "standard_error": None if error is None else float(error),
+            "ci95": ends if len(ends) == 2 else None,
         }
-        for name, mean in _constants(task).items()
-    }
-
-
-def _standard_error(name: str, fits: Sequence[FitDocument]) -> float | None:
-    """Find the standard error of the mean of a constant; None unless all fits know theirs."""
-    errors = [fit.get("standard_error", {}).get(name) for fit in fits]
-    in_unit = [response.scale_of(name) * float(e) for e in errors if e is not None]
-    complete = bool(in_unit) and len(in_unit) == len(fits)
-    return float(np.sqrt(np.sum(np.square(in_unit))) / len(in_unit)) if complete else None
-
-
-def _interval(name: str, fit: FitDocument) -> list[float] | None:
-    pair = fit.get("ci95", {}).get(name) or ()
-    in_unit = [response.scale_of(name) * float(end) for end in pair if end is not None]
-    return in_unit if len(in_unit) == 2 else None
+    return parameters
 
 
 def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
@@ -584,24 +501,3 @@ def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
             document = judged_where_simulated(document, task.problem, direction.depth_mm)
         described[name] = {**document, "key": key}
     return described or None
-
-
-def _curves(
-    predictions: Sequence[PredictedCurve], directions: Sequence[ScorePair]
-) -> dict[CurveKey, Curve]:
-    out: dict[CurveKey, Curve] = {}
-    for prediction, direction in zip(predictions, directions, strict=True):
-        if direction.measured is not None:
-            out[CurveKey("measured", direction.label)] = direction.measured
-        out[CurveKey("predicted", direction.label)] = prediction.curve
-    return out
-
-
-def _score_document(direction: ScorePair, responses: Mapping[str, Quantity]) -> ScoreDocument:
-    return {
-        "score": direction.label,
-        "fit": direction.fit_label,
-        "role": direction.role,
-        "scatter_N": None if direction.scatter_N is None else list(direction.scatter_N),
-        "responses": dict(responses),
-    }

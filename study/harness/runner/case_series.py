@@ -7,7 +7,7 @@ are a factor of the study, and the finest of them is what the others are compare
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -20,13 +20,16 @@ from study.harness.design.study_file import Converge
 from study.harness.record.record import Record
 from study.harness.runner.batch import has_other_mesh
 from study.harness.runner.job import CaseJob
-from study.harness.runner.judgement import SeriesJudgement, Values, combined, inconclusive, judged
+from study.harness.runner.judgement import SeriesJudgement, combined, inconclusive
 from study.harness.runner.refinement import (
     FEWEST,
     QUANTITIES,
     FormalOrder,
+    Values,
     base_size_mm,
-    formal_of_case,
+    formal_order,
+    in_mind,
+    judged,
     series_sizes,
 )
 from study.statistics.convergence.grid_convergence import (
@@ -105,7 +108,7 @@ class CaseSeries:
             order = refinement.formal_order
             given = f"as [converge] says of parameters.{refinement.name}"
             return FormalOrder(order, "nobody says it" if order is None else given)
-        return formal_of_case(self.base if self.own == "coarsest" else self.jobs[-1])
+        return formal_order(in_mind(self.base if self.own == "coarsest" else self.jobs[-1]))
 
     @property
     def good(self) -> list[tuple[CaseJob, Record]]:
@@ -236,7 +239,7 @@ class CaseSeries:
                 spec.qoi, QUANTITIES[name][1], [], [], formal_order=formal.order, verdict=verdict
             ),
             {},
-            formal,
+            formal.why,
             levels=self.base.case.levels,
             block=self.base.case.block,
         )
@@ -266,6 +269,16 @@ class CaseSeries:
         refinement = job.case.problem.refinement
         unit = "mm" if refinement is None else f"({refinement.name})"
         return f"{size_of(job):.4g} {unit}"
+
+
+def refine_cases(
+    series: Sequence[CaseSeries], compute: Callable[[Sequence[CaseJob]], Sequence[Record | None]]
+) -> None:
+    """Compute what is missing of every series, all of it together."""
+    due = [(member, job) for member in series for job in member.due()]
+    records = compute([job for _, job in due]) if due else ()
+    for (member, job), record in zip(due, records, strict=True):
+        member.add(job, record)
 
 
 def size_of(job: CaseJob) -> float:

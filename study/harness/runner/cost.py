@@ -23,7 +23,7 @@ _PATIENCE_S = 2.0
 #: forward solutions of a fit in units of a cold one; the later ones start from the one before
 _SOLVES_LINEAR = 1.5
 _SOLVES_FIRST = 2.0
-_SOLVES_PER_CONSTANT = 0.7
+_SOLVES_MORE = 0.7
 
 #: a prediction that starts from the solution of its cell, in units of a cold one: where forces
 #: scale with the one constant, between plates, and under an indenter, where contact is found anew
@@ -57,9 +57,8 @@ class Costs:
             return _evaluations(names) * external.section.price_s
         if test.method != "inverse-fem":
             return 0.0
-        solves = (
-            _SOLVES_LINEAR if _scales(names) else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
-        )
+        # of the only constant, a modulus by its unit, forces are in proportion
+        solves = _SOLVES_LINEAR if len(names) == 1 else _SOLVES_FIRST + _SOLVES_MORE * len(names)
         return solves * self.solve_seconds(test.problem)
 
     def case_seconds(self, job: CaseJob) -> float:
@@ -76,7 +75,13 @@ class Costs:
         solve_s = self.solve_seconds(job.case.tested, job.depth_mm)
         solves = float(job.predictions)
         if job.group:
-            solves = _from_anchor(job.case.tested) * solves + (job.group not in self._anchored)
+            # weight stays what it is where a modulus doubles, so that nothing scales
+            tested = job.case.tested
+            kind, is_heavy = tested.setup.kind, bool(tested.setup.test.weight_N_mm3)
+            share = _FROM_ANCHOR_INDENTED if kind.takes_indenter else _FROM_ANCHOR
+            if len(tested.calibrated_names) == 1 and not is_heavy:
+                share = _SCALED
+            solves = share * solves + (job.group not in self._anchored)
             self._anchored.add(job.group)
         return _OVERHEAD_S + solves * solve_s
 
@@ -85,17 +90,6 @@ class Costs:
         work = sum(self.fit_seconds(f.problem) for f in fits)
         work += sum(self.case_seconds(c) for c in cases)
         return work / jobs
-
-    @staticmethod
-    def side_by_side(seconds: Sequence[float], jobs: int) -> float:
-        """Wall time of a few solutions at once: the longest of them takes what it takes.
-
-        Examples
-        --------
-        >>> Costs.side_by_side([10.0, 2.0], 2), Costs.side_by_side([4.0, 4.0, 4.0], 2)
-        (10.0, 6.0)
-        """
-        return max(sum(seconds) / jobs, max(seconds, default=0.0))
 
     def solve_seconds(self, problem: CellProblem, depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""
@@ -145,19 +139,6 @@ def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
         for test in fit.problem.tests
         if test.method == "external"
     )
-
-
-def _scales(names: Sequence[str]) -> bool:
-    """Whether forces are in proportion to the only constant, a modulus by its unit."""
-    return len(names) == 1
-
-
-def _from_anchor(problem: CellProblem) -> float:
-    # weight stays what it is where a modulus doubles, so that nothing scales
-    setup = problem.setup
-    if _scales(problem.calibrated_names) and not setup.test.weight_N_mm3:
-        return _SCALED
-    return _FROM_ANCHOR_INDENTED if setup.kind.takes_indenter else _FROM_ANCHOR
 
 
 def _estimated(

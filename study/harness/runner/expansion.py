@@ -7,14 +7,16 @@ of resampled residuals follow: each step takes the values of the one before and 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 from study.ground.canonical import canonical, digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem, plain
+from study.harness.design.forward_section import ForwardModel
 from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
 from study.harness.record.record import Record
 from study.harness.runner import provenance
@@ -22,10 +24,11 @@ from study.harness.runner.fit_problem import (
     NOTHING,
     Allowed,
     FitProblem,
-    Forwards,
     check_templates,
+    fit_key,
     fit_problem,
     identity,
+    placed_model,
     start_problem,
     together,
 )
@@ -55,35 +58,28 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
     Seeds are made of the study's seed and the cell: the meshes of one cell are the same in
     every block, and those of two cells have nothing to do with each other.
     """
-    seeds = design.replicates.mesh_seeds
-    if design.replicates.key is not None:
-        return _reseeded(distinct, design, design.replicates.key.partition(".")[2])
-    if not seeds:
+    asked = design.replicates
+    count = asked.mesh_seeds if asked.key is None else asked.n
+    if not count:
         return tuple((case, Origin()) for case in distinct)
-    _check_count(len(distinct) * seeds)
-    return tuple(
-        (repeated(case, ["mesh seed", seed], meshed(case.cell, seed)), Origin(mesh_seed=number))
-        for case in distinct
-        for number, seed in enumerate(_seeds(design, case, seeds), 1)
-    )
+    _check_count(len(distinct) * count)
+    made = []
+    for case in distinct:
+        for number, seed in enumerate(_seeds(design, case, count), 1):
+            if asked.key is None:
+                again = repeated(case, ["mesh seed", seed], meshed(case.cell, seed))
+                made.append((again, Origin(mesh_seed=number)))
+            else:  # of a stochastic simulation, which no two cells share
+                problem = case.problem.with_parameter(asked.key.partition(".")[2], seed)
+                cell = replace(case.cell, problem=problem)
+                again = repeated(case, ["replicate", number, seed], cell)
+                made.append((again, Origin(replicate=number)))
+    return tuple(made)
 
 
 def meshed(cell: Cell, seed: int) -> Cell:
     """Copy a cell on the mesh of its size with some seed."""
     return cell.changed(lambda problem: problem.on_mesh(mesh_seed=seed))
-
-
-def _reseeded(cases: Sequence[Case], design: Design, name: str) -> tuple[tuple[Case, Origin], ...]:
-    """Every case with several seeds of a stochastic simulation, which no two cells share."""
-    count = design.replicates.n
-    _check_count(len(cases) * count)
-    made = []
-    for case in cases:
-        for number, seed in enumerate(_seeds(design, case, count), 1):
-            cell = replace(case.cell, problem=case.problem.with_parameter(name, seed))
-            again = repeated(case, ["replicate", number, seed], cell)
-            made.append((again, Origin(replicate=number)))
-    return tuple(made)
 
 
 def _check_count(count: int) -> None:
@@ -212,13 +208,14 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
     planned = seeded(_distinct(cases(design, blocks)), design)
-    asked, forwards = units_asked(design), Forwards(places, allowed.function)
+    # each forward model is looked for once for all cells that share it
+    asked, model_of = units_asked(design), cache(partial(placed_model, places, allowed.function))
     shared: dict[int, Computed] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
         place = id(case.cell)  # one for all blocks of a cell, kept alive by its cases
         if place not in shared:
-            shared[place] = Computed.of(_located(case, places, forwards), list(asked))
+            shared[place] = Computed.of(_located(case, places, model_of), list(asked))
         return _job(case, data, design, origin, shared[place])
 
     jobs = _anchored(job(case, origin) for case, origin in planned)
@@ -238,24 +235,19 @@ def relabeled(
     records: Iterable[Record], design: Design, cases: Mapping[str, Case]
 ) -> tuple[Record, ...]:
     """Give records the levels of their cases: a level of another name is computed no more."""
-    relabelled = []
+    relabelled, labels_of = [], {factor.name: factor.labels for factor in design.factors}
     for record in records:
         case = cases.get(record.case_id)
         if case is None:
-            relabelled += [record] if _is_of(record, design) else []
+            is_of = labels_of.keys() == record.levels.keys() and all(
+                record.levels[name] in labels for name, labels in labels_of.items()
+            )
+            relabelled += [record] if is_of else []
         elif case.levels == record.levels and case.block == record.block:
             relabelled.append(record)
         else:
             relabelled.append(replace(record, levels=dict(case.levels), block=case.block))
     return tuple(relabelled)
-
-
-def _is_of(record: Record, design: Design) -> bool:
-    """Whether each level of a record is one of the design's."""
-    labels_of = {factor.name: factor.labels for factor in design.factors}
-    return labels_of.keys() == record.levels.keys() and all(
-        record.levels[name] in labels for name, labels in labels_of.items()
-    )
 
 
 @dataclass(frozen=True)
@@ -274,7 +266,11 @@ class Computed:
     def of(cls, case: Case, asked: Sequence[str]) -> Computed:
         """Work out what the cases of a cell share, from one whose files were found."""
         problem, cell = fit_problem(case.cell), case.cell
-        names = (code_version(), *provenance.fingerprints(cell), *identity(cell.problem))
+        names = (
+            code_version(),
+            *(file.sha256 for file in provenance.placed_files(cell)),
+            *identity(cell.problem),
+        )
         return cls(cell, problem, _forward_of(case, problem), (sorted(asked), *names))
 
 
@@ -314,12 +310,14 @@ def _distinct(repeated_cases: Sequence[Case]) -> tuple[Case, ...]:
     return tuple(out)
 
 
-def _located(case: Case, places: Sequence[Path], forwards: Forwards) -> Case:
+def _located(
+    case: Case, places: Sequence[Path], model_of: Callable[[ForwardModel], ForwardModel]
+) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
     cell = provenance.located_cell(case.cell, places)
     section = cell.problem.forward
     if section is not None and section.is_external:
-        problem = replace(cell.problem, forward=forwards.placed(section))
+        problem = replace(cell.problem, forward=model_of(section))
         check_templates(problem, case.case_id)
         cell = replace(cell, problem=problem)
     return replace(case, cell=cell)
@@ -400,27 +398,20 @@ def _held_out(case: Case, scored: Measurements, design: Design) -> str | None:
     )  # fmt: skip
 
 
+def _first_pair(scored: Measurements, case: Case, fit: FitJob | None) -> ScorePair:
+    return _pair(scored.pairs(case.block)[0][1], scored.score, fit)
+
+
 def _fitted_pairs(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
     """Pairs whose constants come from the curves that the study file selects."""
     other = data.calibrated(case.cell)
     if other is not None:
-        fitted = other.curve(
-            case.block if other.block is not None else None, **dict(other.fit or {})
-        )
+        block = case.block if other.block is not None else None
+        fitted = other.curve(block, **dict(other.fit or {}))
         return [_first_pair(scored, case, fit_job(problem, (fitted.curve,), case.label))]
-    return _swapped_pairs(scored, case, problem)
-
-
-def _first_pair(scored: Measurements, case: Case, fit: FitJob | None) -> ScorePair:
-    _, test = scored.pairs(case.block)[0]
-    return _pair(test, scored.score, fit)
-
-
-def _swapped_pairs(scored: Measurements, case: Case, problem: FitProblem) -> list[ScorePair]:
-    """Pairs of fit and score; with ``swap`` both also change places."""
-    out = []
+    out = []  # with ``swap`` fit and score also change places
     pairs = zip(scored.pairs(case.block), scored.sides, strict=True)
     for (fitted, test), (fit_where, score_where) in pairs:
         fit = fit_job(problem, (fitted.curve,), case.label)
@@ -451,36 +442,32 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
     """Make a fit and those that give its start values."""
     before = start_problem(problem)
     start = None if before is None else fit_job(before, measured, label)
-    return FitJob.of(problem, measured, start, label)
+    return FitJob(fit_key(problem, measured), problem, measured, start, label)
 
 
 def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     """Give a cell's cases its anchor, which decides last digits: its first direction's fit."""
     jobs = tuple(unanchored)
-    groups = [
-        digest([job.case.cell.content_key, job.depth_mm], 32) if _may_share_a_start(job) else ""
-        for job in jobs
-    ]
+    groups = []
+    for job in jobs:  # predictions, all of one depth, may start from another specimen's load steps
+        shares = (
+            len({pair.depth_mm for pair in job.directions}) == 1
+            and job.forward == "simulation"
+            and not job.case.tested.setup.has_close_equilibria
+        )
+        content = [job.case.cell.content_key, job.depth_mm]
+        groups.append(digest(content, 32) if shares else "")
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):
         solutions[group] += job.predictions
         first.setdefault(group, job)
-    return tuple(
-        _with_anchor(job, group, first[group]) if group and solutions[group] > 1 else job
-        for job, group in zip(jobs, groups, strict=True)
-    )
-
-
-def _with_anchor(job: CaseJob, group: str, leader: CaseJob) -> CaseJob:
-    anchor = leader.directions[0].fit
-    name = digest([job.input_hash, None if anchor is None else anchor.key])
-    return replace(job, group=group, anchor=anchor, input_hash=name)
-
-
-def _may_share_a_start(job: CaseJob) -> bool:
-    """Whether predictions, all of one depth, may start from another specimen's load steps."""
-    one_depth = len({pair.depth_mm for pair in job.directions}) == 1
-    return (
-        one_depth and job.forward == "simulation" and not job.case.tested.setup.has_close_equilibria
-    )
+    anchored = []
+    for job, group in zip(jobs, groups, strict=True):
+        if not group or solutions[group] < 2:
+            anchored.append(job)
+            continue
+        anchor = first[group].directions[0].fit
+        name = digest([job.input_hash, None if anchor is None else anchor.key])
+        anchored.append(replace(job, group=group, anchor=anchor, input_hash=name))
+    return tuple(anchored)

@@ -54,37 +54,27 @@ class Allowed:
 NOTHING = Allowed()
 
 
-class Forwards:
-    """Forward models of a study that are not ours, each found once for all cells that share it.
+def placed_model(
+    places: Sequence[Path], function: PythonFunction | None, section: ForwardModel
+) -> ForwardModel:
+    """Copy of a forward model that is not ours with what it is on this machine.
 
     Nothing is run: a program is known by the content of its file.
     """
-
-    def __init__(self, places: Sequence[Path], function: PythonFunction | None) -> None:
-        self._places, self._function = places, function
-        self._placed: dict[ForwardModel, ForwardModel] = {}
-
-    def placed(self, section: ForwardModel) -> ForwardModel:
-        """Copy of a forward model with what it is on this machine."""
-        if section not in self._placed:
-            self._placed[section] = replace(section, found=self._files(section))
-        return self._placed[section]
-
-    def _files(self, section: ForwardModel) -> ForwardFiles:
-        if section.model == "python":
-            function = self._function
-            if function is None:
-                return ForwardFiles()
-            return ForwardFiles(function=function.text, function_version=function.version)
+    files = ForwardFiles()
+    if section.model != "python":
         words = [argv[0] for argv in section.argv]
         # a program that should say its version and is missing says none, which is no fault
         words += filter(command.path_of, section.version[:1])
         programs = {word: command.path_of(word) for word in words}
-        files = map(target_and_source, section.files)
-        return ForwardFiles(
+        sources = map(target_and_source, section.files)
+        files = ForwardFiles(
             tuple((word, _sha_of(path) if path else "") for word, path in programs.items()),
-            tuple((target, _text(source, self._places)) for target, source in files),
+            tuple((target, _text(source, places)) for target, source in sources),
         )
+    elif function is not None:
+        files = ForwardFiles(function=function.text, function_version=function.version)
+    return replace(section, found=files)
 
 
 def check_templates(problem: ForwardCell, case_id: str) -> None:

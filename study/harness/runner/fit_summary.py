@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
@@ -14,14 +14,10 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.cell import CellProblem
 from study.harness.design.forward_model import ForwardCell
 from study.harness.external.answers import NoAnswer
-from study.harness.external.command import External, Solved, steps_of
-from study.harness.external.exchange import ParameterAnswer, ProgramAnswer
+from study.harness.external.command import External, steps_of
+from study.harness.external.exchange import PredictedCurve
 from study.harness.record.document import (
     FitDocument,
-    MarkerDocument,
-    MeshDocument,
-    ProgramDocument,
-    SolverDocument,
 )
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
@@ -32,70 +28,7 @@ from study.mechanics.material.stability import StabilityResult, ellipticity_end,
 from study.mechanics.setup.setup import Setup
 
 if TYPE_CHECKING:
-    from study.mechanics.solver.solution import Solution
-
-
-# A predicted curve, and how it was found.
-
-
-@dataclass(frozen=True)
-class PredictedCurve:
-    """A predicted curve."""
-
-    curve: Curve
-    #: How it was found; a closed form has no mesh.
-    mesh: MeshDocument = field(default_factory=MeshDocument)
-    solver: SolverDocument = field(default_factory=SolverDocument)
-    #: What it cost beside the fit that gave the constants.
-    seconds: float = 0.0
-    #: What markers inside the specimen say of it.
-    markers: MarkerDocument | None = None
-    #: Further numbers of another program, in the units of the study file.
-    values: Mapping[str, float] = field(default_factory=dict)
-    #: Zip of its folder, where that is kept.
-    folder: bytes = b""
-    #: Files that were rendered for it.
-    rendered: Mapping[str, str] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, solution: Solution, seconds: float = 0.0) -> PredictedCurve:
-        """Prediction of a solution, without the gradients that nobody reads from the store."""
-        mesh: MeshDocument = {
-            "dofs": int(solution.dofs),
-            "elements": int(solution.elements),
-            "hash": str(solution.mesh_hash),
-            "mesh_size_mm": float(solution.mesh_size_mm),
-        }
-        return cls(solution.curve.without_gradients(), mesh, solver_document(solution), seconds)
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data, for the store and for workers."""
-        values = {"named_values": dict(self.values)} if self.values else {}
-        return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver, **values}
-
-    @classmethod
-    def from_json(cls, document: Mapping[str, object]) -> PredictedCurve:
-        """Inverse of :meth:`to_json`."""
-        return cls(
-            Curve.from_dict(cast("Mapping[str, object]", document["curve"])),
-            cast(MeshDocument, document.get("mesh", {})),
-            cast(SolverDocument, document["solver"]),
-            values=cast("Mapping[str, float]", document.get("named_values", {})),
-        )
-
-
-def solver_document(solution: Solution) -> SolverDocument:
-    """Describe how a solution was found, and its energy balance, for the record."""
-    touching = solution.equilibria.contact
-    return {
-        "name": str(solution.solver),
-        "min_j": float(solution.min_j),
-        "energy_mismatch": float(solution.energy.largest_mismatch),
-        "stabilization_share": float(solution.energy.stabilization_share),
-        "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
-        "penetration_mm": max((contact.penetration_mm for contact in touching), default=0.0),
-        "gap_mm": max((contact.gap_mm for contact in touching), default=0.0),
-    }
+    pass
 
 
 FitStatus = Literal["converged", "at-edge", "at-kink", "not-converged"]
@@ -287,7 +220,7 @@ class InverseExternal:
         self._external, self._problem, self._names = _external(problem), problem, names
         self._grids = [curve.displacement_mm for curve in measured]
         self._points = np.unique(np.concatenate(self._grids))
-        self._last: tuple[bytes, Solved[ProgramAnswer]] | None = None
+        self._last: tuple[bytes, PredictedCurve] | None = None
         #: solutions so far
         self.solves = 0
 
@@ -295,16 +228,16 @@ class InverseExternal:
         """Predict the forces at the measured displacements for constants in MPa."""
         solved = self._solved(values)
         self._last = (values.tobytes(), solved)
-        curve = solved.answer.curve
+        curve = solved.curve
         gradient = {
             name: curve.force_gradient[name]
-            if name in solved.answer.gradients
+            if name in curve.force_gradient
             else self._difference(values, i, curve.force_N)
             for i, name in enumerate(self._names)
         }
         return [self._at(curve, gradient, grid) for grid in self._grids]
 
-    def _solved(self, values: Array) -> Solved[ProgramAnswer]:
+    def _solved(self, values: Array) -> PredictedCurve:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         self.solves += 1
         try:
@@ -320,7 +253,7 @@ class InverseExternal:
             moved = values.copy()
             moved[i] += signed
             try:
-                ahead = self._solved(moved).answer.curve.force_N
+                ahead = self._solved(moved).curve.force_N
             except EvaluationFailed:
                 continue
             return np.asarray((ahead - force) / (moved[i] - values[i]))
@@ -335,29 +268,7 @@ class InverseExternal:
         """Curve at the final constants; solved again where the last one was another."""
         key = np.asarray(values).tobytes()
         solved = self._last[1] if self._last and self._last[0] == key else self._solved(values)
-        return predicted_of(solved, self._external)
-
-
-def predicted_of(solved: Solved[ProgramAnswer], external: External) -> PredictedCurve:
-    """Prediction of an external forward model, for the record."""
-    answer = solved.answer
-    mesh: MeshDocument = {}
-    if answer.dofs or answer.elements:
-        mesh = {"dofs": answer.dofs, "elements": answer.elements}
-    return PredictedCurve(
-        answer.curve.without_gradients(), mesh, _solver(solved.program, external), solved.seconds,
-        values=answer.values, folder=solved.folder, rendered=solved.rendered,
-    )  # fmt: skip
-
-
-def _solver(program: ProgramDocument | None, external: External) -> SolverDocument:
-    """Say what answered, for the record."""
-    if external.function is not None:
-        return {"name": f"Python function, version {external.function.version}"}
-    name = external.section.argv[0][0]
-    if program is None:
-        return {"name": name}
-    return {"name": program["version"] or name, "program": program}
+        return replace(solved, curve=solved.curve.without_gradients())
 
 
 def _external(problem: ForwardCell) -> External:
@@ -367,24 +278,18 @@ def _external(problem: ForwardCell) -> External:
     return external
 
 
-def answer_of_parameters(
-    problem: ForwardCell, case_id: str
-) -> tuple[Solved[ParameterAnswer], SolverDocument]:
-    """Answer of a program or function for parameters alone, and how it was found."""
-    external = _external(problem)
-    solved = external.answer({"case_id": case_id, **problem.own_tables()})
-    return solved, _solver(solved.program, external)
+def answer_of_parameters(problem: ForwardCell, case_id: str) -> PredictedCurve:
+    """Answer of a program or function for parameters alone."""
+    return _external(problem).answer({"case_id": case_id, **problem.own_tables()})
 
 
 def external_curve(
     cell: CellProblem, constants: Mapping[str, float] | None, displacement_mm: Array
 ) -> PredictedCurve:
     """Curve of a case by its external forward model; constants MPa; displacement_mm (n,)."""
-    external = _external(cell)
     problem = cell.at(constants, float(displacement_mm[-1]))
-    solved = external.solve(problem, displacement_mm, cell.own_tables())
-    prediction = predicted_of(solved, external)
-    mesh = prediction.mesh
+    prediction = _external(cell).solve(problem, displacement_mm, cell.own_tables())
+    mesh, curve = prediction.mesh, prediction.curve.without_gradients()
     if mesh and problem.model.mesh_size_mm is not None:
         mesh = {**mesh, "mesh_size_mm": problem.model.mesh_size_mm}
-    return replace(prediction, curve=prediction.curve.with_tangents(), mesh=mesh)
+    return replace(prediction, curve=curve.with_tangents(), mesh=mesh)

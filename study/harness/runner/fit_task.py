@@ -19,12 +19,12 @@ from study.ground.canonical import digest
 from study.ground.curve import Curve, spline_from_origin
 from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
+from study.harness.external.exchange import PredictedCurve
 from study.harness.record.document import FitDocument
 from study.harness.runner.fit_problem import FitProblem
 from study.harness.runner.fit_summary import (
     FitResult,
     InverseExternal,
-    PredictedCurve,
     described,
     status_of,
 )
@@ -424,11 +424,17 @@ def refitted(task: FitTask) -> FitResult:
         residuals_of(curve, model_curve.force_at(curve.displacement_mm), share)
         for curve, model_curve in zip(task.measured, predicted, strict=True)
     ]
-    drawn = [
-        Curve(curve.displacement_mm, resampled(residual, _random(seed, curve, number)))
-        for curve, residual in zip(task.measured, residuals, strict=True)
+    left = iter(zip(task.measured, residuals, strict=True))
+    again = [
+        replace(
+            part,
+            measured=tuple(
+                replace(each, curve=_drawn(*next(left), seed, number)) for each in part.measured
+            ),
+        )
+        for part in parts
     ]
-    again, made = _with_forces(parts, drawn), iter(models)
+    made = iter(models)
     done = single_stage("resampled", again, start, StagedSearch(names, lambda *_: next(made)))
     document = _described(done.fit, parts[0].problem.material, residuals)
     document.update({"method": task.problem.method, "seconds": time.perf_counter() - began})
@@ -450,19 +456,11 @@ def _described(fit: Fit, section: MaterialSection, residuals: Sequence[Residuals
     }
 
 
-def _random(seed: int, measured: Curve, number: int) -> np.random.Generator:
-    """Numbers of one resample of one measured curve, the same for every cell fitted to it."""
+def _drawn(measured: Curve, residuals: Residuals, seed: int, number: int) -> Curve:
+    """One resample of one measured curve: numbers are the same for every cell fitted to it."""
     name = digest([measured.displacement_mm.tolist(), measured.force_N.tolist()], 16)
-    return np.random.default_rng([seed, int(name, 16), number])
-
-
-def _with_forces(parts: Sequence[FitPart], drawn: Sequence[Curve]) -> list[FitPart]:
-    """Put resampled curves, in order, in place of the measured ones."""
-    left = iter(drawn)
-    return [
-        replace(part, measured=tuple(replace(curve, curve=next(left)) for curve in part.measured))
-        for part in parts
-    ]
+    random = np.random.default_rng([seed, int(name, 16), number])
+    return Curve(measured.displacement_mm, resampled(residuals, random))
 
 
 class _Remembering:

@@ -15,7 +15,7 @@ from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case, Design
 from study.harness.record.record import Record, is_repeat
 from study.harness.runner import provenance
-from study.harness.runner.fit_problem import NOTHING, Allowed, FitProblem, fit_key
+from study.harness.runner.fit_problem import NOTHING, Allowed, FitProblem
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.provenance import versions
 from study.harness.runner.response import Scored
@@ -89,16 +89,12 @@ class DataCache:
         # identity stays their own
         self._asked: dict[int, tuple[ForwardCell, Measurements]] = {}
 
-    def scored(self, problem: ForwardCell) -> Measurements | None:
-        """Measurements that a case is scored on."""
-        return self._get(problem)
-
     def calibrated(self, cell: Cell) -> Measurements | None:
         """Measurements that only the calibration uses."""
         other = cell.fitted_elsewhere
         if other is None or other.measurements == cell.problem.measurements:
             return None
-        return self._get(other)
+        return self.scored(other)
 
     def notes(self) -> tuple[str, ...]:
         """Count what every rule did to the data, each once."""
@@ -108,7 +104,8 @@ class DataCache:
         """Name of each file read and its sha256."""
         return {name: sha for data in self._read.values() for name, sha in data.files.items()}
 
-    def _get(self, problem: ForwardCell) -> Measurements | None:
+    def scored(self, problem: ForwardCell) -> Measurements | None:
+        """Measurements that a case is scored on."""
         spec = problem.measurements
         if spec is None or not isinstance(problem, CellProblem):
             return None
@@ -146,13 +143,6 @@ class FitJob:
     start: FitJob | None = None
     label: str = ""
     noise: tuple[int, int] | None = None
-
-    @classmethod
-    def of(
-        cls, problem: FitProblem, measured: tuple[Curve, ...], start: FitJob | None, label: str
-    ) -> FitJob:
-        """Make a fit with the name of its content."""
-        return cls(fit_key(problem, measured), problem, measured, start, label)
 
     def resampled(self, seed: int, number: int) -> FitJob:
         """Make the fit to resampled residuals of this one."""
@@ -265,25 +255,17 @@ class Work:
         return fits_of(self.jobs)
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What was done to the measurements."""
-        return self.data.notes()
-
-    @property
     def cautions(self) -> tuple[str, ...]:
         """What was done to measurements and surfaces that may not be what they seem."""
         mended = provenance.surface_notes(job.case.cell for job in self.jobs)
-        return (*(note for note in self.notes if is_caution(note)), *mended)
-
-    @property
-    def files(self) -> dict[str, str]:
-        """Name of each measurement file and its sha256."""
-        return self.data.files()
+        return (*(note for note in self.data.notes() if is_caution(note)), *mended)
 
     @property
     def virtual(self) -> bool:
         """Whether the measurements were generated."""
-        return any((self.data.root / f"{name}{TRUTH_SUFFIX}").is_file() for name in self.files)
+        return any(
+            (self.data.root / f"{name}{TRUTH_SUFFIX}").is_file() for name in self.data.files()
+        )
 
     def plain(self) -> Work:
         """Leave the replicates out: the first mesh of a cell, the curve as measured."""

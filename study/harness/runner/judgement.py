@@ -5,28 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 from study.ground.canonical import plain
 from study.harness.design.cell import CellProblem
-from study.harness.design.study_file import Converge
 from study.harness.runner.refinement import (
     FEWEST,
     OTHER_MESH,
     QUANTITIES,
-    Budget,
-    FormalOrder,
+    SOLVER_TOLERANCE,
     MeshLevel,
-    Outlook,
     RefinementSeries,
     curve_values,
+    judged,
     quantity,
     representative_sizes,
+    size_needed,
     usable,
+    within,
 )
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
 from study.mechanics.setup.geometry import Enclosed
-from study.mechanics.setup.setup import Setup
 from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
     ConvergenceResult,
@@ -107,20 +105,17 @@ def _source(source: str, name: str, good: Sequence[tuple[float, SolveResult]]) -
     values = tuple(function(result.curve) for _, result in good)
     settings, reference = tuple(k for k, _ in good), values[0]
     # steps: what the problem's own number of them is off by; tolerance: what ten times it costs
-    u = _error_of(values) if source == "load steps" else abs(values[1] - reference)
+    if source == "load steps":  # the changes of a halved step form a series
+        u = abs(values[-1] - values[0])
+        if len(values) > 2:
+            of_steps = grid_convergence([1.0, 2.0, 4.0], values, tolerance=1e-8 * abs(values[0]))
+            u = max(u, of_steps.bound_of(values[-1]) or 0.0)
+    else:
+        u = abs(values[1] - reference)
     if source == "another mesh":
         u *= CAUTIOUS  # of two values, as of the coarser of two meshes
     relative = u / abs(reference) if reference else None
     return ErrorSource(source, name, unit, settings, values, u, relative)
-
-
-def _error_of(values: Sequence[float]) -> float:
-    """Uncertainty of the last (coarsest) value: the changes of a halved step form a series."""
-    change = abs(values[-1] - values[0])
-    if len(values) < 3:
-        return change
-    result = grid_convergence([1.0, 2.0, 4.0], values, tolerance=1e-8 * abs(values[0]))
-    return max(change, result.bound_of(values[-1]) or 0.0)
 
 
 def one_table(
@@ -162,69 +157,6 @@ def remarks(table: Sequence[ErrorSource]) -> list[str]:
     return sentences
 
 
-Values = Mapping[str, tuple[Sequence[float], str]]
-
-#: relative error of a force at the solver's tolerance
-SOLVER_TOLERANCE = 1e-7
-
-#: a value of this part of the largest of its kind is nothing to be settled
-_NOTHING = 1e-9
-
-
-def judged(
-    sizes: Sequence[float],
-    values: Values,
-    formal: float | None,
-    tolerance: float = SOLVER_TOLERANCE,
-) -> dict[str, ConvergenceResult]:
-    """Judge every quantity of a series of at least three meshes."""
-    return {
-        name: grid_convergence(
-            sizes, numbers, formal_order=formal, qoi=name, unit=unit,
-            tolerance=tolerance * max(abs(v) for v in numbers),
-        )
-        for name, (numbers, unit) in values.items()
-    }  # fmt: skip
-
-
-def within(results: Mapping[str, ConvergenceResult], accuracy: float) -> dict[str, bool]:
-    """Whether the uncertainty of each quantity is at most a fraction of its value."""
-    return {
-        name: r.u_num is not None and r.u_num <= accuracy * abs(r.value[0]) + _NOTHING
-        for name, r in results.items()
-    }
-
-
-def outlook(
-    levels: Sequence[MeshLevel], setup: Setup, wanted: float | None, formal: float | None
-) -> Outlook:
-    """Whether every quantity has the accuracy that its problem asks for, else the size it takes."""
-    meshes, _ = usable(levels)
-    if len(meshes) < FEWEST or wanted is None:
-        return Outlook(False)
-    sizes = representative_sizes(meshes, setup)
-    results = judged(sizes, curve_values(meshes), formal)
-    sizes_needed = [size_needed(r, wanted) for r in results.values()]
-    sizes_known = [size for size in sizes_needed if size is not None]
-    return Outlook(all(within(results, wanted).values()), min(sizes_known, default=None))
-
-
-def series_of(
-    problem: CellProblem,
-    spec: Converge,
-    formal: FormalOrder,
-    budget: Budget | None = None,
-    levels_of: Mapping[str, str] | None = None,
-) -> RefinementSeries:
-    """Make the series of a problem, from its own mesh size."""
-    from study.mechanics.mesh.mesher import mesh_size
-
-    first = float(mesh_size(problem.at().setup))
-    setup = problem.setup
-    seen = partial(outlook, setup=setup, wanted=spec.tolerance, formal=formal.order)
-    return RefinementSeries(problem, spec, first, budget or Budget(), seen, levels_of or {})
-
-
 @dataclass(frozen=True)
 class GivenMesh:
     """Value and uncertainty of the main quantity on the problem's own mesh."""
@@ -241,8 +173,8 @@ class SeriesJudgement:
     main: ConvergenceResult
     #: Of every quantity; empty where there are no three meshes.
     quantities: Mapping[str, ConvergenceResult]
-    #: What the elements promise, and what limits it.
-    formal: FormalOrder
+    #: What limits the order that the elements promise.
+    formal_reason: str
     #: Wanted uncertainty over the value; None where none was asked, or no order is known.
     accuracy: float | None = None
     #: Levels of the factors and block, where the series is that of a cell.
@@ -295,17 +227,15 @@ class SeriesJudgement:
             "settled": self.settled,
             "given_mesh": None if self.given is None else vars(self.given),
             "mesh_size_needed": self.mesh_size_needed,
-            "formal_reason": self.formal.why,
+            "formal_reason": self.formal_reason,
             "levels": dict(self.levels),
             **(of_problem if self.meshes else {"block": self.block}),
         }
 
 
-def judge(
-    series: RefinementSeries, formal: FormalOrder, tolerance: float | None = None
-) -> SeriesJudgement:
+def judge(series: RefinementSeries, tolerance: float | None = None) -> SeriesJudgement:
     """Judge the series of a problem."""
-    function, unit = quantity(series.spec.qoi)
+    (function, unit), formal = quantity(series.spec.qoi), series.formal
     meshes, warnings = usable(series.levels)
     facts = SeriesJudgement(
         inconclusive(
@@ -316,7 +246,7 @@ def judge(
             formal_order=formal.order,
         ),
         {},
-        formal,
+        formal.why,
         levels=series.levels_of,
         meshes=tuple(reversed(series.levels)),
         stopped=series.stopped,
@@ -407,11 +337,3 @@ def inconclusive(
         asymptotic_ratio=None,
         verdict=verdict or usual,
     )
-
-
-def size_needed(result: ConvergenceResult, accuracy: float) -> float | None:
-    """Mesh size whose uncertainty would be the wanted fraction of the value, by the order used."""
-    if result.order_used is None or not result.u_num or result.extrapolated in (None, 0.0):
-        return None
-    allowed = accuracy * abs(result.extrapolated)
-    return float(result.mesh_size[0] * (allowed / result.u_num) ** (1 / result.order_used))

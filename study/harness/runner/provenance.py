@@ -7,7 +7,7 @@ import contextlib
 import functools
 import hashlib
 import platform
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -16,7 +16,7 @@ import study
 from study.ground.bounded_file import sha256_of
 from study.ground.errors import Fault, InputError, MissingDataError, StoreError, nearest
 from study.harness.design.cell import Cell, CellProblem
-from study.harness.design.forward_model import ForwardCell, PlacedFile
+from study.harness.design.forward_model import PlacedFile
 from study.harness.record.atomic_files import write_atomic
 from study.mechanics.measurement.marker_states import read_markers
 from study.mechanics.measurement.recording import check_relative, locate
@@ -110,8 +110,10 @@ def _numeric_files(root: Path) -> Sequence[tuple[Path, ast.Module]]:
     waiting = list(_TASKS)
     while waiting:
         module = waiting.pop()
-        path = _file_of(root, module)
         parts = module.split(".")
+        home = root.joinpath(*parts[1:])
+        files = (home.with_suffix(".py"), home / "__init__.py")
+        path = next(filter(Path.is_file, files), None)  # a name may be no module
         if path is None or module in trees or module in _WITHOUT_NUMBERS:
             continue
         if not f"{module}.".startswith(tuple(f"{room}." for room in _NUMERIC_ROOMS)):
@@ -123,21 +125,12 @@ def _numeric_files(root: Path) -> Sequence[tuple[Path, ast.Module]]:
     return [trees[module] for module in sorted(trees)]
 
 
-def _file_of(root: Path, module: str) -> Path | None:
-    """File of a module or package of ours; None where a name is no module."""
-    path = root.joinpath(*module.split(".")[1:])
-    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
-        if candidate.is_file():
-            return candidate
-    return None
-
-
 def _imported(tree: ast.Module) -> Sequence[str]:
     """Names of ours that a file imports, in functions too; what is for types alone is left out."""
     for_types = {
         id(inner)
         for node in ast.walk(tree)
-        if isinstance(node, ast.If) and _is_type_checking(node.test)
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
         for statement in node.body
         for inner in ast.walk(statement)
     }
@@ -150,25 +143,12 @@ def _imported(tree: ast.Module) -> Sequence[str]:
     return [name for name in names if name.split(".")[0] == "study"]
 
 
-def _is_type_checking(test: ast.expr) -> bool:
-    name = test.attr if isinstance(test, ast.Attribute) else getattr(test, "id", "")
-    return name == "TYPE_CHECKING"
-
-
 def _code_only(tree: ast.Module) -> str:
     for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list) and body and _is_text(body[0]):
-            body[0] = ast.Pass()
+        match getattr(node, "body", None):
+            case [ast.Expr(ast.Constant(str())), *_] as body:
+                body[0] = ast.Pass()
     return ast.unparse(tree)
-
-
-def _is_text(node: object) -> bool:
-    return (
-        isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )
 
 
 _WHERE = "specimen.file"
@@ -255,30 +235,20 @@ def find(name: str, places: Sequence[Path]) -> Path:
 
 def surface_notes(cells: Iterable[Cell]) -> tuple[str, ...]:
     """List what was mended in the surfaces of some cells, each once."""
-    return tuple(dict.fromkeys(note for cell in cells for note in _notes(cell)))
+    notes = dict[str, None]()
+    for cell in cells:
+        if isinstance(cell.problem, CellProblem) and isinstance(cell.problem.specimen, Surface):
+            from study.mechanics.surface.closed_surface import body
+
+            made = cell.problem.setup.specimen
+            notes |= dict.fromkeys(body(made).notes if isinstance(made, Enclosed) else ())
+    return tuple(notes)
 
 
-def _notes(cell: Cell) -> Iterator[str]:
-    if isinstance(cell.problem, CellProblem) and isinstance(cell.problem.specimen, Surface):
-        from study.mechanics.surface.closed_surface import body
-
-        made = cell.problem.setup.specimen
-        if isinstance(made, Enclosed):
-            yield from body(made).notes
-
-
-def fingerprints(cell: Cell) -> list[str]:
-    """Hashes of the files of surfaces and markers that a cell uses."""
-    other = cell.fitted_elsewhere
-    files = [_surface_of(cell.problem), cell.problem.marker_file, _surface_of(other)]
-    return [file.sha256 for file in files if file is not None]
-
-
-def surface_files(cell: Cell) -> set[Path]:
-    """Files of the surfaces of a cell whose files were found."""
-    files = (_surface_of(cell.problem), _surface_of(cell.fitted_elsewhere))
-    return {Path(file.path) for file in files if file is not None}
-
-
-def _surface_of(problem: ForwardCell | None) -> PlacedFile | None:
-    return problem.surface_file if isinstance(problem, CellProblem) else None
+def placed_files(cell: Cell) -> list[PlacedFile]:
+    """Files of surfaces and markers that a cell uses, as they were found."""
+    files = []
+    for problem in (cell.problem, cell.fitted_elsewhere):
+        if isinstance(problem, CellProblem):
+            files += [problem.surface_file, problem.marker_file]
+    return [file for file in files if file is not None]

@@ -12,7 +12,8 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,42 +23,14 @@ from study.ground.errors import Fault, InputError, nearest
 from study.ground.memory import free_memory_MB
 from study.harness.design.cell import CellProblem
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
-from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder, Enclosed, Flat
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
+from study.statistics.convergence.grid_convergence import ConvergenceResult, grid_convergence
 
 if TYPE_CHECKING:
     from study.harness.design.study_file import Converge
     from study.harness.runner.job import CaseJob
-
-
-#: a computation, and what it gave
-Step = TypeVar("Step")
-Found_contra = TypeVar("Found_contra", contravariant=True)
-Found = TypeVar("Found")
-
-
-class Refinable(Protocol[Step, Found_contra]):
-    """A series of computations on finer and finer meshes."""
-
-    def due(self) -> Sequence[Step]:
-        """List what is to be computed next; empty where the series has ended."""
-        ...
-
-    def add(self, step: Step, result: Found_contra) -> None:
-        """Take what a computation gave."""
-        ...
-
-
-def refine(
-    series: Sequence[Refinable[Step, Found]], compute: Callable[[Sequence[Step]], Sequence[Found]]
-) -> None:
-    """Compute what is due of every series, all series of one round together, until none is."""
-    while due := [(member, step) for member in series for step in member.due()]:
-        results = compute([step for _, step in due])
-        for (member, step), result in zip(due, results, strict=True):
-            member.add(step, result)
 
 
 #: seed of the other mesh of a surface, whose difference tells how far a choice of meshes moves it
@@ -83,15 +56,6 @@ class Predictions:
     seconds: float | None = None
     memory_MB: float | None = None  # noqa: N815
     unknowns: int | None = None
-
-
-@dataclass(frozen=True)
-class PlannedMesh:
-    """A mesh that is due: its solution, and what that is predicted to take."""
-
-    mesh_size_mm: float
-    task: SolveTask
-    predicted: Predictions
 
 
 @dataclass(frozen=True)
@@ -137,12 +101,47 @@ class Budget:
         return ""
 
 
-@dataclass(frozen=True)
-class Outlook:
-    """What the meshes so far say: whether they are enough, else the size that would be."""
+# What a series says of its quantities.
 
-    settled: bool
-    size_needed_mm: float | None = None
+Values = Mapping[str, tuple[Sequence[float], str]]
+
+#: relative error of a force at the solver's tolerance
+SOLVER_TOLERANCE = 1e-7
+
+#: a value of this part of the largest of its kind is nothing to be settled
+_NOTHING = 1e-9
+
+
+def judged(
+    sizes: Sequence[float],
+    values: Values,
+    formal: float | None,
+    tolerance: float = SOLVER_TOLERANCE,
+) -> dict[str, ConvergenceResult]:
+    """Judge every quantity of a series of at least three meshes."""
+    return {
+        name: grid_convergence(
+            sizes, numbers, formal_order=formal, qoi=name, unit=unit,
+            tolerance=tolerance * max(abs(v) for v in numbers),
+        )
+        for name, (numbers, unit) in values.items()
+    }  # fmt: skip
+
+
+def within(results: Mapping[str, ConvergenceResult], accuracy: float) -> dict[str, bool]:
+    """Whether the uncertainty of each quantity is at most a fraction of its value."""
+    return {
+        name: r.u_num is not None and r.u_num <= accuracy * abs(r.value[0]) + _NOTHING
+        for name, r in results.items()
+    }
+
+
+def size_needed(result: ConvergenceResult, accuracy: float) -> float | None:
+    """Mesh size whose uncertainty would be the wanted fraction of the value, by the order used."""
+    if result.order_used is None or not result.u_num or result.extrapolated in (None, 0.0):
+        return None
+    allowed = accuracy * abs(result.extrapolated)
+    return float(result.mesh_size[0] * (allowed / result.u_num) ** (1 / result.order_used))
 
 
 @dataclass
@@ -152,11 +151,9 @@ class RefinementSeries:
     problem: CellProblem
     #: Ratio, number of meshes, wanted accuracy.
     spec: Converge
-    #: Element size of the problem, the coarsest of the series.
-    first_mm: float
-    budget: Budget
-    #: What its meshes so far say.
-    outlook: Callable[[Sequence[MeshLevel]], Outlook]
+    #: What the elements promise, and what limits it.
+    formal: FormalOrder
+    budget: Budget = field(default_factory=Budget)
     #: Levels of the factors, where the problem is a cell.
     levels_of: Mapping[str, str] = field(default_factory=dict)
     levels: list[MeshLevel] = field(default_factory=list)
@@ -167,22 +164,23 @@ class RefinementSeries:
         """Specimen, test and discretization of what is refined."""
         return self.problem.setup
 
+    @cached_property
+    def first_mm(self) -> float:
+        """Element size of the problem, the coarsest of the series."""
+        from study.mechanics.mesh.mesher import mesh_size
+
+        return float(mesh_size(self.problem.at().setup))
+
     @property
     def good(self) -> list[MeshLevel]:
         """Meshes with an answer."""
         return [level for level in self.levels if level.result.converged]
 
-    def due(self) -> list[PlannedMesh]:
-        """List the next mesh; none where the series has ended (``stopped`` says why)."""
+    @property
+    def next_mm(self) -> float | None:
+        """Size of the next mesh; None where the series has ended (``stopped`` says why)."""
         self.stopped = self.stopped or self._end()
-        if self.stopped:
-            return []
-        size = float(self.first_mm / self.spec.ratio ** len(self.levels))
-        return [PlannedMesh(size, SolveTask.of(self.problem, size), self.predicted())]
-
-    def add(self, step: PlannedMesh, result: SolveResult) -> None:
-        """Take a solution."""
-        self.levels.append(MeshLevel(step.mesh_size_mm, result, step.predicted))
+        return None if self.stopped else float(self.first_mm / self.spec.ratio ** len(self.levels))
 
     def _end(self) -> str:
         """Why no further mesh is solved; empty while one is wanted."""
@@ -190,15 +188,26 @@ class RefinementSeries:
         if count >= needed and len(self.good) >= FEWEST:
             if self.spec.tolerance is None:
                 return f"{count} meshes were asked for"
-            seen = self.outlook(self.levels)
-            if seen.settled:
+            settled, needed_mm = self._outlook(self.spec.tolerance)
+            if settled:
                 return "every quantity has the wanted accuracy"
-            if hopeless := self._hopeless(seen.size_needed_mm):
+            if hopeless := self._hopeless(needed_mm):
                 return hopeless
         if count >= MOST or (count >= needed + 2 and len(self.good) < FEWEST):
             return f"{count} meshes are enough"
         next_one = self.predicted()
         return self.budget.refuses(next_one.seconds, next_one.memory_MB) if count else ""
+
+    def _outlook(self, accuracy: float) -> tuple[bool, float | None]:
+        """Whether every quantity has the wanted accuracy, and the mesh size that it takes."""
+        meshes, _ = usable(self.levels)
+        if len(meshes) < FEWEST:
+            return False, None
+        sizes = representative_sizes(meshes, self.setup)
+        results = judged(sizes, curve_values(meshes), self.formal.order)
+        needed = [size_needed(result, accuracy) for result in results.values()]
+        known = [size for size in needed if size is not None]
+        return all(within(results, accuracy).values()), min(known, default=None)
 
     def _hopeless(self, needed_mm: float | None) -> str:
         """Why the mesh that would be fine enough is out of reach; empty if it may be."""
@@ -224,35 +233,31 @@ class RefinementSeries:
         growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
         time_exponent = _TIME_EXPONENT[space]
         if len(solved) > 1 and solved[-2].dofs < last.dofs:
-            growth = last.dofs / solved[-2].dofs
-            time_exponent = _exponent(solved[-2], last, time_exponent)
+            before, growth = solved[-2], last.dofs / solved[-2].dofs
+            if before.seconds >= 0.02 and last.seconds > before.seconds:  # small times say nothing
+                followed = math.log(last.seconds / before.seconds) / math.log(growth)
+                time_exponent = min(max(followed, 1.0), 3.0)
         growth_MB = max(last.memory_MB - last.base_MB, 1.0)
         memory = last.base_MB + growth_MB * growth**_MEMORY_EXPONENT
         return Predictions(last.seconds * growth**time_exponent, memory, round(last.dofs * growth))
 
 
-def _exponent(before: SolveResult, last: SolveResult, usual: float) -> float:
-    """Power of the unknowns that the time followed; small times say nothing."""
-    if before.seconds < 0.02 or last.seconds <= before.seconds:
-        return usual
-    exponent = math.log(last.seconds / before.seconds) / math.log(last.dofs / before.dofs)
-    return min(max(exponent, 1.0), 3.0)
-
-
-def solving(
-    solve: Solver, progress: Callable[[str], None] = lambda _: None
-) -> Callable[[Sequence[PlannedMesh]], list[SolveResult]]:
-    """Make the computation of the meshes of problems, for :func:`refine`."""
-
-    def compute(planned: Sequence[PlannedMesh]) -> list[SolveResult]:
-        foretold = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
-        sizes = ", ".join(dict.fromkeys(f"{mesh.mesh_size_mm:.3g}" for mesh in planned[:4]))
+def refine(
+    series: Sequence[RefinementSeries],
+    solve: Solver,
+    progress: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Solve the next mesh of every series, all of one round together, until all have ended."""
+    while due := [(member, mm) for member in series if (mm := member.next_mm) is not None]:
+        predicted = [member.predicted() for member, _ in due]
+        foretold = [each.seconds for each in predicted if each.seconds is not None]
+        sizes = ", ".join(dict.fromkeys(f"{mm:.3g}" for _, mm in due[:4]))
         cost = f", about {sum(foretold):.2g} s of computing" if foretold else ""
-        several = "s" if len(planned) > 1 else ""
-        progress(f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}")
-        return solutions(solve, [mesh.task for mesh in planned])
-
-    return compute
+        several = "s" if len(due) > 1 else ""
+        progress(f"mesh size {sizes} mm: {len(due)} solution{several}{cost}")
+        results = solutions(solve, [SolveTask.of(member.problem, mm) for member, mm in due])
+        for (member, mm), result, cost_of in zip(due, results, predicted, strict=True):
+            member.levels.append(MeshLevel(mm, result, cost_of))
 
 
 # Single numbers of a curve whose convergence is judged: peak force, root mean square, work.
@@ -357,15 +362,11 @@ def formal_order(problem: Problem) -> FormalOrder:
     return FormalOrder(order, why)
 
 
-def formal_of_case(job: CaseJob) -> FormalOrder:
-    """Formal order of a case whose constants are not known yet."""
-    return formal_order(_in_mind(job))
-
-
 def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
     """Limit that a singularity sets, and why."""
     if isinstance(singularity, ClampedCorner):
-        exponent = clamped_corner(poisson_ratio(problem.material))
+        K, mu = problem.material.bulk, problem.material.mu0
+        exponent = clamped_corner(0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu)))
         return 2 * exponent, (
             f"the corner between a bonded and a free face: the displacement goes as "
             f"s^{exponent:.3f} there"
@@ -435,20 +436,14 @@ def clamped_corner(nu: float) -> float:
     return float(brentq(mismatch, 0.3, 1.0)) if mismatch(1.0) > 0 else 1.0
 
 
-def poisson_ratio(material: Material) -> float:
-    """Give the initial Poisson's ratio of a material."""
-    K, mu = material.bulk, material.mu0
-    return 0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu))
-
-
 def base_size_mm(job: CaseJob) -> float:
     """Element size of a case, named or given, in mm."""
     from study.mechanics.mesh.mesher import mesh_size
 
-    return float(mesh_size(_in_mind(job).setup))
+    return float(mesh_size(in_mind(job).setup))
 
 
-def _in_mind(job: CaseJob) -> Problem:
+def in_mind(job: CaseJob) -> Problem:
     """Problem of a case whose constants are not known yet."""
     return job.case.tested.with_placeholder(job.depth_mm if job.directions else 1.0)
 
@@ -494,16 +489,8 @@ def series_sizes(
     anchor: int = -1,
 ) -> list[float]:
     """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
-    if edge_rules(setup):
+    if edge_rules(setup) or min(elements) <= 0 or len(set(elements)) < len(elements):
         return list(sizes)
-    return by_elements(sizes, elements, setup.model.space, anchor=anchor)
-
-
-def by_elements(
-    sizes: Sequence[float], elements: Sequence[int], space: str, *, anchor: int = -1
-) -> list[float]:
-    """Sizes h = (V / N)^(1/d) of N elements, scaled to one of them (Celik et al. 2008)."""
-    if min(elements) <= 0 or len(set(elements)) < len(elements):
-        return list(sizes)
-    power = 1 / (3 if space == "3d" else 2)
+    # h = (V / N)^(1/d) of N elements, scaled to one of them (Celik et al. 2008)
+    power = 1 / (3 if setup.model.space == "3d" else 2)
     return [sizes[anchor] * (elements[anchor] / n) ** power for n in elements]

@@ -153,36 +153,35 @@ def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
     return out
 
 
-def splined_uncertainty(predicted: Curve, names: Iterable[str]) -> dict[str, float]:
-    """Change of every response of a curve whose tangents are a spline's, with half of its points.
-
-    Another program solves with load steps of its own, which are not ours to halve; what lies
-    between the displacements that it was asked for is. Nothing where too few points are left.
-    """
-    rough = replace(predicted.every_other_point(), stiffness_N_per_mm=None, work_Nmm=None)
-    rough = rough.with_tangents()
-    if rough.stiffness_N_per_mm is None:
-        return {}
-    return {n: abs(simulated(n, predicted) - simulated(n, rough)) for n in of_prediction(names)}
-
-
 def step_uncertainty(
-    predicted: Curve, measured: Curve | None, names: Iterable[str] = ()
+    predicted: Curve,
+    measured: Curve | None,
+    names: Iterable[str] = (),
+    *,
+    is_splined: bool = False,
 ) -> dict[str, float]:
     """Change of every response where the curve keeps every other load step only.
 
     The steps that are left out are twice as many as were solved; what is left of their effect in
     the response itself is a part of this change, since the interpolation between two steps gets
     better by more than twice when they are halved. Zero where the force is known everywhere
-    (closed form), and nothing where one step is all there is.
+    (closed form), and nothing where one step is all there is. Another program solves with load
+    steps of its own, which are not ours to halve: of its curve, whose tangents are a spline's, what
+    lies between the displacements that it was asked for is.
     """
-    compared = CURVE_RESPONSES if measured is not None else {}
-    if predicted.stiffness_N_per_mm is None:
-        return dict.fromkeys([*compared, *of_prediction(names)], 0.0)
-    if len(predicted) < 2:
-        return {}
-    rough = predicted.every_other_point()
     alone = of_prediction(names)
+    compared = CURVE_RESPONSES if measured is not None else {}
+    if is_splined:
+        compared, rough = {}, predicted.every_other_point()
+        rough = replace(rough, stiffness_N_per_mm=None, work_Nmm=None).with_tangents()
+        if rough.stiffness_N_per_mm is None:
+            return {}
+    elif predicted.stiffness_N_per_mm is None:
+        return dict.fromkeys([*compared, *alone], 0.0)
+    elif len(predicted) < 2:
+        return {}
+    else:
+        rough = predicted.every_other_point()
     scatter = {name: abs(simulated(name, predicted) - simulated(name, rough)) for name in alone}
     if measured is None:
         return scatter

@@ -6,7 +6,6 @@ import contextlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -15,7 +14,6 @@ import numpy as np
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.harness.design.cell import CellProblem
-from study.harness.execution.local import Loky
 from study.harness.execution.task import Executor, Results, Task
 from study.harness.external.command import External
 from study.harness.record.folder import own_folder
@@ -165,20 +163,18 @@ def in_process(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
         yield task.key, solved(task)
 
 
-def by_workers(jobs: int, executor: Executor | None = None) -> Solver:
+def by_workers(executor: Executor) -> Solver:
     """Solve on several worker processes; a worker that dies costs its own solution only."""
 
+    def payload(task: SolveTask) -> Callable[[Results], SolveTask]:
+        return lambda results: task
+
     def solve(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
-        work = [Task(task.key, partial(_as_is, task)) for task in tasks]
-        for outcome in (executor or Loky(perform, jobs)).run(work):
+        work = [Task(task.key, payload(task)) for task in tasks]
+        for outcome in executor.run(work):
             yield outcome.key, SolveResult.from_json(outcome.result)
 
     return solve
-
-
-def _as_is(task: SolveTask, results: Results) -> SolveTask:
-    """Payload of a task that needs no other's result."""
-    return task
 
 
 def kept(solve: Solver, store: Store) -> Solver:
@@ -199,11 +195,6 @@ def kept(solve: Solver, store: Store) -> Solver:
             yield key, result
 
     return looked_up
-
-
-def is_kept(task: SolveTask, store: Store) -> bool:
-    """Whether the solution of a task is stored."""
-    return store.read_solution(task.key) is not None
 
 
 def store_of(results: Path, name: str) -> Store:

@@ -32,7 +32,7 @@ from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import ENERGIES, constant_names, is_dimensionless
 from study.mechanics.material.relaxation import is_of_relaxation
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import MESH_LEVELS, Setup
+from study.mechanics.setup.setup import MESH_LEVELS
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -84,8 +84,12 @@ def _softened(names: Sequence[str], start: Array, share: float) -> Array:
     """Keep a share of the higher constants, and the initial shear modulus."""
     every = dict(zip(names, start.tolist(), strict=True))
     old = {n: v for n, v in every.items() if not is_of_relaxation(n)}
-    if "mu1" in old:
-        new = _softened_ogden(old, share)
+    if "mu1" in old:  # moduli move to the first term, whose exponent nears the neo-Hookean 2
+        moduli = [n for n in old if re.fullmatch(r"mu\d+", n)]
+        new = {n: share * v if n in moduli else v for n, v in old.items()}
+        new["mu1"] += (1 - share) * sum(old[n] for n in moduli)
+        if "alpha1" in old:
+            new["alpha1"] = 2 + share * (old["alpha1"] - 2)
     elif "C10" in old:
         new = {n: v if n == "C10" else share * v for n, v in old.items()}
         # mu0 = 2 (C10 + C01)
@@ -93,16 +97,6 @@ def _softened(names: Sequence[str], start: Array, share: float) -> Array:
     else:
         new = old
     return np.array([{**every, **new}[n] for n in names]) + 0.0  # no minus zero
-
-
-def _softened_ogden(old: dict[str, float], share: float) -> dict[str, float]:
-    """Move moduli to the first term, whose exponent nears the 2 of a neo-Hookean solid."""
-    new = {n: share * v if re.fullmatch(r"mu\d+", n) else v for n, v in old.items()}
-    total = sum(v for n, v in old.items() if re.fullmatch(r"mu\d+", n))
-    new["mu1"] += (1 - share) * total
-    if "alpha1" in old:
-        new["alpha1"] = 2 + share * (old["alpha1"] - 2)
-    return new
 
 
 Predict = Callable[[Array], list[Curve]]
@@ -260,21 +254,19 @@ def begun_stage(
         if number + 1 == len(starts) or not _nowhere(done.fit):
             break
         fruitless, number = fruitless + done.fit.evaluations, number + 1
-    notes = () if number == 0 else (_told(stage, starts[: number + 1], _nowhere(done.fit)),)
-    return replace(done, fruitless=fruitless, notes=notes)
+    if not number:
+        return replace(done, fruitless=fruitless)
+    in_vain = _nowhere(done.fit)
+    failed = starts[: number + 1] if in_vain else starts[:number]
+    note = f"the {stage} led nowhere from {', nor from '.join(start.words for start in failed)}"
+    note += "" if in_vain else f": it was begun with {starts[number].words}"
+    return replace(done, fruitless=fruitless, notes=(note,))
 
 
 def _nowhere(fit_result: Fit) -> bool:
     """Whether the model had no answer at the start of a fit, or nowhere around it."""
     stuck = fit_result.status is Status.too_many_failures and len(fit_result.history) <= 1
     return fit_result.status is Status.start_failed or stuck
-
-
-def _told(stage: str, tried: Sequence[Start], in_vain: bool) -> str:
-    """Say which starts were given up, and what was begun with."""
-    failed = tried if in_vain else tried[:-1]
-    rule = f"the {stage} led nowhere from {', nor from '.join(start.words for start in failed)}"
-    return rule if in_vain else f"{rule}: it was begun with {tried[-1].words}"
 
 
 def single_stage(
@@ -323,12 +315,18 @@ def cheaper(part: FitPart) -> FitPart | None:
     if part.method != "inverse-fem":
         return None
     setup = part.problem.setup
+    size, height = setup.model.mesh_size_mm, setup.height_mm
+    changes: dict[str, object]
     if setup.model.space == "3d" and not setup.is_whole:
-        changes: dict[str, object] | None = {"space": "axisymmetric"}
+        changes = {"space": "axisymmetric"}
+    elif size is None:
+        if setup.model.level == len(MESH_LEVELS) - 1:  # it is coarse already
+            return None
+        changes = {"mesh": "coarse"}
     else:
-        changes = _coarse(setup)
-    if changes is None:
-        return None
+        if height is None or height / (_COARSER * size) < _FEW:
+            return None
+        changes = {"mesh_size_mm": _COARSER * size}
     return replace(part, problem=part.problem.on_mesh(**changes), wanted=part.problem)
 
 
@@ -384,16 +382,6 @@ def is_proportional(problem: CellProblem, names: Sequence[str]) -> bool:
         and not ENERGIES[section.model].is_dimensionless(names[0])
     )
     return one_modulus and not fixed and not test.weight_N_mm3
-
-
-def _coarse(setup: Setup) -> dict[str, object] | None:
-    """Return the keys of a coarse mesh; None where it is one already, or too few are left."""
-    size = setup.model.mesh_size_mm
-    if size is None:
-        return {"mesh": "coarse"} if setup.model.level < len(MESH_LEVELS) - 1 else None
-    coarser, height = _COARSER * size, setup.height_mm
-    few = height is None or height / coarser < _FEW
-    return None if few else {"mesh_size_mm": coarser}
 
 
 class Checkpoint:

@@ -9,7 +9,7 @@ is bounded by its own series, or by the scatter of the error over those that wer
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, cast
 
@@ -22,6 +22,7 @@ from study.harness.design.cell import Cell, CellProblem, Config, case_id, plain
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case
 from study.harness.record.record import Record
+from study.harness.record.store import Store
 from study.harness.runner.case_series import CaseSeries, force_at_places, size_of
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job, meshed
@@ -57,11 +58,14 @@ def study_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
 
 def chosen_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
     """Series of the cells of :func:`chosen`."""
-    costs = Costs()
-    return [
-        refined_series(work, base, _refinements(work, base, costs), records)
-        for base in chosen(work)
-    ]
+    costs, series = Costs(), []
+    for base in chosen(work):
+        if base.case.problem.refinement is not None:
+            times = max(2, work.design.converge.levels - 1)
+        else:  # two where the second is cheap, one elsewhere
+            times = 2 if _refined_seconds(work, base, costs) < CHEAP_S else 1
+        series.append(refined_series(work, base, times, records))
+    return series
 
 
 def refinement_work(work: Work) -> Work:
@@ -165,13 +169,6 @@ def every_cell(work: Work) -> list[CaseJob]:
 def meshed_cells(work: Work) -> list[CaseJob]:
     """List those whose answer depends on a mesh: their deformation is not homogeneous."""
     return [job for job in every_cell(work) if not job.case.problem.is_homogeneous]
-
-
-def _refinements(work: Work, job: CaseJob, costs: Costs) -> int:
-    """Count the refinements: two where the second is cheap, one elsewhere."""
-    if job.case.problem.refinement is not None:
-        return max(2, work.design.converge.levels - 1)
-    return 2 if _refined_seconds(work, job, costs) < CHEAP_S else 1
 
 
 def _refined_seconds(work: Work, job: CaseJob, costs: Costs) -> float:
@@ -340,9 +337,7 @@ def pairs(work: Work, records: Mapping[str, Record]) -> list[SpacePair]:
     return compared_pairs
 
 
-def upcoming(
-    work: Work, records: Mapping[str, Record], solved: Callable[[SolveTask], bool]
-) -> list[CaseJob]:
+def upcoming(work: Work, records: Mapping[str, Record], store: Store) -> list[CaseJob]:
     """List the cells whose cylinder is still to be solved, each at the cost of the cell's own."""
     given = {job.case.case_id: _constants(records.get(job.case.case_id)) for job in in_blocks(work)}
     hopeful = [
@@ -352,7 +347,7 @@ def upcoming(
     for _, chosen in _chosen(hopeful):
         for job in chosen:
             constants = given[job.case.case_id]
-            if not constants or not solved(_task(job, constants)):
+            if not constants or store.read_solution(_task(job, constants).key) is None:
                 open_cells.append(job)
     return open_cells
 
@@ -368,22 +363,18 @@ def _chosen(
     cells: Sequence[CaseJob],
 ) -> Iterator[tuple[dict[str, str], tuple[CaseJob, CaseJob]]]:
     """Finest mesh of both spaces for every kind of element, of the material of fewest constants."""
+    # levels that name a kind of element: of the model, but for its space and its mesh
+    apart = ("model.space", "model.mesh", "model.mesh_size")
     kinds: dict[tuple[tuple[str, str], ...], list[CaseJob]] = {}
     for job in cells:
-        kinds.setdefault(_levels(job), []).append(job)
+        named = (item for item in job.case.levels.items() if item[0].startswith("model."))
+        kinds.setdefault(tuple(item for item in named if item[0] not in apart), []).append(job)
     for levels, jobs in kinds.items():
         flat, solid = (
             [job for job in jobs if job.case.tested.model.space == space] for space in SPACES
         )
         if flat and solid:
             yield dict(levels), (min(flat, key=_preference), min(solid, key=_preference))
-
-
-def _levels(job: CaseJob) -> tuple[tuple[str, str], ...]:
-    """Levels that name a kind of element: of the model, but for its space and its mesh."""
-    apart = ("model.space", "model.mesh", "model.mesh_size")
-    levels = job.case.levels.items()
-    return tuple((k, v) for k, v in levels if k.startswith("model.") and k not in apart)
 
 
 def _preference(job: CaseJob) -> tuple[int, str, float]:

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,13 +15,11 @@ from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.errors import StoreError
 from study.harness.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.harness.runner import refinement, study_refinement
-from study.harness.runner.batch import Progress, computing, run_batch
-from study.harness.runner.case_series import COSTS, PLACES, CaseSeries, places_of
-from study.harness.runner.cost import Costs
-from study.harness.runner.solve_task import SolveResult, by_workers, is_kept, kept
+from study.harness.runner import study_refinement
+from study.harness.runner.batch import Progress, computed, run_batch
+from study.harness.runner.case_series import COSTS, PLACES, CaseSeries, places_of, refine_cases
+from study.harness.runner.solve_task import SolveResult, by_workers, kept
 from study.harness.runner.study_refinement import input_shares, input_work, physics_of
-from study.harness.runner.tasks import default_jobs
 from study.statistics.convergence.contrast_bound import CellSeries, NumericalBound, SeriesBounds
 from study.statistics.convergence.grid_convergence import NumericalUncertainty, compare
 
@@ -36,19 +35,11 @@ if TYPE_CHECKING:
 
 
 def refine(
-    work: Work,
-    store: Store,
-    jobs: int | None,
-    progress: Callable[[Progress], None] | None,
-    timeout_s: float | None,
-    executor: Executor | None = None,
+    work: Work, store: Store, executor: Executor, progress: Callable[[Progress], None]
 ) -> None:
     """Compute the refined cases and store what they say of every response."""
     series = study_refinement.study_series(work, store.on_demand(work.input_hashes))
-    compute = computing(
-        work, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor
-    )
-    refinement.refine(series, compute)
+    refine_cases(series, partial(computed, work, store, executor, progress))
     with store.lock():
         store.write_rows("numerical", [asdict(row) for row in uncertainties(work, series)])
 
@@ -64,33 +55,22 @@ def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[NumericalUnc
 
 
 def compare_spaces(
-    work: Work,
-    store: Store,
-    jobs: int | None,
-    progress: Callable[[Progress], None] | None = None,
-    executor: Executor | None = None,
+    work: Work, store: Store, executor: Executor, progress: Callable[[Progress], None]
 ) -> None:
     """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
     pairs = study_refinement.pairs(work, store.on_demand(work.input_hashes))
     if not pairs:
         return
-    workers, costs, began = jobs or default_jobs(), Costs(), time.monotonic()
+    began, results = time.monotonic(), dict[str, SolveResult]()
     # the solids take longest: all of them first
     tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
-    left_s = {t.key: costs.solve_seconds(t.problem) for t in tasks if not is_kept(t, store)}
-    total, results = len(left_s), dict[str, SolveResult]()
-
-    def report() -> None:
-        if progress is not None and total:
-            left = costs.side_by_side(list(left_s.values()), workers)
-            label, seconds = "one cylinder in both spaces, a control", time.monotonic() - began
-            progress(Progress(total - len(left_s), total, 0, seconds, left, label))
-
-    report()
-    for key, result in kept(by_workers(workers, executor), store)(tasks):
+    unsolved = {task.key for task in tasks if store.read_solution(task.key) is None}
+    for key, result in kept(by_workers(executor), store)(tasks):
         results[key] = result
-        if left_s.pop(key, None) is not None:
-            report()
+        if key in unsolved:
+            done, seconds = len(unsolved & results.keys()), time.monotonic() - began
+            label = "one cylinder in both spaces, a control"
+            progress(Progress(done, len(unsolved), 0, seconds, label))
     rows = [
         study_refinement.compared(pair, *(results[task.key] for task in pair.tasks))
         for pair in pairs
@@ -110,14 +90,13 @@ def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[NumericalU
     rows = store.read_rows("numerical", NumericalRow, fault_of_series)
     if document is not None and document["of"] == digest(cases):
         rows = [*rows, *document["rows"]]
-    return tuple(map(_of_row, rows))
-
-
-def _of_row(row: NumericalRow) -> NumericalUncertainty:
-    return NumericalUncertainty(
-        row["levels"], row["response"], row["value"], row["u_num"], row["unit"],
-        row["behaviour"], row["note"], tuple(row.get("mesh_size", ())),
-        tuple(row.get("series", ())), row.get("formal_order"), row.get("formal_reason", ""),
+    return tuple(
+        NumericalUncertainty(
+            row["levels"], row["response"], row["value"], row["u_num"], row["unit"],
+            row["behaviour"], row["note"], tuple(row.get("mesh_size", ())),
+            tuple(row.get("series", ())), row.get("formal_order"), row.get("formal_reason", ""),
+        )
+        for row in rows
     )  # fmt: skip
 
 
@@ -286,19 +265,12 @@ def _geometric_mean(records: Sequence[Record], response: str) -> float:
 
 
 def validate(
-    work: Work,
-    store: Store,
-    jobs: int | None = None,
-    progress: Callable[[Progress], None] | None = None,
-    timeout_s: float | None = None,
-    executor: Executor | None = None,
+    work: Work, store: Store, executor: Executor, progress: Callable[[Progress], None]
 ) -> list[dict[str, object]]:
     """Move the uncertain inputs, compare every case, and store the rows as ``validation``."""
     moved = input_work(work)
     if moved.jobs:
-        run_batch(
-            moved, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor
-        )
+        run_batch(moved, store, executor, progress)
     rows = compared(work, moved, store)
     with store.lock():
         store.write_rows("validation", rows)

@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeGuard, cast
+from typing import cast
 
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.memory import free_memory_MB
@@ -40,12 +40,12 @@ def perform(task: object) -> Document:
 
 
 def processes(
-    jobs: int,
+    jobs: int | None = None,
     timeout_s: float | None = None,
     memory_MB: float | None = None,  # noqa: N803
 ) -> Executor:
     """Start processes of this machine, which know every kind of task."""
-    return Loky(perform, jobs, timeout_s, memory_MB or free_memory_MB())
+    return Loky(perform, jobs or default_jobs(), timeout_s, memory_MB or free_memory_MB())
 
 
 def memory_of(text: str) -> float:
@@ -70,17 +70,13 @@ def computing_on(
     jobs: int | None = None,
     timeout_s: float | None = None,
     files: Sequence[Path] = (),
-) -> tuple[Executor, int | None]:
-    """Find the executor that an engine means, and how many tasks it does at once."""
-    if not _is_scheduler(engine):
-        return cast("Executor", engine), jobs
-    cluster = Cluster(perform, engine, versions, jobs, timeout_s, files)
-    return cluster, cluster.slots()
-
-
-def _is_scheduler(engine: Engine) -> TypeGuard[str | Path | Client]:
-    """Whether it leads to a cluster; a client of Dask has a ``run`` too, which is another one."""
-    return isinstance(engine, str | os.PathLike) or hasattr(engine, "nthreads")
+) -> Executor:
+    """Find the executor that an engine means."""
+    # a client of Dask has a ``run`` too, which is another one
+    if isinstance(engine, str | os.PathLike) or hasattr(engine, "nthreads"):
+        scheduler = cast("str | Path | Client", engine)
+        return Cluster(perform, scheduler, versions, jobs, timeout_s, files).reached()
+    return engine
 
 
 def limit_of(place: Executor) -> float | None:

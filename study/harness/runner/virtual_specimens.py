@@ -11,6 +11,7 @@ import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from math import factorial
 from pathlib import Path
 from typing import cast
@@ -28,6 +29,7 @@ from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.runner import provenance
 from study.harness.runner.job import TRUTH_SUFFIX
 from study.harness.runner.solve_task import SolveTask, by_workers
+from study.harness.runner.tasks import processes
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.measurement_section import MeasurementSpec
@@ -99,10 +101,7 @@ class Truth:
     words: str
 
 
-def _yeoh() -> Truth:
-    constants = {"C10": 7.7021e-3, "C20": -0.0628e-3, "C30": 0.2479e-3}
-    higher = tuple({n: constants[n]} for n in ("C20", "C30"))
-    return Truth("reduced-polynomial", constants, higher, "reduced polynomial of order 3")
+_YEOH = {"C10": 7.7021e-3, "C20": -0.0628e-3, "C30": 0.2479e-3}
 
 
 def _ogden() -> Truth:
@@ -127,7 +126,16 @@ def _humphrey() -> Truth:
     return Truth("reduced-polynomial", constants, (exponent,), "Humphrey's exponential energy")
 
 
-TRUTHS: Mapping[str, Truth] = {"yeoh": _yeoh(), "ogden": _ogden(), "humphrey": _humphrey()}
+TRUTHS: Mapping[str, Truth] = {
+    "yeoh": Truth(
+        "reduced-polynomial",
+        _YEOH,
+        tuple({n: _YEOH[n]} for n in ("C20", "C30")),
+        "reduced polynomial of order 3",
+    ),
+    "ogden": _ogden(),
+    "humphrey": _humphrey(),
+}
 
 
 def truth(name: str) -> Truth:
@@ -142,46 +150,17 @@ def truth(name: str) -> Truth:
 
 def reference_curve(
     problem: CellProblem,
-    material: Truth,
-    poisson_ratio: float,
-    *,
-    as_designed: bool = False,
-    virtual: Virtual | None = None,
-) -> Curve:
-    """Solve for the reference force and its gradient, in a worker of one thread."""
-    task = _task(problem, material, poisson_ratio, as_designed, virtual)
-    return _solved(task, "the reference curve")
-
-
-def reference_error(
-    problem: CellProblem,
-    material: Truth,
-    poisson_ratio: float,
-    curve: Curve,
-    *,
-    as_designed: bool,
-    virtual: Virtual | None = None,
-) -> float:
-    """Largest change of the reference force on the next coarser mesh, over the largest force."""
-    coarser = _task(problem, material, poisson_ratio, as_designed, virtual, coarser=True)
-    other = _solved(coarser, "the reference curve on the next coarser mesh")
-    change = other.force_at(curve.displacement_mm) - curve.force_N
-    return float(np.abs(change).max() / np.abs(curve.force_N).max())
-
-
-def _task(
-    problem: CellProblem,
     truth: Truth,
     poisson_ratio: float,
-    as_designed: bool,
-    asked_for: Virtual | None,
     *,
+    as_designed: bool,
+    virtual: Virtual,
     coarser: bool = False,
-) -> SolveTask:
-    """Solution of a reference curve, or of its next coarser mesh without gradients."""
+) -> Curve:
+    """Solve for the reference force and its gradient, or the force on the next coarser mesh."""
     from study.mechanics.mesh.mesher import mesh_size
 
-    virtual, setup = asked_for or Virtual(), problem.setup
+    setup = problem.setup
     loaded = problem if as_designed else problem.loaded(interface="bonded", base="bonded")
     # the grid runs a little past the range, as a real test does
     loaded = loaded.loaded(steps=virtual.steps, displacement_mm=1.03 * setup.test.depth_mm)
@@ -192,14 +171,11 @@ def _task(
     finer = as_designed and not virtual.chooses_mesh and not setup.is_homogeneous
     if refined := finer - coarser:  # no cell of the design generates its own data
         made = made.on_mesh(mesh_size_mm=mesh_size(made.setup) / model.mesh_ratio**refined)
-    return SolveTask(made, gradients=not coarser)
-
-
-def _solved(task: SolveTask, what: str) -> Curve:
-    ((_, result),) = by_workers(1)([task])
+    # in a worker of one thread
+    ((_, result),) = by_workers(processes(1))([SolveTask(made, gradients=not coarser)])
     if not result.converged:
-        rule = f"{what} failed: {result.message}"
-        raise InputError(Fault("virtual specimens", rule))
+        what = "the reference curve" + " on the next coarser mesh" * coarser
+        raise InputError(Fault("virtual specimens", f"{what} failed: {result.message}"))
     return result.curve
 
 
@@ -307,11 +283,14 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     written = []
     several = len(sources) > 1
     for number, (spec, problem) in enumerate(sources):
-        given = (problem, truth(generator.truth), generator.poisson_ratio)
-        reference = reference_curve(*given, as_designed=several, virtual=design.virtual)
-        stated = {}
+        of = partial(
+            reference_curve, problem, truth(generator.truth), generator.poisson_ratio,
+            as_designed=several, virtual=design.virtual or Virtual(),
+        )  # fmt: skip
+        reference, stated = of(), {}
         if design.virtual is not None:
-            change = reference_error(*given, reference, as_designed=several, virtual=design.virtual)
+            apart = of(coarser=True).force_at(reference.displacement_mm) - reference.force_N
+            change = float(np.abs(apart).max() / np.abs(reference.force_N).max())
             stated = {"reference": {**asdict(design.virtual), "change_by_coarser_mesh": change}}
         weighs = problem.test.gravity is not None
         which = number if several else None
@@ -342,19 +321,15 @@ def _sources(design: Design) -> list[tuple[MeasurementSpec, CellProblem]]:
             spec = problem.measurements
             name = str(spec.file or spec.files)
             if name in sources:  # every treatment reads its own range from the same file
-                deepest = max(problem, sources[name][1], key=_depth)
-                finest = min(sources[name][1], problem, key=_coarseness)
+                pair = (sources[name][1], problem)
+                deepest = max(problem, pair[0], key=_depth)
+                # a given size, else the named level
+                sizes = [(p.model.mesh_size_mm or np.inf, p.model.level) for p in pair]
+                finest = pair[1] if sizes[1] < sizes[0] else pair[0]
                 problem = replace(deepest, model=finest.model)
                 spec = deepest.measurements or spec
             sources[name] = (spec, problem)
     return list(sources.values())
-
-
-def _coarseness(problem: CellProblem) -> tuple[float, int]:
-    """Order of meshes: a given size, else the named level."""
-    model = problem.model
-    size = model.mesh_size_mm
-    return (np.inf if size is None else size, model.level)
 
 
 def _depth(problem: CellProblem) -> float:
@@ -389,8 +364,17 @@ def generate(
     random = np.random.default_rng(generator.seed)
     cell = random if noise is None else np.random.default_rng([generator.seed, 1 + noise])
     d = np.arange(0.0, float(reference.displacement_mm[-1]), generator.spacing_mm)
-    force, slopes = reference.force_at(d), _shape_changes(reference, generator, d)
-    by_weight = _weight_change(reference, generator, d) if weighs else 0.0 * d
+    material, force, by_weight = truth(generator.truth), reference.force_at(d), 0.0 * d
+    # change of the force with each direction of the truth's scatter
+    slopes = [
+        sum((rate * reference.gradient_at(n, d) for n, rate in direction.items()), 0.0 * d)
+        for direction in material.directions
+        if set(direction) <= set(reference.force_gradient)
+    ]
+    if weighs:  # change with the logarithm of the density, as the force's degree 1 (Euler) gives it
+        moduli = [name for name in material.constants if unit_shown(name)]
+        stiff = (material.constants[name] * reference.gradient_at(name, d) for name in moduli)
+        by_weight = force - sum(stiff, 0.0 * d)
     # without a column for them, further batches could not be told from the first
     batches = generator.batches if spec.block else 1
     for batch in range(1, batches + 1):
@@ -402,23 +386,6 @@ def generate(
             for labels in _repeats(spec, groups, generator.repeats):
                 true = factor * (force + shape) + (1 - factor) * by_weight
                 yield VirtualTest(labels, d, _measured(d, true, generator, cell))
-
-
-def _shape_changes(reference: Curve, generator: Generator, d: Array) -> list[Array]:
-    """Change of the force with each direction of the truth's scatter."""
-    return [
-        sum((rate * reference.gradient_at(n, d) for n, rate in direction.items()), 0.0 * d)
-        for direction in truth(generator.truth).directions
-        if set(direction) <= set(reference.force_gradient)
-    ]
-
-
-def _weight_change(reference: Curve, generator: Generator, d: Array) -> Array:
-    """Change of the force with the logarithm of the density, as its degree 1 (Euler) gives it."""
-    material = truth(generator.truth)
-    moduli = [name for name in material.constants if unit_shown(name)]
-    stiff = (material.constants[name] * reference.gradient_at(name, d) for name in moduli)
-    return np.asarray(reference.force_at(d) - sum(stiff, 0.0 * d))
 
 
 def _measured(d: Array, force: Array, generator: Generator, random: np.random.Generator) -> Array:

@@ -386,8 +386,8 @@ def _text(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
 #: file in the folder of a report's data
 NAME = "made-from.json"
 
-#: files of a results folder that say nothing about results: who works on it, and what is found
-#: in the records faster
+#: files of a results folder that say nothing about results: who works on it, and what earlier
+#: versions found in the records faster
 _SILENT = frozenset({".lock", "index.json"})
 
 #: libraries that compute or draw what a report shows, besides those that solve
