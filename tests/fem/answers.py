@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from study.mechanics.element.function_space import pressure_of
 from study.mechanics.material.material import Material
 from study.mechanics.setup.setup import Model
 from tests.fem.known import Body, body, linear, rectangle, solve, unit_cube
@@ -293,12 +294,8 @@ def unit(model: Model, n: int, material: Material) -> Body:
 
 def quantities_of(case: Manufactured, made: Body) -> tuple[float, float, float]:
     """Exact values of the three quantities."""
-    from skfem import FacetBasis
-
-    basis, mesh = made.basis(), made.fem_mesh
+    basis, face = made.basis(), made.facet_basis(lambda X: X[-1] > 1 - 1e-9)
     x, dx = np.asarray(basis.global_coordinates()), _measured(case, basis)
-    top = mesh.facets_satisfying(lambda X: X[-1] > 1 - 1e-9, boundaries_only=True)
-    face = FacetBasis(mesh, made.element, facets=top, intorder=8)
     at, area = np.asarray(face.global_coordinates()), _measured(case, face)
     square = (case.displacement(x) ** 2).sum(axis=0)
     return (
@@ -310,21 +307,17 @@ def quantities_of(case: Manufactured, made: Body) -> tuple[float, float, float]:
 
 def computed(case: Manufactured, model: Model, n: int) -> tuple[float, float, float]:
     """The same three of the discrete solution."""
-    from skfem import FacetBasis
-
     made = unit(model, n, case.material)
     answer = case.solve(made, steps=4)
     dim = made.nodes.shape[1]
     nodal = answer.x[: made.space.n_displacement].reshape(-1, dim)
-    basis, mesh = made.basis(), made.fem_mesh
+    basis, face = made.basis(), made.facet_basis(lambda X: X[-1] > 1 - 1e-9)
     dx = _measured(case, basis)
-    top = mesh.facets_satisfying(lambda X: X[-1] > 1 - 1e-9, boundaries_only=True)
-    face = FacetBasis(mesh, made.element, facets=top, intorder=8)
     area = _measured(case, face)
     rise = np.asarray(face.interpolate(np.ascontiguousarray(nodal[:, -1])))
     fields = [np.asarray(basis.interpolate(np.ascontiguousarray(nodal[:, i]))) for i in range(dim)]
     square = sum(f**2 for f in fields)
-    shape, numbers = made.pressure_shape(basis)
+    shape, numbers = pressure_of(basis, made.model)
     p = (shape * answer.x[made.space.n_displacement + numbers][:, None, :]).sum(axis=2)
     volume = dx.sum()
     return (

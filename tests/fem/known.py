@@ -39,25 +39,18 @@ class Body:
     def nodes(self) -> Array:
         return self.space.nodes
 
-    @property
-    def fem_mesh(self) -> Any:
-        mesh: Any = SimpleNamespace(points=self.points, cells=self.cells)
-        return function_space._fem_mesh(
-            mesh, self.model.space == "axisymmetric", self.model.element_shape
-        )
-
-    @property
-    def element(self) -> Any:
-        return function_space._displacement_element(self.model, self.model.space == "axisymmetric")
-
     def basis(self, order: int = 8) -> Any:
         """Scalar basis of one displacement component, with as exact a quadrature as asked."""
-        from skfem import Basis
+        mesh: Any = SimpleNamespace(points=self.points, cells=self.cells)
+        return function_space.basis_of(mesh, self.model, order)
 
-        return Basis(self.fem_mesh, self.element, intorder=order)
+    def facet_basis(self, on: Callable[[Array], Array]) -> Any:
+        """The same on the boundary facets where ``on`` is true."""
+        from skfem import FacetBasis
 
-    def pressure_shape(self, basis: Any) -> tuple[Array, Array]:
-        return function_space._pressure(self.fem_mesh, basis, self.model)
+        basis = self.basis(1)
+        facets = basis.mesh.facets_satisfying(on, boundaries_only=True)
+        return FacetBasis(basis.mesh, basis.elem, facets=facets, intorder=8)
 
     def dofs_where(self, chosen: Callable[[Array], Array], axis: int) -> Array:
         """Displacement unknowns along one axis of the nodes where ``chosen(nodes)`` is true.
@@ -169,22 +162,18 @@ def load_vector(
     on: Callable[[Array], Array] | None = None,
 ) -> Array:
     """Loads of a body force (dim, ...), a source of volume and a traction on facets ``on``."""
-    from skfem import FacetBasis
-
     out = np.zeros(made.space.n)
     dim = made.nodes.shape[1]
     basis = made.basis()
     _add(out, made, basis, force, dim)
     if volume_source is not None:
         x, dx = np.asarray(basis.global_coordinates()), _measure(made, basis)
-        shape, numbers = made.pressure_shape(basis)
+        shape, numbers = function_space.pressure_of(basis, made.model)
         local = np.einsum("eqb,eq->eb", np.broadcast_to(shape, (*dx.shape, shape.shape[2])),
                           volume_source(x) * dx)  # fmt: skip
         np.add.at(out, made.space.n_displacement + numbers, local)
     if traction is not None and on is not None:
-        mesh = made.fem_mesh
-        facets = mesh.facets_satisfying(on, boundaries_only=True)
-        _add(out, made, FacetBasis(mesh, made.element, facets=facets, intorder=8), traction, dim)
+        _add(out, made, made.facet_basis(on), traction, dim)
     return out
 
 
@@ -226,7 +215,7 @@ def errors(
         field = basis.interpolate(np.ascontiguousarray(nodal[:, i]))
         u += float(((np.asarray(field) - exact[i]) ** 2 * dx).sum())
         h1 += sum(float(((field.grad[j] - slope[i, j]) ** 2 * dx).sum()) for j in range(dim))
-    shape, numbers = made.pressure_shape(basis)
+    shape, numbers = function_space.pressure_of(basis, made.model)
     p = 0.0
     if numbers.size:
         found = (shape * x[made.space.n_displacement + numbers][:, None, :]).sum(axis=2)

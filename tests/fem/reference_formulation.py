@@ -88,10 +88,8 @@ class Formulation:
     ) -> Formulation:
         """State of every quadrature point at unknowns ``x``."""
         axisymmetric = model.space == "axisymmetric"
-        shape = function_space._fem_mesh(mesh, axisymmetric, model.element_shape)
-        element = function_space._displacement_element(model, axisymmetric)
         rule = function_space._RULES[(model.space, model.element_order, model.element_shape)]
-        basis = Basis(shape, element, intorder=rule)
+        basis = function_space.basis_of(mesh, model, rule)
         n = space.n_displacement
         F = deformation_gradient(space, x[:n].reshape(-1, space.dim))
         pressures = x[space.dofs[:, space.dim * space.element_nodes.shape[1] :]]

@@ -7,6 +7,7 @@ same mesh everywhere, and a refinement series has the ratio that was asked for.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -24,18 +25,17 @@ from study.mechanics.mesh.structured import (
     layers,
     rectangle,
 )
-from study.mechanics.setup.geometry import Enclosed
-from study.mechanics.setup.setup import Setup, mesh_level
-from study.mechanics.setup.test_kind import AroundContact, MeshGrading, TowardsPlates
+from study.mechanics.setup.geometry import Enclosed, Specimen
+from study.mechanics.setup.setup import Model, Setup, mesh_level
+from study.mechanics.setup.test_kind import AroundContact, MeshGrading, Test, TowardsPlates
 from study.mechanics.surface.closed_surface import height_of
 
 #: reference sizes in one cube root of the volume; the finest named mesh has this size
 CELLS_PER_LENGTH = 20.0
 #: the same of a whole block, which has four times the cells of its quarter
 CELLS_OF_WHOLE = 6.5
-#: meshes of this process that are kept, and they
+#: meshes of this process that are kept
 _KEPT = 4
-_MADE: dict[tuple[object, ...], Mesh] = {}
 
 
 def mesh_size(setup: Setup) -> float:
@@ -58,7 +58,8 @@ def build_mesh(setup: Setup) -> Mesh:
     # topology of one mesh, forces on a round body scatter by 1.5 %, over all meshes by 5 %.
     if isinstance(setup.specimen, Enclosed):  # not kept: its file may have changed
         return surface_mesh(setup)
-    mesh, seed = _regular_mesh(setup), setup.model.mesh_seed
+    seed, test = setup.model.mesh_seed, replace(setup.test, steps=1)
+    mesh = regular_mesh(setup.specimen, test, replace(setup.model, mesh_seed=None))
     if seed is None:
         return mesh
     return jittered(mesh, seed, _at_edge(setup.grading, mesh))
@@ -76,28 +77,16 @@ def _at_edge(grading: MeshGrading, mesh: Mesh) -> NDArray[np.bool_] | None:
     return np.asarray(on_top & (np.abs(rho - ring) <= 1.2 * sagitta + 1e-9 * mesh.height_mm))
 
 
-def _regular_mesh(setup: Setup) -> Mesh:
+@functools.lru_cache(maxsize=_KEPT)
+def regular_mesh(specimen: Specimen, test: Test, model: Model) -> Mesh:
     """Mesh before nodes are moved: the last few are kept."""
-    asked = setup.specimen, replace(setup.test, steps=1), replace(setup.model, mesh_seed=None)
-    if asked not in _MADE:
-        mesh = _made(setup)
-        mesh.points.flags.writeable = mesh.cells.flags.writeable = False  # many will use them
-        for oldest in list(_MADE)[: 1 - _KEPT]:
-            del _MADE[oldest]
-        _MADE[asked] = mesh
-    return _MADE[asked]
-
-
-def forget_meshes() -> None:
-    """Let the next meshes be made anew: where the time that it takes is asked for."""
-    _MADE.clear()
-
-
-def _made(setup: Setup) -> Mesh:
-    grading = setup.grading
-    if isinstance(grading, AroundContact):
-        return indentation_mesh(setup)
-    return compressed_mesh(setup, grading)
+    setup = Setup(specimen, test, model)
+    if isinstance(setup.grading, AroundContact):
+        mesh = indentation_mesh(setup)
+    else:
+        mesh = compressed_mesh(setup, setup.grading)
+    mesh.points.flags.writeable = mesh.cells.flags.writeable = False  # many will use them
+    return mesh
 
 
 def compressed_mesh(setup: Setup, bonded: TowardsPlates) -> Mesh:

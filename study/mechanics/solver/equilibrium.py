@@ -18,7 +18,7 @@ import numpy as np
 from study.ground.arrays import Array, Flags, Ints
 from study.mechanics.contact.collocation import _ring_shares
 from study.mechanics.contact.contact import Constraints, TiedPoints, prescribed_rates
-from study.mechanics.element.function_space import _SAME, Pattern, _facet_areas, at_level
+from study.mechanics.element.function_space import _SAME, Pattern, at_level, facet_areas
 from study.mechanics.mesh.structured import KINDS, Mesh, mirror
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_kinds import buckling_strain
@@ -373,7 +373,7 @@ def _stretched_areas(system: System, u: Array) -> Array:
     if system.small_strain:
         return np.ones(len(space.nodes))
     corners = space.facets[:, : _corners(space.facets.shape[1], dim)]
-    areas = [_facet_areas(x[corners], dim == 2) for x in (space.nodes, space.nodes + u)]
+    areas = [facet_areas(x[corners]) for x in (space.nodes, space.nodes + u)]
     n, k = len(space.nodes), space.facets.shape[1]
     before, after = (np.bincount(space.facets.ravel(), np.repeat(a, k), n) for a in areas)
     return np.asarray(np.divide(after, before, out=np.ones(n), where=before > 0))
@@ -414,7 +414,7 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
     facets = space.facets[chosen]
     k = _corners(facets.shape[1], dim)
     corners = facets[:, :k]
-    areas, shares = _facet_areas(places[corners], dim == 2), np.full((len(facets), k), 1.0 / k)
+    areas, shares = facet_areas(places[corners]), np.full((len(facets), k), 1.0 / k)
     if dim == 2:
         shares = _ring_shares(places[corners][:, :, 0])
     area = np.bincount(corners.ravel(), (areas[:, None] * shares).ravel(), n)
@@ -480,7 +480,7 @@ def contact_figures(
     if face.any():
         k = _corners(space.facets.shape[1], dim)
         corners = (space.nodes + moved_by)[space.facets[face, :k]]
-        area += float(_facet_areas(corners, dim == 2).sum())
+        area += float(facet_areas(corners).sum())
         touches = True
     sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
     if not touches:
