@@ -47,9 +47,14 @@ def at_level(space: Nodes, mesh: Mesh, level: float) -> Ints:
     return np.flatnonzero(np.abs(space.nodes[:, -1] - level) < _SAME * mesh.height_mm)
 
 
-def _top_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
-    axial = space.nodes[space.facets][:, :, -1]
-    return np.asarray((np.abs(axial - mesh.height_mm) < _SAME * mesh.height_mm).all(axis=1))
+def middle_nodes(space: Nodes, members: Ints, ends: Ints) -> Ints:
+    """Node of each cell or facet that lies in the middle of some of its corners, shape (n,).
+
+    Shapes: members (n, k), the nodes to choose from; ends (n, m).
+    """
+    halfway = space.nodes[ends].mean(axis=1)
+    apart = np.linalg.norm(space.nodes[members] - halfway[:, None], axis=2)
+    return np.asarray(members[np.arange(len(members)), apart.argmin(axis=1)])
 
 
 def _side_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:

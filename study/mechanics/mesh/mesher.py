@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from study.mechanics.mesh.graded import graded_size, indentation_mesh
+from study.mechanics.mesh.graded import indentation_mesh, sizes_of
 from study.mechanics.mesh.perturbation import jittered
 from study.mechanics.mesh.solid import surface_mesh, surface_mesh_size
 from study.mechanics.mesh.structured import (
@@ -44,7 +44,7 @@ def mesh_size(setup: Setup) -> float:
     if isinstance(setup.specimen, Enclosed):
         return surface_mesh_size(setup)
     if isinstance(setup.grading, AroundContact):
-        return graded_size(setup)
+        return sizes_of(setup).size_mm
     if model.mesh_size_mm is not None:
         return model.mesh_size_mm
     cells = CELLS_OF_WHOLE if setup.is_whole else CELLS_PER_LENGTH

@@ -18,18 +18,24 @@ import numpy as np
 from study.ground.arrays import Array, Flags, Ints
 from study.mechanics.contact.collocation import _ring_shares
 from study.mechanics.contact.contact import Constraints, TiedPoints, prescribed_rates
-from study.mechanics.element.function_space import _SAME, Pattern, at_level, facet_areas
+from study.mechanics.element.function_space import (
+    _SAME,
+    Pattern,
+    at_level,
+    facet_areas,
+    middle_nodes,
+)
 from study.mechanics.mesh.structured import KINDS, Mesh, mirror
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_kinds import buckling_strain
-from study.mechanics.solver.internal_force import Tangent
+from study.mechanics.solver.internal_force import ContactBlocks, Tangent
 from study.mechanics.solver.linear_solver import (
     KeptFactors,
     SingularMatrixError,
     _orthogonalized,
     make_solver,
 )
-from study.mechanics.solver.system import Assembly, ContactTerms, Latest, State, System
+from study.mechanics.solver.system import Assembly, Latest, State, System
 
 #: share of the strain by Euler's load above which hidden modes are looked for: elements bend
 #: too stiffly, never too softly, and a bonded column is a little stiffer than a free one
@@ -87,14 +93,10 @@ class Instability:
 
 
 def surplus(system: System) -> int | None:
-    """Negative eigenvalues of the last factorized tangent beyond one for each pressure."""
+    """Negative eigenvalues of the last factorized tangent beyond one for each free pressure."""
     negative = system.solver.negative_pivots()
-    return None if negative is None else negative - pressures(system)
-
-
-def pressures(system: System) -> int:
-    """Count the free pressures."""
-    return int(np.count_nonzero(system.pattern.free >= system.space.n_displacement))
+    pressures = np.count_nonzero(system.pattern.free >= system.space.n_displacement)
+    return None if negative is None else negative - int(pressures)
 
 
 def is_unstable(system: System, state: State) -> bool:
@@ -187,7 +189,7 @@ def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, .
     equations = replace(
         system,
         constraints=held,
-        contact_terms=ContactTerms.at(system.contact, space.dim, pattern),
+        blocks=ContactBlocks.of(system.contact, space.dim, pattern),
         tangent=Tangent.of(pattern, space.dofs),
         kept=KeptFactors(direct, pattern),
         latest=Latest(),
@@ -420,9 +422,7 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
     area = np.bincount(corners.ravel(), (areas[:, None] * shares).ravel(), n)
     hats, between = force.copy(), list[tuple[Ints, Ints]]()
     for ends, part in _MIDDLES[k] if facets.shape[1] > k else []:
-        halfway = space.nodes[facets[:, ends]].mean(axis=1)
-        apart = np.linalg.norm(space.nodes[facets[:, k:]] - halfway[:, None], axis=2)
-        lies = facets[np.arange(len(facets)), k + apart.argmin(axis=1)]
+        lies = middle_nodes(space, facets[:, k:], facets[:, ends])
         nodes, first = np.unique(lies, return_index=True)
         between.append((nodes, facets[first][:, ends]))
         for corner in ends:

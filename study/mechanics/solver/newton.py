@@ -87,7 +87,9 @@ def solve_step(
     system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
 ) -> NewtonResult:
     """Equilibrium at ``guess.displacement_mm`` by full steps."""
-    state, lift = _start(system, guess, lifted_from)
+    state, lift = lifted_from or guess, np.zeros(0)
+    if lifted_from is not None:  # the prescribed increment that the first solve has to spread
+        lift = system.prescribed(guess.displacement_mm) - system.prescribed(state.displacement_mm)
     residuals: list[float] = []
     J = system.volume_ratios(state.x)
     switches, free = Switches(system), system.pattern.free
@@ -170,14 +172,6 @@ def _invalid(J: Array) -> str:
     return "an element is inverted"
 
 
-def _start(system: System, guess: State, before: State | None) -> tuple[State, Array]:
-    """State to begin with, and the prescribed increment that the first solve has to spread."""
-    if before is None:
-        return guess, np.zeros(0)
-    after = system.prescribed(guess.displacement_mm)
-    return before, after - system.prescribed(before.displacement_mm)
-
-
 def _filtered(
     system: System, x: Array, before: Array, increment: Array, settings: NewtonSettings
 ) -> tuple[float, Array]:
@@ -209,8 +203,8 @@ def _measures(system: System, state: State, assembly: Assembly) -> tuple[float, 
     reaction = float(np.linalg.norm(assembly.internal[system.constraints.dofs]))
     # at first touch there is no reaction yet
     strain = max(abs(state.displacement_mm) / system.height_mm, 1e-12)
-    whole, mu = system.whole, system.material.mu0
-    floor = max(1e-6 * mu * whole.area_mm2 * strain, 0.5 * mu * whole.touch_mm**2)
+    mu = system.material.mu0
+    floor = max(1e-6 * mu * system.area_mm2 * strain, 0.5 * mu * system.touch_mm**2)
     return max(reaction, floor), float(system.space.weights.sum())
 
 
