@@ -411,19 +411,21 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
     held = held[(held < space.n_displacement) & (held % dim < dim - 1)]
     force[held // dim, held % dim] = 0.0
     places = space.nodes + (0.0 if system.small_strain else system.displacements(state.x))
-    touched = np.abs(force).sum(axis=1) > 0
-    chosen = touched[space.facets].any(axis=1) & _meets(system)
-    facets = space.facets[chosen]
+    facets = space.facets[_meets(system)]
     k = _corners(facets.shape[1], dim)
     corners = facets[:, :k]
     areas, shares = facet_areas(places[corners]), np.full((len(facets), k), 1.0 / k)
     if dim == 2:
         shares = _ring_shares(places[corners][:, :, 0])
     area = np.bincount(corners.ravel(), (areas[:, None] * shares).ravel(), n)
-    hats, between = force.copy(), list[tuple[Ints, Ints]]()
+    hats, between, taken = force.copy(), list[tuple[Ints, Ints]](), np.zeros(n, dtype=bool)
     for ends, part in _MIDDLES[k] if facets.shape[1] > k else []:
         lies = middle_nodes(space, facets[:, k:], facets[:, ends])
         nodes, first = np.unique(lies, return_index=True)
+        # each once: another facet may have the same edge between other corners of its own
+        once = ~taken[nodes]
+        nodes, first = nodes[once], first[once]
+        taken[nodes] = True
         between.append((nodes, facets[first][:, ends]))
         for corner in ends:
             np.add.at(hats, facets[first, corner], part * force[nodes])
