@@ -169,7 +169,7 @@ class Press:
             # an iterate may throw a point across the axis, where no piece would be near
             found = signed_distance(self.pieces, np.maximum(x[:, 0], 0.0), z)
             hessian = np.stack([found[3:5].T, found[4:6].T], axis=-1)
-            return found[0], np.stack(found[1:3], axis=-1), hessian
+            return found[0], np.stack([found[1], found[2]], axis=-1), hessian
         return self._gap_3d(x, z)
 
     def _gap_3d(self, x: Array, z: Array) -> tuple[Array, Array, Array]:
