@@ -230,9 +230,9 @@ class Solution:
     mesh_hash: str = ""
     solver: str = "none"
     #: shape (n_points, dim)
-    points: Array = field(default_factory=partial(np.zeros, (0, 3)))
-    cells: NDArray[np.int64] = field(default_factory=partial(np.zeros, (0, 4), np.int64))
-    displacement: Array = field(default_factory=partial(np.zeros, (0, 3)))
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    cells: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 4), np.int64))
+    displacement: Array = field(default_factory=lambda: np.zeros((0, 3)))
     warm: Warm | None = None
 
     @property
