@@ -298,6 +298,7 @@ class Tangent:
 class ContactBlocks:
     """Tangents of contact points: small blocks among the entries of the elements."""
 
+    points: ContactPoints
     #: shape (n_points, m); unknowns of each point.
     dofs: Unknowns
     #: shape (n_points, m (m + 1) / 2); entry of the pattern of each packed one; negative where a
@@ -316,13 +317,15 @@ class ContactBlocks:
     ) -> tuple[ContactBlocks, ...]:
         """Take the memory for each set of contact points."""
         found = []
-        for dofs in (points.dofs(dim) for points in contact):
+        for points in contact:
+            dofs = points.dofs(dim)
             positions = pattern.locate(dofs)
             inside = positions >= 0
             entries = np.unique(positions[inside])
             edge = np.flatnonzero(~inside.all(axis=1)).astype(np.int32)
             packed = np.zeros(positions.shape)
-            found.append(cls(dofs.astype(np.int32), positions, packed, inside, entries, edge))
+            each = dofs.astype(np.int32), positions, packed, inside, entries, edge
+            found.append(cls(points, *each))
         return tuple(found)
 
     def fill(self, packed: Array, data: Array) -> None:

@@ -203,9 +203,11 @@ def _measures(system: System, state: State, assembly: Assembly) -> tuple[float, 
     reaction = float(np.linalg.norm(assembly.internal[system.constraints.dofs]))
     # at first touch there is no reaction yet
     strain = max(abs(state.displacement_mm) / system.height_mm, 1e-12)
-    mu = system.material.mu0
-    floor = max(1e-6 * mu * system.area_mm2 * strain, 0.5 * mu * system.touch_mm**2)
-    return max(reaction, floor), float(system.space.weights.sum())
+    mu, volume = system.material.mu0, float(system.space.weights.sum())
+    # the cross-section of the whole: both its volume and its height are doubled in a half model
+    area_mm2 = volume * system.force_scale / system.height_mm
+    floor = max(1e-6 * mu * area_mm2 * strain, 0.5 * mu * system.touch_mm**2)
+    return max(reaction, floor), volume
 
 
 def _scale(system: System, state: State, assembly: Assembly) -> Array:

@@ -133,17 +133,12 @@ class System:
 
     mesh: Mesh
     space: Discretization
-    #: Force of the whole specimen over that of the model: 4 of a quarter, 8 of one that is halved.
-    force_scale: float
-    #: Cross-section of the whole specimen, and the length whose square carries the first contact; 0
-    #: where nothing begins to touch.
-    area_mm2: float
+    #: Length whose square carries the first contact; 0 where nothing begins to touch.
     touch_mm: float
     material: Material
     internal: Internal
     constraints: Constraints
-    #: Sets of points that may meet a rigid surface, and their places in the tangent.
-    contact: tuple[ContactPoints, ...]
+    #: Sets of points that may meet a rigid surface, with their places in the tangent.
     blocks: tuple[ContactBlocks, ...]
     tangent: Tangent
     kept: KeptFactors
@@ -163,22 +158,16 @@ class System:
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
         direct = make_solver(pattern, solver, plane=space.dim == 2, corrected=True)
         points = contact_points(problem, space, mesh, folding=folding)
-        model, whole = setup.model, setup.is_whole or mesh.is_whole
-        sector = 1.0 if model.space == "axisymmetric" or whole else 4.0
-        # the volume of axisymmetric space includes 2 pi r
-        height = mesh.height_mm / 2 if mesh.half_height else mesh.height_mm
+        model, mesh = setup.model, replace(mesh, is_whole=setup.is_whole or mesh.is_whole)
         solid = model.space == "3d" and model.element_order == "quadratic"
         local_bulk = LOCAL_BULK if solid and setup.kind.strains_locally else 0.0
         system = cls(
             mesh=mesh,
             space=space,
-            force_scale=sector * (2.0 if mesh.half_height else 1.0),
-            area_mm2=float(space.weights.sum()) * sector / height,
             touch_mm=touch_radius(setup),
             material=problem.material,
             internal=Internal.on(space, local_bulk, _evenness(setup)),
             constraints=held,
-            contact=points,
             blocks=ContactBlocks.of(points, space.dim, pattern),
             tangent=Tangent.of(pattern, space.dofs),
             kept=KeptFactors(direct, pattern),
@@ -199,6 +188,17 @@ class System:
         start = self.internal.stored(self.material, state.x)
         rest = start.total - float(self.weight.forces @ state.x)
         return replace(self, weight=replace(self.weight, energy_at_rest=rest))
+
+    @property
+    def contact(self) -> tuple[ContactPoints, ...]:
+        """Every set of points that may meet a rigid surface."""
+        return tuple(blocks.points for blocks in self.blocks)
+
+    @property
+    def force_scale(self) -> float:
+        """Force of the whole specimen over that of the model: 4 of a quarter, 8 if it is halved."""
+        is_part = self.space.dim == 3 and not self.mesh.is_whole
+        return (4.0 if is_part else 1.0) * (2.0 if self.mesh.half_height else 1.0)
 
     @property
     def height_mm(self) -> float:
