@@ -7,19 +7,20 @@ manufactured solutions, thick spheres and cylinders, a punch that sticks to noth
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from types import SimpleNamespace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from study.mechanics.element import function_space
-from study.mechanics.element.function_space import Discretization, Pattern, discretize
+from study.mechanics.element.function_space import Discretization
 from study.mechanics.material.material import Material
 from study.mechanics.mesh import structured
+from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.setup import Model
-from study.mechanics.solver.internal_force import Internal, Tangent
-from study.mechanics.solver.linear_solver import LinearSolver, make_solver
+from study.mechanics.solver.newton import solve_step
+from study.mechanics.solver.system import State, System, Weight
+from tests.fem.homogeneous import TIGHT, held, system_of
 
 Array = np.ndarray
 
@@ -28,36 +29,28 @@ Array = np.ndarray
 class Body:
     """A meshed body of one material, without loads."""
 
-    points: Array
-    cells: Array
     model: Model
-    material: Material
-    space: Discretization
-    internal: Internal
+    system: System
+
+    @property
+    def space(self) -> Discretization:
+        return self.system.space
 
     @property
     def nodes(self) -> Array:
         return self.space.nodes
 
-    @property
-    def fem_mesh(self) -> Any:
-        mesh: Any = SimpleNamespace(points=self.points, cells=self.cells)
-        return function_space._fem_mesh(
-            mesh, self.model.space == "axisymmetric", self.model.element_shape
-        )
-
-    @property
-    def element(self) -> Any:
-        return function_space._displacement_element(self.model, self.model.space == "axisymmetric")
-
     def basis(self, order: int = 8) -> Any:
         """Scalar basis of one displacement component, with as exact a quadrature as asked."""
-        from skfem import Basis
+        return function_space.basis_of(self.system.mesh, self.model, order)
 
-        return Basis(self.fem_mesh, self.element, intorder=order)
+    def facet_basis(self, on: Callable[[Array], Array]) -> Any:
+        """The same on the boundary facets where ``on`` is true."""
+        from skfem import FacetBasis
 
-    def pressure_shape(self, basis: Any) -> tuple[Array, Array]:
-        return function_space._pressure(self.fem_mesh, basis, self.model)
+        basis = self.basis(1)
+        facets = basis.mesh.facets_satisfying(on, boundaries_only=True)
+        return FacetBasis(basis.mesh, basis.elem, facets=facets, intorder=8)
 
     def dofs_where(self, chosen: Callable[[Array], Array], axis: int) -> Array:
         """Displacement unknowns along one axis of the nodes where ``chosen(nodes)`` is true.
@@ -75,13 +68,15 @@ class Body:
             and self.model.element_shape == "simplex"
             and self.model.formulation == "mixed"
         )
-        return len(self.cells) if mini else 0
+        return len(self.system.mesh.cells) if mini else 0
+
+
+ELEMENT = ("space", "element_order", "element_shape", "formulation")
 
 
 def body(points: Array, cells: Array, model: Model, material: Material) -> Body:
-    mesh: Any = SimpleNamespace(points=points, cells=cells)
-    space = discretize(mesh, model)
-    return Body(points, cells, model, material, space, Internal.on(space))
+    element = {name: getattr(model, name) for name in ELEMENT}
+    return Body(model, system_of(material, Mesh(points, cells, False, 1.0), **element))
 
 
 def rectangle(r: Array, z: Array, model: Model) -> tuple[Array, Array]:
@@ -94,12 +89,6 @@ def unit_cube(n: int, model: Model) -> tuple[Array, Array]:
     return structured.extrude(plane, faces, line)
 
 
-def tangent_of(made: Body, held: Array) -> Tangent:
-    """Room for the tangent of a body with some unknowns held."""
-    pattern = Pattern.build(made.space.dofs, made.space.n, held)
-    return Tangent.of(pattern, made.space.dofs)
-
-
 @dataclass
 class Answer:
     """Unknowns and the internal forces at them (reactions where unknowns are held)."""
@@ -109,56 +98,19 @@ class Answer:
 
 
 def solve(
-    made: Body, held: Array, values: Array, load: Array | None = None, *, steps: int = 1
+    made: Body, dofs: Array, values: Array, load: Array | None = None, *, steps: int = 1
 ) -> Answer:
-    """Newton's method in equal steps to prescribed values and a dead load, shape (n,)."""
+    """Equilibrium in equal steps to prescribed values and a dead load, shape (n,)."""
     load = np.zeros(made.space.n) if load is None else load
-    held, first = np.unique(held, return_index=True)
-    values = np.asarray(values)[first]
-    tangent = tangent_of(made, held)
-    solver = make_solver(tangent.pattern)
-    x = np.zeros(made.space.n)
+    dofs, first = np.unique(dofs, return_index=True)
+    system = held(made.system, dofs, np.asarray(values)[first])
+    state = system.start()
     for part in np.arange(1, steps + 1) / steps:
-        _step(made, tangent, solver, x, held, part * values, part * load)
-    solver.close()
-    return Answer(x, made.internal.gathered())
-
-
-def _step(
-    made: Body, tangent: Tangent, solver: LinearSolver, x: Array, held: Array, values: Array,
-    load: Array,
-) -> None:  # fmt: skip
-    free = tangent.pattern.free
-    lift = np.zeros(x.size)
-    lift[held] = values - x[held]
-    for _ in range(20):
-        assert made.internal.evaluate(made.material, x, tangent) > 0
-        residual = made.internal.gathered() - load
-        scale = np.abs(made.internal.gathered()).max() + np.abs(load).max() + 1e-300
-        if not lift.any() and np.abs(residual[free]).max() < 1e-11 * scale:
-            return
-        solver.factorize(tangent.data)
-        move = lift.copy()
-        move[free] = solver.solve(-(residual + tangent.product(lift))[free])
-        x += move
-        if not lift.any() and np.abs(move).max() < 1e-13:
-            return
-        lift[:] = 0.0
-    raise AssertionError("no equilibrium after 20 iterations")
-
-
-def linear(made: Body, held: Array, values: Array) -> Answer:
-    """Small-strain answer: one solve with the tangent of the undeformed body."""
-    held, first = np.unique(held, return_index=True)
-    tangent = tangent_of(made, held)
-    free, solver = tangent.pattern.free, make_solver(tangent.pattern)
-    x = np.zeros(made.space.n)
-    made.internal.evaluate(made.material, x, tangent)
-    solver.factorize(tangent.data)
-    x[held] = np.asarray(values)[first]
-    x[free] = solver.solve(-tangent.product(x)[free])
-    solver.close()
-    return Answer(x, tangent.product(x))
+        loaded = replace(system, weight=Weight(part * load))
+        found = solve_step(loaded, State(float(part), state.x), TIGHT, lifted_from=state)
+        assert found.converged, found.reason
+        state = found.state
+    return Answer(state.x, system.internal.gathered())
 
 
 def load_vector(
@@ -169,22 +121,18 @@ def load_vector(
     on: Callable[[Array], Array] | None = None,
 ) -> Array:
     """Loads of a body force (dim, ...), a source of volume and a traction on facets ``on``."""
-    from skfem import FacetBasis
-
     out = np.zeros(made.space.n)
     dim = made.nodes.shape[1]
     basis = made.basis()
     _add(out, made, basis, force, dim)
     if volume_source is not None:
         x, dx = np.asarray(basis.global_coordinates()), _measure(made, basis)
-        shape, numbers = made.pressure_shape(basis)
+        shape, numbers = function_space.pressure_of(basis, made.model)
         local = np.einsum("eqb,eq->eb", np.broadcast_to(shape, (*dx.shape, shape.shape[2])),
                           volume_source(x) * dx)  # fmt: skip
         np.add.at(out, made.space.n_displacement + numbers, local)
     if traction is not None and on is not None:
-        mesh = made.fem_mesh
-        facets = mesh.facets_satisfying(on, boundaries_only=True)
-        _add(out, made, FacetBasis(mesh, made.element, facets=facets, intorder=8), traction, dim)
+        _add(out, made, made.facet_basis(on), traction, dim)
     return out
 
 
@@ -226,7 +174,7 @@ def errors(
         field = basis.interpolate(np.ascontiguousarray(nodal[:, i]))
         u += float(((np.asarray(field) - exact[i]) ** 2 * dx).sum())
         h1 += sum(float(((field.grad[j] - slope[i, j]) ** 2 * dx).sum()) for j in range(dim))
-    shape, numbers = made.pressure_shape(basis)
+    shape, numbers = function_space.pressure_of(basis, made.model)
     p = 0.0
     if numbers.size:
         found = (shape * x[made.space.n_displacement + numbers][:, None, :]).sum(axis=2)

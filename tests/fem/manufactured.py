@@ -24,19 +24,9 @@ _STEP = 1e-3
 class Manufactured:
     """x(X) with det F = 1 and a pressure; loads follow from the material.
 
-    Parameters
-    ----------
-    axisymmetric : bool
-        (R, Z) and r = R, or (X, Y, Z).
-    amplitude : float
-        Of the displacement over the unit size of the body.
-    material : Material
-        Any hyperelastic one, with finite bulk modulus.
-    pressed : bool
-        Without, p = 0 = K (J - 1): all that the displacement formulation can represent.
-    barrel : float
-        Axisymmetric alone: first r = R / sqrt(phi'), z = phi(Z) with
-        phi' = 1 + barrel cos(2 pi Z).
+    Without being ``pressed`` p = 0 = K (J - 1): all that the displacement formulation can
+    represent. With ``barrel``, axisymmetric alone, first r = R / sqrt(phi'), z = phi(Z) with
+    phi' = 1 + barrel cos(2 pi Z). ``amplitude`` is over the unit size of the body.
     """
 
     axisymmetric: bool

@@ -71,6 +71,13 @@ def at_point(material: Material, F: Array, p: float | None) -> Point:
     return Point(total(F).real, float(growth), dP, cofactor)
 
 
+def pressure_shape(space: Discretization) -> Array:
+    """Shape functions of the pressures, one row an element."""
+    return np.broadcast_to(
+        space.pressure_shape, (space.n_elements, *space.pressure_shape.shape[1:])
+    )
+
+
 @dataclass(frozen=True)
 class Formulation:
     """Bases of displacement and pressure, and the states of all quadrature points."""
@@ -88,16 +95,13 @@ class Formulation:
     ) -> Formulation:
         """State of every quadrature point at unknowns ``x``."""
         axisymmetric = model.space == "axisymmetric"
-        shape = function_space._fem_mesh(mesh, axisymmetric, model.element_shape)
-        element = function_space._displacement_element(model, axisymmetric)
         rule = function_space._RULES[(model.space, model.element_order, model.element_shape)]
-        basis = Basis(shape, element, intorder=rule)
+        basis = function_space.basis_of(mesh, model, rule)
         n = space.n_displacement
         F = deformation_gradient(space, x[:n].reshape(-1, space.dim))
         pressures = x[space.dofs[:, space.dim * space.element_nodes.shape[1] :]]
         mixed = pressures.shape[1] > 0
-        field = np.einsum("ek,eqk->eq", pressures, np.broadcast_to(
-            space.pressure_shape, (space.n_elements, *space.pressure_shape.shape[1:])))  # fmt: skip
+        field = np.einsum("ek,eqk->eq", pressures, pressure_shape(space))
         points = [
             [at_point(material, F[:, :, e, q], field[e, q] if mixed else None)
              for q in range(F.shape[3])] for e in range(F.shape[2])
@@ -134,10 +138,9 @@ class Formulation:
 
     def volumes(self) -> Array:
         """Residual of the pressures: int q (J - 1 - p / K)."""
-        s, shape = self.states, self.space.pressure_shape
+        s = self.states
         density = (s["growth"] - self.compliance * s["p"]) * s["dV"] * np.asarray(self.u.dx)
-        local = np.einsum("eq,eqk->ek", density, np.broadcast_to(
-            shape, (self.space.n_elements, *shape.shape[1:])))  # fmt: skip
+        local = np.einsum("eq,eqk->ek", density, pressure_shape(self.space))
         out = np.zeros(self.space.n)
         first = self.space.dim * self.space.element_nodes.shape[1]
         np.add.at(out, self.space.dofs[:, first:], local)
@@ -179,9 +182,7 @@ class Formulation:
         if dim == 2:
             local[..., 0] += np.einsum("eq,eqa->eqa", cofactor[2, 2], space.hoop)
         weight = self.states["dV"] * np.asarray(self.u.dx)
-        shape = np.broadcast_to(
-            space.pressure_shape, (space.n_elements, *space.pressure_shape.shape[1:])
-        )
+        shape = pressure_shape(space)
         found = np.einsum("eq,eqk,eqai->ekai", weight, shape, local)
         out = np.zeros((space.n, space.n_displacement))
         if shape.shape[2] == 0:

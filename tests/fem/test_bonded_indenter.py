@@ -13,13 +13,14 @@ from study.mechanics.setup.test_kind import StepSettings
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import Options
 from study.mechanics.solver.solution import Solution
+from tests.fem.answers import hooke
 from tests.fem.problems import LONG, RP2, reached, taylor_slopes
-from tests.fem.test_indentation import NEEDLE, indentation, linear
+from tests.fem.test_indentation import NEEDLE, indentation
 
 
 def pressed(indenter: Indenter, nu: float, interface: str, depth: float = 0.2) -> Solution:
     problem = indentation(
-        indenter, depth, material=linear(nu), interface=interface, steps=20, mesh="medium",
+        indenter, depth, material=hooke(nu), interface=interface, steps=20, mesh="medium",
         element_order="quadratic",
     )  # fmt: skip
     return reached(problem)

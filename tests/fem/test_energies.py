@@ -16,13 +16,11 @@ from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import NewtonSettings, Options, solve_step
 from study.mechanics.solver.system import State, System
 from tests.fem.homogeneous import TIGHT, driven, force, held, system_of
-from tests.fem.problems import GEL, compression, cube, grid, reached
+from tests.fem.problems import GEL, RP2, YEOH, compression, cube, grid, reached
+from tests.fem.problems import MOONEY as MR
+from tests.fem.problems import NEO_HOOKEAN as NH
 from tests.material.modes import uniaxial
 
-NH = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1e3)
-MR = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1e3)
-RP2 = Material("reduced-polynomial", {"C10": 0.5, "C20": 0.1}, bulk_modulus=1e3)
-YEOH = Material("reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, bulk_modulus=1e3)
 OGDEN1 = Material("ogden", {"mu1": 1.0, "alpha1": 4.0}, bulk_modulus=1e3)
 OGDEN3 = Material(
     "ogden",
@@ -126,51 +124,23 @@ def test_incompressible_limit(material: Material, at07: float, at15: float, at2:
 
 
 @pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize("formulation", ["mixed", "displacement"])
-def test_linear_elastic_is_hooke(space: str, formulation: str) -> None:
+@pytest.mark.parametrize(
+    ("formulation", "nu"), [("mixed", 0.3), ("displacement", 0.3), ("mixed", 0.5)]
+)
+def test_linear_elastic_is_hooke(space: str, formulation: str, nu: float) -> None:
     """Force E eps A and lateral strain -nu eps at any strain, in one iteration."""
-    material = Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.3)
+    kept: dict[str, Any] = {"incompressible": True} if nu == 0.5 else {"poisson_ratio": nu}
+    material = Material("linear-elastic", {"youngs_modulus": 3.0}, **kept)
     area = np.pi if space == "axisymmetric" else 4.0
     system = system_of(material, space=space, formulation=formulation)
     for shortening in (0.3, -0.5):
         result = driven(system, shortening, 1)
         assert force(system, result) == pytest.approx(3.0 * shortening * area, rel=1e-11)
         side = lateral(system, result.state.x)
-        np.testing.assert_allclose(side, 1 + 0.3 * shortening, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(side, 1 + nu * shortening, rtol=0, atol=1e-11)
         assert result.iterations == 1
         assert result.assembly is not None
-        assert result.assembly.min_j == pytest.approx(1 - 0.4 * shortening, abs=1e-11)
-
-
-@pytest.mark.parametrize("space", SPACES)
-def test_incompressible_linear_elastic(space: str) -> None:
-    material = Material("linear-elastic", {"youngs_modulus": 3.0}, incompressible=True)
-    system = system_of(material, space=space)
-    result = driven(system, 0.2, 1)
-    area = np.pi if space == "axisymmetric" else 4.0
-    assert force(system, result) == pytest.approx(0.6 * area, rel=1e-11)
-    np.testing.assert_allclose(lateral(system, result.state.x), 1.1, rtol=0, atol=1e-11)
-
-
-@pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize("formulation", ["mixed", "displacement"])
-@pytest.mark.parametrize("material", [NH, YEOH, POLY2, OGDEN3, LINEAR, TUBE, WAALS, SKIN], ids=name)
-def test_tangent_of_the_whole_system(material: Material, formulation: str, space: str) -> None:
-    """V09: K du against fourth-order differences of the residual, unit by unit in size."""
-    material = replace(material, bulk_modulus=20.0)
-    system = system_of(material, space=space, element_order="linear", formulation=formulation)
-    rng = np.random.default_rng(5)
-    x = 0.01 * rng.standard_normal(system.space.n)
-    direction = rng.standard_normal(system.space.n)
-
-    def residual(h: float) -> np.ndarray:
-        return system.assemble(State(0.1, x + h * direction), tangent=False).residual
-
-    h = 2e-5
-    slope = (8 * (residual(h) - residual(-h)) - (residual(2 * h) - residual(-2 * h))) / (12 * h)
-    assert system.assemble(State(0.1, x)).min_j > 0.3  # every element takes part
-    exact = system.tangent_product(direction)
-    np.testing.assert_allclose(exact, slope, rtol=0, atol=1e-8 * np.abs(exact).max())
+        assert result.assembly.min_j == pytest.approx(1 - (1 - 2 * nu) * shortening, abs=1e-11)
 
 
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
@@ -196,21 +166,6 @@ def test_3d_patch_with_a_full_gradient(material: Material, order: str) -> None:
     u, p = np.split(result.state.x, [system.space.n_displacement])
     np.testing.assert_allclose(u, field, atol=1e-10)
     np.testing.assert_allclose(p, 1e3 * 0.0005, rtol=1e-8)
-
-
-@pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize("material", [NH, POLY2, OGDEN3, *OTHERS], ids=name)
-def test_rigid_motion_has_no_force(material: Material, space: str) -> None:
-    """V08: an axial shift, and a large rotation in 3D."""
-    system = system_of(material, space=space)
-    x = np.zeros(system.space.n)
-    u = x[: system.space.n_displacement].reshape(-1, system.space.dim)
-    u[:, -1] = 0.37
-    if space == "3d":
-        turn, _ = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))
-        turn *= np.sign(np.linalg.det(turn))
-        u += system.space.nodes @ (turn - np.eye(3)).T
-    assert np.abs(system.assemble(State(0.0, x)).residual).max() < 1e-12
 
 
 @pytest.mark.parametrize("material", [*HYPERELASTIC, *OTHERS], ids=name)

@@ -51,16 +51,6 @@ def test_unknowns_are_counted(specimen_and_test, space, order, shape, formulatio
     assert estimate(problem.setup).dofs == pytest.approx(real, rel=0.12)
 
 
-def test_finer_and_deeper_cost_more():
-    specimen, test = COMPRESSED
-    coarse, fine = (
-        estimate(Problem(specimen, test, GEL, Model("3d", mesh=level)).setup)
-        for level in ("coarse", "fine")
-    )
-    assert fine.seconds > 5 * coarse.seconds
-    assert fine.memory_MB > coarse.memory_MB
-
-
 def pressed(specimen, indenter, depth: float = 2.0) -> tuple:
     return specimen, Test("indentation", depth, "frictionless", "bonded", 1, indenter)
 

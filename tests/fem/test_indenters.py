@@ -20,7 +20,7 @@ def around(indenter: Indenter, dim: int, n: int = 400) -> np.ndarray:
     """Points within a millimetre of the surface, away from the joints of its pieces."""
     rng = np.random.default_rng(2011)
     rho, z = rng.uniform(0.02, 4, 40 * n), rng.uniform(9, 14, 40 * n)
-    near = np.abs(signed_distance(profile(indenter, far_mm=1e4), rho, z - 10.0).gap) < 1.0
+    near = np.abs(signed_distance(profile(indenter, far_mm=1e4), rho, z - 10.0)[0]) < 1.0
     rho, z = rho[near][:n], z[near][:n]
     if dim == 2:
         return np.column_stack([rho, z])
@@ -66,11 +66,11 @@ def test_lowest_point_meets_the_surface_and_moves_with_the_test() -> None:
 
 def test_distances_known_by_hand() -> None:
     flat = profile(Flat(3, 0.3), far_mm=1e4)
-    gap = signed_distance(flat, np.array([1.0, 3.5, 3.0]), np.array([-0.2, 1.0, 0.0])).gap
+    gap = signed_distance(flat, np.array([1.0, 3.5, 3.0]), np.array([-0.2, 1.0, 0.0]))[0]
     corner = np.hypot(0.3, 0.3) - 0.3  # from the point below the shaft to the rounded edge
     np.testing.assert_allclose(gap, [0.2, 0.5, corner], atol=1e-12)
     cone = profile(Cone(30, 0), far_mm=1e4)
-    on_flank = signed_distance(cone, np.array([np.tan(np.radians(30))]), np.array([1.0])).gap
+    on_flank = signed_distance(cone, np.array([np.tan(np.radians(30))]), np.array([1.0]))[0]
     np.testing.assert_allclose(on_flank, 0.0, atol=1e-12)
 
 

@@ -48,18 +48,6 @@ def judged(problem: Known) -> Outcome:
     return Outcome(problem, found, abs(found.value[0] - problem.truth))
 
 
-def line(outcome: Outcome) -> str:
-    problem, found, scale = outcome.problem, outcome.found, abs(outcome.problem.truth)
-    order = "-" if found.observed_order is None else f"{found.observed_order:.2f}"
-    width = "refused" if found.u_num is None else f"{found.u_num / scale:.1e}"
-    return (
-        f"{problem.group:12} {problem.name:36} {problem.model.element_order:9} "
-        f"{problem.truth:11.6g} {found.value[0]:11.6g} {outcome.error / scale:8.1e} {width:>8} "
-        f"{found.behaviour:10} {order:>5} ({problem.formal:.2f}) x{found.factor_of_safety or 0:g} "
-        f"{'holds' if outcome.holds else 'MISSES'}"
-    )
-
-
 def summary(outcomes: list[Outcome]) -> tuple[float, float, float]:
     """Share that holds the truth, share refused, median of half-width over error."""
     given = [o for o in outcomes if not o.refused]
@@ -71,9 +59,6 @@ def summary(outcomes: list[Outcome]) -> tuple[float, float, float]:
 @pytest.mark.verify
 def test_intervals_hold_the_truth() -> None:
     outcomes = [judged(problem) for problem in every_problem(MODELS)]
-    print("\nproblem, element, truth, finest value, true error, half-width, behavior, order")
-    for outcome in outcomes:
-        print(line(outcome))
     for group in dict.fromkeys(o.problem.group for o in outcomes):
         for model in MODELS:
             part = [

@@ -13,7 +13,7 @@ import pytest
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.homogeneous import response
 from study.mechanics.setup import test_section
-from study.mechanics.setup.geometry import Block, Cylinder
+from study.mechanics.setup.geometry import Block, Cone, Cylinder
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import FaceCondition, Test
 from study.mechanics.setup.test_kinds import Compression
@@ -81,22 +81,24 @@ def test_long_cylinder_is_in_uniaxial_stress():
     np.testing.assert_allclose(found.base_reaction_N, found.curve.force_N, rtol=1e-6)
 
 
-def test_gradients_follow_the_constants():
-    problem = pulled(Cylinder(10, 10), 3.0, mesh="coarse")
-    c10, step = GEL.constants["C10"], 1e-4
-    low, high = (
-        solve(replace(problem, material=replace(GEL, constants={"C10": c10 * (1 + s)})))
-        for s in (-step, step)
-    )
-    slope = (high.curve.force_N[-1] - low.curve.force_N[-1]) / (2 * step * c10)
-    assert solve(problem).curve.force_gradient["C10"][-1] == pytest.approx(slope, rel=1e-5)
-
-
 def test_a_kind_refuses_what_it_cannot_do():
     problem = pulled(Cylinder(10, 10), 3.0)
     loose = replace(problem, test=replace(problem.test, base="frictionless"))
     with pytest.raises(InputError, match="pulls only what it is bonded to"):
         solve(loose)
+
+
+@pytest.mark.parametrize(
+    "loading",
+    [
+        Test("compression", 5.0, "frictionless", "frictionless"),
+        Test("indentation", 1.5, "frictionless", "frictionless", indenter=Cone(30.0, 1.0)),
+    ],
+)
+def test_every_kind_of_test_holds_the_specimen(loading):
+    # symmetry holds it across the axis; along the axis a face has to
+    faces = test_section.TEST_KINDS[loading.kind].faces(loading)
+    assert any(face.face == "base" and face.axial == 0 for face in faces)
 
 
 def named_kinds(folder: Path) -> list[str]:
@@ -110,11 +112,10 @@ def named_kinds(folder: Path) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("room", ["fem", "forward", "setup", "surface"])
-def test_no_room_below_the_runner_asks_for_the_kind(room):
-    assert not named_kinds(ROOT / "study" / room)
-
-
-def test_a_question_for_the_kind_is_found(tmp_path):
+def test_no_room_of_finite_elements_asks_for_the_kind(tmp_path):
     (tmp_path / "planted.py").write_text('def f(p):\n    return p.test.kind == "compression"\n')
     assert named_kinds(tmp_path) == ["planted.py:2"]
+    for room in ("surface", "mesh", "element", "contact", "solver"):
+        folder = ROOT / "study" / "mechanics" / room
+        assert list(folder.glob("*.py"))
+        assert not named_kinds(folder)

@@ -17,10 +17,9 @@ from study.mechanics.setup.setup import Model
 from tests.fem.answers import unit
 from tests.fem.known import Body, errors
 from tests.fem.manufactured import Manufactured
-from tests.fem.problems import LONG
+from tests.fem.problems import LONG, MOONEY
+from tests.fem.problems import NEO_HOOKEAN as NEARLY
 
-NEARLY = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0)
-MOONEY = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000.0)
 OGDEN = Material(
     "ogden",
     {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 5.0, "mu3": 0.1, "alpha3": -2.0},

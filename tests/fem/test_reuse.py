@@ -13,7 +13,14 @@ from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.setup.setup import Problem
 from study.mechanics.solver import newton
 from study.mechanics.solver.finite_element_solution import solve
-from study.mechanics.solver.linear_solver import KeptFactors, fgmres, make_solver, pardiso_available
+from study.mechanics.solver.linear_solver import (
+    KeptFactors,
+    SingularMatrixError,
+    SuperLU,
+    fgmres,
+    make_solver,
+    pardiso_available,
+)
 from study.mechanics.solver.newton import Options
 from study.mechanics.solver.system import System
 from tests.fem.problems import GEL, compression
@@ -43,6 +50,18 @@ def system() -> System:
     found = System.build(problem, build_mesh(problem.setup))
     found.assemble(found.start())
     return found
+
+
+def test_a_singular_matrix_is_told() -> None:
+    """Two nodes on a spring that nobody holds: their common motion costs nothing."""
+    index, upper = np.arange(2), np.array([0, 1, 1], np.int32)
+    rows = np.array([0, 2, 3], np.int32)
+    pattern = Pattern(index, index.astype(np.int32), rows, upper, np.zeros((1, 3), np.int32))
+    solver = SuperLU(pattern)
+    with pytest.raises(SingularMatrixError):
+        solver.factorize(np.array([1.0, -1.0, 1.0]))
+    solver.factorize(np.array([1.0, -1.0, 2.0]))  # one of them held by a second spring
+    assert solver.solve(np.array([0.0, 1.0])) == pytest.approx([1.0, 1.0])
 
 
 def test_a_product_with_the_upper_triangle_is_that_with_the_matrix(system: System) -> None:

@@ -110,10 +110,3 @@ def test_the_force_comes_from_above_with_every_node_in_contact(shape: str) -> No
     assert solution.newton_iterations[0] <= 5  # nothing opens and closes again
     system, state = solution.warm.system, solution.warm.steps[-1].state  # type: ignore[union-attr]
     assert system.assemble(state).contact[0].active.all()
-
-
-def test_a_rounded_edge_is_met_as_before() -> None:
-    problem = punch(0.05, "simplex", edge=0.1)
-    mesh = build_mesh(problem.setup)
-    (points,) = contact_points(problem, discretize(mesh, problem.model), mesh)
-    assert points.nodes.shape[1] == 3  # Gauss points on quadratic edges

@@ -31,11 +31,6 @@ def test_the_generator_is_told_the_size_of_the_field(field: SizeField, dim: int)
     assert told == pytest.approx(expected, rel=1e-14)
 
 
-def test_a_uniform_field_has_one_size() -> None:
-    rho, z = np.meshgrid(np.linspace(0, 30, 7), np.linspace(0, 40, 9))
-    assert (SizeField.uniform(2.5).at(rho, z) == 2.5).all()
-
-
 def test_width_of_a_rounded_edge_in_contact() -> None:
     """Hertz where there is no face; of a wide face b^2 t^3 / 3 e = d at s = b t^2 / 2 (to 2e-5)."""
     assert Flat(2.0, 2.0).edge_width_mm(0.01) == pytest.approx(np.sqrt(0.01 * 2.0), rel=1e-12)

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.mesh.solid import standard_frame
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Sphere, Surface
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
-from study.mechanics.surface.closed_surface import body
 from tests.fem.problems import GEL
 from tests.fem.surfaces import Array, Shape, box, cylinder, sphere, write
 
@@ -87,16 +85,3 @@ def test_a_seed_gives_another_mesh_of_the_same_body(tmp_path: Path) -> None:
         assert len(other.cells) == pytest.approx(len(first.cells), rel=0.1)
         assert other.size_mm == first.size_mm
         assert np.ptp(other.points, axis=0) == pytest.approx(np.ptp(first.points, axis=0), rel=0.02)
-
-
-def test_the_way_back_leads_to_the_body(tmp_path: Path) -> None:
-    file = write(tmp_path / "body.obj", moved(scan(), 0.4, np.array([30.0, 7.0, 2.0])))
-    placed = body(Surface(file))
-    frame = standard_frame(placed)
-    back = frame.back(frame.body.points)
-    extent = np.ptp(placed.points, axis=0).max()
-    # rounded to 2^-22 of the extent
-    nearest = np.linalg.norm(back[:, None] - placed.points[None], axis=2).min(axis=1)
-    assert nearest.max() < 1e-6 * extent
-    assert back[:, 2].max() == pytest.approx(placed.height_mm, rel=1e-15)
-    assert frame.body.volume_mm3 == pytest.approx(placed.volume_mm3, rel=1e-6)

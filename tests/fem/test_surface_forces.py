@@ -11,7 +11,7 @@ import pytest
 
 from study.ground.errors import InputError
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.mesh.size_field import graded_table
+from study.mechanics.mesh.size_field import graded_table, table_callback
 from study.mechanics.mesh.solid import expected_unknowns
 from study.mechanics.setup.geometry import (
     Block,
@@ -291,7 +291,7 @@ def test_as_many_elements_as_quarters_have(
 def test_sizes_are_read_from_the_table(disc: Surface) -> None:
     """The size that gmsh is told is that of the formula: h times the cube root of both shares."""
     table = graded_table(body(disc), 2.0, (0.0, 12.0))
-    numbers, ask = np.array(table.numbers()), table.callback(3).ctypes
+    numbers, ask = np.array(table.numbers()), table_callback().ctypes
     address = numbers.ctypes.data_as(ctypes.c_void_p)
     middle, plate, rim, side = (
         ask(3, 1, *place, 1e22, address)

@@ -11,14 +11,12 @@ from threadpoolctl import threadpool_info
 
 from study.ground import compilation
 from study.mechanics.element import function_space
-from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Cone, Cylinder
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.system import System
-
-GEL = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
+from tests.fem.problems import GEL
 
 
 @pytest.fixture

@@ -17,33 +17,27 @@ from study.mechanics.surface.closed_surface import body, first_intersection, vol
 from tests.fem.surfaces import Shape, box, cylinder, joined, sphere, write
 
 
-def refusal(path: Path, shape: Shape) -> str:
-    """What is said about a surface that cannot be used."""
-    with pytest.raises(InputError) as caught:
-        body(Surface(write(path, shape)))
-    return str(caught.value)
+def placed(shape: Shape, point: int, place: object) -> Shape:
+    """Put a point somewhere else."""
+    points = shape[0].copy()
+    points[point] = place
+    return points, shape[1]
 
 
-@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
-def test_every_format_gives_the_same_body(tmp_path: Path, suffix: str) -> None:
-    found = body(Surface(write(tmp_path / f"box{suffix}", box(10, 8, 6))))
+@pytest.mark.parametrize(
+    ("suffix", "text"), [(".stl", False), (".stl", True), (".ply", False), (".obj", False)]
+)
+def test_every_format_gives_the_same_body(tmp_path: Path, suffix: str, text: bool) -> None:
+    path = tmp_path / f"box{suffix}"
+    write(path, box(10, 8, 16))  # a file that changes is read again
+    assert body(Surface(str(path))).height_mm == pytest.approx(16)
+    found = body(Surface(write(path, box(10, 8, 6), text=text)))
     # single precision of a binary STL
     assert found.volume_mm3 == pytest.approx(480, rel=1e-6)
     assert found.height_mm == pytest.approx(6, rel=1e-6)
     assert (found.plate_area_mm2("top"), found.plate_area_mm2("base")) == pytest.approx((80, 80))
     assert found.half_width_mm == pytest.approx(4)
     assert found.notes == ()
-
-
-def test_text_and_binary_stl_agree(tmp_path: Path) -> None:
-    shape = cylinder(10, 12, 32)
-    binary = body(Surface(write(tmp_path / "b.stl", shape)))
-    text = body(Surface(write(tmp_path / "t.stl", shape, text=True)))
-    assert len(binary.points) == len(text.points) == 66
-    # half the product of radius squared and the sine of a segment's angle, times the segments
-    exact = 32 * 50 * np.sin(2 * np.pi / 32) * 12
-    assert binary.volume_mm3 == pytest.approx(exact, rel=1e-6)
-    assert text.volume_mm3 == pytest.approx(exact, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -128,50 +122,36 @@ def test_turned_triangles_are_mended_and_said(tmp_path: Path) -> None:
     assert whole.volume_mm3 == pytest.approx(480)
 
 
-def test_a_hole(tmp_path: Path) -> None:
-    points, triangles = box(10, 8, 6)
-    said = refusal(tmp_path / "box.obj", (points, triangles[:-1]))
+BOX, BALL = box(10, 8, 6), sphere(5, 2)
+#: surfaces that enclose no body, and what is said of each
+REFUSED: dict[str, tuple[Shape, str]] = {
     # triangle (1, 7, 5): corners (5, -4, 0), (5, 4, 6), (5, -4, 6)
-    assert "3 open edges around 1 hole, the largest near (5, -1.3333, 4) mm" in said
-
-
-def test_an_edge_of_three_triangles(tmp_path: Path) -> None:
-    points, triangles = box(10, 8, 6)
-    fin = (np.vstack([points, [[0, 0, 20]]]), np.vstack([triangles, [[4, 5, 8]]]))
-    said = refusal(tmp_path / "fin.obj", fin)
-    assert "1 edges belong to more than two triangles (first near (0, -4, 6) mm)" in said
-    assert "2 open edges" in said
-
-
-def test_two_bodies_and_a_cavity(tmp_path: Path) -> None:
-    points, triangles = box(10, 8, 6)
-    said = refusal(tmp_path / "two.obj", joined((points, triangles), (points + 20, triangles)))
-    assert "holds 2 separate surfaces, with 12, 12 triangles" in said
-    inside = (points * 0.5 + [0, 0, 1], triangles[:, ::-1])
-    assert "without cavities" in refusal(tmp_path / "hollow.obj", joined(box(10, 8, 6), inside))
-
-
-def test_boxes_that_meet_in_a_corner(tmp_path: Path) -> None:
-    points, triangles = box(10, 8, 6)
-    said = refusal(tmp_path / "corner.obj", joined(box(10, 8, 6), (points + [10, 8, 6], triangles)))
-    assert "separate surfaces" in said  # joined by a point alone is not joined
-
-
-def test_a_pinched_surface(tmp_path: Path) -> None:
+    "hole": ((BOX[0], BOX[1][:-1]),
+             "3 open edges around 1 hole, the largest near (5, -1.3333, 4) mm"),
+    "fin": ((np.vstack([BOX[0], [[0, 0, 20]]]), np.vstack([BOX[1], [[4, 5, 8]]])),
+            "1 edges belong to more than two triangles (first near (0, -4, 6) mm)"),
+    "two bodies": (joined(BOX, (BOX[0] + 20, BOX[1])),
+                   "holds 2 separate surfaces, with 12, 12 triangles"),
+    "cavity": (joined(BOX, (BOX[0] * 0.5 + [0, 0, 1], BOX[1][:, ::-1])), "without cavities"),
+    # joined by a point alone is not joined
+    "corner": (joined(BOX, (BOX[0] + [10, 8, 6], BOX[1])), "separate surfaces"),
     # the upper pole of a sphere is pushed down onto the lower one
-    points, triangles = sphere(5, 2)
-    points[2] = points[5]
-    assert "touches itself at 1 points (first at (0, 0, -5) mm)" in refusal(
-        tmp_path / "pinch.obj", (points, triangles)
-    )
+    "pinched": (placed(BALL, 2, BALL[0][5]), "touches itself at 1 points (first at (0, 0, -5) mm)"),
+    # and out of it: where the spike leaves the sphere
+    "spike": (placed(BALL, 2, [0, 0, -7]), "passes through itself: triangles"),
+    "nan": (placed(BOX, 3, [np.nan, 0, 0]), "coordinates that are no numbers (first: 1)"),
+    "infinite": (placed(BOX, 3, [np.inf, 0, 0]), "no numbers"),
+    "flat": ((BOX[0], np.vstack([BOX[1], [[4, 4, 5]]])),
+             "1 triangles have no area (first: triangle 13"),
+}  # fmt: skip
 
 
-def test_a_surface_that_passes_through_itself(tmp_path: Path) -> None:
-    points, triangles = sphere(5, 2)
-    points[2] = [0, 0, -7]
-    said = refusal(tmp_path / "through.obj", (points, triangles))
-    assert "passes through itself: triangles" in said
-    assert "-4.9" in said or "-4.8" in said or "-5" in said  # where the spike leaves the sphere
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_surface_that_encloses_no_body_is_refused(tmp_path: Path, name: str) -> None:
+    shape, said = REFUSED[name]
+    with pytest.raises(InputError) as caught:
+        body(Surface(write(tmp_path / "surface.obj", shape)))
+    assert said in str(caught.value)
 
 
 def test_one_pair_of_crossing_triangles_is_named() -> None:
@@ -194,22 +174,6 @@ def test_overlapping_triangles_in_one_plane() -> None:
     neighbors = np.array([[0, 1, 2], [1, 3, 2]])
     assert first_intersection(points, neighbors) is None  # they share an edge
     assert first_intersection(points, np.array([[0, 1, 2], [1, 3, 4]])) is not None
-
-
-def test_coordinates_that_are_no_numbers(tmp_path: Path) -> None:
-    points, triangles = box(10, 8, 6)
-    points[3, 0] = np.nan
-    assert "coordinates that are no numbers (first: 1)" in refusal(
-        tmp_path / "nan.obj", (points, triangles)
-    )
-    points[3, 0] = np.inf
-    assert "no numbers" in refusal(tmp_path / "inf.stl", (points, triangles))
-
-
-def test_degenerate_triangles(tmp_path: Path) -> None:
-    points, triangles = box(10, 8, 6)
-    flat = (points, np.vstack([triangles, [[4, 4, 5]]]))
-    assert "1 triangles have no area (first: triangle 13" in refusal(tmp_path / "flat.obj", flat)
 
 
 @pytest.mark.parametrize(
@@ -243,6 +207,8 @@ def test_degenerate_triangles(tmp_path: Path) -> None:
 )
 def test_files_that_are_no_surfaces(tmp_path: Path, name: str, content: bytes, said: str) -> None:
     path = tmp_path / name
+    with pytest.raises(InputError, match="cannot be read"):
+        body(Surface(str(path)))
     path.write_bytes(content)
     with pytest.raises(InputError, match=said):
         body(Surface(str(path)))
@@ -262,17 +228,6 @@ def test_a_file_cut_or_changed_anywhere_ends_in_words(tmp_path: Path) -> None:
         except InputError:  # anything else is a bug
             refusals += 1
     assert refusals > 100
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
-        body(Surface(str(tmp_path / "none.stl")))
-
-
-def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
-    path = tmp_path / "box.obj"
-    assert body(Surface(write(path, box(10, 8, 6)))).height_mm == pytest.approx(6)
-    assert body(Surface(write(path, box(10, 8, 16)))).height_mm == pytest.approx(16)
 
 
 def test_thirty_thousand_triangles(tmp_path: Path) -> None:

@@ -24,8 +24,8 @@ from study.mechanics.element.function_space import (
     _SAME,
     Discretization,
     _side_facets,
-    _top_facets,
     at_level,
+    middle_nodes,
 )
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Enclosed, Indenter
@@ -52,8 +52,7 @@ def contact_points(
     found: list[ContactPoints] = []
     for pair in problem.setup.contacts:
         if isinstance(pair, IndenterContact):
-            under = _under_indenter_anywhere if whole else _under_indenter
-            found += under(problem, pair, space, mesh)
+            found += _under_indenter(problem, pair, space, mesh)
         elif folding:
             onto = _onto_plane if whole else _side_onto_plate
             found += [p for p in onto(problem, pair, space, mesh) if p.size]
@@ -63,35 +62,29 @@ def contact_points(
 def _under_indenter(
     problem: Problem, pair: IndenterContact, space: Discretization, mesh: Mesh
 ) -> tuple[ContactPoints, ...]:
-    press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
+    """Points of the loaded face, or of a whole surface but for its base."""
+    if isinstance(problem.specimen, Enclosed):
+        base = np.zeros(len(space.nodes), dtype=bool)
+        base[at_level(space, mesh, 0.0)] = True
+        chosen = np.asarray(~base[space.facets].all(axis=1))
+        corners = mesh.points[space.facets[chosen][:, :3]]
+        touch = touch_mm(pair.indenter, corners, mesh.height_mm)
+    else:
+        axial, touch = space.nodes[space.facets][:, :, -1], mesh.height_mm
+        chosen = np.asarray((np.abs(axial - touch) < _SAME * touch).all(axis=1))
+    press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), touch)
+    points = meeting(problem, space, mesh, press, chosen)
     if pair.indenter.is_sharp_edged:
         rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
         under = rho <= pair.indenter.face_radius_mm * (1 + _SAME)
-        below = _on_top(problem, space, mesh, Plate(mesh.height_mm, -1, 1.0), nodal=True)
-        beside = _on_top(problem, space, mesh, press)
+        below = meeting(problem, space, mesh, Plate(touch, -1, 1.0), chosen, nodal=True)
         parts = (
             only(below, under[below.nodes].all(axis=1)),
-            only(beside, ~under[beside.nodes].all(axis=1)),
+            only(points, ~under[points.nodes].all(axis=1)),
         )
-        return tuple(points for points in parts if points.size)
-    return gripping(
-        _on_top(problem, space, mesh, press),
-        space.dim,
-        is_bonded=pair.is_bonded,
-        reach_mm=touch_radius(problem.setup),
-    )
-
-
-def _on_top(
-    problem: Problem,
-    space: Discretization,
-    mesh: Mesh,
-    surface: RigidSurface,
-    *,
-    nodal: bool = False,
-) -> ContactPoints:
-    """Points of the loaded face that a surface may meet."""
-    return meeting(problem, space, mesh, surface, _top_facets(space, mesh), nodal=nodal)
+        return tuple(part for part in parts if part.size)
+    reach = touch_radius(problem.setup)
+    return gripping(points, space.dim, is_bonded=pair.is_bonded, reach_mm=reach)
 
 
 def meeting(
@@ -156,14 +149,10 @@ def _middles(space: Discretization, points: ContactPoints, facets: Ints) -> sp.c
     """Mid-side points next to each corner of six-node triangles, shape (n_points, n_points)."""
     number = np.full(len(space.nodes), -1)
     number[points.nodes[:, 0]] = np.arange(points.size)
-    ends = np.array([[0, 1], [1, 2], [2, 0]])
-    halfway = space.nodes[facets[:, ends]].mean(axis=2)
-    apart = np.linalg.norm(space.nodes[facets[:, 3:]][:, :, None] - halfway[:, None], axis=-1)
-    corners = number[np.take_along_axis(facets[:, None], ends[apart.argmin(axis=2)], axis=2)]
-    middles = np.repeat(number[facets[:, 3:]][:, :, None], 2, axis=2)
-    entries = np.ones(corners.size, dtype=int)
-    shape = (points.size, points.size)
-    return sp.csr_matrix((entries, (corners.ravel(), middles.ravel())), shape) > 0
+    corners = facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    middles = middle_nodes(space, np.repeat(facets[:, 3:], 3, axis=0), corners)
+    pairs = number[corners.ravel()], number[np.repeat(middles, 2)]
+    return sp.csr_matrix((np.ones(corners.size, int), pairs), (points.size, points.size)) > 0
 
 
 def _points_of(
@@ -259,21 +248,6 @@ _HALVES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5
 _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 
-def _under_indenter_anywhere(
-    problem: Problem, pair: IndenterContact, space: Discretization, mesh: Mesh
-) -> tuple[ContactPoints, ...]:
-    """Points of a whole surface, its base left out, that may meet an indenter."""
-    base = np.zeros(len(space.nodes), dtype=bool)
-    base[at_level(space, mesh, 0.0)] = True
-    held = np.asarray(base[space.facets].all(axis=1))
-    corners = mesh.points[space.facets[~held][:, :3]]
-    touch = touch_mm(pair.indenter, corners, mesh.height_mm)
-    press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), touch)
-    points = meeting(problem, space, mesh, press, ~held)
-    reach = touch_radius(problem.setup)
-    return gripping(points, space.dim, is_bonded=pair.is_bonded, reach_mm=reach)
-
-
 def _onto_plane(
     problem: Problem, pair: PlateContact, space: Discretization, mesh: Mesh
 ) -> tuple[ContactPoints, ...]:
@@ -284,17 +258,9 @@ def _onto_plane(
         return ()
     held = np.array(sorted(prescribed_rates(problem.setup, space, mesh)), dtype=np.int64)
     nodes = np.unique(held[held % space.dim == space.dim - 1] // space.dim)
-    return (_on_plate(problem, space, mesh, _plate(problem, pair, mesh), nodes),)
-
-
-def _on_plate(
-    problem: Problem, space: Discretization, mesh: Mesh, plate: Plate, nodes: Ints
-) -> ContactPoints:
-    """Points that may meet a plate; ``nodes`` are held in one already, or clamped."""
     chosen = np.asarray(~np.isin(space.facets, nodes).all(axis=1))
-    points = meeting(problem, space, mesh, plate, chosen)
-    held = np.isin(points.nodes[:, 0], nodes)
-    return only(points, ~held)
+    points = meeting(problem, space, mesh, _plate(problem, pair, mesh), chosen)
+    return (only(points, ~np.isin(points.nodes[:, 0], nodes)),)
 
 
 def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Flags
 from study.mechanics.setup.geometry import Cone, Flat, Indenter
 
 #: smallest distance to the center of an arc or to the axis that is divided by, mm
@@ -33,6 +32,26 @@ class Arc:
     start: float
     end: float
 
+    def height(self, rho: Array) -> tuple[Flags, Array]:
+        """Which radii the arc spans, and its height there."""
+        out = rho - self.center[0]
+        inside = (out >= self.radius * np.sin(self.start) - _TINY) & (
+            out <= self.radius * np.sin(self.end) + _TINY
+        )
+        down = np.sqrt(np.maximum(self.radius**2 - out**2, 0.0))
+        return inside, self.center[1] - down
+
+    def distance(self, rho: Array, z: Array) -> tuple[Flags, Array]:
+        """Which points lie before the arc, and the rows of a distance to its circle, (7, n)."""
+        out, up = rho - self.center[0], z - self.center[1]
+        far = np.maximum(np.hypot(out, up), _TINY)
+        angle = np.arctan2(out, -up)
+        near = (angle >= self.start) & (angle <= self.end)
+        n_r, n_z = out / far, up / far
+        around = 1 / far if self.center[0] == 0.0 else n_r / np.maximum(rho, _TINY)
+        curvature = ((1 - n_r**2) / far, -n_r * n_z / far, (1 - n_z**2) / far)
+        return near, np.stack([far - self.radius, n_r, n_z, *curvature, around])
+
 
 @dataclass(frozen=True)
 class Line:
@@ -40,6 +59,26 @@ class Line:
 
     start: tuple[float, float]
     end: tuple[float, float]
+
+    def height(self, rho: Array) -> tuple[Flags, Array]:
+        """Which radii the line spans, and its height there."""
+        (r0, z0), (r1, z1) = self.start, self.end
+        if r1 - r0 < _TINY:
+            return np.zeros(rho.shape, dtype=bool), rho
+        return (rho >= r0) & (rho <= r1), z0 + (rho - r0) * (z1 - z0) / (r1 - r0)
+
+    def distance(self, rho: Array, z: Array) -> tuple[Flags, Array]:
+        """Which points lie beside the line, and the rows of a distance to it, (7, n)."""
+        (r0, z0), (r1, z1) = self.start, self.end
+        found = np.zeros((7, rho.size))
+        length = np.hypot(r1 - r0, z1 - z0)
+        if length < _TINY:
+            return np.zeros(rho.shape, dtype=bool), found
+        t_r, t_z = (r1 - r0) / length, (z1 - z0) / length
+        along = (rho - r0) * t_r + (z - z0) * t_z
+        found[0] = (rho - r0) * t_z - (z - z0) * t_r
+        found[1], found[2], found[6] = t_z, -t_r, t_z / np.maximum(rho, _TINY)
+        return (along >= 0) & (along <= length), found
 
 
 Profile = tuple[Arc | Line, ...]
@@ -92,81 +131,25 @@ def profile_height(pieces: Profile, rho: Array) -> Array:
     """
     height = np.full(rho.shape, _FAR)
     for piece in pieces:
-        if isinstance(piece, Arc):
-            inside, value = _arc_height(piece, rho)
-        else:
-            inside, value = _line_height(piece, rho)
+        inside, value = piece.height(rho)
         height = np.where(inside, np.minimum(height, value), height)
     return height
 
 
-def _arc_height(arc: Arc, rho: Array) -> tuple[NDArray[np.bool_], Array]:
-    out = rho - arc.center[0]
-    inside = (out >= arc.radius * np.sin(arc.start) - _TINY) & (
-        out <= arc.radius * np.sin(arc.end) + _TINY
-    )
-    down = np.sqrt(np.maximum(arc.radius**2 - out**2, 0.0))
-    return inside, arc.center[1] - down
+def signed_distance(pieces: Profile, rho: Array, z: Array) -> Array:
+    """Distance to a profile, positive outside, and its derivatives, shape (7, n).
 
+    Rows: the distance g, dg/drho, dg/dz, the second derivatives by rho rho, rho z and z z, and
+    (dg/drho) / rho, the curvature that a circle about the axis adds.
 
-def _line_height(line: Line, rho: Array) -> tuple[NDArray[np.bool_], Array]:
-    (r0, z0), (r1, z1) = line.start, line.end
-    if r1 - r0 < _TINY:
-        return np.zeros(rho.shape, dtype=bool), rho
-    return (rho >= r0) & (rho <= r1), z0 + (rho - r0) * (z1 - z0) / (r1 - r0)
-
-
-@dataclass(frozen=True)
-class Distance:
-    """Signed distance in the (rho, z) plane with first and second derivatives, arrays (n,).
-
-    ``around`` is (dg/drho) / rho, the curvature that a circle about the axis adds.
+    Shapes: rho, z (n,).
     """
-
-    gap: Array
-    slope: tuple[Array, Array]
-    curvature: tuple[Array, Array, Array]
-    around: Array
-
-
-def signed_distance(pieces: Profile, rho: Array, z: Array) -> Distance:
-    """Distance to a profile, positive outside. Shapes: rho, z (n,)."""
     best = np.zeros((7, rho.size))
     best[0] = -np.inf
     for piece in pieces:
-        if isinstance(piece, Arc):
-            near, found = _from_arc(piece, rho, z)
-        else:
-            near, found = _from_line(piece, rho, z)
+        near, found = piece.distance(rho, z)
         np.copyto(best, found, where=near & (found[0] > best[0]))
-    gap, n_r, n_z, rr, rz, zz, around = best
-    return Distance(gap, (n_r, n_z), (rr, rz, zz), around)
-
-
-def _from_arc(arc: Arc, rho: Array, z: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Which points lie before the arc, and the rows of a distance to its circle, (7, n)."""
-    out, up = rho - arc.center[0], z - arc.center[1]
-    far = np.maximum(np.hypot(out, up), _TINY)
-    angle = np.arctan2(out, -up)
-    near = (angle >= arc.start) & (angle <= arc.end)
-    n_r, n_z = out / far, up / far
-    around = 1 / far if arc.center[0] == 0.0 else n_r / np.maximum(rho, _TINY)
-    curvature = ((1 - n_r**2) / far, -n_r * n_z / far, (1 - n_z**2) / far)
-    return near, np.stack([far - arc.radius, n_r, n_z, *curvature, around])
-
-
-def _from_line(line: Line, rho: Array, z: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Which points lie beside the line, and the rows of a distance to it, (7, n)."""
-    (r0, z0), (r1, z1) = line.start, line.end
-    found = np.zeros((7, rho.size))
-    length = np.hypot(r1 - r0, z1 - z0)
-    if length < _TINY:
-        return np.zeros(rho.shape, dtype=bool), found
-    t_r, t_z = (r1 - r0) / length, (z1 - z0) / length
-    along = (rho - r0) * t_r + (z - z0) * t_z
-    found[0] = (rho - r0) * t_z - (z - z0) * t_r
-    found[1], found[2], found[6] = t_z, -t_r, t_z / np.maximum(rho, _TINY)
-    return (along >= 0) & (along <= length), found
+    return best
 
 
 @dataclass(frozen=True)
@@ -185,9 +168,8 @@ class Press:
         if x.shape[1] == 2:
             # an iterate may throw a point across the axis, where no piece would be near
             found = signed_distance(self.pieces, np.maximum(x[:, 0], 0.0), z)
-            rr, rz, zz = found.curvature
-            hessian = np.stack([np.stack([rr, rz], -1), np.stack([rz, zz], -1)], -1)
-            return found.gap, np.stack(found.slope, axis=-1), hessian
+            hessian = np.stack([found[3:5].T, found[4:6].T], axis=-1)
+            return found[0], np.stack([found[1], found[2]], axis=-1), hessian
         return self._gap_3d(x, z)
 
     def _gap_3d(self, x: Array, z: Array) -> tuple[Array, Array, Array]:
@@ -200,14 +182,13 @@ class Press:
         across = np.column_stack([-out[:, 1], out[:, 0], np.zeros(rho.size)])
         axial = np.zeros_like(radial)
         axial[:, 2] = 1.0
-        slope_r, slope_z = found.slope
-        normal = slope_r[:, None] * radial + slope_z[:, None] * axial
-        rr, rz, zz = (c[:, None, None] for c in found.curvature)
+        normal = found[1][:, None] * radial + found[2][:, None] * axial
+        rr, rz, zz, around = (row[:, None, None] for row in found[3:])
         mixed = _outer(radial, axial)
         hessian = rr * _outer(radial, radial) + zz * _outer(axial, axial)
         hessian += rz * (mixed + mixed.transpose(0, 2, 1))
-        hessian += found.around[:, None, None] * _outer(across, across)
-        return found.gap, normal, hessian
+        hessian += around * _outer(across, across)
+        return found[0], normal, hessian
 
     def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
         """Vertical gap and normal of small-strain contact: the shape is seen undeformed."""

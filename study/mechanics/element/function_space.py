@@ -47,9 +47,14 @@ def at_level(space: Nodes, mesh: Mesh, level: float) -> Ints:
     return np.flatnonzero(np.abs(space.nodes[:, -1] - level) < _SAME * mesh.height_mm)
 
 
-def _top_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
-    axial = space.nodes[space.facets][:, :, -1]
-    return np.asarray((np.abs(axial - mesh.height_mm) < _SAME * mesh.height_mm).all(axis=1))
+def middle_nodes(space: Nodes, members: Ints, ends: Ints) -> Ints:
+    """Node of each cell or facet that lies in the middle of some of its corners, shape (n,).
+
+    Shapes: members (n, k), the nodes to choose from; ends (n, m).
+    """
+    halfway = space.nodes[ends].mean(axis=1)
+    apart = np.linalg.norm(space.nodes[members] - halfway[:, None], axis=2)
+    return np.asarray(members[np.arange(len(members)), apart.argmin(axis=1)])
 
 
 def _side_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
@@ -123,14 +128,10 @@ class Discretization:
 
 def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discretization:
     """Shape-function arrays of a mesh for a model's element pair."""
-    from skfem import Basis
-
     axisymmetric = model.space == "axisymmetric"
-    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
-    element = _displacement_element(model, axisymmetric)
     rules = _RULES | _STRETCHED_RULES if stretched else _RULES
     rule = rules[(model.space, model.element_order, model.element_shape)]
-    basis = Basis(fem_mesh, element, intorder=rule)
+    basis = basis_of(mesh, model, rule)
     ne, nq = basis.dx.shape
     gradients = np.stack(
         [np.broadcast_to(b[0].grad, (mesh.points.shape[1], ne, nq)) for b in basis.basis]
@@ -146,12 +147,12 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
     nodes = np.array(basis.doflocs.T)
     if np.isnan(nodes).any():  # scikit-fem gives bubbles no place
         nodes[np.asarray(basis.interior_dofs)[-1]] = mesh.points[mesh.cells].mean(axis=1)
-    pressure_shape, pressure_dofs = _pressure(fem_mesh, basis, model)
+    pressure_shape, pressure_dofs = pressure_of(basis, model)
     dim = mesh.points.shape[1]
     displacement = (dim * element_nodes[:, :, None] + np.arange(dim)).reshape(ne, -1)
     n_u = int(dim * len(nodes))
     n_p = int(pressure_dofs.max()) + 1 if pressure_dofs.size else 0
-    facets, areas = _facets(fem_mesh, basis, nodes, axisymmetric)
+    facets, areas = _facets(basis, nodes)
     return Discretization(
         nodes=nodes,
         element_nodes=element_nodes,
@@ -169,14 +170,10 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
 
 def nodal_volumes(mesh: Mesh, model: Model) -> Array:
     """Integral of every shape function of the displacements, shape (n_nodes,), mm^3."""
-    from skfem import Basis
-
-    axisymmetric = model.space == "axisymmetric"
-    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
     # of higher degree than any product of a shape function, a radius and a Jacobian
-    basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=6)
+    basis = basis_of(mesh, model, 6)
     weights = np.array(basis.dx)
-    if axisymmetric:
+    if model.space == "axisymmetric":
         weights = weights * 2 * np.pi * np.asarray(basis.global_coordinates())[0]
     volumes = np.zeros(basis.N)
     for element_nodes, (shape, *_) in zip(basis.element_dofs, basis.basis, strict=True):
@@ -187,79 +184,54 @@ def nodal_volumes(mesh: Mesh, model: Model) -> Array:
 def interpolation(mesh: Mesh, model: Model, places: Array) -> Callable[[Array], Array]:
     """Make the function that takes values at the nodes to places within the elements."""
     # Shapes: places (m, dim), mm.
-    from skfem import Basis
-
-    axisymmetric = model.space == "axisymmetric"
-    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
-    basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=1)
-    shapes = basis.probes(np.ascontiguousarray(places.T))
+    shapes = basis_of(mesh, model, 1).probes(np.ascontiguousarray(places.T))
     return lambda values: np.asarray(shapes @ values)
 
 
-def _fem_mesh(mesh: Mesh, axisymmetric: bool, shape: str) -> Any:
+def basis_of(mesh: Mesh, model: Model, order: int) -> Any:
+    """Scalar basis of one displacement component, with a quadrature of some order."""
     import skfem
 
-    kinds = {
-        (True, "simplex"): skfem.MeshTri,
-        (True, "tensor"): skfem.MeshQuad,
-        (False, "simplex"): skfem.MeshTet,
-        (False, "tensor"): skfem.MeshHex,
-    }
-    cells = mesh.cells
-    if not axisymmetric and shape == "tensor":
+    simplex, cells = model.element_shape == "simplex", mesh.cells
+    stem = {"axisymmetric": ("Tri", "Quad"), "3d": ("Tet", "Hex")}[model.space][not simplex]
+    if stem == "Hex":
         cells = cells[:, _HEX_ORDER]
-    kind = kinds[(axisymmetric, shape)]
-    return kind(np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(cells.T))
+    fem_mesh = getattr(skfem, f"Mesh{stem}")(
+        np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(cells.T)
+    )
+    degree = "2" if model.element_order == "quadratic" else "1"
+    if simplex:
+        bubbles = degree == "1" and model.formulation == "mixed"
+        degree = "Mini" if bubbles else f"P{degree}"
+    return skfem.Basis(fem_mesh, getattr(skfem, f"Element{stem}{degree}")(), intorder=order)
 
 
-def _displacement_element(model: Model, axisymmetric: bool) -> Any:
-    import skfem
-
-    names = {
-        ("quadratic", "simplex"): ("ElementTriP2", "ElementTetP2"),
-        ("quadratic", "tensor"): ("ElementQuad2", "ElementHex2"),
-        ("linear", "simplex"): ("ElementTriMini", "ElementTetMini"),
-        ("linear", "tensor"): ("ElementQuad1", "ElementHex1"),
-    }[(model.element_order, model.element_shape)]
-    if (model.formulation, model.element_order, model.element_shape) == (
-        "displacement",
-        "linear",
-        "simplex",
-    ):
-        names = ("ElementTriP1", "ElementTetP1")
-    return getattr(skfem, names[0 if axisymmetric else 1])()
-
-
-def _pressure(fem_mesh: Any, basis: Any, model: Model) -> tuple[Array, Ints]:
-    """Pressure shape functions and their element-wise numbers."""
+def pressure_of(basis: Any, model: Model) -> tuple[Array, Ints]:
+    """Pressure shape functions at the quadrature of a basis, and their element-wise numbers."""
     import skfem
 
     ne, nq = basis.dx.shape
     if model.formulation == "displacement":
         return np.zeros((1, nq, 0)), np.zeros((ne, 0), dtype=np.int64)
     if model.element_shape == "simplex":
-        two = fem_mesh.dim() == 2
+        two = basis.mesh.dim() == 2
         pair = basis.with_element(skfem.ElementTriP1() if two else skfem.ElementTetP1())
         shape = np.stack([np.asarray(b[0])[0] for b in pair.basis], axis=-1)
         return np.ascontiguousarray(shape[None]), pair.element_dofs.T.astype(np.int64)
     if model.element_order == "linear":
         return np.ones((1, nq, 1)), np.arange(ne)[:, None]
-    return _discontinuous_linear(fem_mesh, basis)
-
-
-def _discontinuous_linear(fem_mesh: Any, basis: Any) -> tuple[Array, Ints]:
-    """1 and the coordinates about the element's centroid, divided by its size."""
+    # 1 and the coordinates about the element's centroid, divided by its size
     x = np.asarray(basis.global_coordinates())  # (dim, ne, nq)
-    corners = fem_mesh.p[:, fem_mesh.t]  # (dim, vertices, ne)
-    center = corners.mean(axis=1)[:, :, None]
-    size = np.ptp(corners, axis=1)[:, :, None]
+    corners = basis.mesh.p[:, basis.mesh.t]  # (dim, vertices, ne)
+    center, size = corners.mean(axis=1)[:, :, None], np.ptp(corners, axis=1)[:, :, None]
     shape = np.concatenate([np.ones((1, *x.shape[1:])), (x - center) / size])
-    ne, k = x.shape[1], shape.shape[0]
+    k = shape.shape[0]
     return np.ascontiguousarray(shape.transpose(1, 2, 0)), np.arange(k * ne).reshape(ne, k)
 
 
-def _facets(fem_mesh: Any, basis: Any, nodes: Array, axisymmetric: bool) -> tuple[Ints, Array]:
+def _facets(basis: Any, nodes: Array) -> tuple[Ints, Array]:
     """Nodes and areas of the boundary facets."""
+    fem_mesh = basis.mesh
     facets = fem_mesh.boundary_facets()
     vertices = basis.nodal_dofs[0][fem_mesh.facets[:, facets]].T
     parts = [vertices]
@@ -267,16 +239,14 @@ def _facets(fem_mesh: Any, basis: Any, nodes: Array, axisymmetric: bool) -> tupl
         parts.append(basis.edge_dofs[0][fem_mesh.f2e[:, facets]].T)
     if basis.facet_dofs.size:
         parts.append(basis.facet_dofs[0][facets][:, None])
-    areas = _facet_areas(nodes[vertices], axisymmetric)
-    return np.hstack(parts).astype(np.int64), areas
+    return np.hstack(parts).astype(np.int64), facet_areas(nodes[vertices])
 
 
-def _facet_areas(corners: Array, axisymmetric: bool) -> Array:
-    """Areas from the corner positions, shape (n_facets, corners, dim)."""
+def facet_areas(corners: Array) -> Array:
+    """Areas from the corner positions, shape (n_facets, corners, dim); of rings in a plane."""
     if corners.shape[2] == 2:
         length = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-        around = 2 * np.pi * corners[:, :, 0].mean(axis=1) if axisymmetric else 1.0
-        return np.asarray(length * around)
+        return np.asarray(length * (2 * np.pi * corners[:, :, 0].mean(axis=1)))
     a = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(a, axis=1) / 2
     if corners.shape[1] == 4:  # scikit-fem orders a quadrilateral facet around its rim

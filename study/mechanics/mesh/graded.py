@@ -13,13 +13,12 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from types import ModuleType
-from typing import Protocol
 
 import numpy as np
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import MeshError
-from study.mechanics.mesh.size_field import CFunction, SizeField, size_field
+from study.mechanics.mesh.size_field import CFunction, SizeField, size_callback, size_field
 from study.mechanics.mesh.structured import (
     Mesh,
     counted,
@@ -235,23 +234,13 @@ UNDER_CONE = {"linear": (1.0, 2.0), "quadratic": (0.8, 2.0)}
 _POOREST = 0.02
 
 
-class Sizes(Protocol):
-    """Sizes of elements, as gmsh asks for them."""
-
-    def numbers(self) -> tuple[float, ...]:
-        """All that the size at a place depends on."""
-
-    def callback(self, dim: int) -> CFunction:
-        """C function of these numbers and a place."""
-
-
 def indentation_mesh(setup: Setup) -> Mesh:
     """Mesh of an indented cylinder or block."""
     specimen, model = setup.specimen, setup.model
     if not isinstance(specimen, Cylinder | Block):
         raise MeshError("a graded mesh needs a cylinder or a block")
-    height, field, contact = specimen.height_mm, sizes_of(setup), contact_of(setup)
-    ring = contact.indenter.face_radius_mm
+    height, field = specimen.height_mm, sizes_of(setup)
+    ring = _contact_of(setup).indenter.face_radius_mm
     solid = model.space == "3d"
     if model.element_shape == "tensor" and solid and has_room(specimen, ring):
         points, cells = punched(specimen, field)
@@ -264,12 +253,7 @@ def indentation_mesh(setup: Setup) -> Mesh:
     return Mesh(points, cells, False, field.size_mm, field.finest_mm)
 
 
-def graded_size(setup: Setup) -> float:
-    """Element size of an indented cylinder or block, as ``mesh_size`` names it. Units: setup mm."""
-    return sizes_of(setup).size_mm
-
-
-def contact_of(setup: Setup) -> AroundContact:
+def _contact_of(setup: Setup) -> AroundContact:
     """Indenter and depth that sizes are made for."""
     if not isinstance(setup.grading, AroundContact):
         raise MeshError("a mesh graded around a contact needs an indenter")
@@ -282,7 +266,7 @@ def sizes_of(setup: Setup) -> SizeField:
     if not isinstance(specimen, Cylinder | Block):
         raise MeshError("an indentation mesh needs a cylinder or a block")
     extent = min(specimen.half_width_mm, specimen.height_mm)
-    return size_field(setup.model, contact_of(setup), specimen.height_mm, extent)
+    return size_field(setup.model, _contact_of(setup), specimen.height_mm, extent)
 
 
 def _grid(
@@ -290,7 +274,7 @@ def _grid(
 ) -> tuple[Array, Ints]:
     """Quadrilaterals or hexahedra on lines that follow the sizes along the top and the axis."""
     space, order = setup.model.space, setup.model.element_order
-    wide, tall = UNDER_CONE[order] if contact_of(setup).indenter.is_pointed else (1.0, 1.0)
+    wide, tall = UNDER_CONE[order] if _contact_of(setup).indenter.is_pointed else (1.0, 1.0)
     top = np.array([field.top_mm])
 
     def along_top(rho: Array) -> Array:
@@ -332,8 +316,8 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
 
 
 @contextmanager
-def gmsh_session(field: Sizes, dim: int) -> Iterator[ModuleType]:
-    """One model in one quiet, single-threaded session of gmsh. Units: field, dim mm."""
+def gmsh_session(size: CFunction, numbers: Array) -> Iterator[ModuleType]:
+    """One model in one quiet, single-threaded session of gmsh; sizes by a function of numbers."""
     import gmsh
 
     # without readConfigFiles, which takes options of whoever's home or working folder it is
@@ -345,12 +329,10 @@ def gmsh_session(field: Sizes, dim: int) -> Iterator[ModuleType]:
         for off in ("FromPoints", "FromCurvature", "ExtendFromBoundary"):
             gmsh.option.setNumber(f"Mesh.MeshSize{off}", 0)
         gmsh.model.add("specimen")
-        numbers = np.array(field.numbers())  # gmsh reads them until the session ends
+        # gmsh reads the numbers until the session ends
         address, failed = numbers.ctypes.data_as(ctypes.c_void_p), ctypes.c_int()
         # not through gmsh's Python function: its calls back take longer than the mesh
-        gmsh.lib.gmshModelMeshSetSizeCallback(
-            field.callback(dim).ctypes, address, ctypes.byref(failed)
-        )
+        gmsh.lib.gmshModelMeshSetSizeCallback(size.ctypes, address, ctypes.byref(failed))
         if failed.value:
             raise MeshError(f"gmsh: {gmsh.logger.getLastError()}")
         yield gmsh
@@ -399,7 +381,7 @@ def _triangles(radius: float, height: float, field: SizeField, ring: float) -> t
         corners += [(ring, height)]
     corners += [(0.0, height)]
 
-    with gmsh_session(field, 2) as gmsh:
+    with gmsh_session(size_callback(2), np.array(field.numbers())) as gmsh:
         tags = [gmsh.model.geo.addPoint(r, z, 0.0) for r, z in corners]
         lines: dict[tuple[int, int], int] = {}
         _face(gmsh, tags, lines)
@@ -438,7 +420,7 @@ def _even_patch(
 
 
 def _tetrahedra(outline: Array, height: float, field: SizeField, ring: float) -> tuple[Array, Ints]:
-    with gmsh_session(field, 3) as gmsh:
+    with gmsh_session(size_callback(3), np.array(field.numbers())) as gmsh:
         _quarter(gmsh, outline, height, ring, field)
         points, cells = generated(gmsh, 3)
     points = snapped(points, [(0, 0.0), (1, 0.0), (2, 0.0), (2, height)])

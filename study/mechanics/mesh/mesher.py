@@ -7,12 +7,13 @@ same mesh everywhere, and a refinement series has the ratio that was asked for.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from study.mechanics.mesh.graded import graded_size, indentation_mesh
+from study.mechanics.mesh.graded import indentation_mesh, sizes_of
 from study.mechanics.mesh.perturbation import jittered
 from study.mechanics.mesh.solid import surface_mesh, surface_mesh_size
 from study.mechanics.mesh.structured import (
@@ -24,18 +25,17 @@ from study.mechanics.mesh.structured import (
     layers,
     rectangle,
 )
-from study.mechanics.setup.geometry import Enclosed
-from study.mechanics.setup.setup import Setup, mesh_level
-from study.mechanics.setup.test_kind import AroundContact, MeshGrading, TowardsPlates
+from study.mechanics.setup.geometry import Enclosed, Specimen
+from study.mechanics.setup.setup import Model, Setup, mesh_level
+from study.mechanics.setup.test_kind import AroundContact, MeshGrading, Test, TowardsPlates
 from study.mechanics.surface.closed_surface import height_of
 
 #: reference sizes in one cube root of the volume; the finest named mesh has this size
 CELLS_PER_LENGTH = 20.0
 #: the same of a whole block, which has four times the cells of its quarter
 CELLS_OF_WHOLE = 6.5
-#: meshes of this process that are kept, and they
+#: meshes of this process that are kept
 _KEPT = 4
-_MADE: dict[tuple[object, ...], Mesh] = {}
 
 
 def mesh_size(setup: Setup) -> float:
@@ -44,7 +44,7 @@ def mesh_size(setup: Setup) -> float:
     if isinstance(setup.specimen, Enclosed):
         return surface_mesh_size(setup)
     if isinstance(setup.grading, AroundContact):
-        return graded_size(setup)
+        return sizes_of(setup).size_mm
     if model.mesh_size_mm is not None:
         return model.mesh_size_mm
     cells = CELLS_OF_WHOLE if setup.is_whole else CELLS_PER_LENGTH
@@ -58,7 +58,8 @@ def build_mesh(setup: Setup) -> Mesh:
     # topology of one mesh, forces on a round body scatter by 1.5 %, over all meshes by 5 %.
     if isinstance(setup.specimen, Enclosed):  # not kept: its file may have changed
         return surface_mesh(setup)
-    mesh, seed = _regular_mesh(setup), setup.model.mesh_seed
+    seed, test = setup.model.mesh_seed, replace(setup.test, steps=1)
+    mesh = regular_mesh(setup.specimen, test, replace(setup.model, mesh_seed=None))
     if seed is None:
         return mesh
     return jittered(mesh, seed, _at_edge(setup.grading, mesh))
@@ -76,28 +77,16 @@ def _at_edge(grading: MeshGrading, mesh: Mesh) -> NDArray[np.bool_] | None:
     return np.asarray(on_top & (np.abs(rho - ring) <= 1.2 * sagitta + 1e-9 * mesh.height_mm))
 
 
-def _regular_mesh(setup: Setup) -> Mesh:
+@functools.lru_cache(maxsize=_KEPT)
+def regular_mesh(specimen: Specimen, test: Test, model: Model) -> Mesh:
     """Mesh before nodes are moved: the last few are kept."""
-    asked = setup.specimen, replace(setup.test, steps=1), replace(setup.model, mesh_seed=None)
-    if asked not in _MADE:
-        mesh = _made(setup)
-        mesh.points.flags.writeable = mesh.cells.flags.writeable = False  # many will use them
-        for oldest in list(_MADE)[: 1 - _KEPT]:
-            del _MADE[oldest]
-        _MADE[asked] = mesh
-    return _MADE[asked]
-
-
-def forget_meshes() -> None:
-    """Let the next meshes be made anew: where the time that it takes is asked for."""
-    _MADE.clear()
-
-
-def _made(setup: Setup) -> Mesh:
-    grading = setup.grading
-    if isinstance(grading, AroundContact):
-        return indentation_mesh(setup)
-    return compressed_mesh(setup, grading)
+    setup = Setup(specimen, test, model)
+    if isinstance(setup.grading, AroundContact):
+        mesh = indentation_mesh(setup)
+    else:
+        mesh = compressed_mesh(setup, setup.grading)
+    mesh.points.flags.writeable = mesh.cells.flags.writeable = False  # many will use them
+    return mesh
 
 
 def compressed_mesh(setup: Setup, bonded: TowardsPlates) -> Mesh:

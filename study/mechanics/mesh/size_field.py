@@ -110,10 +110,6 @@ class SizeField:
             self.zone_mm, self.contact_mm, self.growth, self.even, float(self.halvings),
         )  # fmt: skip
 
-    def callback(self, dim: int) -> CFunction:
-        """C function that tells gmsh the size at a place."""
-        return size_callback(dim)
-
     def scaled(self, factor: float) -> SizeField:
         """Return the field with every size and the growth multiplied by ``factor``."""
         return replace(
@@ -270,10 +266,6 @@ class SizeTable:
         """All that the size at a place depends on, in the order of the compiled formula."""
         grid = (*self.origin, self.step_mm, *(float(n) for n in self.sizes.shape))
         return (*grid, *self.sizes.ravel())
-
-    def callback(self, dim: int) -> CFunction:
-        """C function that tells gmsh the size at a place."""
-        return table_callback()
 
 
 @part()

@@ -18,13 +18,14 @@ from study.ground.errors import Fault, InputError, MeshError
 from study.mechanics.mesh.graded import generated, gmsh_session, snapped, turned
 from study.mechanics.mesh.size_field import (
     LARGEST,
-    CFunction,
     SizeField,
     SizeTable,
     expected_cubes,
     graded_table,
     size_at_plates,
+    size_callback,
     size_field,
+    table_callback,
 )
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Enclosed, Surface
@@ -306,7 +307,10 @@ def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]
 
 def _between(found: Body, field: SizeField | SizeTable, sharp: float) -> tuple[Array, Ints]:
     """Tetrahedra between faces that end at edges sharper than ``sharp`` (rad)."""
-    with gmsh_session(_RoundedSizes(field), 3) as gmsh:
+    size = size_callback(3) if isinstance(field, SizeField) else table_callback()
+    # without their last digits: sums over a surface end in others on each processor
+    numbers = np.array(field.numbers(), np.float32).astype(float)
+    with gmsh_session(size, numbers) as gmsh:
         try:
             mesh, n = gmsh.model.mesh, len(found.points)
             tag = gmsh.model.addDiscreteEntity(2)
@@ -319,19 +323,6 @@ def _between(found: Body, field: SizeField | SizeTable, sharp: float) -> tuple[A
         except Exception as error:  # gmsh raises nothing more specific
             raise MeshError(f"gmsh cannot use the surface: {error}") from error
         return generated(gmsh, 3)
-
-
-@dataclass(frozen=True)
-class _RoundedSizes:
-    """Sizes without their last digits: sums over a surface end in others on each processor."""
-
-    sizes: SizeField | SizeTable
-
-    def numbers(self) -> tuple[float, ...]:
-        return tuple(np.asarray(self.sizes.numbers(), dtype=np.float32).tolist())
-
-    def callback(self, dim: int) -> CFunction:
-        return self.sizes.callback(dim)
 
 
 def _volume(points: Array, cells: Ints) -> float:

@@ -18,18 +18,24 @@ import numpy as np
 from study.ground.arrays import Array, Flags, Ints
 from study.mechanics.contact.collocation import _ring_shares
 from study.mechanics.contact.contact import Constraints, TiedPoints, prescribed_rates
-from study.mechanics.element.function_space import _SAME, Pattern, _facet_areas, at_level
+from study.mechanics.element.function_space import (
+    _SAME,
+    Pattern,
+    at_level,
+    facet_areas,
+    middle_nodes,
+)
 from study.mechanics.mesh.structured import KINDS, Mesh, mirror
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_kinds import buckling_strain
-from study.mechanics.solver.internal_force import Tangent
+from study.mechanics.solver.internal_force import ContactBlocks, Tangent
 from study.mechanics.solver.linear_solver import (
     KeptFactors,
     SingularMatrixError,
     _orthogonalized,
     make_solver,
 )
-from study.mechanics.solver.system import Assembly, ContactTerms, Latest, State, System
+from study.mechanics.solver.system import Assembly, Latest, State, System
 
 #: share of the strain by Euler's load above which hidden modes are looked for: elements bend
 #: too stiffly, never too softly, and a bonded column is a little stiffer than a free one
@@ -87,14 +93,10 @@ class Instability:
 
 
 def surplus(system: System) -> int | None:
-    """Negative eigenvalues of the last factorized tangent beyond one for each pressure."""
+    """Negative eigenvalues of the last factorized tangent beyond one for each free pressure."""
     negative = system.solver.negative_pivots()
-    return None if negative is None else negative - pressures(system)
-
-
-def pressures(system: System) -> int:
-    """Count the free pressures."""
-    return int(np.count_nonzero(system.pattern.free >= system.space.n_displacement))
+    pressures = np.count_nonzero(system.pattern.free >= system.space.n_displacement)
+    return None if negative is None else negative - int(pressures)
 
 
 def is_unstable(system: System, state: State) -> bool:
@@ -187,7 +189,7 @@ def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, .
     equations = replace(
         system,
         constraints=held,
-        contact_terms=ContactTerms.at(system.contact, space.dim, pattern),
+        blocks=ContactBlocks.of(system.contact, space.dim, pattern),
         tangent=Tangent.of(pattern, space.dofs),
         kept=KeptFactors(direct, pattern),
         latest=Latest(),
@@ -373,7 +375,7 @@ def _stretched_areas(system: System, u: Array) -> Array:
     if system.small_strain:
         return np.ones(len(space.nodes))
     corners = space.facets[:, : _corners(space.facets.shape[1], dim)]
-    areas = [_facet_areas(x[corners], dim == 2) for x in (space.nodes, space.nodes + u)]
+    areas = [facet_areas(x[corners]) for x in (space.nodes, space.nodes + u)]
     n, k = len(space.nodes), space.facets.shape[1]
     before, after = (np.bincount(space.facets.ravel(), np.repeat(a, k), n) for a in areas)
     return np.asarray(np.divide(after, before, out=np.ones(n), where=before > 0))
@@ -409,21 +411,21 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
     held = held[(held < space.n_displacement) & (held % dim < dim - 1)]
     force[held // dim, held % dim] = 0.0
     places = space.nodes + (0.0 if system.small_strain else system.displacements(state.x))
-    touched = np.abs(force).sum(axis=1) > 0
-    chosen = touched[space.facets].any(axis=1) & _meets(system)
-    facets = space.facets[chosen]
+    facets = space.facets[_meets(system)]
     k = _corners(facets.shape[1], dim)
     corners = facets[:, :k]
-    areas, shares = _facet_areas(places[corners], dim == 2), np.full((len(facets), k), 1.0 / k)
+    areas, shares = facet_areas(places[corners]), np.full((len(facets), k), 1.0 / k)
     if dim == 2:
         shares = _ring_shares(places[corners][:, :, 0])
     area = np.bincount(corners.ravel(), (areas[:, None] * shares).ravel(), n)
-    hats, between = force.copy(), list[tuple[Ints, Ints]]()
+    hats, between, taken = force.copy(), list[tuple[Ints, Ints]](), np.zeros(n, dtype=bool)
     for ends, part in _MIDDLES[k] if facets.shape[1] > k else []:
-        halfway = space.nodes[facets[:, ends]].mean(axis=1)
-        apart = np.linalg.norm(space.nodes[facets[:, k:]] - halfway[:, None], axis=2)
-        lies = facets[np.arange(len(facets)), k + apart.argmin(axis=1)]
+        lies = middle_nodes(space, facets[:, k:], facets[:, ends])
         nodes, first = np.unique(lies, return_index=True)
+        # each once: another facet may have the same edge between other corners of its own
+        once = ~taken[nodes]
+        nodes, first = nodes[once], first[once]
+        taken[nodes] = True
         between.append((nodes, facets[first][:, ends]))
         for corner in ends:
             np.add.at(hats, facets[first, corner], part * force[nodes])
@@ -480,7 +482,7 @@ def contact_figures(
     if face.any():
         k = _corners(space.facets.shape[1], dim)
         corners = (space.nodes + moved_by)[space.facets[face, :k]]
-        area += float(_facet_areas(corners, dim == 2).sum())
+        area += float(facet_areas(corners).sum())
         touches = True
     sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
     if not touches:

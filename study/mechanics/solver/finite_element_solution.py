@@ -14,7 +14,11 @@ from study.ground.arrays import Array, Ints
 from study.ground.bounded_file import read_existing
 from study.ground.compilation import vectors_alone
 from study.ground.errors import Fault, InputError, MeshError
-from study.mechanics.element.function_space import Discretization, deformation_gradient
+from study.mechanics.element.function_space import (
+    Discretization,
+    deformation_gradient,
+    middle_nodes,
+)
 from study.mechanics.material.homogeneous import UNIAXIAL, first_piola
 from study.mechanics.material.stability import stability, stable_in
 from study.mechanics.mesh.graded import turned
@@ -448,13 +452,8 @@ def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:
         return linear, corners
     own = space.element_nodes
     rest = own[~(own[:, :, None] == corners[:, None, :]).any(axis=2)].reshape(len(own), -1)
-    places = space.nodes[rest]
-    found = [corners]
-    for middle in MIDDLES[kind]:
-        target = space.nodes[corners[:, list(middle)]].mean(axis=1)
-        nearest = np.linalg.norm(places - target[:, None], axis=2).argmin(axis=1)
-        found.append(np.take_along_axis(rest, nearest[:, None], axis=1))
-    return kind, np.hstack(found)
+    middles = [middle_nodes(space, rest, corners[:, list(middle)]) for middle in MIDDLES[kind]]
+    return kind, np.column_stack([corners, *middles])
 
 
 def _in_space(plane: Array) -> Array:

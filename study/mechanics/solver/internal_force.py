@@ -6,7 +6,7 @@ sees vectors of unknowns and the sum of the tangents.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Elements, Ints, Unknowns
+from study.ground.arrays import Array, Elements, Unknowns
 from study.ground.compilation import smallest
+from study.mechanics.contact.contact import ContactPoints
 from study.mechanics.element import assembly
 from study.mechanics.element.assembly import ElementEnergy, Sums, stored_energy
 from study.mechanics.element.function_space import (
@@ -212,20 +213,15 @@ class Internal:
         """
         return 0.0 if material.small_strain else self.evenness * mu
 
-    def _split_rate(self, material: Material, name: str) -> BulkSplit:
-        """Rate of :meth:`_split` with a constant."""
-        bulk_rate, c = material.bulk_gradient()[name], self.local_bulk
-        if not self._mixed:
-            return BulkSplit(bulk_rate, 0.0)
-        shear_rate = c * material.mu0_gradient()[name]
-        return split_bulk_rate(material.bulk, c * material.mu0, bulk_rate, shear_rate)
-
     def _volume_derivative(self, material: Material, x: Array, name: str) -> Array:
         """Part of dR/dconstant that stems from the bulk modulus and its split, shape (n,).
 
         Residuals are linear in the local bulk modulus and in the compliance.
         """
-        rate, zero = self._split_rate(material, name), without_shear(material)
+        rate, zero = BulkSplit(material.bulk_gradient()[name], 0.0), without_shear(material)
+        if self._mixed:
+            c, shear_rate = self.local_bulk, material.mu0_gradient()[name]
+            rate = split_bulk_rate(material.bulk, c * material.mu0, rate.local, c * shear_rate)
         out = np.zeros(self.space.n)
         if not any(rate):
             return out
@@ -302,6 +298,7 @@ class Tangent:
 class ContactBlocks:
     """Tangents of contact points: small blocks among the entries of the elements."""
 
+    points: ContactPoints
     #: shape (n_points, m); unknowns of each point.
     dofs: Unknowns
     #: shape (n_points, m (m + 1) / 2); entry of the pattern of each packed one; negative where a
@@ -315,14 +312,21 @@ class ContactBlocks:
     _before: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def at(cls, dofs: Ints, positions: Unknowns) -> ContactBlocks:
-        """Take the memory for contact points."""
-        inside = positions >= 0
-        entries = np.unique(positions[inside])
-        edge = np.flatnonzero(~inside.all(axis=1)).astype(np.int32)
-        return cls(
-            dofs.astype(np.int32), positions, np.zeros(positions.shape), inside, entries, edge
-        )
+    def of(
+        cls, contact: Iterable[ContactPoints], dim: int, pattern: Pattern
+    ) -> tuple[ContactBlocks, ...]:
+        """Take the memory for each set of contact points."""
+        found = []
+        for points in contact:
+            dofs = points.dofs(dim)
+            positions = pattern.locate(dofs)
+            inside = positions >= 0
+            entries = np.unique(positions[inside])
+            edge = np.flatnonzero(~inside.all(axis=1)).astype(np.int32)
+            packed = np.zeros(positions.shape)
+            each = dofs.astype(np.int32), positions, packed, inside, entries, edge
+            found.append(cls(points, *each))
+        return tuple(found)
 
     def fill(self, packed: Array, data: Array) -> None:
         """Add blocks to the entries of a pattern."""

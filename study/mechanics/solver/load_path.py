@@ -29,7 +29,7 @@ from study.mechanics.solver.newton import (
     solve_step,
 )
 from study.mechanics.solver.sensitivity import Loads, StepGradients, linear_rates, step_gradients
-from study.mechanics.solver.solution import LoadedState, Logbook, Solution
+from study.mechanics.solver.solution import Logbook, Solution, Step
 from study.mechanics.solver.system import Assembly, Drag, State, System
 
 # -------------------------------------------------------------------------------------------------
@@ -126,16 +126,13 @@ def _weights(system: System, state: State) -> Array:
     return weights
 
 
-#: inverse iterations: the smallest stiffness of a state that gives way stands out
-_INVERSE_ITERATIONS = 12
-
 #: share of the first stiffness below which a specimen gives way
 _VANISHED_SHARE = 0.2
 
 
 def gives_way(system: System, first: State, last: State) -> str:
     """Say that the smallest stiffness has nearly vanished at a state; empty where it has not."""
-    before, after = smallest_stiffness(system, first), smallest_stiffness(system, last)
+    before, after = _stiffness_at(system, first), _stiffness_at(system, last)
     if not after < _VANISHED_SHARE * before:
         return ""
     return (
@@ -145,24 +142,14 @@ def gives_way(system: System, first: State, last: State) -> str:
     )
 
 
-def smallest_stiffness(system: System, state: State) -> float:
-    """Force over motion, in the norm of all nodes, of the way that costs least; 0 if singular.
-
-    Units: returns N/mm.
-    """
+def _stiffness_at(system: System, state: State) -> float:
+    """Smallest stiffness of a state, N/mm; 0 where it has vanished."""
     system.assemble(state)
-    free = system.pattern.free
-    moves = free < system.space.n_displacement
-    v = moves.astype(float)
-    largest = 0.0
     try:
         system.factorize()
-        for _ in range(_INVERSE_ITERATIONS):
-            v = np.where(moves, system.back_substitute(v / np.linalg.norm(v)), 0.0)
-            largest = float(np.linalg.norm(v))
-    except SingularMatrixError:
+        return max(least_stiffness(system)[0], 0.0)
+    except (SingularMatrixError, np.linalg.LinAlgError):
         return 0.0
-    return 1.0 / largest if np.isfinite(largest) else 0.0
 
 
 #: points that are looked at: where an energy gives way it does so where it is stretched most
@@ -218,15 +205,9 @@ _LOAD_PATH_HALVINGS = 3
 _ROUNDS = 8
 
 
-@dataclass(frozen=True)
-class _Place:
-    """What a load step starts from, so that it can be taken once more in halves."""
-
-    state: State
-    previous: State | None
-    J: Array
-    step_mm: float
-    min_j: float
+#: what a load step starts from, so that it can be taken once more in halves: the state and the one
+#: before, J, length and smallest J
+_Place = tuple[State, State | None, Array, float, float]
 
 
 class LoadPath:
@@ -299,14 +280,13 @@ class LoadPath:
         result, spent = self._reach(target)
         if result is None:
             return False
-        # kept, for other steps may be assembled before it is written down
-        row = self._row(result)
+        # made here, for other steps may be assembled before it is written down
+        step = self._step(result, self.state, spent)
         unstable = self._gives_way()
-        loaded = self.logbook.loaded(self.state, row)
         known = len(self.logbook.snaps) > snaps
-        jumped = not known and self.logbook.jumped_to(loaded)
+        jumped = not known and self.logbook.jumped_to(step)
         if jumped and halvings and not self.system.sticks:
-            there, middle = self._place(), 0.5 * (place.state.displacement_mm + target)
+            there, middle = self._place(), 0.5 * (place[0].displacement_mm + target)
             self._return_to(place)
             if self._advance(middle, halvings - 1) and self._advance(target, halvings - 1):
                 return True
@@ -316,7 +296,7 @@ class LoadPath:
             return False
         if jumped:
             self.logbook.snaps.append(self.logbook.reached[-1])
-        self.logbook.add(self.state, result.equilibrium(), row, loaded, spent)
+        self.logbook.add(step)
         return True
 
     def _gives_way(self) -> bool:
@@ -355,7 +335,7 @@ class LoadPath:
     ) -> None:
         """Go back to the last stable step, by bisection, and say where stability was lost."""
         place_mm = unstable.displacement_mm
-        steps = [step.state for step in self.logbook.warm_steps]
+        steps = [step.state for step in self.logbook.steps]
         states = [s for s in steps if s.displacement_mm < place_mm] + [unstable]
         stable, first = -1, len(states) - 1
         if first and not is_unstable(system, states[first - 1]):  # as a rule
@@ -378,12 +358,11 @@ class LoadPath:
         self.min_j = float(self.J.min())
 
     def _place(self) -> _Place:
-        return _Place(self.state, self.previous, self.J, self.step_mm, self.min_j)
+        return self.state, self.previous, self.J, self.step_mm, self.min_j
 
     def _return_to(self, place: _Place) -> None:
         """Go back; what was found in between is no start for the steps to come."""
-        self.state, self.J, self.min_j = place.state, place.J, place.min_j
-        self.previous, self.step_mm = place.previous, place.step_mm
+        self.state, self.previous, self.J, self.step_mm, self.min_j = place
         self.reason = ""
         # the way that led past the last step written down is given up, and its jumps with it
         last_mm = self.logbook.reached[-1] if self.logbook.reached else 0.0
@@ -404,15 +383,17 @@ class LoadPath:
         before, after = self.logbook.around(displacement)
         left = (self.rest or self.system.start()) if before is None else before
         end = self._place()
-        result = self._halfway(left, after, displacement) or self._onwards(left, displacement)
+        result = self._halfway(left, after, displacement)
+        if result is None:  # reached from there by load steps like any others
+            self.state, self.previous, self.J = left, None, self.system.volume_ratios(left.x)
+            self.step_mm = min(self.rule.first_mm, displacement - left.displacement_mm)
+            result = self._reach(displacement)[0]
         is_added = False
         if result is not None:
-            row = self._row(result)
-            loaded = self.logbook.loaded(result.state, row)
-            is_added = self.logbook.lies_between(loaded)
+            step = self._step(result, result.state, result.iterations)
+            is_added = self.logbook.lies_between(step)
             if is_added:
-                spent = result.iterations
-                self.logbook.add(result.state, result.equilibrium(), row, loaded, spent)
+                self.logbook.add(step)
         self._return_to(end)
         return is_added
 
@@ -427,12 +408,6 @@ class LoadPath:
             return None
         result = solve_step(self.system, guess, self.options.newton)
         return result if result.converged and _near(result, J) else None
-
-    def _onwards(self, left: State, displacement: float) -> NewtonResult | None:
-        """Equilibrium reached from a state by load steps like any others."""
-        self.state, self.previous, self.J = left, None, self.system.volume_ratios(left.x)
-        self.step_mm = min(self.rule.first_mm, displacement - left.displacement_mm)
-        return self._reach(displacement)[0]
 
     def may_do_better(self) -> bool:
         """Whether a run that stopped short is to be tried from the unloaded state.
@@ -527,7 +502,7 @@ class LoadPath:
         if self.system.sticks:
             return
         landed, here_mm = landing.state, self.state.displacement_mm
-        arrived = self.logbook.loaded(landed, self._row(landing))
+        arrived = self._step(landing, landed, landing.iterations)
         way_mm = here_mm - (self.logbook.reached[-1] if self.logbook.reached else 0.0)
         if way_mm > self.rule.smallest_mm():
             self._write_down_near(self.state, [here_mm - share * way_mm for share in _BEFORE])
@@ -539,31 +514,21 @@ class LoadPath:
         state: State,
         places_mm: Sequence[float],
         lift: State | None = None,
-        arrived: LoadedState | None = None,
+        arrived: Step | None = None,
     ) -> None:
-        """Write down an equilibrium near a state, at the first of some places that has one."""
-        for place_mm in places_mm:
-            start = replace(state, displacement_mm=place_mm)
-            found = solve_step(self.system, start, self.options.newton, lifted_from=lift)
-            if self._write_down(found, state, arrived):
-                return
-
-    def _write_down(
-        self, found: NewtonResult, neighbor: State, arrived: LoadedState | None = None
-    ) -> bool:
-        """Write down an equilibrium if it converged near its neighbor, and say whether it did.
+        """Write down an equilibrium near a state, at the first of some places that has one.
 
         Not one that would have to jump to where the specimen ``arrived``.
         """
-        J = self.system.volume_ratios(neighbor.x)
-        if not (found.converged and _near(found, J)):
-            return False
-        row = self._row(found)
-        loaded = self.logbook.loaded(found.state, row)
-        if arrived is not None and self.logbook.lies_apart(loaded, arrived):
-            return False
-        self.logbook.add(found.state, found.equilibrium(), row, loaded, found.iterations)
-        return True
+        for place_mm in places_mm:
+            start = replace(state, displacement_mm=place_mm)
+            found = solve_step(self.system, start, self.options.newton, lifted_from=lift)
+            if not (found.converged and _near(found, self.system.volume_ratios(state.x))):
+                continue
+            step = self._step(found, found.state, found.iterations)
+            if arrived is None or not self.logbook.lies_apart(step, arrived):
+                self.logbook.add(step)
+                return
 
     def _extrapolated(self, displacement: float) -> State | None:
         """Linear extrapolation of the last two states, where it keeps every J."""
@@ -585,7 +550,7 @@ class LoadPath:
             return None
         step = self._warm_steps[near[0]]
         x, multipliers = step.state.x.copy(), list(step.state.multipliers)
-        for name, rate in step.constants.items():
+        for name, rate in step.gradients.constants.items():
             change = self.problem.material.constants[name] - self.warm.values[name]
             x += change * rate.x
             multipliers = [
@@ -610,11 +575,16 @@ class LoadPath:
         self.previous, self.state, self.J = self.state, result.state, result.J
         self.min_j = assembly.min_j
         if self.system.sticks:
-            rates = self._row(result).constants if self.wanted else {}
+            rates = self._gradients(result).constants if self.wanted else {}
             along = {name: rate.x for name, rate in rates.items()}
             self.state = self.system.held(result.state, assembly, along)
 
-    def _row(self, result: NewtonResult) -> StepGradients:
+    def _step(self, result: NewtonResult, state: State, spent: int) -> Step:
+        """Step of a converged result, whose state may be held by a bonded indenter meanwhile."""
+        sense, row = self.problem.setup.kind.sense, self._gradients(result)
+        return Step.of(self.system, state, result.equilibrium(), row, spent, sense)
+
+    def _gradients(self, result: NewtonResult) -> StepGradients:
         """Force and derivatives of a converged state, computed once."""
         if self._latest is None or self._latest[0] is not result:
             assembly = result.equilibrium()
@@ -629,7 +599,7 @@ class LoadPath:
 
     def _why(self) -> str:
         """Why the run went no further: a limit point is no failure of the iteration."""
-        steps = self.logbook.warm_steps
+        steps = self.logbook.steps
         if self.logbook.complete or self.instability or self._lost() or not steps:
             return self.reason
         return gives_way(self.system, steps[0].state, self.state) or self.reason

@@ -87,7 +87,9 @@ def solve_step(
     system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
 ) -> NewtonResult:
     """Equilibrium at ``guess.displacement_mm`` by full steps."""
-    state, lift = _start(system, guess, lifted_from)
+    state, lift = lifted_from or guess, np.zeros(0)
+    if lifted_from is not None:  # the prescribed increment that the first solve has to spread
+        lift = system.prescribed(guess.displacement_mm) - system.prescribed(state.displacement_mm)
     residuals: list[float] = []
     J = system.volume_ratios(state.x)
     switches, free = Switches(system), system.pattern.free
@@ -170,14 +172,6 @@ def _invalid(J: Array) -> str:
     return "an element is inverted"
 
 
-def _start(system: System, guess: State, before: State | None) -> tuple[State, Array]:
-    """State to begin with, and the prescribed increment that the first solve has to spread."""
-    if before is None:
-        return guess, np.zeros(0)
-    after = system.prescribed(guess.displacement_mm)
-    return before, after - system.prescribed(before.displacement_mm)
-
-
 def _filtered(
     system: System, x: Array, before: Array, increment: Array, settings: NewtonSettings
 ) -> tuple[float, Array]:
@@ -209,9 +203,11 @@ def _measures(system: System, state: State, assembly: Assembly) -> tuple[float, 
     reaction = float(np.linalg.norm(assembly.internal[system.constraints.dofs]))
     # at first touch there is no reaction yet
     strain = max(abs(state.displacement_mm) / system.height_mm, 1e-12)
-    whole, mu = system.whole, system.material.mu0
-    floor = max(1e-6 * mu * whole.area_mm2 * strain, 0.5 * mu * whole.touch_mm**2)
-    return max(reaction, floor), float(system.space.weights.sum())
+    mu, volume = system.material.mu0, float(system.space.weights.sum())
+    # the cross-section of the whole: both its volume and its height are doubled in a half model
+    area_mm2 = volume * system.force_scale / system.height_mm
+    floor = max(1e-6 * mu * area_mm2 * strain, 0.5 * mu * system.touch_mm**2)
+    return max(reaction, floor), volume
 
 
 def _scale(system: System, state: State, assembly: Assembly) -> Array:

@@ -109,7 +109,8 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
         for each in closed:
             each.push(left, each.eps * each.target + each.pressure)
         size = np.linalg.norm(left[free], axis=0)
-        allowed = tolerance * _scale(loaded, closed, x)
+        forces = [loaded, *(each.force(each.carried(x)) for each in closed)]
+        allowed = tolerance * np.max(forces, axis=0)
         if (size <= allowed).all() or corrections == 2 * _CORRECTIONS:
             break
         sizes.append(size)
@@ -147,12 +148,6 @@ def _closed_points(
             )
         )
     return tuple(found)
-
-
-def _scale(loaded: Array, closed: tuple[ClosedPoints, ...], x: Array) -> Array:
-    """Find the forces that the residual of each column is compared with, shape (k,)."""
-    contact = [each.force(each.carried(x)) for each in closed]
-    return np.asarray(np.max([loaded, *contact], axis=0))
 
 
 def _cost_ahead(sizes: list[Array], allowed: Array, springs: bool) -> float:

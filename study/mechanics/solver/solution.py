@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from study.mechanics.solver.equilibrium import (
     resultants,
 )
 from study.mechanics.solver.internal_force import StoredEnergy
-from study.mechanics.solver.sensitivity import Rate, StepGradients
+from study.mechanics.solver.sensitivity import StepGradients
 from study.mechanics.solver.system import Assembly, State, System
 from study.mechanics.surface.closed_surface import body
 
@@ -46,6 +47,9 @@ STICKING_JUMP_SHARE = 0.02
 #: Energy that is counted at least, over force times the whole displacement: at first touch
 #: a few contact points close one after the other, and next to nothing is stored.
 LEAST_ENERGY = 0.1
+
+#: values of a run without steps
+_none = partial(np.zeros, 0)
 
 
 @dataclass(frozen=True)
@@ -84,12 +88,12 @@ class EnergyBalance:
     """Energies of the requested displacements (whole specimen)."""
 
     #: shape (n,); energy of the material, and of the resistance to uneven volume.
-    stored_Nmm: Array
-    stabilization_Nmm: Array
+    stored_Nmm: Array = field(default_factory=_none)
+    stabilization_Nmm: Array = field(default_factory=_none)
     #: shape (n,); work so far, interpolated between the displacements, less the energy stored so
     #: far, over the largest energy stored. The work of the first interval, in which contact begins,
     #: is taken to be the energy stored there.
-    mismatch: Array
+    mismatch: Array = field(default_factory=_none)
     #: Displacements at which the specimen jumped to another equilibrium.
     jumps_mm: tuple[float, ...] = ()
 
@@ -125,7 +129,7 @@ def balanced(
     the curve of a short interval by more than the whole change of force.
     """
     if not states:
-        return EnergyBalance(np.zeros(0), np.zeros(0), np.zeros(0)), np.zeros(0)
+        return EnergyBalance(), _none()
     total = np.array([state.stored.total for state in states])
     pairs = list(zip(states[:-1], states[1:], strict=True))
     missing = np.array([unexplained_work(*pair) for pair in pairs])
@@ -152,11 +156,36 @@ def _holds(jumps_mm: tuple[float, ...], before: LoadedState, after: LoadedState)
 
 
 @dataclass(frozen=True)
-class WarmStep:
-    """A converged step of an earlier solve and how it moves with the constants."""
+class Step:
+    """A converged step of a run."""
 
     state: State
-    constants: dict[str, Rate]
+    #: Force and its derivatives; those of the state are what a later solve is started along.
+    gradients: StepGradients
+    loaded: LoadedState
+    #: What holds the specimen above and below, and what touches it.
+    held: tuple[Resultant, Resultant, ContactFigures]
+    #: Largest force of a pin over that of the test: zero where the loads balance.
+    pinned: float
+    #: Newton iterations, those of its sub-steps included.
+    iterations: int
+
+    @classmethod
+    def of(
+        cls, system: System, state: State, assembly: Assembly, row: StepGradients, spent: int,
+        sense: float,
+    ) -> Step:  # fmt: skip
+        """Energy, reactions and contact of a converged state."""
+        stored = (system.force_scale * part for part in system.stored_energy(state))
+        loaded = LoadedState(
+            state.displacement_mm, row.work_N, row.work_slope_N_per_mm, StoredEnergy(*stored)
+        )
+        forces = nodal_reactions(system, assembly)
+        figures = contact_figures(system, state, assembly, forces[0])
+        held = (*resultants(system, state, forces, sense), figures)
+        pins = np.abs(assembly.residual[system.constraints.pins])
+        pinned = float(pins.max()) / abs(row.force_N) if pins.size and row.force_N else 0.0
+        return cls(state, row, loaded, held, pinned, spent)
 
 
 @dataclass(frozen=True)
@@ -165,42 +194,45 @@ class Warm:
 
     system: System
     values: dict[str, float]
-    steps: tuple[WarmStep, ...]
+    steps: tuple[Step, ...]
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Result of one forward simulation."""
+    """Result of one forward simulation; without its status nearly nothing of one that never began.
+
+    Points and cells are the vertices of the mesh in mm, ``displacement`` is theirs at the last
+    converged step.
+    """
 
     #: ``converged``, ``not-converged``, ``mesh-failed``, ``unstable``, ``lost-contact`` or
     #: ``out-of-memory``.
     status: str
     #: One sentence that says why it ended.
     message: str
+    mesh_size_mm: float
+    seconds: dict[str, float]
     #: Requested steps up to the last converged one, with stiffness, gradients and work; and, if
     #: ``Options`` ask for it, steps added where the curve bends.
-    curve: Curve
+    curve: Curve = Curve(_none(), _none(), _none())
     #: Displacement of the last converged step, sub-steps of a cut-back included.
-    reached_mm: float
+    reached_mm: float = 0.0
     #: Smallest J of the last converged step.
-    min_j: float
+    min_j: float = 1.0
     #: Reactions and contact of each point, and where the equilibrium becomes unstable.
-    equilibria: Equilibria
+    equilibria: Equilibria = Equilibria()
     #: Stored energy and the work of the test, point by point of the curve.
-    energy: EnergyBalance
+    energy: EnergyBalance = EnergyBalance()
     #: Iterations of each point of the curve (its sub-steps added up).
-    newton_iterations: tuple[int, ...]
-    dofs: int
-    elements: int
-    mesh_hash: str
-    mesh_size_mm: float
-    solver: str
-    seconds: dict[str, float]
-    #: shape (n_points, dim); vertices of the mesh in mm and their displacements at the last
-    #: converged step.
-    points: Array
-    cells: NDArray[np.int64]
-    displacement: Array
+    newton_iterations: tuple[int, ...] = ()
+    dofs: int = 0
+    elements: int = 0
+    mesh_hash: str = ""
+    solver: str = "none"
+    #: shape (n_points, dim)
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    cells: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 4), np.int64))
+    displacement: Array = field(default_factory=lambda: np.zeros((0, 3)))
     warm: Warm | None = None
 
     @property
@@ -221,26 +253,7 @@ class Solution:
 
 def without_answer(problem: Problem, status: str, message: str, seconds: float) -> Solution:
     """Solution of a problem that never came to its first step."""
-    empty, none = np.zeros(0), np.zeros((0, 3))
-    return Solution(
-        status=status,
-        message=message,
-        curve=Curve(empty, empty, empty),
-        reached_mm=0.0,
-        min_j=1.0,
-        equilibria=Equilibria(),
-        energy=EnergyBalance(empty, empty, empty),
-        newton_iterations=(),
-        dofs=0,
-        elements=0,
-        mesh_hash="",
-        mesh_size_mm=problem.model.mesh_size_mm or 0.0,
-        solver="none",
-        seconds={"total": seconds},
-        points=none,
-        cells=np.zeros((0, 4), dtype=np.int64),
-        displacement=none,
-    )
+    return Solution(status, message, problem.model.mesh_size_mm or 0.0, {"total": seconds})
 
 
 #: what a user can do about an energy that is stretched too far
@@ -268,33 +281,26 @@ class Logbook:
     #: How many of the steps so far were asked for; others were added where energy was missing or
     #: the curve bends.
     requested: int = 0
-    rows: list[StepGradients] = field(default_factory=list)
-    #: Force and stored energy of every step.
-    states: list[LoadedState] = field(default_factory=list)
-    reached: list[float] = field(default_factory=list)
-    #: What holds the specimen above and below, and what touches it.
-    held: list[tuple[Resultant, Resultant, ContactFigures]] = field(default_factory=list)
-    iterations: list[int] = field(default_factory=list)
-    warm_steps: list[WarmStep] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
     #: Displacements at which the surface snapped to another equilibrium, mm.
     snaps: list[float] = field(default_factory=list)
-    #: Largest force of a pin over that of the test: zero where the loads balance.
-    pinned: float = 0.0
+
+    @property
+    def reached(self) -> list[float]:
+        """Displacements of the steps, mm."""
+        return [step.state.displacement_mm for step in self.steps]
 
     @property
     def last(self) -> State | None:
         """State of the last step."""
-        return self.warm_steps[-1].state if self.warm_steps else None
+        return self.steps[-1].state if self.steps else None
 
     def drop_from(self, displacement_mm: float) -> None:
         """Forget the steps from a displacement on."""
         kept = int(np.searchsorted(self.reached, displacement_mm * (1 - 1e-12)))
         steps = np.array(self.reached[kept:]) * self.problem.test.steps / self._whole_mm
         self.requested -= int((np.abs(steps - np.round(steps)) < 1e-6).sum())
-        for column in (
-            self.rows, self.states, self.reached, self.held, self.iterations, self.warm_steps
-        ):  # fmt: skip
-            del column[kept:]
+        del self.steps[kept:]
         self.snaps = [place for place in self.snaps if place < displacement_mm]
 
     @property
@@ -302,63 +308,49 @@ class Logbook:
         """Whether every requested step is there."""
         return self.requested == self.problem.test.steps
 
-    def loaded(self, state: State, row: StepGradients) -> LoadedState:
-        """Force and stored energy of a converged state."""
-        stored, scale = self.system.stored_energy(state), self.system.force_scale
-        energy = StoredEnergy(*(scale * part for part in stored))
-        return LoadedState(state.displacement_mm, row.work_N, row.work_slope_N_per_mm, energy)
-
-    def jumped_to(self, loaded: LoadedState) -> bool:
+    def jumped_to(self, step: Step) -> bool:
         """Whether energy is missing, or too much, since the last step written down.
 
         Within the first requested step nothing is looked at: contact begins point by point there,
         and the slope at first touch is not known.
         """
         first_mm = self._whole_mm / self.problem.test.steps
-        if not self.states or self.states[-1].displacement_mm < (1 - 1e-9) * first_mm:
+        if not self.steps or self.reached[-1] < (1 - 1e-9) * first_mm:
             return False
-        return jumped(self.states[-1], loaded, self._whole_mm, self._share)
+        return self.lies_apart(self.steps[-1], step)
 
-    def add(
-        self, state: State, assembly: Assembly, row: StepGradients, loaded: LoadedState, spent: int
-    ) -> None:
+    def add(self, step: Step) -> None:
         """Write down a step that converged, in the order of displacements."""
-        at = int(np.searchsorted(self.reached, state.displacement_mm))
-        self.rows.insert(at, row)
-        self.states.insert(at, loaded)
-        self.reached.insert(at, state.displacement_mm)
-        forces, sense = nodal_reactions(self.system, assembly), self.problem.setup.kind.sense
-        figures = contact_figures(self.system, state, assembly, forces[0])
-        self.held.insert(at, (*resultants(self.system, state, forces, sense), figures))
-        self.iterations.insert(at, spent)
-        pins = np.abs(assembly.residual[self.system.constraints.pins])
-        if pins.size and row.force_N:
-            self.pinned = max(self.pinned, float(pins.max()) / abs(row.force_N))
-        self.warm_steps.insert(at, WarmStep(state, row.constants))
+        self.steps.insert(int(np.searchsorted(self.reached, step.state.displacement_mm)), step)
 
     def around(self, displacement_mm: float) -> tuple[State | None, State]:
         """States next to a displacement; before the first step there is none."""
         at = int(np.searchsorted(self.reached, displacement_mm))
-        return self.warm_steps[at - 1].state if at else None, self.warm_steps[at].state
+        return self.steps[at - 1].state if at else None, self.steps[at].state
 
-    def lies_apart(self, before: LoadedState, after: LoadedState) -> bool:
+    def lies_apart(self, before: Step, after: Step) -> bool:
         """Whether energy is missing, or too much, between two states."""
-        return jumped(before, after, self._whole_mm, self._share)
+        return jumped(before.loaded, after.loaded, self._whole_mm, self._share)
 
-    def lies_between(self, loaded: LoadedState) -> bool:
+    def lies_between(self, step: Step) -> bool:
         """Whether a state is on the way between its neighbors.
 
         Of another branch energy is missing on the way there, and too much on the way back. Before
         the first state nothing is known that it could be held against.
         """
-        at, whole = int(np.searchsorted(self.reached, loaded.displacement_mm)), self._whole_mm
-        there = at > 0 and jumped(self.states[at - 1], loaded, whole)
-        return not (there and jumped(loaded, self.states[at], whole))
+        at = int(np.searchsorted(self.reached, step.state.displacement_mm))
+        there = at > 0 and self.lies_apart(self.steps[at - 1], step)
+        return not (there and self.lies_apart(step, self.steps[at]))
 
-    def equilibria(self) -> Equilibria:
+    def equilibria(self, instability: Instability | None = None) -> Equilibria:
         """Reactions and contact of every step."""
-        plate, base, contact = (tuple(one[k] for one in self.held) for k in range(3))
-        return Equilibria(plate, base, contact)  # type: ignore[arg-type]
+        plate, base, contact = (tuple(step.held[k] for step in self.steps) for k in range(3))
+        return Equilibria(plate, base, contact, instability)  # type: ignore[arg-type]
+
+    def balance(self) -> tuple[EnergyBalance, Array]:
+        """Energy balance of the steps, and the work done up to each, shape (n,), N mm."""
+        states = [step.loaded for step in self.steps]
+        return balanced(states, tuple(self.snaps), self._whole_mm, self._share)
 
     def coarse_intervals(self, error: float) -> list[float]:
         """Middles of the intervals that make interpolation worse than ``error``.
@@ -367,8 +359,7 @@ class Logbook:
         """
         if not self.complete:
             return []
-        _, work = balanced(self.states, tuple(self.snaps), self._whole_mm)
-        return self.curve(work).coarse_intervals(error)
+        return self.curve(self.balance()[1]).coarse_intervals(error)
 
     @property
     def _share(self) -> float:
@@ -381,11 +372,12 @@ class Logbook:
 
     def curve(self, work_Nmm: Array) -> Curve:
         """Force-displacement curve with its gradients."""
+        rows = [step.gradients for step in self.steps]
         return Curve(
             np.array(self.reached),
-            np.array([row.force_N for row in self.rows]),
-            np.array([row.stiffness_N_per_mm for row in self.rows]),
-            {n: np.array([row.force_gradient[n] for row in self.rows]) for n in self.wanted},
+            np.array([row.force_N for row in rows]),
+            np.array([row.stiffness_N_per_mm for row in rows]),
+            {n: np.array([row.force_gradient[n] for row in rows]) for n in self.wanted},
             work_Nmm,
             is_conjugate=self.system.constraints.axial is None,
             quantities=self.equilibria().quantities(),
@@ -405,9 +397,13 @@ class Logbook:
         ``lost`` says where the energy has lost its ellipticity there, ``reason`` why the run
         went no further.
         """
-        system, kept = self.system, self._kept()
-        vertices = system.mesh.points.shape[0]
-        balance, work = balanced(self.states, tuple(self.snaps), self._whole_mm, self._share)
+        system, vertices = self.system, self.system.mesh.points.shape[0]
+        # the steps that were requested, or all, with the iterations of those left out before them
+        requested = np.array(self.reached) * self.problem.test.steps / self._whole_mm
+        asked = np.abs(requested - np.round(requested)) < 1e-6
+        kept = np.flatnonzero(asked | (self.curve_error is not None))
+        total = np.cumsum([0, *(step.iterations for step in self.steps)])[np.r_[0, kept + 1]]
+        balance, work = self.balance()
         curve, gave_way = self.curve(work), bool(lost) or instability is not None
         status = "converged" if self.complete else "unstable" if gave_way else "not-converged"
         apart = self._apart()
@@ -420,8 +416,8 @@ class Logbook:
             energy=balance.at_points(kept),
             reached_mm=state.displacement_mm,
             min_j=min_j,
-            equilibria=replace(self.equilibria(), instability=instability).at_points(kept),
-            newton_iterations=self._iterations(kept),
+            equilibria=self.equilibria(instability).at_points(kept),
+            newton_iterations=tuple(int(n) for n in np.diff(total)),
             dofs=system.dofs,
             elements=system.space.n_elements,
             mesh_hash=system.mesh.digest(),
@@ -434,21 +430,9 @@ class Logbook:
             warm=Warm(
                 system,
                 dict(self.problem.material.constants),
-                tuple(self.warm_steps[k] for k in kept),
+                tuple(self.steps[k] for k in kept),
             ),
         )
-
-    def _kept(self) -> NDArray[np.int64]:
-        """Places of the steps that the solution holds: those that were requested, or all."""
-        reached = np.array(self.reached)
-        steps = reached * self.problem.test.steps / self._whole_mm
-        asked = np.abs(steps - np.round(steps)) < 1e-6
-        return np.flatnonzero(asked | (self.curve_error is not None))
-
-    def _iterations(self, kept: NDArray[np.int64]) -> tuple[int, ...]:
-        """Add to the iterations of kept steps those of steps before them that are not kept."""
-        total = np.cumsum(np.r_[0, self.iterations])[np.r_[0, kept + 1]]
-        return tuple(int(n) for n in np.diff(total))
 
     def _apart(self) -> str:
         """Say where what moves has lost the specimen, or never met it; empty where it has not.
@@ -456,8 +440,9 @@ class Logbook:
         A specimen that has yet to be reached is no loss, nor is a bonded plate that pulls.
         """
         slides = self.problem.test.interface == "frictionless"
-        pulls = np.array([slides and above.axial < 0 for above, _, _ in self.held], dtype=bool)
-        off = pulls | (np.array([figures.area_mm2 for _, _, figures in self.held]) == 0)
+        held = [step.held for step in self.steps]
+        pulls = np.array([slides and above.axial < 0 for above, _, _ in held], dtype=bool)
+        off = pulls | (np.array([figures.area_mm2 for _, _, figures in held]) == 0)
         if self.problem.setup.is_whole and not self.problem.setup.contacts:
             return ""
         met = np.flatnonzero(~off)
@@ -472,10 +457,11 @@ class Logbook:
         if self.snaps:
             places = ", ".join(f"{d:.3g}" for d in sorted(self.snaps))
             said.append(f"past {places} mm the surface snapped to another equilibrium")
-        if self.pinned > _UNBALANCED:
+        pinned = max((step.pinned for step in self.steps), default=0.0)
+        if pinned > _UNBALANCED:
             said.append(
                 "what only keeps the specimen from sliding or turning carries up to "
-                f"{100 * self.pinned:.2g} % of the force: it is not balanced as it stands"
+                f"{100 * pinned:.2g} % of the force: it is not balanced as it stands"
             )
         if not self.complete:
             reached, asked = state.displacement_mm, self.problem.test.depth_mm
@@ -486,7 +472,7 @@ class Logbook:
             said = [apart]
         elif lost:
             said.append(f"{lost}: there the answer depends on the mesh")
-        inside = max((figures.penetration_mm for _, _, figures in self.held), default=0.0)
+        inside = max((step.held[2].penetration_mm for step in self.steps), default=0.0)
         if inside > _INSIDE * self._whole_mm:
             said.append(
                 f"the specimen's surface lies up to {inside:.2g} mm inside the moving one, "
@@ -514,13 +500,13 @@ class Logbook:
 
     def _not_converged(self, curve: Curve) -> list[str]:
         """Say which iterations beside Newton's ended before their tolerance."""
-        notes, missed = [], [k for k, row in enumerate(self.rows) if row.excess > 1]
+        notes, missed = [], [step for step in self.steps if step.gradients.excess > 1]
         if missed:
-            worst = max(missed, key=lambda k: self.rows[k].excess)
+            worst = max(missed, key=lambda step: step.gradients.excess)
             notes.append(
                 f"the derivatives of {len(missed)} steps did not converge: at "
-                f"{self.reached[worst]:.4g} mm {self.rows[worst].excess:.2g} times the residual "
-                "that is allowed is left"
+                f"{worst.state.displacement_mm:.4g} mm {worst.gradients.excess:.2g} times the "
+                "residual that is allowed is left"
             )
         if self.complete and self.curve_error is not None:
             error = curve.relative_interpolation_error()

@@ -127,51 +127,19 @@ def _evenness(setup: Setup) -> float:
     return EVENNESS_OF_SOLIDS if model.space == "3d" else 0.0
 
 
-@dataclass(frozen=True)
-class WholeSpecimen:
-    """Sizes of the whole specimen, a part of which is modelled."""
-
-    #: Force of the whole over that of the part: 4 of a quarter, 8 of one that is halved.
-    parts: float
-    area_mm2: float
-    height_mm: float
-    #: Length whose square carries the first contact; 0 where nothing begins to touch.
-    touch_mm: float
-
-    @classmethod
-    def of(cls, setup: Setup, mesh: Mesh, volume_mm3: float) -> WholeSpecimen:
-        """Sizes by the mesh of a part and its volume (2 pi r included in axisymmetric space)."""
-        whole = setup.model.space == "axisymmetric" or setup.is_whole or mesh.is_whole
-        sector, half, height = 1.0 if whole else 4.0, mesh.half_height, mesh.height_mm
-        area = volume_mm3 * sector / (height - (height / 2 if half else 0.0))
-        return cls(sector * (2.0 if half else 1.0), area, height, touch_radius(setup))
-
-
-@dataclass(frozen=True)
-class ContactTerms:
-    """Contact points and their places in the tangent, set by set."""
-
-    points: tuple[ContactPoints, ...]
-    blocks: tuple[ContactBlocks, ...]
-
-    @classmethod
-    def at(cls, points: tuple[ContactPoints, ...], dim: int, pattern: Pattern) -> ContactTerms:
-        """Take the memory for contact points."""
-        dofs = [each.dofs(dim) for each in points]
-        return cls(points, tuple(ContactBlocks.at(d, pattern.locate(d)) for d in dofs))
-
-
 @dataclass
 class System:
     """One problem on one mesh, ready to be solved for any constants of its material."""
 
     mesh: Mesh
     space: Discretization
-    whole: WholeSpecimen
+    #: Length whose square carries the first contact; 0 where nothing begins to touch.
+    touch_mm: float
     material: Material
     internal: Internal
     constraints: Constraints
-    contact_terms: ContactTerms
+    #: Sets of points that may meet a rigid surface, with their places in the tangent.
+    blocks: tuple[ContactBlocks, ...]
     tangent: Tangent
     kept: KeptFactors
     seconds: dict[str, float] = field(default_factory=dict)
@@ -190,17 +158,17 @@ class System:
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
         direct = make_solver(pattern, solver, plane=space.dim == 2, corrected=True)
         points = contact_points(problem, space, mesh, folding=folding)
-        model = setup.model
+        model, mesh = setup.model, replace(mesh, is_whole=setup.is_whole or mesh.is_whole)
         solid = model.space == "3d" and model.element_order == "quadratic"
         local_bulk = LOCAL_BULK if solid and setup.kind.strains_locally else 0.0
         system = cls(
             mesh=mesh,
             space=space,
-            whole=WholeSpecimen.of(setup, mesh, float(space.weights.sum())),
+            touch_mm=touch_radius(setup),
             material=problem.material,
             internal=Internal.on(space, local_bulk, _evenness(setup)),
             constraints=held,
-            contact_terms=ContactTerms.at(points, space.dim, pattern),
+            blocks=ContactBlocks.of(points, space.dim, pattern),
             tangent=Tangent.of(pattern, space.dofs),
             kept=KeptFactors(direct, pattern),
             weight=Weight.of(problem, mesh, space),
@@ -224,17 +192,18 @@ class System:
     @property
     def contact(self) -> tuple[ContactPoints, ...]:
         """Every set of points that may meet a rigid surface."""
-        return self.contact_terms.points
+        return tuple(blocks.points for blocks in self.blocks)
 
     @property
     def force_scale(self) -> float:
-        """Force of the whole specimen over that of the model."""
-        return self.whole.parts
+        """Force of the whole specimen over that of the model: 4 of a quarter, 8 if it is halved."""
+        is_part = self.space.dim == 3 and not self.mesh.is_whole
+        return (4.0 if is_part else 1.0) * (2.0 if self.mesh.half_height else 1.0)
 
     @property
     def height_mm(self) -> float:
         """Height of the specimen."""
-        return self.whole.height_mm
+        return self.mesh.height_mm
 
     @property
     def small_strain(self) -> bool:
@@ -295,8 +264,7 @@ class System:
         if self.weight is not None:
             internal -= self.weight.forces
         residual, contacts = internal.copy(), self._touching_as(state, state.closed)
-        blocks_of = self.contact_terms.blocks
-        for points, touch, blocks in zip(self.contact, contacts, blocks_of, strict=True):
+        for points, touch, blocks in zip(self.contact, contacts, self.blocks, strict=True):
             np.add.at(residual, blocks.dofs.ravel(), points.forces(touch).ravel())
             if tangent:
                 blocks.fill(points.stiffness(touch), self.data)
@@ -400,12 +368,12 @@ class System:
         """K v of the last assembled tangent, constrained rows and columns included."""
         if contact:
             out = self.tangent.product(v)
-            for blocks in self.contact_terms.blocks:
+            for blocks in self.blocks:
                 blocks.add_beside(v, out)
             return out
         with ExitStack() as without:
             # last in, first out: each remembers the entries as those before it left them
-            for blocks in reversed(self.contact_terms.blocks):
+            for blocks in reversed(self.blocks):
                 without.enter_context(blocks.taken_out(self.data))
             return self.tangent.product(v)
 

@@ -90,9 +90,13 @@ def volume(points: Array, triangles: Ints) -> float:
 
 def area(points: Array, triangles: Ints) -> float:
     """Total area of triangles. Shapes: points, triangles (n, 3)."""
-    corners = points[triangles]
-    twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(np.linalg.norm(twice, axis=1).sum() / 2)
+    return float(np.linalg.norm(_twice_areas(points, triangles), axis=1).sum() / 2)
+
+
+def _twice_areas(points: Array, triangles: Ints) -> Array:
+    """Return the normals of triangles, twice as long as their areas, shape (m, 3)."""
+    a, b, c = points[triangles].swapaxes(0, 1)
+    return np.asarray(np.cross(b - a, c - a))
 
 
 def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
@@ -108,9 +112,9 @@ def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
     points, triangles = _merged(points, triangles)
     corners = points[triangles]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     extent = float(np.ptp(points, axis=0).max())
-    flat = np.asarray(np.linalg.norm(area, axis=1) <= _FLAT * extent * np.maximum(sides, 1e-300))
+    twice = np.linalg.norm(_twice_areas(points, triangles), axis=1)
+    flat = np.asarray(twice <= _FLAT * extent * np.maximum(sides, 1e-300))
     if flat.any():
         first = int(np.flatnonzero(flat)[0])
         rule = f"{int(flat.sum())} triangles have no area (first: triangle {first + 1}, near "
@@ -449,8 +453,7 @@ class Body:
         Half the sum of length times angle over all edges (Steiner 1840) that are bent by less
         than ``sharp`` (rad): 4 pi R of a ball, 0 of a box.
         """
-        corners = self.points[self.triangles]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = _twice_areas(self.points, self.triangles)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         a, b, c = self.triangles.T
         sides = np.sort(np.concatenate([[a, b], [b, c], [c, a]], axis=1), axis=0)
@@ -465,9 +468,7 @@ class Body:
     def plate_area_mm2(self, which: str) -> float:
         """Area that lies in the plate above (``"top"``) or below (``"base"``)."""
         chosen = self.triangles[self.top if which == "top" else self.base]
-        a, b, c = (self.points[chosen[:, k], :2] for k in range(3))
-        u, v = b - a, c - a
-        return float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2)
+        return float(np.abs(_twice_areas(self.points, chosen)[:, 2]).sum() / 2)
 
     def touches(self, which: str) -> bool:
         """Whether a face lies in a plate: more than a thousandth of the cross-section."""
@@ -555,10 +556,9 @@ def _flattened(
     points: Array, triangles: Ints, height: float, tolerance: float
 ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Put the corners of all faces that touch a plate exactly into it."""
-    corners = points[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = _twice_areas(points, triangles)
     level = normal[:, 2] / np.linalg.norm(normal, axis=1)
-    z = corners[:, :, 2]
+    z = points[triangles][:, :, 2]
     top = (z > height - tolerance).all(axis=1) & (level > _LEVEL)
     base = (z < tolerance).all(axis=1) & (level < -_LEVEL)
     out = points.copy()
