@@ -15,7 +15,7 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.calibration.covariance import influence, uncertainty, verdict_at_end
 from study.mechanics.calibration.levenberg_marquardt import (
     Iteration,
-    LMResult,
+    LeastSquaresSearch,
     Status,
     levenberg_marquardt,
 )
@@ -187,7 +187,7 @@ class _Model:
         return accepted
 
 
-def _report(result: LMResult, model: _Model) -> Fit:
+def _report(result: LeastSquaresSearch, model: _Model) -> Fit:
     fitted = [(m, m.weights > 0) for m in model.measured if m.role == "fit"]
     force = np.concatenate([m.curve.force_N[used] for m, used in fitted])
     weight = np.concatenate([m.weights[used] for m, used in fitted])
@@ -227,7 +227,7 @@ def _report(result: LMResult, model: _Model) -> Fit:
         result.evaluations,
         residual,
         model.curves_at.get(result.x.tobytes(), ()),
-        result.history,
+        tuple(result.history),
         model.failure,
         priors=model.priors,
     )
