@@ -45,8 +45,13 @@ from study.laboratory.shape.scan import read_markers, read_scan
 from study.laboratory.shape.shape_deviation import ShapeDeviation, ShapeOptions, judge_shape
 from study.laboratory.tracker.tracker_error import TrackerAccuracy, judge_tracker
 from study.laboratory.tracker.tracker_recording import load_tracking
-from study.mechanics.material import material as conversions
-from study.mechanics.material.input_file import abaqus_text, febio_text, material_name, remarks
+from study.mechanics.material.input_file import (
+    abaqus_text,
+    convert,
+    febio_text,
+    material_name,
+    remarks,
+)
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
 from study.mechanics.setup.setup import Problem
@@ -100,7 +105,7 @@ def export_material(title: str, material: Material, program: str, folder: Path) 
     name = material_name(title)
     check(material, None)
     write, ending = PROGRAMS[program]
-    text, converted = write(material, name), conversions.convert(material, program)
+    text, converted = write(material, name), convert(material, program)
     judged = stability(material)
     warnings = () if judged.stable else (f"{judged.sentence}: Abaqus warns of it, FEBio does not",)
     path = folder / f"{name}{ending}"
