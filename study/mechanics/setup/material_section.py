@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, cast
 
-from pydantic import Field
-
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.energy import FREE, Bounds, DeclaredConstants
 from study.mechanics.material.material import Material, constant_names, energy_named
@@ -40,7 +38,7 @@ class CompressibilityTable:
     """How a material resists a change of volume; one of the three."""
 
     poisson_ratio: Annotated[float, Reads(_poisson_ratio, "number")] | None = None
-    bulk_modulus_MPa: Pressure | None = Field(default=None, validation_alias="bulk_modulus")
+    bulk_modulus_MPa: Pressure | None = None
     incompressible: Annotated[bool, Reads(flag)] = False
 
 
