@@ -76,20 +76,6 @@ def test_abaqus_has_the_same_stress_at_20_states(tmp_path: Path, poisson_ratio: 
         assert ours[..., k] == pytest.approx(theirs, rel=1e-8, abs=1e-10)
 
 
-def test_turning_body_or_frame_changes_nothing() -> None:
-    rng, F = np.random.default_rng(5), states()
-    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    turn *= np.sign(np.linalg.det(turn))
-    stress = first_piola(FOAM, F)
-    frame = first_piola(FOAM, np.einsum("ij,jkn->ikn", turn, F))
-    body = first_piola(FOAM, np.einsum("ijn,jk->ikn", F, turn))
-    assert frame == pytest.approx(np.einsum("ij,jkn->ikn", turn, stress), rel=1e-10, abs=1e-14)
-    assert body == pytest.approx(np.einsum("ijn,jk->ikn", stress, turn), rel=1e-10, abs=1e-14)
-    # and the Cauchy stress is symmetric
-    cauchy = np.einsum("ian,jan->ijn", stress, F)
-    assert cauchy == pytest.approx(np.swapaxes(cauchy, 0, 1), abs=1e-14)
-
-
 @pytest.mark.parametrize("foam", [FOAM, RIGID])
 def test_small_strain_is_hookes_law(foam: Material) -> None:
     nu, mu = foam.poisson_ratio or 0.0, 0.04

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from study.ground.arrays import Array
 from study.mechanics.calibration.residual_function import Function, checked_bounds, evaluate
 
-# The damped linear least-squares problem inside a trust region, with bounds.
+# The damped linear least-squares problem inside a trust region.
 
 
 @dataclass(frozen=True)
@@ -110,36 +110,6 @@ def damped_step(linear: Linearization, radius: float) -> tuple[Array, float]:
             damping = max(1e-3 * high, math.sqrt(low) * math.sqrt(high))
     scaled = -linear.right.T @ (unit / (s2 + damping))
     return steepness * scaled / linear.scale, damping
-
-
-def bounded_step(
-    jacobian: Array,
-    residual: Array,
-    scale: Array,
-    radius: float,
-    held: NDArray[np.bool_],
-    low: Array,
-    high: Array,
-    linear: Linearization,
-) -> tuple[Array, float]:
-    """Damped step in the free parameters; one that would cross its bound stops there.
-
-    The others are then solved again with that part of the step given, at most p times.
-
-    Shapes: jacobian, residual, scale (n, p); held (p,); low, high (p,); returns (p,).
-    """
-    step, free = np.zeros(scale.size), ~held
-    while True:
-        step[free], damping = damped_step(linear, radius)
-        crossing = free & ((step < low) | (step > high))
-        if not np.any(crossing):
-            return step, damping
-        step[crossing] = np.clip(step, low, high)[crossing]
-        free = free & ~crossing
-        if not np.any(free):
-            return step, damping
-        given = residual + jacobian[:, ~free] @ step[~free]
-        linear = Linearization.of(jacobian[:, free], given, scale[free])
 
 
 # A least-squares search, and what can be read from it: convergence, edges, limits.
@@ -388,10 +358,7 @@ class LeastSquaresSearch:
         """Try steps in a shrinking region until one lowers the cost; the reason if none does."""
         answered = False
         while self.evaluations < self.max_evaluations:
-            step, damping = bounded_step(
-                self.jacobian, self.residual, self.scale, self.radius, self.at_bound,
-                self.low - self.x, self.high - self.x, linear,
-            )  # fmt: skip
+            step, damping = self._bounded_step(linear)
             trial = np.clip(self.x + step, self.low, self.high)
             length = length_of(self.scale * step)
             norms = np.linalg.norm(self.jacobian, axis=0)
@@ -423,6 +390,23 @@ class LeastSquaresSearch:
                 near = self._is_near_enough(linear)
                 return Status.converged_cost if near else Status.at_kink
         return Status.max_evaluations
+
+    def _bounded_step(self, linear: Linearization) -> tuple[Array, float]:
+        """Damped step in the free parameters; one that would cross its bound stops there.
+
+        The others are then solved again with that part of the step given, at most p times.
+        """
+        low, high = self.low - self.x, self.high - self.x
+        step, free = np.zeros(self.x.size), ~self.at_bound
+        while True:
+            step[free], damping = damped_step(linear, self.radius)
+            crossing = free & ((step < low) | (step > high))
+            step[crossing] = np.clip(step, low, high)[crossing]
+            free = free & ~crossing
+            if not (np.any(crossing) and np.any(free)):
+                return step, damping
+            given = self.residual + self.jacobian[:, ~free] @ step[~free]
+            linear = Linearization.of(self.jacobian[:, free], given, self.scale[free])
 
     def _without_step(self, linear: Linearization, answered: bool) -> Status:
         """Status where no step is left that changes anything."""

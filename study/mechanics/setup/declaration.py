@@ -110,9 +110,8 @@ DERIVED = "derived"
 class Rows:
     """Mark of a field that is a list of tables, such as ``[[response]]``."""
 
-    #: How many tables it may have.
+    #: How many tables it must have, and may have.
     least: int = 0
-    #: How many tables it may have.
     most: int = 10_000
     #: What to write where it is no such list; by default its header.
     mend: str = ""

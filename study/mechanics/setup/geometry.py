@@ -87,7 +87,6 @@ class Enclosed:
     clamp_below_mm: Coordinate | None
     #: Where the loading axis is; the middle of the bounding box by default.
     press_x_mm: Coordinate | None
-    #: Where the loading axis is; the middle of the bounding box by default.
     press_y_mm: Coordinate | None
     #: Faces so near to the highest and lowest point lie in the plates; 1e-4 of the height by
     #: default.
@@ -108,8 +107,6 @@ class Surface(Enclosed):
     #: Where the loading axis is in the file's coordinates, once turned; the middle of the bounding
     #: box by default.
     press_x_mm: Coordinate | None = None
-    #: Where the loading axis is in the file's coordinates, once turned; the middle of the bounding
-    #: box by default.
     press_y_mm: Coordinate | None = None
     #: Faces so near to the highest and lowest point lie in the plates; 1e-4 of the height by
     #: default.
@@ -123,9 +120,7 @@ class Brain(Enclosed):
 
     #: Extents from back to front (x), from side to side (y) and from base to top (z).
     length_mm: Annotated[float, _BRAIN]
-    #: Extents from back to front (x), from side to side (y) and from base to top (z).
     width_mm: Annotated[float, _BRAIN]
-    #: Extents from back to front (x), from side to side (y) and from base to top (z).
     height_mm: Annotated[float, _BRAIN]
     #: Depth of the groove between its halves at the top; 0 for none.
     fissure_mm: LengthOrZero = 0.0
@@ -133,7 +128,6 @@ class Brain(Enclosed):
     clamp_below_mm: Length | None = None
     #: Where the loading axis is, from the middle.
     press_x_mm: Coordinate | None = None
-    #: Where the loading axis is, from the middle.
     press_y_mm: Coordinate | None = None
     #: Faces so near to the highest and lowest point lie in the plates.
     plate_tolerance_mm: Length | None = None
@@ -284,9 +278,7 @@ class FaceMotion:
     y_mm: Coordinate = 0.0
     #: Rotations about x, y and the axis through the middle of the face.
     tilt_x_deg: Annotated[float, _TURN] = 0.0
-    #: Rotations about x, y and the axis through the middle of the face.
     tilt_y_deg: Annotated[float, _TURN] = 0.0
-    #: Rotations about x, y and the axis through the middle of the face.
     twist_deg: Annotated[float, _TURN] = 0.0
     #: In-plane stretch less 1 of the face, which slips on its plate.
     spread: Annotated[float, Reads(number(-0.5, 2.0), "number")] = 0.0

@@ -97,7 +97,6 @@ class Course:
 
     #: shape (n,); the unloaded begin at 0 s is left out.
     displacement_mm: Array
-    #: shape (n,); the unloaded begin at 0 s is left out.
     time_s: Array
 
 
