@@ -90,8 +90,10 @@ class Curve:
             )
         if slope is None:
             return np.asarray(np.interp(d, knots, force))
+        from scipy.interpolate import CubicHermiteSpline
+
         places = np.clip(d, low, high)
-        return _hermite(places, knots, force, slope) + self._bulge(places)
+        return np.asarray(CubicHermiteSpline(knots, force, slope)(places)) + self._bulge(places)
 
     def stiffness_at(self, displacement_mm: ArrayLike) -> Array:
         """Tangent dF/dd in N/mm at given displacements: the slope of :meth:`force_at`."""
@@ -283,7 +285,8 @@ class Curve:
         }
         recorded = tuple(cls.from_dict(one) for one in data.get("recorded", ()))
         conjugate = bool(data.get("is_conjugate", True))
-        return cls(**rows, **named, is_conjugate=conjugate, recorded=recorded)
+        bare = cls(rows["displacement_mm"], rows["force_N"])
+        return replace(bare, **rows, **named, is_conjugate=conjugate, recorded=recorded)
 
     def _check_rows(self, d: Array) -> None:
         """Refuse places that are not the rows of this course."""
@@ -369,9 +372,3 @@ def hermite_work(knots: Array, force: Array, slope: Array) -> Array:
     """
     h = np.diff(knots)
     return np.asarray(h / 2 * (force[1:] + force[:-1]) + h**2 / 12 * (slope[:-1] - slope[1:]))
-
-
-def _hermite(x: Array, knots: Array, value: Array, slope: Array) -> Array:
-    from scipy.interpolate import CubicHermiteSpline
-
-    return np.asarray(CubicHermiteSpline(knots, value, slope)(x))

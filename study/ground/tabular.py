@@ -209,15 +209,15 @@ def parse_csv(
         needed = numbers if numbers is not None else required or header
         _check_decimal_comma({n: columns[n] for n in header if n in needed}, source, declared_by)
     padded = {name: column for name, column in cells.items() if column != columns[name]}
-    changed = sum(_changes(column, columns[name]) for name, column in padded.items())
+    changed = sum(
+        cell != stripped
+        for name, column in padded.items()
+        for cell, stripped in zip(column, columns[name], strict=True)
+    )
     notes = [f"{source}: spaces around {changed} cells removed"] if changed else []
     notes += [f"{source}: {blank} blank lines skipped"] if blank else []
     notes += [f"{source}: empty cells at the ends of {trailing} rows removed"] if trailing else []
     return CsvTable(source, columns, tuple(at[1:]), decimal, "", tuple(notes), padded, declared_by)
-
-
-def _changes(old: Sequence[str], new: Sequence[str]) -> int:
-    return sum(a != b for a, b in zip(old, new, strict=True))
 
 
 def is_formula(text: str) -> bool:
@@ -460,7 +460,12 @@ def read_tidy_csv(
     )  # fmt: skip
     _check_names(table.source, list(table.columns), response, factors, others, covariates)
     labels = list(dict.fromkeys([*factors, *others]))
-    faults = [fault for name in labels for fault in _empty_labels(table, name)]
+    faults = [
+        Fault(table.place(k, name), "the level is empty")
+        for name in labels
+        for k, cell in enumerate(table.text(name))
+        if not cell
+    ]
     values: dict[str, Array] = {}
     for name in (response, *covariates):
         try:
@@ -507,11 +512,6 @@ def _check_names(
             faults.append(Fault("block", f"{name!r} cannot also be a factor or another block"))
     if faults:
         raise InputError(faults)
-
-
-def _empty_labels(table: CsvTable, name: str) -> list[Fault]:
-    cells = table.text(name)
-    return [Fault(table.place(k, name), "the level is empty") for k, c in enumerate(cells) if not c]
 
 
 def _check_clash(table: CsvTable, name: str) -> None:

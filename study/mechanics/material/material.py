@@ -34,7 +34,6 @@ from study.mechanics.material.relaxation import (
     RelaxationTerm,
     faults,
     is_of_relaxation,
-    is_time,
     long_term_share,
 )
 
@@ -134,8 +133,8 @@ def unit_shown(name: str) -> str:
     >>> unit_shown("C10"), unit_shown("time1"), unit_shown("alpha1")
     ('kPa', 's', '')
     """
-    if is_time(name):
-        return "s"
+    if is_of_relaxation(name):
+        return "s" if name.startswith("time") else ""
     return "" if is_dimensionless(name) else "kPa"
 
 

@@ -256,14 +256,10 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
         return gradient
 
 
-def _poisson_ratio(compressibility: Compressibility) -> float:
-    if compressibility.poisson_ratio is None:
-        raise InputError(OgdenHill().without_poisson_ratio())
-    return compressibility.poisson_ratio
-
-
 def _volume_exponent(compressibility: Compressibility) -> float:
-    nu = _poisson_ratio(compressibility)
+    nu = compressibility.poisson_ratio
+    if nu is None:
+        raise InputError(OgdenHill().without_poisson_ratio())
     return nu / (1 - 2 * nu)
 
 

@@ -409,16 +409,14 @@ def _derivative(table: Array, axis: int) -> Array:
 def _columns(table: Array) -> Coefficients:
     """Coefficients of a polynomial in two variables by columns, from the highest power down."""
     # Those of the highest powers that are zero are left out.
-    columns = [_trimmed(column) for column in table.T[::-1].tolist()]
+    columns = []
+    for column in table.T[::-1].tolist():
+        while len(column) > 1 and column[-1] == 0.0:
+            column.pop()
+        columns.append(tuple(column[::-1]))
     while len(columns) > 1 and columns[0] == (0.0,):
         columns.pop(0)
     return tuple(columns)
-
-
-def _trimmed(column: list[float]) -> tuple[float, ...]:
-    while len(column) > 1 and column[-1] == 0.0:
-        column.pop()
-    return tuple(column[::-1])
 
 
 def _value(columns: Coefficients, x: Array, y: Array) -> Array | float:
