@@ -279,14 +279,18 @@ class Curve:
     def from_dict(cls, data: Mapping[str, Any]) -> Curve:
         """Inverse of :meth:`as_dict`."""
         rows = {key: np.asarray(data[key], float) for key in _ROWS if data.get(key) is not None}
-        named = {
-            key: {name: np.asarray(values, float) for name, values in data.get(key, {}).items()}
-            for key in ("quantities", "force_gradient")
-        }
-        recorded = tuple(cls.from_dict(one) for one in data.get("recorded", ()))
-        conjugate = bool(data.get("is_conjugate", True))
-        bare = cls(rows["displacement_mm"], rows["force_N"])
-        return replace(bare, **rows, **named, is_conjugate=conjugate, recorded=recorded)
+        slopes, quantities = (
+            {name: np.asarray(values, float) for name, values in data.get(key, {}).items()}
+            for key in ("force_gradient", "quantities")
+        )
+        return replace(
+            cls(rows["displacement_mm"], rows["force_N"]),
+            **rows,
+            force_gradient=slopes,
+            quantities=quantities,
+            is_conjugate=bool(data.get("is_conjugate", True)),
+            recorded=tuple(cls.from_dict(one) for one in data.get("recorded", ())),
+        )
 
     def _check_rows(self, d: Array) -> None:
         """Refuse places that are not the rows of this course."""
