@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import pytest
@@ -219,27 +220,33 @@ def plant(root: Path, module: str, code: str) -> None:
         file.write(code)
 
 
-def test_rules_see_an_import_that_nobody_declared(furnished: Path) -> None:
-    plant(furnished, "ground/units.py", "\nimport sympy\n")
-    assert rules.undeclared_imports(furnished) == {"study/ground/units.py: sympy"}
-
-
 def test_rules_see_a_declared_package_that_nobody_imports(furnished: Path) -> None:
     for path in (furnished / "study").rglob("*.py"):
         path.write_text(path.read_text().replace("import seaborn", "import this"))
     assert rules.unused_dependencies(furnished) == {"seaborn"}
 
 
-def test_rules_see_a_late_import(furnished: Path) -> None:
-    plant(furnished, "api/doctor.py", "\n\ndef late():\n    from study.ground.units import x\n")
-    assert [found.split(": ")[1] for found in rules.late_imports(furnished)] == [
-        "study.ground.units"
-    ]
-
-
-def test_rules_see_constants_without_a_line_of_their_own(furnished: Path) -> None:
-    plant(furnished, "ground/units.py", "\n_A, _B = 1, 2\n")
-    assert len(rules.constants_in_tuples(furnished)) == 1
+@pytest.mark.parametrize(
+    ("rule", "module", "code", "breach"),
+    [
+        (rules.undeclared_imports, "ground/units", "import sympy", "study/ground/units.py: sympy"),
+        (
+            rules.late_imports, "api/doctor", "def late():\n    from study.ground.units import x",
+            "study/api/doctor.py:{line}: study.ground.units",
+        ),
+        (rules.constants_in_tuples, "ground/units", "_A, _B = 1, 2",
+         "study/ground/units.py:{line}: _A, _B"),
+        (rules.environment_readers, "ground/units", "import os\n\nx = os.environ",
+         "study/ground/units.py"),
+    ],
+)  # fmt: skip
+def test_rules_see_a_breach_in_a_furnished_house(
+    furnished: Path, rule: Callable[[Path], Collection[str]], module: str, code: str, breach: str
+) -> None:
+    plant(furnished, f"{module}.py", f"\n\n{code}\n")
+    line = len((furnished / "study" / f"{module}.py").read_text().splitlines())
+    found = [name.replace("(_A, _B)", "_A, _B") for name in rule(furnished)]
+    assert found == [breach.format(line=line)]
 
 
 def test_rules_see_an_untyped_value(furnished: Path) -> None:
@@ -375,11 +382,6 @@ def test_the_ledger_sees_a_room_that_grows_and_writes_it_down(
     assert ledger.main(["--write"], root=house) == 0
     assert "grown: study/mechanics/solver: 3 code, the budget is 1" in capsys.readouterr().out
     assert ledger.main(["--check"], root=house) == 0
-
-
-def test_rules_see_a_reader_of_the_environment(furnished: Path) -> None:
-    plant(furnished, "ground/units.py", "\nimport os\n\nx = os.environ\n")
-    assert rules.environment_readers(furnished) == {"study/ground/units.py"}
 
 
 def test_a_warning_fails_a_test(house: Path) -> None:

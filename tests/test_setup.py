@@ -129,35 +129,41 @@ def set_up(machine: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_setup_says_that_python_is_too_old(machine: Path) -> None:
-    # The script asks for the version with -c, and prints it with --version.
-    tool(machine, "python3", '[ "$1" = --version ] && echo Python 3.9.2 || exit 1')
-    run = set_up(machine)
-    assert run.returncode == 1
-    assert "Python 3.11 or newer is needed; found: Python 3.9.2" in run.stderr
-    assert "sudo apt-get install python3 python3-venv" in run.stderr
-    assert "make PYTHON=" in run.stderr
-
-
 PYTHON_WITHOUT_VENV = 'case "$2" in *ensurepip*) exit 1 ;; *print*) echo 3.12 ;; esac'
 
 
-def test_setup_says_that_venv_is_missing(machine: Path) -> None:
-    tool(machine, "python3", PYTHON_WITHOUT_VENV)
+@pytest.mark.parametrize(
+    ("tools", "printed", "told"),
+    [
+        # The script asks for the version with -c, and prints it with --version.
+        (
+            {"python3": '[ "$1" = --version ] && echo Python 3.9.2 || exit 1'}, [],
+            ["Python 3.11 or newer is needed; found: Python 3.9.2",
+             "sudo apt-get install python3 python3-venv", "make PYTHON="],
+        ),
+        (
+            {"python3": PYTHON_WITHOUT_VENV}, [],
+            ["sudo apt-get update && sudo apt-get install -y python3.12-venv"],
+        ),
+        (
+            {"python3": PYTHON_WITHOUT_VENV, "id": "echo 0",
+             "apt-get": 'echo "apt-get $*"; exit 1'},
+            ["apt-get install -y python3.12-venv"],
+            ["apt-get could not install python3.12-venv"],
+        ),
+    ],
+    ids=["old python", "no venv", "no venv, as root"],
+)  # fmt: skip
+def test_setup_says_what_is_missing_or_installs_it_as_root(
+    machine: Path, tools: dict[str, str], printed: list[str], told: list[str]
+) -> None:
+    for name, body in tools.items():
+        tool(machine, name, body)
     run = set_up(machine)
     assert run.returncode == 1
-    assert "sudo apt-get update && sudo apt-get install -y python3.12-venv" in run.stderr
+    assert [words for words in printed if words not in run.stdout] == []
+    assert [words for words in told if words not in run.stderr] == []
     assert not (machine / ".venv").exists()
-
-
-def test_setup_installs_venv_as_root(machine: Path) -> None:
-    tool(machine, "python3", PYTHON_WITHOUT_VENV)
-    tool(machine, "id", "echo 0")
-    tool(machine, "apt-get", 'echo "apt-get $*"; exit 1')
-    run = set_up(machine)
-    assert run.returncode == 1
-    assert "apt-get install -y python3.12-venv" in run.stdout
-    assert "apt-get could not install python3.12-venv" in run.stderr
 
 
 def environment(machine: Path, **programs: str) -> None:

@@ -45,8 +45,7 @@ from study.laboratory.shape.scan import read_markers, read_scan
 from study.laboratory.shape.shape_deviation import ShapeDeviation, ShapeOptions, judge_shape
 from study.laboratory.tracker.tracker_error import TrackerAccuracy, judge_tracker
 from study.laboratory.tracker.tracker_recording import load_tracking
-from study.mechanics.material import material as conversions
-from study.mechanics.material.input_file import abaqus_text, febio_text, material_name, remarks
+from study.mechanics.material import input_file
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
 from study.mechanics.setup.setup import Problem
@@ -62,8 +61,8 @@ if TYPE_CHECKING:
 
 #: what writes a material, and the ending of its file, by the name of the program
 PROGRAMS: Mapping[str, tuple[Callable[[Material, str], str], str]] = {
-    "abaqus": (abaqus_text, ".inp"),
-    "febio": (febio_text, ".feb"),
+    "abaqus": (input_file.abaqus_text, ".inp"),
+    "febio": (input_file.febio_text, ".feb"),
 }
 
 
@@ -97,15 +96,15 @@ def _exported(
 
 def export_material(title: str, material: Material, program: str, folder: Path) -> Export:
     """Write a material for another program: its keyword, units, Drucker's criterion."""
-    name = material_name(title)
+    name = input_file.material_name(title)
     check(material, None)
     write, ending = PROGRAMS[program]
-    text, converted = write(material, name), conversions.convert(material, program)
+    text, converted = write(material, name), input_file.convert(material, program)
     judged = stability(material)
     warnings = () if judged.stable else (f"{judged.sentence}: Abaqus warns of it, FEBio does not",)
     path = folder / f"{name}{ending}"
     write_atomic(path, text.encode())
-    notes = remarks(material, converted)
+    notes = input_file.remarks(material, converted)
     content = {
         "name": name,
         "program": converted.convention,

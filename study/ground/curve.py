@@ -27,6 +27,9 @@ _ALONE = 0.055
 _JUMP = 0.5
 _SMOOTH = 8.0
 
+#: fields with a number a row, those that every curve has first
+_ROWS = ("displacement_mm", "force_N", "stiffness_N_per_mm", "work_Nmm", "time_s")
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -87,8 +90,10 @@ class Curve:
             )
         if slope is None:
             return np.asarray(np.interp(d, knots, force))
+        from scipy.interpolate import CubicHermiteSpline
+
         places = np.clip(d, low, high)
-        return _hermite(places, knots, force, slope) + self._bulge(places)
+        return np.asarray(CubicHermiteSpline(knots, force, slope)(places)) + self._bulge(places)
 
     def stiffness_at(self, displacement_mm: ArrayLike) -> Array:
         """Tangent dF/dd in N/mm at given displacements: the slope of :meth:`force_at`."""
@@ -210,16 +215,10 @@ class Curve:
 
     def at_points(self, kept: NDArray[np.int64]) -> Curve:
         """Return the curve of some of its points, given by their places."""
-        return Curve(
-            self.displacement_mm[kept],
-            self.force_N[kept],
-            None if self.stiffness_N_per_mm is None else self.stiffness_N_per_mm[kept],
-            {name: slope[kept] for name, slope in self.force_gradient.items()},
-            None if self.work_Nmm is None else self.work_Nmm[kept],
-            None if self.time_s is None else self.time_s[kept],
-            self.is_conjugate,
-            {name: values[kept] for name, values in self.quantities.items()},
-        )
+        rows = {key: v[kept] for key in _ROWS if (v := getattr(self, key)) is not None}
+        slopes = {name: slope[kept] for name, slope in self.force_gradient.items()}
+        quantities = {name: values[kept] for name, values in self.quantities.items()}
+        return replace(self, **rows, force_gradient=slopes, quantities=quantities, recorded=())
 
     def without_gradients(self) -> Curve:
         """Return the curve without its derivatives by the constants."""
@@ -263,23 +262,15 @@ class Curve:
         return spline_from_origin(knots, values, np.clip(d, min(float(knots[0]), 0.0), knots[-1]))
 
     def as_dict(self, *, recorded: bool = False) -> dict[str, Any]:
-        """Plain lists, for JSON; with the recorded rows where asked."""
+        """Plain lists, for JSON, of what the curve has; with the recorded rows where asked."""
         out: dict[str, Any] = {
-            "displacement_mm": self.displacement_mm.tolist(),
-            "force_N": self.force_N.tolist(),
+            key: values.tolist() for key in _ROWS if (values := getattr(self, key)) is not None
         }
-        if self.stiffness_N_per_mm is not None:
-            out["stiffness_N_per_mm"] = self.stiffness_N_per_mm.tolist()
-        if self.work_Nmm is not None:
-            out["work_Nmm"] = self.work_Nmm.tolist()
         if not self.is_conjugate:
             out["is_conjugate"] = False
-        if self.quantities:
-            out["quantities"] = {name: v.tolist() for name, v in self.quantities.items()}
-        if self.time_s is not None:
-            out["time_s"] = self.time_s.tolist()
-        if self.force_gradient:
-            out["force_gradient"] = {k: v.tolist() for k, v in self.force_gradient.items()}
+        for key in ("quantities", "force_gradient"):
+            if named := getattr(self, key):
+                out[key] = {name: values.tolist() for name, values in named.items()}
         if recorded and self.recorded:
             out["recorded"] = [one.as_dict() for one in self.recorded]
         return out
@@ -287,18 +278,18 @@ class Curve:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Curve:
         """Inverse of :meth:`as_dict`."""
-        stiffness, work = data.get("stiffness_N_per_mm"), data.get("work_Nmm")
-        time = data.get("time_s")
-        return cls(
-            np.asarray(data["displacement_mm"], float),
-            np.asarray(data["force_N"], float),
-            None if stiffness is None else np.asarray(stiffness, float),
-            {k: np.asarray(v, float) for k, v in data.get("force_gradient", {}).items()},
-            None if work is None else np.asarray(work, float),
-            None if time is None else np.asarray(time, float),
-            bool(data.get("is_conjugate", True)),
-            {k: np.asarray(v, float) for k, v in data.get("quantities", {}).items()},
-            tuple(cls.from_dict(one) for one in data.get("recorded", ())),
+        rows = {key: np.asarray(data[key], float) for key in _ROWS if data.get(key) is not None}
+        slopes, quantities = (
+            {name: np.asarray(values, float) for name, values in data.get(key, {}).items()}
+            for key in ("force_gradient", "quantities")
+        )
+        return replace(
+            cls(rows["displacement_mm"], rows["force_N"]),
+            **rows,
+            force_gradient=slopes,
+            quantities=quantities,
+            is_conjugate=bool(data.get("is_conjugate", True)),
+            recorded=tuple(cls.from_dict(one) for one in data.get("recorded", ())),
         )
 
     def _check_rows(self, d: Array) -> None:
@@ -385,9 +376,3 @@ def hermite_work(knots: Array, force: Array, slope: Array) -> Array:
     """
     h = np.diff(knots)
     return np.asarray(h / 2 * (force[1:] + force[:-1]) + h**2 / 12 * (slope[:-1] - slope[1:]))
-
-
-def _hermite(x: Array, knots: Array, value: Array, slope: Array) -> Array:
-    from scipy.interpolate import CubicHermiteSpline
-
-    return np.asarray(CubicHermiteSpline(knots, value, slope)(x))

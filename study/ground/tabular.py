@@ -209,15 +209,15 @@ def parse_csv(
         needed = numbers if numbers is not None else required or header
         _check_decimal_comma({n: columns[n] for n in header if n in needed}, source, declared_by)
     padded = {name: column for name, column in cells.items() if column != columns[name]}
-    changed = sum(_changes(column, columns[name]) for name, column in padded.items())
+    changed = sum(
+        cell != stripped
+        for name, column in padded.items()
+        for cell, stripped in zip(column, columns[name], strict=True)
+    )
     notes = [f"{source}: spaces around {changed} cells removed"] if changed else []
     notes += [f"{source}: {blank} blank lines skipped"] if blank else []
     notes += [f"{source}: empty cells at the ends of {trailing} rows removed"] if trailing else []
     return CsvTable(source, columns, tuple(at[1:]), decimal, "", tuple(notes), padded, declared_by)
-
-
-def _changes(old: Sequence[str], new: Sequence[str]) -> int:
-    return sum(a != b for a, b in zip(old, new, strict=True))
 
 
 def is_formula(text: str) -> bool:
@@ -240,23 +240,15 @@ def label_fault(label: str) -> str:
 
 def _check_shape(lines: list[str], source: str) -> None:
     if len(lines) > MAX_ROWS + 2:
-        raise InputError(
-            Fault(
-                source,
-                f"has {len(lines)} rows, at most {MAX_ROWS} are read",
-                "thin the recording out or split it into several files",
-            )
-        )
+        rule = f"has {len(lines)} rows, at most {MAX_ROWS} are read"
+        mend = "thin the recording out or split it into several files"
+        raise InputError(Fault(source, rule, mend))
     if not any(line.strip() for line in lines):
         raise InputError(Fault(source, "the file is empty", "it needs a header line and rows"))
     longest = max(range(len(lines)), key=lambda k: len(lines[k]))
     if len(lines[longest]) > MAX_LINE:
-        raise InputError(
-            Fault(
-                f"{source}:{longest + 1}",
-                f"the line has {len(lines[longest])} characters, at most {MAX_LINE} are read",
-            )
-        )
+        rule = f"the line has {len(lines[longest])} characters, at most {MAX_LINE} are read"
+        raise InputError(Fault(f"{source}:{longest + 1}", rule))
 
 
 def _delimiter(header: str, required: Sequence[str], decimal: str) -> str:
@@ -310,13 +302,10 @@ def _quoted_rows(
                 numbers.append(start)
             start = reader.line_num + 1
     except csv.Error as error:
-        raise InputError(
-            Fault(
-                f"{source}:{at[min(reader.line_num, len(at)) - 1]}",
-                f"is not well-formed CSV ({error})",
-                'quotes must enclose a whole cell and be doubled inside: "a ""b"" c"',
-            )
-        ) from error
+        line = at[min(reader.line_num, len(at)) - 1]
+        mend = 'quotes must enclose a whole cell and be doubled inside: "a ""b"" c"'
+        rule = f"is not well-formed CSV ({error})"
+        raise InputError(Fault(f"{source}:{line}", rule, mend)) from error
     return rows, numbers
 
 
@@ -360,13 +349,8 @@ def _check_widths(
             "apart: save it with ';' between columns and write decimal = \",\""
         )
     more = f" (and {len(bad) - 1} more rows)" if len(bad) > 1 else ""
-    raise InputError(
-        Fault(
-            f"{source}:{numbers[k]}",
-            f"has {len(rows[k])} cells where the header has {width}{more}",
-            mend,
-        )
-    )
+    rule = f"has {len(rows[k])} cells where the header has {width}{more}"
+    raise InputError(Fault(f"{source}:{numbers[k]}", rule, mend))
 
 
 def _check_decimal_comma(
@@ -476,7 +460,12 @@ def read_tidy_csv(
     )  # fmt: skip
     _check_names(table.source, list(table.columns), response, factors, others, covariates)
     labels = list(dict.fromkeys([*factors, *others]))
-    faults = [fault for name in labels for fault in _empty_labels(table, name)]
+    faults = [
+        Fault(table.place(k, name), "the level is empty")
+        for name in labels
+        for k, cell in enumerate(table.text(name))
+        if not cell
+    ]
     values: dict[str, Array] = {}
     for name in (response, *covariates):
         try:
@@ -523,11 +512,6 @@ def _check_names(
             faults.append(Fault("block", f"{name!r} cannot also be a factor or another block"))
     if faults:
         raise InputError(faults)
-
-
-def _empty_labels(table: CsvTable, name: str) -> list[Fault]:
-    cells = table.text(name)
-    return [Fault(table.place(k, name), "the level is empty") for k, c in enumerate(cells) if not c]
 
 
 def _check_clash(table: CsvTable, name: str) -> None:

@@ -16,6 +16,11 @@ from study.mechanics.material.homogeneous import (
 )
 from study.mechanics.material.material import Material
 
+#: a foam, whose volume change belongs to all of its energy
+FOAM = Material(
+    "ogden-hill", {"mu1": 0.03, "alpha1": 4.0, "mu2": 0.01, "alpha2": -2.5}, poisson_ratio=0.2
+)
+
 
 def uniaxial(material: Material, stretch: ArrayLike) -> Array:
     """Nominal stress in MPa under uniaxial load, sides free (V01, V04)."""

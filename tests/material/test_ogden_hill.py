@@ -15,16 +15,14 @@ from study.mechanics.material.homogeneous import (
     LOADINGS,
     MODES,
     first_piola,
-    first_piola_gradient,
     response,
 )
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import stability
 from tests.cli.small import study
+from tests.material.modes import FOAM
 
-NU = 0.2
-CONSTANTS = {"mu1": 0.03, "alpha1": 4.0, "mu2": 0.01, "alpha2": -2.5}
-FOAM = Material("ogden-hill", CONSTANTS, poisson_ratio=NU)
+NU, CONSTANTS = FOAM.poisson_ratio, FOAM.constants
 RIGID = Material("ogden-hill", CONSTANTS, poisson_ratio=0.0)
 
 
@@ -78,29 +76,6 @@ def test_abaqus_has_the_same_stress_at_20_states(tmp_path: Path, poisson_ratio: 
         assert ours[..., k] == pytest.approx(theirs, rel=1e-8, abs=1e-10)
 
 
-def test_the_gradient_by_constants_is_that_of_differences() -> None:
-    F = states()
-    found = first_piola_gradient(FOAM, F)
-    for name, value in CONSTANTS.items():
-        h = 1e-6 * abs(value)
-        high, low = (first_piola(FOAM.with_constants({name: value + s * h}), F) for s in (1, -1))
-        assert found[name] == pytest.approx((high - low) / (2 * h), rel=1e-6, abs=1e-8)
-
-
-def test_turning_body_or_frame_changes_nothing() -> None:
-    rng, F = np.random.default_rng(5), states()
-    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    turn *= np.sign(np.linalg.det(turn))
-    stress = first_piola(FOAM, F)
-    frame = first_piola(FOAM, np.einsum("ij,jkn->ikn", turn, F))
-    body = first_piola(FOAM, np.einsum("ijn,jk->ikn", F, turn))
-    assert frame == pytest.approx(np.einsum("ij,jkn->ikn", turn, stress), rel=1e-10, abs=1e-14)
-    assert body == pytest.approx(np.einsum("ijn,jk->ikn", stress, turn), rel=1e-10, abs=1e-14)
-    # and the Cauchy stress is symmetric
-    cauchy = np.einsum("ian,jan->ijn", stress, F)
-    assert cauchy == pytest.approx(np.swapaxes(cauchy, 0, 1), abs=1e-14)
-
-
 @pytest.mark.parametrize("foam", [FOAM, RIGID])
 def test_small_strain_is_hookes_law(foam: Material) -> None:
     nu, mu = foam.poisson_ratio or 0.0, 0.04
@@ -139,19 +114,9 @@ def test_uniaxial_stress_is_its_closed_form(foam: Material) -> None:
 
 
 @pytest.mark.parametrize("name", MODES)
-def test_slope_gradient_and_free_sides_of_every_mode(name: str) -> None:
-    stretch, h = np.array([0.6, 0.9, 1.3]), 1e-6
+def test_sides_are_free_in_every_mode(name: str) -> None:
+    stretch = np.array([0.6, 0.9, 1.3])
     found = response(FOAM, name, stretch)
-    high, low = (response(FOAM, name, stretch + s * h).stress for s in (1, -1))
-    assert found.slope == pytest.approx((high - low) / (2 * h), rel=1e-7)
-    for constant, value in CONSTANTS.items():
-        step = h * abs(value)
-        moved = [
-            response(FOAM.with_constants({constant: value + s * step}), name, stretch).stress
-            for s in (1, -1)
-        ]
-        difference = (moved[0] - moved[1]) / (2 * step)
-        assert found.gradient[constant] == pytest.approx(difference, rel=1e-6, abs=1e-9)
     mode = MODES[name]
     for k, one in enumerate(stretch):
         sides = one ** np.array(mode.loaded) * found.free_stretch[k] ** np.array(mode.free)

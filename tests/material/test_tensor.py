@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from study.mechanics.material.homogeneous import first_piola, first_piola_gradient
+from study.mechanics.material.homogeneous import first_piola
 from study.mechanics.material.material import Material, is_dimensionless
-from tests.material.modes import confined, uniaxial
+from tests.material.modes import FOAM, confined, uniaxial
 
 #: positive constants: polyconvex, so that the energy has its only minimum at rest
 STABLE = [
@@ -24,10 +24,13 @@ STABLE = [
     ("fung", {"mu": 0.6, "b": 0.2}),
     ("ogden", {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 5.0, "mu3": 0.1, "alpha3": -2.0}),
 ]
-materials = st.builds(
-    lambda pair, bulk: Material(*pair, bulk_modulus=bulk),
-    st.sampled_from(STABLE),
-    st.floats(20, 1e4),
+materials = st.one_of(
+    st.builds(
+        lambda pair, bulk: Material(*pair, bulk_modulus=bulk),
+        st.sampled_from(STABLE),
+        st.floats(20, 1e4),
+    ),
+    st.just(FOAM),
 )
 stretches = st.tuples(*[st.floats(0.6, 2.0)] * 3)
 angles = st.tuples(*[st.floats(-3, 3)] * 3)
@@ -101,21 +104,6 @@ def test_energies_collapse_into_each_other(stretch, angle, other, c10, c01):
         assert first_piola(same, F) == pytest.approx(first_piola(one, F), abs=1e-10)
 
 
-@pytest.mark.parametrize("pair", STABLE, ids=lambda p: p[0])
-def test_full_gradient_agrees_with_differences(pair):
-    material = Material(*pair, poisson_ratio=0.49)
-    F = _gradient((0.7, 1.1, 1.4), (0.2, 0.5, 1), (1, 0.1, -0.4))
-    gradient = first_piola_gradient(material, F)
-    for name in material.names:
-        h = 1e-6
-        ahead, behind = (
-            first_piola(material.with_constants({name: material.constants[name] + s * h}), F)
-            for s in (1, -1)
-        )
-        # the stress is smooth in the constants: central differences are good to 1e-9 of K
-        assert gradient[name] == pytest.approx((ahead - behind) / (2 * h), abs=1e-7)
-
-
 def test_tensor_and_closed_forms_agree():
     material = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=100)
     stress = first_piola(material, np.diag([0.9, 1.0, 1.0]))
@@ -125,7 +113,6 @@ def test_tensor_and_closed_forms_agree():
     linear = Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.25)
     F = np.diag([1.02, 1 - 0.25 * 0.02, 1 - 0.25 * 0.02])
     assert first_piola(linear, F)[0, 0] == pytest.approx(uniaxial(linear, 1.02), rel=1e-12)
-    assert first_piola_gradient(linear, F)["youngs_modulus"][0, 0] == pytest.approx(0.02)
 
 
 @given(st.sampled_from(STABLE), st.floats(0.6, 2.0), st.floats(1e-3, 1e3))

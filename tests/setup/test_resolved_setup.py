@@ -95,4 +95,4 @@ def test_names_of_the_caller_do_not_decide_how_a_section_is_read() -> None:
     """Pydantic builds a validator at the first use, and looks names up in the frame of the user."""
     Length = Annotated = Reads = "mine"  # noqa: F841, N806
     assert Shaft(length_mm=2.0).length_mm == 2.0
-    assert read_table(Shaft, {"length_mm": "3 mm"}, "shaft", Faults()).length_mm == 3.0
+    assert read_table(Shaft, {"length": "3 mm"}, "shaft", Faults()).length_mm == 3.0

@@ -123,31 +123,26 @@ def test_an_error_that_the_meshes_show_is_covered() -> None:
     assert found["claimed"][-1] == pytest.approx(1.25 * 0.1 / 1.1, rel=0.02)
 
 
-def test_an_error_that_no_mesh_shows_is_a_silent_miss() -> None:
-    assert sweep.outcome(PROBLEM, solver(hidden))["verdict"] == sweep.SILENT
+def of_one_reference(problem: Problem) -> float:
+    """The first reference has simplices, and is wrong itself."""
+    wrong = problem.model.element_order == "quadratic" and problem == references(PROBLEM)[0]
+    return -0.2 if wrong else 0.0
 
 
-def test_an_error_that_the_run_speaks_of_is_not_silent() -> None:
-    message = f"{sweep.NOTHING}; past 1 mm the surface snapped to another equilibrium"
-    assert sweep.outcome(PROBLEM, solver(hidden, message))["verdict"] == "off, said"
-
-
-def test_a_run_that_failed_has_its_status_for_a_verdict() -> None:
-    found = sweep.outcome(PROBLEM, solver(hidden, "no", "not-converged"))
-    assert found["verdict"] == "not-converged"
-
-
-def test_a_right_answer_is_right() -> None:
-    assert sweep.outcome(PROBLEM, solver(lambda _: 0.0))["verdict"] == "right"
-
-
-def test_references_that_differ_judge_nothing() -> None:
-    def error(problem: Problem) -> float:
-        # the first reference has simplices, and is wrong itself
-        wrong = problem.model.element_order == "quadratic" and problem == references(PROBLEM)[0]
-        return -0.2 if wrong else 0.0
-
-    assert sweep.outcome(PROBLEM, solver(error))["verdict"] == "references differ"
+@pytest.mark.parametrize(
+    ("ask", "verdict"),
+    [
+        (solver(hidden), sweep.SILENT),
+        (solver(hidden, f"{sweep.NOTHING}; past 1 mm the surface snapped"), "off, said"),
+        (solver(hidden, "no", "not-converged"), "not-converged"),
+        (solver(lambda _: 0.0), "right"),
+        (solver(of_one_reference), "references differ"),
+    ],
+)
+def test_an_error_is_silent_where_neither_mesh_nor_message_tells(
+    ask: sweep.Ask, verdict: str
+) -> None:
+    assert sweep.outcome(PROBLEM, ask)["verdict"] == verdict
 
 
 def test_the_first_touch_does_not_count() -> None:

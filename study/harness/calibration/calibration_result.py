@@ -17,7 +17,7 @@ from study.harness.record.record import plain
 from study.harness.runner.fit_summary import WITH_CONSTANTS, status_of
 from study.harness.runner.response import CURVE_RESPONSES, in_shown_units, scale_of
 from study.mechanics.calibration.lack_of_fit import Adequacy
-from study.mechanics.material import material as conversions
+from study.mechanics.material.input_file import Converted, convert
 from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.phases import RowCount
 from study.mechanics.setup.setup import Tables
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from study.mechanics.calibration.identifiability import Identifiability, LikelihoodProfile
     from study.mechanics.calibration.lack_of_fit import LackOfFit, ResidualPattern
     from study.mechanics.calibration.residual_function import NuisanceEstimate
-    from study.mechanics.material.energy import Converted
 
 
 @dataclass(frozen=True)
@@ -159,7 +158,7 @@ class CalibrationResult:
         """Constants in another code's convention."""
         if self.material is None:
             raise InputError(Fault("convention", "the fit found no material to convert"))
-        return conversions.convert(self.material, convention)
+        return convert(self.material, convention)
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study calibrate --json``."""

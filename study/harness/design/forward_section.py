@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import Field
-
 from study.ground import units
 from study.ground.errors import Fault
 from study.mechanics.setup.declaration import (
@@ -260,9 +258,9 @@ class ForwardModel:
     failure: Annotated[str, Reads(text)] = ""
     #: What installs the program, for the message where it is missing.
     install: Annotated[str, Reads(text)] = ""
-    timeout_s: Duration | None = Field(default=None, validation_alias="timeout")
+    timeout_s: Duration | None = None
     #: What one solution takes, for the plan.
-    seconds_s: Duration = Field(default=USUAL_SECONDS, validation_alias="seconds")
+    seconds_s: Duration = USUAL_SECONDS
     #: Where the curve stands, if not in ``curve.csv`` with the names of this package.
     curve: CurveFile | None = None
     #: Further numbers that it leaves.
@@ -270,9 +268,7 @@ class ForwardModel:
     #: Whether a curve shorter than the test is a failure.
     reaches: Annotated[bool, Reads(flag)] = True
     #: What one solution takes at most, for what runs at once.
-    memory_MB: Annotated[float, measured("memory")] | None = Field(  # noqa: N815
-        default=None, validation_alias="memory"
-    )
+    memory_MB: Annotated[float, measured("memory")] | None = None
     #: Whose folders are kept beside the records.
     keep: Annotated[Literal["all", "failed", "none"], word("all", "failed", "none")] = "none"
     #: What it is on this machine; None where nobody has looked.

@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 from study.ground import units
 from study.ground.errors import UnitError, nearest
@@ -97,6 +97,12 @@ def _read(raw: object) -> tuple[Value, str]:
     if not isinstance(raw, str):
         mend = 'write a number, "3 Pa s", a text, true or false'
         raise Bad(f"must be a number, a text or a flag, got {shown(raw)}", mend)
+    return _text(raw)
+
+
+@lru_cache(maxsize=4096)
+def _text(raw: str) -> tuple[Value, str]:
+    """Value of a text, and the unit of a number: levels come again in many cells."""
     plain = text(raw)
     if plain[:1].isdigit() or plain[:2].lstrip("+-.")[:1].isdigit():
         return number_and_unit(plain)

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Literal
 
-from pydantic import Field
-
 from study.ground import units
 from study.ground.errors import nearest
 from study.harness.design import overlay
@@ -85,7 +83,7 @@ class Virtual:
     #: Named mesh; without one, and without a size, one step finer than the finest of the design.
     mesh: Annotated[str | None, Reads(choice(*MESH_LEVELS))] = None
     #: Element size, instead of a named mesh.
-    mesh_size_mm: Length | None = Field(default=None, validation_alias="mesh_size")
+    mesh_size_mm: Length | None = None
 
     @property
     def chooses_mesh(self) -> bool:
@@ -281,7 +279,7 @@ class Converge:
     levels: Annotated[int, Reads(integer(2, 10))] = 3
     qoi: Annotated[str, Reads(choice(*QUANTITIES))] = "peak_force"
     tolerance: Annotated[float | None, Reads(_share)] = None
-    budget_s: Duration | None = Field(default=None, validation_alias="budget")
+    budget_s: Duration | None = None
     #: Mesh size, step or tolerance of a stranger's solver, and the order that it promises in it.
     key: Annotated[str | None, Reads(_refined_key)] = None
     formal_order: Annotated[float | None, Reads(number(0, 20))] = None

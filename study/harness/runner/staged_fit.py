@@ -26,7 +26,7 @@ from study.ground.curve import Curve
 from study.ground.errors import StoreError
 from study.harness.design.cell import CellProblem
 from study.harness.record.atomic_files import write_atomic
-from study.mechanics.calibration.fit import fit, residual_function
+from study.mechanics.calibration.fit import ResidualFunction, fit
 from study.mechanics.calibration.levenberg_marquardt import Iteration, Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import ENERGIES, constant_names, is_dimensionless
@@ -597,7 +597,7 @@ def with_moduli(
               if not (energy.is_dimensionless(n) or is_of_relaxation(n))]  # fmt: skip
     models = [search.make(part.method, part.problem, part.curves, names) for part in parts]
     measured = [m for part in parts for m in part.measured]
-    residual = residual_function(
+    residual = ResidualFunction(
         lambda x: [curve for model in models for curve in model(x)], measured, names
     )
     try:

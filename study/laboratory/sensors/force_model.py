@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Protocol, TypeVar
 
 import numpy as np
-from pydantic import Field
 
 from study.ground import units
 from study.ground.arrays import Array
@@ -218,15 +217,11 @@ class PositionAccuracy:
     """Errors of a tracker along the axis of the test, as standard uncertainties."""
 
     #: Of its zero, the same in all rows of a test.
-    offset_mm: Annotated[float, measured("length", closed=True)] = Field(
-        default=0.0, validation_alias="offset"
-    )
+    offset_mm: Annotated[float, measured("length", closed=True)] = 0.0
     #: Of its scale, a share of the displacement.
     scale: Annotated[float, Reads(fraction)] = 0.0
     #: Of every row on its own.
-    noise_mm: Annotated[float, measured("length", closed=True)] = Field(
-        default=0.0, validation_alias="noise"
-    )
+    noise_mm: Annotated[float, measured("length", closed=True)] = 0.0
 
 
 @section
@@ -234,15 +229,11 @@ class ForceAccuracy:
     """Errors of a force sensor, as standard uncertainties."""
 
     #: Of its zero, the same in all rows of a test.
-    zero_N: Annotated[float, measured("force", closed=True)] = Field(
-        default=0.0, validation_alias="zero"
-    )
+    zero_N: Annotated[float, measured("force", closed=True)] = 0.0
     #: Of its scale, a share of the force.
     scale: Annotated[float, Reads(fraction)] = 0.0
     #: Of every row on its own.
-    noise_N: Annotated[float, measured("force", closed=True)] = Field(
-        default=0.0, validation_alias="noise"
-    )
+    noise_N: Annotated[float, measured("force", closed=True)] = 0.0
 
 
 @section

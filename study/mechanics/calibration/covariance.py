@@ -128,10 +128,9 @@ def identifiability(names: Sequence[str], values: Array, estimate: Uncertainty) 
     """
     free = np.isfinite(np.diag(estimate.correlation)) | (estimate.rank < len(names))
     if estimate.rank < int(free.sum()) and not np.isfinite(estimate.correlation).all():
-        return False, (
-            f"the data determine only {estimate.rank} of {len(names)} combinations of "
-            f"{_listed(names)}"
-        )
+        listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        rank = f"{estimate.rank} of {len(names)} combinations"
+        return False, f"the data determine only {rank} of {listed}"
     off = np.nan_to_num(estimate.correlation - np.diag(np.diag(estimate.correlation)))
     i, j = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
     first, second, worst = min(int(i), int(j)), max(int(i), int(j)), float(off[i, j])
@@ -181,7 +180,3 @@ def _widest(names: Sequence[str], values: Array, estimate: Uncertainty) -> str:
     if not ratio[worst] > 2:
         return ""
     return f"the 95 % interval of {names[worst]} is {ratio[worst]:.3g} times as wide as its value"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -15,13 +15,12 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.calibration.covariance import influence, uncertainty, verdict_at_end
 from study.mechanics.calibration.levenberg_marquardt import (
     Iteration,
-    LMResult,
+    LeastSquaresSearch,
     Status,
     levenberg_marquardt,
 )
 from study.mechanics.calibration.residual_function import (
     EvaluationFailed,
-    Function,
     MeasuredCurve,
     NuisanceEstimate,
     Prior,
@@ -122,7 +121,7 @@ def fit(
 ) -> Fit:
     """Fit constants to the measured curves whose role is ``fit``. Shapes: start (p,)."""
     _check(measured, names, start)
-    model = _Model(predict, measured, tuple(names), tuple(priors))
+    model = ResidualFunction(predict, measured, names, priors)
     result = levenberg_marquardt(
         model, start, bounds=bounds, max_evaluations=max_evaluations,
         ftol=ftol, xtol=xtol, gtol=gtol, edge=edge, callback=model.watch(callback), resume=resume,
@@ -130,29 +129,23 @@ def fit(
     return _report(result, model)
 
 
-def residual_function(
-    predict: Predict,
-    measured: Sequence[MeasuredCurve],
-    names: Sequence[str],
-    priors: Sequence[Prior] = (),
-) -> Function:
-    """Weighted residual of the fitted curves and its Jacobian, as the optimizer wants them."""
-    return _Model(predict, measured, tuple(names), tuple(priors))
+class ResidualFunction:
+    """Weighted residual of the fitted curves and its Jacobian, as the optimizer wants them.
 
-
-class _Model:
-    """Residual of a fit; remembers the curves of accepted points so that none is solved twice."""
+    It remembers the curves of accepted points, so that none is solved twice.
+    """
 
     def __init__(
-        self, predict: Predict, measured: Sequence[MeasuredCurve], names: tuple[str, ...],
-        priors: tuple[Prior, ...] = (),
+        self, predict: Predict, measured: Sequence[MeasuredCurve], names: Sequence[str],
+        priors: Sequence[Prior] = (),
     ) -> None:  # fmt: skip
-        self.predict, self.measured, self.names = predict, tuple(measured), names
-        self.priors, self.slopes = priors, pseudo_jacobian(priors, names)
+        self.predict, self.measured, self.names = predict, tuple(measured), tuple(names)
+        self.priors, self.slopes = tuple(priors), pseudo_jacobian(priors, names)
         self.curves_at: dict[bytes, tuple[Curve, ...]] = {}
         self.failure = ""
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
+        """Residual (n,) and its Jacobian (n, p), pseudo-observations at the end."""
         try:
             curves = tuple(self.predict(values))
             self.curves_at[values.tobytes()] = curves
@@ -179,6 +172,8 @@ class _Model:
         return robust, (slope * weight)[:, None] * slopes
 
     def watch(self, callback: Progress | None) -> Progress:
+        """Keep the curves of the last accepted point alone."""
+
         def accepted(iteration: Iteration) -> bool | None:
             key = iteration.x.tobytes()
             self.curves_at = {k: v for k, v in self.curves_at.items() if k == key}
@@ -187,7 +182,7 @@ class _Model:
         return accepted
 
 
-def _report(result: LMResult, model: _Model) -> Fit:
+def _report(result: LeastSquaresSearch, model: ResidualFunction) -> Fit:
     fitted = [(m, m.weights > 0) for m in model.measured if m.role == "fit"]
     force = np.concatenate([m.curve.force_N[used] for m, used in fitted])
     weight = np.concatenate([m.weights[used] for m, used in fitted])
@@ -227,7 +222,7 @@ def _report(result: LMResult, model: _Model) -> Fit:
         result.evaluations,
         residual,
         model.curves_at.get(result.x.tobytes(), ()),
-        result.history,
+        tuple(result.history),
         model.failure,
         priors=model.priors,
     )

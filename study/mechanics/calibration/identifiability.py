@@ -17,7 +17,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.errors import RefusedError
 from study.mechanics.calibration.covariance import AS_GOOD_AS_ZERO, student_t
-from study.mechanics.calibration.fit import Fit, Predict, residual_function
+from study.mechanics.calibration.fit import Fit, Predict, ResidualFunction
 from study.mechanics.calibration.levenberg_marquardt import levenberg_marquardt
 from study.mechanics.calibration.residual_function import Function, MeasuredCurve
 from study.mechanics.material.material import is_dimensionless
@@ -208,7 +208,7 @@ def profile(
     error = float(result.standard_error[index])
     if not result.converged or not error > 0:
         raise RefusedError(f"no profile of {name}: the fit has no standard error for it")
-    function = residual_function(predict, measured, result.names, result.priors)
+    function = ResidualFunction(predict, measured, result.names, result.priors)
     inflation = 1.0 if result.serial is None else float(result.serial.inflation[index])
     freedom, least = result.degrees_of_freedom, result.penalized_rss
     limit = least * (1 + (inflation * student_t(freedom)) ** 2 / freedom)

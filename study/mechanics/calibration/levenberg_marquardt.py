@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from study.ground.arrays import Array
 from study.mechanics.calibration.residual_function import Function, checked_bounds, evaluate
 
-# The damped linear least-squares problem inside a trust region, with bounds.
+# The damped linear least-squares problem inside a trust region.
 
 
 @dataclass(frozen=True)
@@ -112,37 +112,7 @@ def damped_step(linear: Linearization, radius: float) -> tuple[Array, float]:
     return steepness * scaled / linear.scale, damping
 
 
-def bounded_step(
-    jacobian: Array,
-    residual: Array,
-    scale: Array,
-    radius: float,
-    held: NDArray[np.bool_],
-    low: Array,
-    high: Array,
-    linear: Linearization,
-) -> tuple[Array, float]:
-    """Damped step in the free parameters; one that would cross its bound stops there.
-
-    The others are then solved again with that part of the step given, at most p times.
-
-    Shapes: jacobian, residual, scale (n, p); held (p,); low, high (p,); returns (p,).
-    """
-    step, free = np.zeros(scale.size), ~held
-    while True:
-        step[free], damping = damped_step(linear, radius)
-        crossing = free & ((step < low) | (step > high))
-        if not np.any(crossing):
-            return step, damping
-        step[crossing] = np.clip(step, low, high)[crossing]
-        free = free & ~crossing
-        if not np.any(free):
-            return step, damping
-        given = residual + jacobian[:, ~free] @ step[~free]
-        linear = Linearization.of(jacobian[:, free], given, scale[free])
-
-
-# State of a least-squares search, and what can be read from it: convergence, edges, limits.
+# A least-squares search, and what can be read from it: convergence, edges, limits.
 
 EPS = float(np.finfo(float).eps)
 #: first trust-region radius as a multiple of the start's scaled length
@@ -153,181 +123,24 @@ NEXT_DOOR = 0.01
 CRAWL = 5
 #: growth of a parameter over its start that counts as running to infinity
 FAR = 1e8
-
-
-@dataclass(frozen=True)
-class Iteration:
-    """One accepted point: what a progress line shows and what a resumed fit needs.
-
-    ``scale`` is the largest norm of every column of the Jacobian so far, zero where there was
-    no influence.
-    """
-
-    iteration: int
-    evaluations: int
-    x: Array
-    cost: float
-    radius: float
-    damping: float
-    offset: float
-    scale: Array
-
-
-@dataclass
-class IterationState:
-    """The search in progress."""
-
-    #: shape (p,); best parameters so far, each in its unit.
-    x: Array
-    #: shape (n,); there, weighted.
-    residual: Array
-    jacobian: Array
-    #: shape (p,); largest absolute value of each parameter so far.
-    reach: Array
-    #: shape (p,); largest norm of each column of the Jacobian so far; zero where there was no
-    #: influence.
-    peak: Array
-    #: Of the trust region, in the unit of the residual.
-    radius: float
-    #: Largest rank of the Jacobian so far.
-    rank: int = 0
-    #: Levenberg's parameter of the last step.
-    damping: float = 0.0
-    evaluations: int = 1
-    #: Whether the sum of squares was seen to have a kink here.
-    kink: bool = False
-    history: list[Iteration] = field(default_factory=list)
-    #: Parameters at which the model had no answer.
-    failed: list[Array] = field(default_factory=list)
-    #: How many there were at each accepted point.
-    failures: list[int] = field(default_factory=list)
-
-    @property
-    def cost(self) -> float:
-        """Half the sum of squares."""
-        return 0.5 * float(self.residual @ self.residual)
-
-    @property
-    def scale(self) -> Array:
-        """Scale of the parameters: the peak of their columns' norms, 1 before any influence."""
-        return np.where(self.peak > 0, self.peak, 1.0)
-
-    @classmethod
-    def at_start(
-        cls, x: Array, residual: Array, jacobian: Array, resume: Iteration | None
-    ) -> IterationState:
-        """State at the start, or where an earlier search stopped."""
-        norms = np.linalg.norm(jacobian, axis=0)
-        if resume is not None:
-            peak = np.maximum(resume.scale, norms)
-            return cls(x, residual, jacobian, np.abs(x), peak, resume.radius)
-        radius = FIRST_RADIUS * size(norms * x, residual)
-        return cls(x, residual, jacobian, np.abs(x), norms, radius)
-
-    def is_negligible(self, step: Array) -> bool:
-        """Whether a step changes the residual by less than the parameters' own rounding does."""
-        norms = np.linalg.norm(self.jacobian, axis=0)
-        return length_of(norms * step) <= 2 * EPS * size(norms * self.x, self.residual)
-
-    def snapshot(self, offset: float) -> Iteration:
-        """Make the accepted point for the history."""
-        return Iteration(
-            len(self.history),
-            self.evaluations,
-            self.x.copy(),
-            self.cost,
-            self.radius,
-            self.damping,
-            offset,
-            self.peak.copy(),
-        )
-
-    def accept(self, x: Array, residual: Array, jacobian: Array) -> None:
-        """Move to a better point."""
-        self.x, self.residual, self.jacobian = x, residual, jacobian
-        self.peak = np.maximum(self.peak, np.linalg.norm(jacobian, axis=0))
-        self.reach = np.maximum(self.reach, np.abs(x))
-
-    def gain(self, step: Array, evaluated: tuple[Array, Array] | None) -> float:
-        """Actual over foretold decrease of the sum of squares."""
-        if evaluated is None:
-            return -np.inf
-        change = self.jacobian @ step
-        foretold = -float(change @ (2 * self.residual + change))
-        new = evaluated[0]
-        # (r - s)(r + s) keeps the digits that the difference of two sums of squares loses
-        actual = float((self.residual - new) @ (self.residual + new))
-        return actual / foretold if foretold > 0 else -np.inf
-
-    def held_by_bounds(self, low: Array, high: Array) -> NDArray[np.bool_]:
-        """Parameters at a bound that the gradient pushes against."""
-        gradient = self.jacobian.T @ self.residual
-        at_low = (self.x <= low) & (gradient >= 0)
-        return np.asarray(at_low | ((self.x >= high) & (gradient <= 0)))
-
-    def length(self, held: NDArray[np.bool_]) -> float:
-        """Scaled length of the parameters that may move, see :func:`size`."""
-        return size((self.peak * self.x)[~held], self.residual)
-
-    def steepest(self, held: NDArray[np.bool_]) -> float:
-        """Largest cosine between the residual and a column of the Jacobian."""
-        norms = np.linalg.norm(self.jacobian, axis=0) * float(np.linalg.norm(self.residual))
-        slopes = np.abs(self.jacobian.T @ self.residual)
-        return float(np.max(np.where(held | (norms == 0), 0.0, slopes / norms), initial=0.0))
-
-    def is_beside_failure(self) -> bool:
-        """Whether the model had no answer at constants next to the best ones."""
-        reach = NEXT_DOOR * self.length(np.zeros(self.x.size, bool))
-        return any(length_of(self.scale * (x - self.x)) <= reach for x in self.failed)
-
-    def is_crawling(self, edge: float) -> bool:
-        """Whether the search creeps along constants at which the model has no answer."""
-        if len(self.history) <= CRAWL:
-            return False
-        gained = self.history[-1 - CRAWL].cost - self.cost
-        blocked = self.failures[-1] - self.failures[-1 - CRAWL]
-        return gained < edge * self.cost and blocked >= 2 and self.is_beside_failure()
-
-    def converged(
-        self, linear: Linearization, held: NDArray[np.bool_], xtol: float, gtol: float
-    ) -> Status | None:
-        """How a search has converged here; None where it has not."""
-        length = float(np.linalg.norm(self.residual))
-        influence = float(np.linalg.norm(self.jacobian, axis=0) @ np.abs(self.x))
-        # a residual is a difference of a few terms, each with a rounding of its own
-        if length <= 4 * EPS * influence or length == 0:
-            return Status.converged_zero
-        if linear.offset <= gtol:
-            return Status.converged_gradient
-        if linear.full_length <= xtol * self.length(held):
-            return Status.converged_step
-        return None
-
-    def trusted(self, status: Status, linear: Linearization, held: NDArray[np.bool_]) -> Status:
-        """No success where a parameter, or a combination, lost the influence it once had."""
-        # Nor where none has any: the residual is then orthogonal to nothing.
-        first = np.abs(self.history[0].x)
-        if status is Status.no_decrease and np.any((np.abs(self.x) > FAR * first) & (first > 0)):
-            return Status.running_away
-        norms = np.linalg.norm(self.jacobian, axis=0)
-        length = float(np.linalg.norm(self.residual))
-        lost = (norms * self.reach <= 1e-8 * length) & (self.peak > norms) & ~held
-        singular = linear.rank + int(held.sum()) < self.rank or not (held | (norms > 0)).any()
-        doubtful = status.converged and status is not Status.converged_zero
-        return Status.no_influence if doubtful and (singular or np.any(lost)) else status
-
-
-def size(influence: Array, residual: Array) -> float:
-    """Length of parameters in the unit of the residual: what steps and radii are relative to.
-
-    Parameters without influence within the rounding of the residual are as good as zero. Their
-    length is that of the residual, which the parameters have yet to explain: any other number,
-    such as More's factor itself (1978, sec. 3), would have a unit.
-
-    Shapes: influence, residual (p,).
-    """
-    length, left = length_of(influence), float(np.linalg.norm(residual))
-    return length if length > EPS * left else left
+#: share of the full Gauss-Newton step, and scaled length relative to the parameters, within
+#: which no smooth model turns its gradient
+SHORT = 0.01
+SMALL = 1e-3
+#: shares of the step along a kink that are tried
+SHARES = (1.0, 0.25, 0.06)
+#: gain from which a step is taken
+ACCEPTED = 1e-4
+#: cosine below which a point where no step helps is a minimum with a singular Jacobian
+STATIONARY = 1e-6
+#: Foretold decrease of the cost, in ``ftol``, that the precision of the function may hide where
+#: no step lowers the cost. A simulation started from another state differs by 3e-9 N; the cost
+#: of a flat indentation fitted to 1.3 % noise then scatters by 1e-9 of itself, which is the
+#: ``ftol`` of fits by simulation, and one specimen in six ended there with 1.5e-9 foretold.
+HIDDEN = 10.0
+#: Relative offset below which the rest of the way is a thousandth of the radius of a 95 % region,
+#: which a model that scatters by itself need not go (Bates and Watts 1981, Technometrics 23, 179)
+NEGLIGIBLE_OFFSET = 1e-3
 
 
 class Status(Enum):
@@ -366,126 +179,285 @@ class Status(Enum):
         return str(self.value)
 
 
-#: share of the full Gauss-Newton step, and scaled length relative to the parameters, within
-#: which no smooth model turns its gradient
-SHORT = 0.01
-SMALL = 1e-3
-#: shares of the step along the surface that are tried
-SHARES = (1.0, 0.25, 0.06)
+@dataclass(frozen=True)
+class Iteration:
+    """One accepted point: what a progress line shows and what a resumed fit needs.
 
-
-def turned(before: Array, after: Array, step: Array) -> bool:
-    """Whether the cost falls at the beginning of a step and rises at its end.
-
-    After a step too short for that there is a kink in between: a gradient that is merely
-    wrong, or noisy, points the same way on both sides.
-
-    Shapes: before, after, step (p,).
+    ``scale`` is the largest norm of every column of the Jacobian so far, zero where there was
+    no influence. ``offset`` is the share of the residual that the parameters could still explain.
     """
-    return float(before @ step) < 0 < float(after @ step)
+
+    iteration: int
+    evaluations: int
+    x: Array
+    cost: float
+    radius: float
+    damping: float
+    offset: float
+    scale: Array
 
 
-def step_along(
-    jacobian: Array, residual: Array, scale: Array, held: NDArray[np.bool_], jump: Array
-) -> Array:
-    """Gauss-Newton step that stays on the surface, shape (p,); jacobian, residual (n, p)."""
-    free, step = ~held, np.zeros(scale.size)
-    if np.count_nonzero(free) < 2:
-        return step
-    normal = (jump / scale)[free]
-    frame = np.linalg.qr(np.column_stack([normal, np.eye(normal.size)]))[0][:, 1:]
-    reduced = (jacobian / scale)[:, free] @ frame
-    step[free] = frame @ np.linalg.lstsq(reduced, -residual, rcond=1e-10)[0] / scale[free]
-    return step
-
-
-#: gain from which a step is taken
-ACCEPTED = 1e-4
-#: cosine below which a point where no step helps is a minimum with a singular Jacobian
-STATIONARY = 1e-6
-#: Foretold decrease of the cost, in ``ftol``, that the precision of the function may hide where
-#: no step lowers the cost. A simulation started from another state differs by 3e-9 N; the cost
-#: of a flat indentation fitted to 1.3 % noise then scatters by 1e-9 of itself, which is the
-#: ``ftol`` of fits by simulation, and one specimen in six ended there with 1.5e-9 foretold.
-HIDDEN = 10.0
-#: Relative offset below which the rest of the way is a thousandth of the radius of a 95 % region,
-#: which a model that scatters by itself need not go (Bates and Watts 1981, Technometrics 23, 179)
-NEGLIGIBLE_OFFSET = 1e-3
 Callback = Callable[[Iteration], bool | None]
 
 
-@dataclass(frozen=True)
-class LMResult:
-    """Where the optimizer ended."""
+class LeastSquaresSearch:
+    """A search for the least sum of squares, and where it ended."""
 
-    #: shape (p,); best point found, whatever the status.
-    x: Array
-    #: Half the sum of squared residuals.
-    cost: float
-    #: shape (n,); residual at ``x``.
-    residual: Array
-    #: shape (n, p); its derivative at ``x``.
-    jacobian: Array
-    #: How it ended; only a ``converged_*`` status is a success.
-    status: Status
-    #: Calls of the function; accepted steps.
-    evaluations: int
-    iterations: int
-    #: Share of the residual that the parameters could still explain (0 at a minimum).
-    offset: float
-    #: shape (p,); parameters held by a bound.
-    at_bound: NDArray[np.bool_]
-    #: The accepted points; the last one resumes the fit.
-    history: tuple[Iteration, ...] = ()
+    def __init__(
+        self,
+        function: Function,
+        start: Array,
+        bounds: Sequence[tuple[float, float]] | None,
+        max_evaluations: int,
+        tolerances: tuple[float, float, float, float],
+    ) -> None:
+        self.function, self.max_evaluations = function, max_evaluations
+        self.ftol, self.xtol, self.gtol, self.edge = tolerances
+        self.low, self.high = checked_bounds(start, bounds)
+        #: Best parameters so far, shape (p,), each in its unit; there the weighted residual (n,)
+        #: and its derivative (n, p), and the parameters that a bound holds, shape (p,).
+        self.x = start
+        self.residual, self.jacobian = np.zeros(0), np.zeros((0, start.size))
+        self.at_bound = np.zeros(start.size, bool)
+        #: Largest absolute value of each parameter so far, and largest norm of each column of the
+        #: Jacobian, zero where there was no influence; both of shape (p,).
+        self.reach, self.peak = np.abs(start), np.zeros(start.size)
+        #: Of the trust region, in the unit of the residual; Levenberg's parameter of the last step.
+        self.radius = self.damping = 0.0
+        #: Largest rank of the Jacobian so far, calls of the function.
+        self.rank, self.evaluations = 0, 0
+        #: Whether the sum of squares was seen to have a kink here.
+        self.kink = False
+        self.history: list[Iteration] = []
+        #: Parameters at which the model had no answer, and how many at each accepted point.
+        self.failed: list[Array] = []
+        self.failures: list[int] = []
+        #: How it ended; only a ``converged_*`` status is a success.
+        self.status = Status.start_failed
 
     @property
     def converged(self) -> bool:
         """Whether a local minimum was reached."""
         return self.status.converged
 
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares; infinite where the start has no answer."""
+        return 0.5 * float(self.residual @ self.residual) if self.residual.size else np.inf
 
-def levenberg_marquardt(
-    function: Function,
-    start: ArrayLike,
-    *,
-    bounds: Sequence[tuple[float, float]] | None = None,
-    max_evaluations: int = 1000,
-    ftol: float = 1e-12,
-    xtol: float = 1e-12,
-    gtol: float = 1e-10,
-    edge: float = 0.0,
-    callback: Callback | None = None,
-    resume: Iteration | None = None,
-) -> LMResult:
-    """Minimize half the sum of squares of a residual.
+    @property
+    def scale(self) -> Array:
+        """Scale of the parameters: the peak of their columns' norms, 1 before any influence."""
+        return np.where(self.peak > 0, self.peak, 1.0)
 
-    Shapes: start (p,); gtol Relative offset (Bates and Watts 1981): length of the residual's
-    projection on the space of the Jacobian over the length of the residual.
+    def run(self, callback: Callback | None, resume: Iteration | None) -> Status:
+        """Search from the start, or from where an earlier search stopped."""
+        evaluated = self._evaluated(self.x)
+        if evaluated is None:
+            return Status.start_failed
+        self._accept(self.x, *evaluated)
+        self.radius = FIRST_RADIUS * size(self.peak * self.x, self.residual)
+        if resume is not None:
+            self.peak, self.radius = np.maximum(resume.scale, self.peak), resume.radius
+        while True:
+            gradient = self.jacobian.T @ self.residual
+            at_low = (self.x <= self.low) & (gradient >= 0)
+            self.at_bound = at_low | ((self.x >= self.high) & (gradient <= 0))
+            free = ~self.at_bound
+            linear = Linearization.of(self.jacobian[:, free], self.residual, self.scale[free])
+            self.rank = max(self.rank, linear.rank + int(self.at_bound.sum()))
+            self.history.append(
+                Iteration(
+                    len(self.history), self.evaluations, self.x.copy(), self.cost, self.radius,
+                    self.damping, linear.offset, self.peak.copy(),
+                )
+            )  # fmt: skip
+            self.failures.append(len(self.failed))
+            status = self._converged_at(linear)
+            if status is None and self._is_crawling():
+                status = Status.at_edge
+            if status is None and callback is not None and callback(self.history[-1]):
+                status = Status.stopped
+            if status is None:
+                status = self._advance(linear)
+            if status is not None:
+                return self._trusted(status, linear)
+
+    def _evaluated(self, x: Array) -> tuple[Array, Array] | None:
+        self.evaluations += 1
+        return evaluate(self.function, x)
+
+    def _accept(self, x: Array, residual: Array, jacobian: Array) -> None:
+        """Move to a better point."""
+        self.x, self.residual, self.jacobian = x, residual, jacobian
+        self.peak = np.maximum(self.peak, np.linalg.norm(jacobian, axis=0))
+        self.reach = np.maximum(self.reach, np.abs(x))
+
+    def _gain(self, step: Array, evaluated: tuple[Array, Array] | None) -> float:
+        """Actual over foretold decrease of the sum of squares."""
+        if evaluated is None:
+            return -np.inf
+        foretold, new = self._foretold(step), evaluated[0]
+        # (r - s)(r + s) keeps the digits that the difference of two sums of squares loses
+        actual = float((self.residual - new) @ (self.residual + new))
+        return actual / foretold if foretold > 0 else -np.inf
+
+    def _foretold(self, step: Array) -> float:
+        """Decrease of the sum of squares in the linear model."""
+        change = self.jacobian @ step
+        return -float(change @ (2 * self.residual + change))
+
+    def _length(self, held: NDArray[np.bool_]) -> float:
+        """Scaled length of the parameters that may move, see :func:`size`."""
+        return size((self.peak * self.x)[~held], self.residual)
+
+    def _is_beside_failure(self) -> bool:
+        """Whether the model had no answer at constants next to the best ones."""
+        reach = NEXT_DOOR * self._length(np.zeros(self.x.size, bool))
+        return any(length_of(self.scale * (x - self.x)) <= reach for x in self.failed)
+
+    def _is_crawling(self) -> bool:
+        """Whether the search creeps along constants at which the model has no answer."""
+        if len(self.history) <= CRAWL:
+            return False
+        gained = self.history[-1 - CRAWL].cost - self.cost
+        blocked = self.failures[-1] - self.failures[-1 - CRAWL]
+        return gained < self.edge * self.cost and blocked >= 2 and self._is_beside_failure()
+
+    def _is_near_enough(self, linear: Linearization) -> bool:
+        """Whether a model whose evaluations scatter is as near to its minimum as matters."""
+        return self.edge > 0 and linear.offset <= NEGLIGIBLE_OFFSET
+
+    def _converged_at(self, linear: Linearization) -> Status | None:
+        """How a search has converged here; None where it has not."""
+        length = float(np.linalg.norm(self.residual))
+        influence = float(np.linalg.norm(self.jacobian, axis=0) @ np.abs(self.x))
+        # a residual is a difference of a few terms, each with a rounding of its own
+        if length <= 4 * EPS * influence or length == 0:
+            return Status.converged_zero
+        if linear.offset <= self.gtol:
+            return Status.converged_gradient
+        if linear.full_length <= self.xtol * self._length(self.at_bound):
+            return Status.converged_step
+        return None
+
+    def _trusted(self, status: Status, linear: Linearization) -> Status:
+        """No success where a parameter, or a combination, lost the influence it once had."""
+        # Nor where none has any: the residual is then orthogonal to nothing.
+        first, held = np.abs(self.history[0].x), self.at_bound
+        if status is Status.no_decrease and np.any((np.abs(self.x) > FAR * first) & (first > 0)):
+            return Status.running_away
+        norms = np.linalg.norm(self.jacobian, axis=0)
+        length = float(np.linalg.norm(self.residual))
+        lost = (norms * self.reach <= 1e-8 * length) & (self.peak > norms) & ~held
+        singular = linear.rank + int(held.sum()) < self.rank or not (held | (norms > 0)).any()
+        doubtful = status.converged and status is not Status.converged_zero
+        return Status.no_influence if doubtful and (singular or np.any(lost)) else status
+
+    def _advance(self, linear: Linearization) -> Status | None:
+        """Try steps in a shrinking region until one lowers the cost; the reason if none does."""
+        answered = False
+        while self.evaluations < self.max_evaluations:
+            step, damping = self._bounded_step(linear)
+            trial = np.clip(self.x + step, self.low, self.high)
+            length = length_of(self.scale * step)
+            norms = np.linalg.norm(self.jacobian, axis=0)
+            # a change of the residual below that of the parameters' own rounding
+            if length_of(norms * (trial - self.x)) <= 2 * EPS * size(norms * self.x, self.residual):
+                return self._without_step(linear, answered)
+            evaluated = self._evaluated(trial)
+            answered = answered or evaluated is not None
+            if evaluated is None:
+                self.failed.append(trial)
+            gain = self._gain(step, evaluated)
+            self.radius = updated_radius(self.radius, length, gain, damping)
+            self.damping = damping
+            if evaluated is not None and gain > ACCEPTED:
+                self._accept(trial, *evaluated)
+                return None
+            if linear.offset**2 <= self.ftol and answered and damping == 0:
+                return Status.converged_cost
+            reach = min(SHORT * linear.full_length, SMALL * self._length(self.at_bound))
+            if 0 < length <= reach and evaluated is not None:
+                before, after = self.jacobian.T @ self.residual, evaluated[1].T @ evaluated[0]
+                # A cost that falls at the beginning of a step and rises at its end, which is too
+                # short for that, has a kink in between: a gradient that is merely wrong, or noisy,
+                # points the same way on both sides.
+                self.kink = float(before @ step) < 0 < float(after @ step)
+                if self.kink and self._moved_along(after - before):
+                    return None
+            if self.kink and self.edge > 0:
+                near = self._is_near_enough(linear)
+                return Status.converged_cost if near else Status.at_kink
+        return Status.max_evaluations
+
+    def _bounded_step(self, linear: Linearization) -> tuple[Array, float]:
+        """Damped step in the free parameters; one that would cross its bound stops there.
+
+        The others are then solved again with that part of the step given, at most p times.
+        """
+        low, high = self.low - self.x, self.high - self.x
+        step, free = np.zeros(self.x.size), ~self.at_bound
+        while True:
+            step[free], damping = damped_step(linear, self.radius)
+            crossing = free & ((step < low) | (step > high))
+            step[crossing] = np.clip(step, low, high)[crossing]
+            free = free & ~crossing
+            if not (np.any(crossing) and np.any(free)):
+                return step, damping
+            given = self.residual + self.jacobian[:, ~free] @ step[~free]
+            linear = Linearization.of(self.jacobian[:, free], given, self.scale[free])
+
+    def _without_step(self, linear: Linearization, answered: bool) -> Status:
+        """Status where no step is left that changes anything."""
+        if not answered and self._is_beside_failure():
+            return Status.too_many_failures
+        # at a minimum rounding hides any decrease below about sqrt(eps) of the residual
+        if linear.offset**2 <= HIDDEN * self.ftol or self._is_near_enough(linear):
+            return Status.converged_cost
+        norms = np.linalg.norm(self.jacobian, axis=0) * float(np.linalg.norm(self.residual))
+        slopes = np.abs(self.jacobian.T @ self.residual)
+        cosines = np.where(self.at_bound | (norms == 0), 0.0, slopes / norms)
+        if float(np.max(cosines, initial=0.0)) <= STATIONARY:
+            return Status.converged_gradient
+        if linear.full_length <= 1e-9 * self._length(self.at_bound):
+            return Status.converged_step
+        if self._is_beside_failure():
+            return Status.at_edge
+        return Status.at_kink if self.kink else Status.no_decrease
+
+    def _moved_along(self, jump: Array) -> bool:
+        """Step along a kink; False if that lowers the cost by no more than ``edge`` of it."""
+        free, step = ~self.at_bound, np.zeros(self.x.size)
+        if np.count_nonzero(free) >= 2:  # a Gauss-Newton step that stays on the surface
+            scale, normal = self.scale, (jump / self.scale)[free]
+            frame = np.linalg.qr(np.column_stack([normal, np.eye(normal.size)]))[0][:, 1:]
+            reduced = (self.jacobian / scale)[:, free] @ frame
+            least = np.linalg.lstsq(reduced, -self.residual, rcond=1e-10)[0]
+            step[free] = frame @ least / scale[free]
+        if self._foretold(step) <= 2 * max(self.edge, EPS) * self.cost:
+            return False
+        for share in SHARES:
+            trial = np.clip(self.x + share * step, self.low, self.high)
+            evaluated = self._evaluated(trial)
+            if evaluated is not None and self._gain(share * step, evaluated) > ACCEPTED:
+                self.radius = float(np.linalg.norm(self.scale * share * step))
+                self._accept(trial, *evaluated)
+                return True
+        return False
+
+
+def size(influence: Array, residual: Array) -> float:
+    """Length of parameters in the unit of the residual: what steps and radii are relative to.
+
+    Parameters without influence within the rounding of the residual are as good as zero. Their
+    length is that of the residual, which the parameters have yet to explain: any other number,
+    such as More's factor itself (1978, sec. 3), would have a unit.
+
+    Shapes: influence, residual (p,).
     """
-    first = np.array(start if resume is None else resume.x, dtype=float)
-    low, high = checked_bounds(first, bounds)
-    evaluated = evaluate(function, first)
-    if evaluated is None:
-        empty = np.zeros((0, first.size))
-        none = np.zeros(first.size, bool)
-        return LMResult(first, np.inf, empty[:, 0], empty, Status.start_failed, 1, 0, np.inf, none)
-    state = IterationState.at_start(first, *evaluated, resume)
-    with np.errstate(over="ignore"):  # a full step can be infinite: it is damped then
-        status, offset, held = _search(
-            function, state, low, high, max_evaluations, (ftol, xtol, gtol, edge), callback
-        )
-    return LMResult(
-        state.x,
-        state.cost,
-        state.residual,
-        state.jacobian,
-        status,
-        state.evaluations,
-        len(state.history) - 1,
-        offset,
-        held,
-        tuple(state.history),
-    )
+    length, left = length_of(influence), float(np.linalg.norm(residual))
+    return length if length > EPS * left else left
 
 
 def updated_radius(radius: float, length: float, gain: float, damping: float) -> float:
@@ -501,125 +473,27 @@ def updated_radius(radius: float, length: float, gain: float, damping: float) ->
     return radius
 
 
-def _search(
+def levenberg_marquardt(
     function: Function,
-    state: IterationState,
-    low: Array,
-    high: Array,
-    max_evaluations: int,
-    tolerances: tuple[float, float, float, float],
-    callback: Callback | None,
-) -> tuple[Status, float, NDArray[np.bool_]]:
-    ftol, xtol, gtol, edge = tolerances
-    while True:
-        held = state.held_by_bounds(low, high)
-        linear = Linearization.of(state.jacobian[:, ~held], state.residual, state.scale[~held])
-        state.rank = max(state.rank, linear.rank + int(held.sum()))
-        state.history.append(state.snapshot(linear.offset))
-        state.failures.append(len(state.failed))
-        status = state.converged(linear, held, xtol, gtol)
-        if status is None and state.is_crawling(edge):
-            status = Status.at_edge
-        if status is None and callback is not None and callback(state.history[-1]):
-            status = Status.stopped
-        if status is None:
-            limits = (low, high, max_evaluations)
-            status = _advance(function, state, held, linear, limits, ftol, edge)
-        if status is not None:
-            return state.trusted(status, linear, held), linear.offset, held
+    start: ArrayLike,
+    *,
+    bounds: Sequence[tuple[float, float]] | None = None,
+    max_evaluations: int = 1000,
+    ftol: float = 1e-12,
+    xtol: float = 1e-12,
+    gtol: float = 1e-10,
+    edge: float = 0.0,
+    callback: Callback | None = None,
+    resume: Iteration | None = None,
+) -> LeastSquaresSearch:
+    """Minimize half the sum of squares of a residual.
 
-
-def _advance(
-    function: Function,
-    state: IterationState,
-    held: NDArray[np.bool_],
-    linear: Linearization,
-    limits: tuple[Array, Array, int],
-    ftol: float,
-    edge: float,
-) -> Status | None:
-    """Try steps in a shrinking region until one lowers the cost; the reason if none does."""
-    low, high, max_evaluations = limits
-    answered = False
-    while state.evaluations < max_evaluations:
-        step, damping = bounded_step(
-            state.jacobian, state.residual, state.scale, state.radius, held, low - state.x,
-            high - state.x, linear,
-        )  # fmt: skip
-        trial = np.clip(state.x + step, low, high)
-        length = length_of(state.scale * step)
-        if state.is_negligible(trial - state.x):
-            return _no_step(state, linear, held, answered, (ftol, edge))
-        evaluated = evaluate(function, trial)
-        state.evaluations += 1
-        answered = answered or evaluated is not None
-        if evaluated is None:
-            state.failed.append(trial)
-        gain = state.gain(step, evaluated)
-        state.radius, state.damping = updated_radius(state.radius, length, gain, damping), damping
-        if evaluated is not None and gain > ACCEPTED:
-            state.accept(trial, *evaluated)
-            return None
-        if linear.offset**2 <= ftol and answered and damping == 0:
-            return Status.converged_cost
-        short = 0 < length <= min(SHORT * linear.full_length, SMALL * state.length(held))
-        if short and evaluated is not None:
-            before, after = state.jacobian.T @ state.residual, evaluated[1].T @ evaluated[0]
-            state.kink = turned(before, after, step)
-            if state.kink and _moved_along(function, state, held, after - before, limits, edge):
-                return None
-        if state.kink and edge > 0:
-            return Status.converged_cost if _is_near_enough(linear, edge) else Status.at_kink
-    return Status.max_evaluations
-
-
-def _no_step(
-    state: IterationState,
-    linear: Linearization,
-    held: NDArray[np.bool_],
-    answered: bool,
-    tolerances: tuple[float, float],
-) -> Status:
-    ftol, edge = tolerances
-    if not answered and state.is_beside_failure():
-        return Status.too_many_failures
-    # at a minimum rounding hides any decrease below about sqrt(eps) of the residual
-    if linear.offset**2 <= HIDDEN * ftol or _is_near_enough(linear, edge):
-        return Status.converged_cost
-    if state.steepest(held) <= STATIONARY:
-        return Status.converged_gradient
-    if linear.full_length <= 1e-9 * state.length(held):
-        return Status.converged_step
-    if state.is_beside_failure():
-        return Status.at_edge
-    return Status.at_kink if state.kink else Status.no_decrease
-
-
-def _is_near_enough(linear: Linearization, edge: float) -> bool:
-    """Whether a model whose evaluations scatter is as near to its minimum as matters."""
-    return edge > 0 and linear.offset <= NEGLIGIBLE_OFFSET
-
-
-def _moved_along(
-    function: Function,
-    state: IterationState,
-    held: NDArray[np.bool_],
-    jump: Array,
-    limits: tuple[Array, Array, int],
-    edge: float,
-) -> bool:
-    """Step along a kink; False if that lowers the cost by no more than ``edge`` of it."""
-    low, high, _ = limits
-    step = step_along(state.jacobian, state.residual, state.scale, held, jump)
-    change = state.jacobian @ step
-    if -float(change @ (2 * state.residual + change)) <= 2 * max(edge, EPS) * state.cost:
-        return False
-    for share in SHARES:
-        trial = np.clip(state.x + share * step, low, high)
-        evaluated = evaluate(function, trial)
-        state.evaluations += 1
-        if evaluated is not None and state.gain(share * step, evaluated) > ACCEPTED:
-            state.radius = float(np.linalg.norm(state.scale * share * step))
-            state.accept(trial, *evaluated)
-            return True
-    return False
+    Shapes: start (p,); gtol Relative offset (Bates and Watts 1981): length of the residual's
+    projection on the space of the Jacobian over the length of the residual.
+    """
+    first = np.array(start if resume is None else resume.x, dtype=float)
+    tolerances = (ftol, xtol, gtol, edge)
+    search = LeastSquaresSearch(function, first, bounds, max_evaluations, tolerances)
+    with np.errstate(over="ignore"):  # a full step can be infinite: it is damped then
+        search.status = search.run(callback, resume)
+    return search

@@ -18,7 +18,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault
 
 # How a material resists a change of volume, U = K/2 (J - 1)^2.
 
@@ -70,48 +70,6 @@ def poisson_from_bulk(mu0: float, bulk_modulus: float) -> float:
     """
     ratio = mu0 / bulk_modulus
     return (3 - 2 * ratio) / (2 * (3 + ratio))
-
-
-# Constants of an energy as another code wants them.
-
-
-@dataclass(frozen=True)
-class Converted:
-    """Constants as another code wants them."""
-
-    convention: str
-    keyword: str
-    #: MPa, exponents plain, D1 in 1/MPa.
-    constants: Mapping[str, float]
-    #: What differs from our energy; empty if nothing does.
-    note: str = ""
-
-
-def abaqus_hyperelastic(keyword: str, constants: Mapping[str, float], bulk: float) -> Converted:
-    """Return a hyperelastic material of Abaqus, whose constants are ours.
-
-    Units: constants MPa; bulk MPa.
-    """
-    return Converted("abaqus", f"*Hyperelastic, {keyword}", {**constants, "D1": 2 / bulk})
-
-
-def abaqus_logarithmic(keyword: str, constants: Mapping[str, float], bulk: float) -> Converted:
-    """Return a material of Abaqus whose volumetric term is not ours."""
-    note = "its volumetric term is ((J^2 - 1)/2 - ln J)/D: equal to ours only for J near 1"
-    note = "" if math.isinf(bulk) else note
-    return Converted("abaqus", f"*Hyperelastic, {keyword}", {**constants, "D": 2 / bulk}, note)
-
-
-def febio_hyperelastic(keyword: str, constants: Mapping[str, float], bulk: float) -> Converted:
-    """Return an uncoupled hyperelastic material of FEBio, with what differs there in volume.
-
-    Units: constants MPa; bulk MPa.
-    """
-    if math.isinf(bulk):
-        note = "k must be finite there: choose about 1000 mu0"
-        return Converted("febio", keyword, dict(constants), note)
-    note = "its default volumetric term is k/2 (ln J)^2: equal to ours only for J near 1"
-    return Converted("febio", keyword, {**constants, "k": bulk}, note)
 
 
 #: Constants by name, MPa; exponents and limits plain.
@@ -243,19 +201,6 @@ class Energy(ABC):
             name: value * float(factor) if self.is_dimensionless(name) else value
             for (name, value), factor in zip(start.items(), factors, strict=True)
         }
-
-    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """Constants for Abaqus; an InputError where it has no such energy."""
-        raise no_counterpart("abaqus", constants)
-
-    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """Constants for FEBio; an InputError where it has no such energy."""
-        raise no_counterpart("febio", constants)
-
-    def ogden_classical(self, constants: Constants) -> Converted:
-        """Constants of the classical form of Ogden (1972); an InputError of another energy."""
-        rule = f"ogden-classical is for ogden materials, not {self.name}"
-        raise InputError(Fault("convention", rule))
 
 
 class IsochoricEnergy(Energy):
@@ -415,14 +360,3 @@ class DeclaredConstants(Energy):
 
     def _named(self, constant: str) -> Constant:
         return next(item for item in self.declared if item.name == constant)
-
-
-def no_counterpart(convention: str, constants: Constants) -> InputError:
-    """Return the error of a code, by its name, that has no energy with these constants."""
-    return InputError(
-        Fault(
-            "convention",
-            f"{convention} has no energy with {', '.join(constants)}",
-            "fit an energy that it has, or give it this one as a user subroutine (Abaqus: UHYPER)",
-        )
-    )

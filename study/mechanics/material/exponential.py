@@ -17,11 +17,9 @@ from study.mechanics.material.energy import (
     Compressibility,
     Constant,
     Constants,
-    Converted,
     DeclaredConstants,
     Law,
     PointLaw,
-    febio_hyperelastic,
 )
 from study.mechanics.material.polynomial import Curvatures, InvariantEnergy, Slopes
 
@@ -163,9 +161,3 @@ class VerondaWestmann(DeclaredConstants, ExponentialEnergy):
             "C1": shear_modulus / VERONDA_WESTMANN_STARTING_STIFFENING,
             "C2": VERONDA_WESTMANN_STARTING_STIFFENING,
         }
-
-    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """FEBio has the same form."""
-        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
-        values = {"c1": constants["C1"], "c2": constants["C2"]}
-        return febio_hyperelastic("Veronda-Westmann", values, bulk)

@@ -26,78 +26,35 @@ from study.mechanics.material.material import Material
 
 def first_piola(material: Material, F: Array) -> Array:
     """First Piola-Kirchhoff (nominal) stress dW/dF in MPa, shape (3, 3, ...)."""
+    bulk = _finite(material.bulk)
     if material.small_strain:
-        return _linear_stress(F, material.mu0, _finite(material.bulk))
-    stretch, axes, J = _spectral(F)
+        eye = np.eye(3).reshape((3, 3) + (1,) * (F.ndim - 2))
+        strain = 0.5 * (F + np.swapaxes(F, 0, 1)) - eye
+        trace = np.trace(strain)
+        return np.asarray(2 * material.mu0 * (strain - trace / 3 * eye) + bulk * trace * eye)
+    moved = np.moveaxis(F, (0, 1), (-2, -1))
+    # singular values of F lose no digits, eigenvalues of F'F would lose half near singularity
+    _, principal, directions = np.linalg.svd(moved)
+    stretch, axes = np.moveaxis(principal, -1, 0), np.moveaxis(directions, (-1, -2), (0, 1))
     if (foam := material.compressible) is not None:
-        tau = foam.kirchhoff(material.constants, material.compressibility, stretch)
-        return _assemble(F, stretch, axes, _reached(material, tau))
-    bar = stretch / np.cbrt(J)
-    stress = _reached(material, material.isochoric.principal_stress(material.constants, bar))
-    kirchhoff = deviator(stress)
-    return _assemble(F, stretch, axes, kirchhoff + _finite(material.bulk) * J * (J - 1))
-
-
-def first_piola_gradient(material: Material, F: Array) -> dict[str, Array]:
-    """Differentiate :func:`first_piola` by every constant, K(nu) included."""
-    # Shapes: returns (3, 3, ...), MPa.
-    dbulk = material.bulk_gradient()
-    if material.small_strain:
-        dmu = material.mu0_gradient()
-        return {n: _linear_stress(F, dmu[n], dbulk[n]) for n in material.names}
-    stretch, axes, J = _spectral(F)
-    if (foam := material.compressible) is not None:
-        slopes = foam.kirchhoff_gradient(material.constants, material.compressibility, stretch)
-        return {name: _assemble(F, stretch, axes, slope) for name, slope in slopes.items()}
-    partial = material.isochoric.principal_stress_gradient(material.constants, stretch / np.cbrt(J))
-    return {
-        name: _assemble(F, stretch, axes, deviator(value) + dbulk[name] * J * (J - 1))
-        for name, value in partial.items()
-    }
-
-
-def _reached(material: Material, values: Array) -> Array:
-    """Refuse states that an energy does not reach, where it answers NaN."""
-    if np.isnan(values).any():
+        kirchhoff = foam.kirchhoff(material.constants, material.compressibility, stretch)
+    else:
+        J = np.asarray(np.linalg.det(moved))
+        stress = material.isochoric.principal_stress(material.constants, stretch / np.cbrt(J))
+        kirchhoff = deviator(stress) + bulk * J * (J - 1)
+    if np.isnan(kirchhoff).any():
         rule = f"{material.model} has no stress at this state: it lies beyond the end of the chains"
         mend = "deform less, or give constants whose limit lies further away"
         raise InputError(Fault("material", rule, mend))
-    return values
+    # F S with S = sum tau_i / l_i^2 N_i x N_i
+    S = np.einsum("Ai...,Bi...,i...->AB...", axes, axes, kirchhoff / stretch**2)
+    return np.asarray(np.einsum("iA...,AB...->iB...", F, S))
 
 
 def deviator(values: Array) -> Array:
     """Subtract the mean over the first axis. Shapes: values (3, ...)."""
     # what ``mean`` computes, at half its cost for a few points
     return np.asarray(values - np.add.reduce(values) / len(values))
-
-
-def _assemble(F: Array, stretch: Array, axes: Array, kirchhoff: Array) -> Array:
-    """F S with S = sum tau_i / l_i^2 N_i x N_i."""
-    S = np.einsum("Ai...,Bi...,i...->AB...", axes, axes, kirchhoff / stretch**2)
-    return np.asarray(np.einsum("iA...,AB...->iB...", F, S))
-
-
-def _spectral(F: Array) -> tuple[Array, Array, Array]:
-    """Principal stretches (3, ...), their reference axes (3, 3, ...) and J (...)."""
-    moved = np.moveaxis(F, (0, 1), (-2, -1))
-    # singular values of F lose no digits, eigenvalues of F'F would lose half near singularity
-    _, stretch, axes = np.linalg.svd(moved)
-    return (
-        np.moveaxis(stretch, -1, 0),
-        np.moveaxis(axes, (-1, -2), (0, 1)),
-        np.asarray(np.linalg.det(moved)),
-    )
-
-
-def _linear_stress(F: Array, mu: float, bulk: float) -> Array:
-    eye = _identity(F)
-    strain = 0.5 * (F + np.swapaxes(F, 0, 1)) - eye
-    trace = np.trace(strain)
-    return np.asarray(2 * mu * (strain - trace / 3 * eye) + bulk * trace * eye)
-
-
-def _identity(F: Array) -> Array:
-    return np.eye(3).reshape((3, 3) + (1,) * (F.ndim - 2))
 
 
 def _finite(bulk: float) -> float:
@@ -356,32 +313,30 @@ def _simple_shear(material: Material, shear: Array, prestretch: float = 1.0) -> 
     if material.compressible is not None and prestretch != 1:
         rule = "has a free stretch of its own, and a sheared specimen keeps its volume here"
         raise InputError(Fault("test.prestretch", rule, "leave it out, or take another energy"))
-    F = np.zeros((3, 3, shear.size))
-    F[[0, 2], [0, 2]], F[1, 1], F[0, 1] = 1 / math.sqrt(prestretch), prestretch, shear
-    with np.errstate(all="ignore"):  # constants of a fit may overflow: NaN says so
-        gradient = first_piola_gradient(material, F)
-    return Loaded(
-        _sheared(material, shear, prestretch),
-        {name: slope[0, 1] for name, slope in gradient.items()},
-    )
-
-
-def _sheared(material: Material, shear: Array, prestretch: float) -> Array:
-    """P_12 = shear (tau_1 - tau_3) / (l_1^2 - l_3^2), through the principal stretches."""
-    # Without a pre-stretch these are l and 1/l with l - 1/l = shear.
     if material.small_strain:
-        return np.asarray(material.mu0 * shear)
+        slopes = material.mu0_gradient()
+        return Loaded(material.mu0 * shear, {name: slope * shear for name, slope in slopes.items()})
     longest, across, shortest = sheared_stretches(shear, prestretch)
     bar = np.stack([longest, across, shortest])
-    constants, foam = material.constants, material.compressible
-    with np.errstate(all="ignore"):
-        if foam is None:
-            principal = material.isochoric.principal_stress(constants, bar)
+
+    def sheared(principal: Array) -> Array:
+        """P_12 = shear (tau_1 - tau_3) / (l_1^2 - l_3^2), through the principal stretches."""
+        # Without a pre-stretch these are l and 1/l with l - 1/l = shear, so that
+        # shear / (l^2 - 1/l^2) = 1 / (l + 1/l), at rest too.
+        difference = principal[0] - principal[2]
+        if prestretch == 1:
+            return np.asarray(np.sign(shear) * difference / (longest + shortest))
+        return np.asarray(shear * difference / (longest**2 - shortest**2))
+
+    constants = material.constants
+    with np.errstate(all="ignore"):  # constants of a fit may overflow: NaN says so
+        if (foam := material.compressible) is not None:
+            stress = foam.kirchhoff(constants, material.compressibility, bar)
+            gradient = foam.kirchhoff_gradient(constants, material.compressibility, bar)
         else:
-            principal = foam.kirchhoff(constants, material.compressibility, bar)
-    if prestretch == 1:  # shear / (l^2 - 1/l^2) = 1 / (l + 1/l), at rest too
-        return np.asarray(np.sign(shear) * (principal[0] - principal[2]) / (longest + shortest))
-    return np.asarray(shear * (principal[0] - principal[2]) / (longest**2 - shortest**2))
+            stress = material.isochoric.principal_stress(constants, bar)
+            gradient = material.isochoric.principal_stress_gradient(constants, bar)
+    return Loaded(sheared(stress), {name: sheared(slope) for name, slope in gradient.items()})
 
 
 def sheared_stretches(shear: Array, prestretch: float = 1.0) -> tuple[Array, Array, Array]:

@@ -14,12 +14,9 @@ from study.mechanics.material.energy import (
     Compressibility,
     Constant,
     Constants,
-    Converted,
     DeclaredConstants,
     Law,
     PointLaw,
-    abaqus_logarithmic,
-    febio_hyperelastic,
 )
 from study.mechanics.material.polynomial import Curvatures, InvariantEnergy, Slopes, TableEnergy
 
@@ -105,11 +102,6 @@ class Gent(DeclaredConstants, FiniteExtensibilityEnergy):
         """Chains that are far from their end."""
         return {"mu": shear_modulus, "Jm": STARTING_LIMIT}
 
-    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """FEBio has the same form, with G for mu; Abaqus has none."""
-        values = {"G": constants["mu"], "Jm": constants["Jm"]}
-        return febio_hyperelastic("Gent", values, compressibility.bulk(constants["mu"]))
-
 
 # Eight-chain energy of Arruda and Boyce (1993) in five terms: W = mu sum C_k / lambda_m^(2k-2)
 # (I1^k - 3^k), C = 1/2, 1/20, 11/1050, 19/7000, 519/673750 (Abaqus Theory Guide, 4.6.1). The
@@ -156,21 +148,11 @@ class ArrudaBoyce(DeclaredConstants, TableEnergy):
         scale = 2 * float(self.table(unit)[1, 0])
         return unit | {"mu": shear_modulus / scale}
 
-    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """Abaqus has the same series, with another volumetric term."""
-        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
-        return abaqus_logarithmic("arruda-boyce", constants, bulk)
-
-    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """N, the number of links of a chain, is lambda_m^2."""
-        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
-        values = {"mu": constants["mu"], "N": constants["lambda_m"] ** 2}
-        return febio_hyperelastic("Arruda-Boyce", values, bulk)
-
 
 # Kilian's van der Waals energy in the form of Abaqus (Theory Guide, 4.6.1).
 #     W = mu (-(lambda_m^2 - 3) (ln(1 - eta) + eta) - 2/3 a ((I - 3) / 2)^(3/2)),
 #     I = (1 - beta) I1 + beta I2,    eta = sqrt((I - 3) / (lambda_m^2 - 3))
+
 # Kilian, Enderle and Unseld (1986, Colloid Polym. Sci. 264, 866-876). A state beyond eta = 1, a
 # stretch of chains beyond lambda_m, has no stress.
 
@@ -242,11 +224,6 @@ class VanDerWaals(DeclaredConstants, InvariantEnergy):
             "mu": shear_modulus, "lambda_m": STARTING_LOCKING_STRETCH,
             "a": STARTING_INTERACTION, "beta": 0.0,
         }  # fmt: skip
-
-    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """Abaqus has the same form, with another volumetric term; FEBio has none."""
-        bulk = compressibility.bulk(constants["mu"])
-        return abaqus_logarithmic("van der waals", constants, bulk)
 
 
 class _State(NamedTuple):

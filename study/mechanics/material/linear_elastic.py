@@ -12,11 +12,9 @@ from study.mechanics.material.energy import (
     Bounds,
     Compressibility,
     Constants,
-    Converted,
     Energy,
     Law,
     PointLaw,
-    poisson_from_bulk,
 )
 
 MODULUS = "youngs_modulus"
@@ -76,18 +74,3 @@ class LinearElastic(Energy):
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """E = 3 mu0, as if the volume were kept."""
         return {MODULUS: 3 * shear_modulus}
-
-    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """``*Elastic`` of E and nu."""
-        nu = self._poisson_ratio(constants, compressibility)
-        return Converted("abaqus", "*Elastic", {**constants, "poisson_ratio": nu})
-
-    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """``isotropic elastic`` of E and v."""
-        note = "a small-strain material on both sides only where strains are small"
-        values = {"E": constants[MODULUS], "v": self._poisson_ratio(constants, compressibility)}
-        return Converted("febio", "isotropic elastic", values, note)
-
-    def _poisson_ratio(self, constants: Constants, compressibility: Compressibility) -> float:
-        mu = self.initial_shear_modulus(constants, compressibility)
-        return poisson_from_bulk(mu, compressibility.bulk(mu))

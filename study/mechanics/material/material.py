@@ -15,7 +15,6 @@ from study.ground.errors import Fault, InputError, nearest
 from study.mechanics.material.energy import (
     Compressibility,
     CompressibleEnergy,
-    Converted,
     Energy,
     IsochoricEnergy,
     Law,
@@ -35,7 +34,6 @@ from study.mechanics.material.relaxation import (
     RelaxationTerm,
     faults,
     is_of_relaxation,
-    is_time,
     long_term_share,
 )
 
@@ -135,8 +133,8 @@ def unit_shown(name: str) -> str:
     >>> unit_shown("C10"), unit_shown("time1"), unit_shown("alpha1")
     ('kPa', 's', '')
     """
-    if is_time(name):
-        return "s"
+    if is_of_relaxation(name):
+        return "s" if name.startswith("time") else ""
     return "" if is_dimensionless(name) else "kPa"
 
 
@@ -268,23 +266,3 @@ def _constant_faults(energy: Energy, constants: Mapping[str, float]) -> list[Fau
     if not faults and not constants:
         faults.append(Fault("material", f"{energy.name} needs at least one constant"))
     return faults
-
-
-# Constants in other codes' conventions, and back from the classical Ogden form; ours, sum C_ij
-# (I1-3)^i (I2-3)^j, sum 2 mu_i / alpha_i^2 (sum l^alpha_i - 3) and K/2 (J-1)^2, are Abaqus' with
-# D1 = 2/K.
-
-CONVENTIONS = ("study", "abaqus", "febio", "ogden-classical")
-
-
-def convert(material: Material, convention: str) -> Converted:
-    """Express a material in another code's convention."""
-    if convention == "study":
-        return Converted("study", material.model, dict(material.constants))
-    if convention == "abaqus":
-        return material.energy.abaqus(material.constants, material.compressibility)
-    if convention == "febio":
-        return material.energy.febio(material.constants, material.compressibility)
-    if convention == "ogden-classical":
-        return material.energy.ogden_classical(material.constants)
-    raise InputError(Fault("convention", f"no {convention!r}", nearest(convention, CONVENTIONS)))

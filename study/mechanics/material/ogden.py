@@ -17,14 +17,11 @@ from study.mechanics.material.energy import (
     CompressibleEnergy,
     Constant,
     Constants,
-    Converted,
     DeclaredConstants,
     Energy,
     IsochoricEnergy,
     Law,
     PointLaw,
-    abaqus_hyperelastic,
-    febio_hyperelastic,
 )
 from study.mechanics.material.limiting_chain import FiniteExtensibilityEnergy
 
@@ -162,30 +159,6 @@ class Ogden(OgdenSeries, IsochoricEnergy):
         mu, alpha = ogden_terms(constants)
         return bool((mu > 0).all() and (np.abs(alpha) >= 1).all())
 
-    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """Abaqus has the same form."""
-        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
-        return abaqus_hyperelastic(f"ogden, n={len(constants) // 2}", constants, bulk)
-
-    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """W = sum c_i / m_i^2 (...), so c_i = 2 mu_i."""
-        mu, alpha = ogden_terms(constants)
-        terms = {f"c{i}": 2 * float(m) for i, m in enumerate(mu, 1)}
-        terms |= {f"m{i}": float(a) for i, a in enumerate(alpha, 1)}
-        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
-        return febio_hyperelastic("Ogden", terms, bulk)
-
-    def ogden_classical(self, constants: Constants) -> Converted:
-        """W = sum m_p / a_p (...), so m_p = 2 mu_p / alpha_p."""
-        mu, alpha = ogden_terms(constants)
-        if not alpha.all():
-            rule = "the classical form needs exponents that are not 0"
-            raise InputError(Fault("convention", rule))
-        values: dict[str, float] = {}
-        for i, (m, a) in enumerate(zip(mu, alpha, strict=True), 1):
-            values |= {f"m{i}": 2 * float(m / a), f"alpha{i}": float(a)}
-        return Converted("ogden-classical", "Ogden (1972)", values)
-
 
 def ogden_terms(constants: Constants) -> tuple[Array, Array]:
     """Moduli mu_i (MPa) and exponents alpha_i, each shape (n,), of constants in order."""
@@ -282,21 +255,11 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
             gradient[f"alpha{k}"] = 2 * mu / alpha * (by_exponent - power / alpha)
         return gradient
 
-    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """Abaqus has the same form, with a Poisson's ratio for every term."""
-        terms = len(constants) // 2
-        poisson_ratios = {f"nu{k}": _poisson_ratio(compressibility) for k in range(1, terms + 1)}
-        return Converted("abaqus", f"*Hyperfoam, n={terms}", {**constants, **poisson_ratios})
-
-
-def _poisson_ratio(compressibility: Compressibility) -> float:
-    if compressibility.poisson_ratio is None:
-        raise InputError(OgdenHill().without_poisson_ratio())
-    return compressibility.poisson_ratio
-
 
 def _volume_exponent(compressibility: Compressibility) -> float:
-    nu = _poisson_ratio(compressibility)
+    nu = compressibility.poisson_ratio
+    if nu is None:
+        raise InputError(OgdenHill().without_poisson_ratio())
     return nu / (1 - 2 * nu)
 
 

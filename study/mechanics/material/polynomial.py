@@ -19,13 +19,9 @@ from study.mechanics.material.energy import (
     Bounds,
     Compressibility,
     Constants,
-    Converted,
     IsochoricEnergy,
     Law,
     PointLaw,
-    abaqus_hyperelastic,
-    febio_hyperelastic,
-    no_counterpart,
 )
 
 # Energies W(I1, I2) of the isochoric invariants by ``a = I1 - 3`` and ``b = I2 - 3``; principal
@@ -254,12 +250,6 @@ class PolynomialEnergy(TableEnergy):
         """Constants of any sign."""
         return FREE
 
-    def initial_shear_modulus_gradient(
-        self, constants: Constants, compressibility: Compressibility
-    ) -> dict[str, float]:
-        """Return 2 for C10 and C01, 0 for all others."""
-        return {n: 2.0 if n in ("C10", "C01") else 0.0 for n in constants}
-
     def table(self, constants: Constants) -> Array:
         """C_ij themselves."""
         return coefficient_table(constants)
@@ -269,12 +259,6 @@ class PolynomialEnergy(TableEnergy):
         table = np.zeros_like(coefficient_table(constants))
         table[index_pair(name)] = 1.0
         return table
-
-    def initial_shear_modulus(
-        self, constants: Constants, compressibility: Compressibility
-    ) -> float:
-        """2 (C10 + C01)."""
-        return float(2.0 * constants.get("C10", 0.0) + 2.0 * constants.get("C01", 0.0))
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Positive constants of the first invariant alone and of the second invariant itself."""
@@ -296,25 +280,6 @@ class PolynomialEnergy(TableEnergy):
         """C10 alone: higher constants of a closed form soften too much for a bonded specimen."""
         return {"C10": shear_modulus / 2}
 
-    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """Abaqus has the same form."""
-        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
-        return abaqus_hyperelastic(self._abaqus_keyword(constants), constants, bulk)
-
-    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
-        """FEBio has Mooney-Rivlin's energy and Yeoh's up to the sixth order."""
-        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
-        if set(constants) <= {"C10", "C01"}:
-            pair = {"c1": constants.get("C10", 0.0), "c2": constants.get("C01", 0.0)}
-            return febio_hyperelastic("Mooney-Rivlin", pair, bulk)
-        if all(name.endswith("0") for name in constants) and len(constants) <= 6:
-            terms = {f"c{name[1:-1]}": value for name, value in constants.items()}
-            return febio_hyperelastic("Yeoh", terms, bulk)
-        raise no_counterpart("febio", constants)
-
-    def _abaqus_keyword(self, constants: Constants) -> str:
-        return "polynomial"
-
 
 class NeoHookean(PolynomialEnergy):
     """W = C10 (I1 - 3)."""
@@ -333,9 +298,6 @@ class NeoHookean(PolynomialEnergy):
         """None: it has a single constant."""
         return None
 
-    def _abaqus_keyword(self, constants: Constants) -> str:
-        return "neo hooke"
-
 
 class MooneyRivlin(PolynomialEnergy):
     """W = C10 (I1 - 3) + C01 (I2 - 3)."""
@@ -345,9 +307,6 @@ class MooneyRivlin(PolynomialEnergy):
     def constant_names(self, order: int = 1) -> tuple[str, ...]:
         """C10 and C01."""
         return ("C10", "C01")
-
-    def _abaqus_keyword(self, constants: Constants) -> str:
-        return "mooney-rivlin"
 
 
 class ReducedPolynomial(PolynomialEnergy):
@@ -372,9 +331,6 @@ class ReducedPolynomial(PolynomialEnergy):
         """One order lower: a third order that starts from C10 alone softens without end."""
         return (self.name, order - 1) if order > 2 else super().simpler(order)
 
-    def _abaqus_keyword(self, constants: Constants) -> str:
-        return f"reduced polynomial, n={len(constants)}"
-
 
 class Yeoh(ReducedPolynomial):
     """The reduced polynomial of third order by its own name (Yeoh 1993)."""
@@ -393,9 +349,6 @@ class Yeoh(ReducedPolynomial):
     def simpler(self, order: int) -> tuple[str, int | None] | None:
         """Second order of the same polynomial."""
         return "reduced-polynomial", 2
-
-    def _abaqus_keyword(self, constants: Constants) -> str:
-        return "yeoh"
 
 
 class Polynomial(PolynomialEnergy):
@@ -456,16 +409,14 @@ def _derivative(table: Array, axis: int) -> Array:
 def _columns(table: Array) -> Coefficients:
     """Coefficients of a polynomial in two variables by columns, from the highest power down."""
     # Those of the highest powers that are zero are left out.
-    columns = [_trimmed(column) for column in table.T[::-1].tolist()]
+    columns = []
+    for column in table.T[::-1].tolist():
+        while len(column) > 1 and column[-1] == 0.0:
+            column.pop()
+        columns.append(tuple(column[::-1]))
     while len(columns) > 1 and columns[0] == (0.0,):
         columns.pop(0)
     return tuple(columns)
-
-
-def _trimmed(column: list[float]) -> tuple[float, ...]:
-    while len(column) > 1 and column[-1] == 0.0:
-        column.pop()
-    return tuple(column[::-1])
 
 
 def _value(columns: Coefficients, x: Array, y: Array) -> Array | float:

@@ -35,25 +35,9 @@ class RelaxationTerm:
     time_s: float
 
 
-def share_name(number: int) -> str:
-    """Name of the share of a term, counted from 1."""
-    return f"share{number}"
-
-
-def time_name(number: int) -> str:
-    """Name of the time of a term, counted from 1."""
-    return f"time{number}"
-
-
 def relaxation_names(terms: Sized) -> tuple[str, ...]:
-    """Names of the shares and times of all terms, in order."""
-    return tuple(f(k) for k in range(1, len(terms) + 1) for f in (share_name, time_name))
-
-
-def is_time(name: str) -> bool:
-    """Whether a constant is the time of a term, in s."""
-    match = _NAME.fullmatch(name)
-    return match is not None and match[1] == "time"
+    """Names of the shares and times of all terms, counted from 1: share1, time1, share2, ..."""
+    return tuple(f"{kind}{k}" for k in range(1, len(terms) + 1) for kind in ("share", "time"))
 
 
 def is_of_relaxation(name: str) -> bool:

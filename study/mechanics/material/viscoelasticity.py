@@ -27,9 +27,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.material.relaxation import (
     long_term_share,
     relaxation_names,
-    share_name,
     shares,
-    time_name,
     times,
 )
 
@@ -216,8 +214,8 @@ class Memory:
         """Differentiate what is left of values by every share and time, (parts, nodes) each."""
         by_term = {}
         for k, term in enumerate(self.material.relaxation):
-            by_term[share_name(k + 1)] = memories[k] - values
-            by_term[time_name(k + 1)] = term.share * self.memory_rate(k, values, memories[k])
+            by_term[f"share{k + 1}"] = memories[k] - values
+            by_term[f"time{k + 1}"] = term.share * self.memory_rate(k, values, memories[k])
         return by_term
 
 

@@ -1,8 +1,8 @@
 """Sections of a study file: frozen classes whose fields are the only declaration of the keys.
 
-A field says under which key it is written (``validation_alias``), how its value is read and what
-to write where it is missing. The same class holds the values: from a file a quantity needs its
-unit, in Python it is a number in mm, N, MPa or deg.
+A field says how its value is read and what to write where it is missing. Its key is its name
+without the unit: ``radius_mm`` is written ``radius``. The same class holds the values: from a file
+a quantity needs its unit, in Python it is a number in mm, N, MPa or deg.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numbers import Real
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, TypeVar, dataclass_transform
 
-from pydantic import ConfigDict, Field, GetCoreSchemaHandler, PlainValidator
+from pydantic import AliasGenerator, ConfigDict, Field, GetCoreSchemaHandler, PlainValidator
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic.fields import FieldInfo
 
@@ -45,8 +45,9 @@ def section(declared: type[Kind]) -> type[Kind]:
     # annotations are read here, for pydantic would look names up in the frame that asks first.
     declared.__annotations__ = inspect.get_annotations(declared, eval_str=True)
     config = ConfigDict(
-        extra="forbid", validate_by_name=True, validate_by_alias=False, defer_build=True
-    )
+        extra="forbid", validate_by_name=True, validate_by_alias=False, defer_build=True,
+        alias_generator=AliasGenerator(validation_alias=_without_unit),
+    )  # fmt: skip
     made: type[Kind] = pydantic_dataclass(frozen=True, config=config)(declared)  # type: ignore[assignment]
     fields: Mapping[str, FieldInfo] = made.__pydantic_fields__  # type: ignore[attr-defined]
     _DECLARED[made] = tuple(_key(name, field) for name, field in fields.items())
@@ -95,9 +96,8 @@ DERIVED = "derived"
 class Rows:
     """Mark of a field that is a list of tables, such as ``[[response]]``."""
 
-    #: How many tables it may have.
+    #: How many tables it must have, and may have.
     least: int = 0
-    #: How many tables it may have.
     most: int = 10_000
     #: What to write where it is no such list; by default its header.
     mend: str = ""
@@ -134,6 +134,7 @@ class Key:
         return self.is_required or bool(self.mend)
 
 
+_UNIT_OF_NAME = re.compile(r"_(mm_per_s|kg_m3|mm2|mm|deg|N|MPa|MB|s)$")
 #: keys of every section, by its class
 _DECLARED: dict[type, tuple[Key, ...]] = {}
 
@@ -143,12 +144,16 @@ def keys_of(kind: type) -> tuple[Key, ...]:
     return _DECLARED[kind]
 
 
+def _without_unit(name: str) -> str:
+    return _UNIT_OF_NAME.sub("", name)
+
+
 def _key(name: str, declared: FieldInfo) -> Key:
     alias, reads = declared.validation_alias, _reads_of(declared)
     required = declared.is_required()
     return Key(
         name=name,
-        written=alias if isinstance(alias, str) else name,
+        written=alias if isinstance(alias, str) else _without_unit(name),
         kind=_section_within(declared) if reads is None else None,
         rows=next((mark for mark in declared.metadata if isinstance(mark, Rows)), None),
         reads=reads,

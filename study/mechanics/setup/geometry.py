@@ -35,8 +35,8 @@ _CONE = "cone takes half_angle, tip_radius, shaft_radius"
 class Cylinder:
     """Circular cylinder standing on its base (mm)."""
 
-    radius_mm: Annotated[float, _CYLINDER] = Field(validation_alias="radius")
-    height_mm: Annotated[float, _CYLINDER] = Field(validation_alias="height")
+    radius_mm: Annotated[float, _CYLINDER]
+    height_mm: Annotated[float, _CYLINDER]
     shape: Literal["cylinder"] = "cylinder"
 
     @property
@@ -59,9 +59,9 @@ class Cylinder:
 class Block:
     """Rectangular block standing on its base (mm)."""
 
-    width_mm: Annotated[float, _BLOCK] = Field(validation_alias="width")
-    depth_mm: Annotated[float, _BLOCK] = Field(validation_alias="depth")
-    height_mm: Annotated[float, _BLOCK] = Field(validation_alias="height")
+    width_mm: Annotated[float, _BLOCK]
+    depth_mm: Annotated[float, _BLOCK]
+    height_mm: Annotated[float, _BLOCK]
     shape: Literal["block"] = "block"
 
     @property
@@ -87,7 +87,6 @@ class Enclosed:
     clamp_below_mm: Coordinate | None
     #: Where the loading axis is; the middle of the bounding box by default.
     press_x_mm: Coordinate | None
-    #: Where the loading axis is; the middle of the bounding box by default.
     press_y_mm: Coordinate | None
     #: Faces so near to the highest and lowest point lie in the plates; 1e-4 of the height by
     #: default.
@@ -104,18 +103,14 @@ class Surface(Enclosed):
     #: Axis of the file that points up, against the loading.
     axis: Annotated[str, word("z", "-z", "x", "-x", "y", "-y")] = "z"
     #: Every point below is held; in the file's coordinate along ``axis``.
-    clamp_below_mm: Coordinate | None = Field(default=None, validation_alias="clamp_below")
+    clamp_below_mm: Coordinate | None = None
     #: Where the loading axis is in the file's coordinates, once turned; the middle of the bounding
     #: box by default.
-    press_x_mm: Coordinate | None = Field(default=None, validation_alias="press_x")
-    #: Where the loading axis is in the file's coordinates, once turned; the middle of the bounding
-    #: box by default.
-    press_y_mm: Coordinate | None = Field(default=None, validation_alias="press_y")
+    press_x_mm: Coordinate | None = None
+    press_y_mm: Coordinate | None = None
     #: Faces so near to the highest and lowest point lie in the plates; 1e-4 of the height by
     #: default.
-    plate_tolerance_mm: Annotated[float, measured("length")] | None = Field(
-        default=None, validation_alias="plate_tolerance"
-    )
+    plate_tolerance_mm: Annotated[float, measured("length")] | None = None
     shape: Literal["surface"] = "surface"
 
 
@@ -124,21 +119,18 @@ class Brain(Enclosed):
     """Brain-shaped phantom that is made from five numbers, lying on its base (mm)."""
 
     #: Extents from back to front (x), from side to side (y) and from base to top (z).
-    length_mm: Annotated[float, _BRAIN] = Field(validation_alias="length")
-    #: Extents from back to front (x), from side to side (y) and from base to top (z).
-    width_mm: Annotated[float, _BRAIN] = Field(validation_alias="width")
-    #: Extents from back to front (x), from side to side (y) and from base to top (z).
-    height_mm: Annotated[float, _BRAIN] = Field(validation_alias="height")
+    length_mm: Annotated[float, _BRAIN]
+    width_mm: Annotated[float, _BRAIN]
+    height_mm: Annotated[float, _BRAIN]
     #: Depth of the groove between its halves at the top; 0 for none.
-    fissure_mm: LengthOrZero = Field(default=0.0, validation_alias="fissure")
+    fissure_mm: LengthOrZero = 0.0
     #: Every point below this height above the lowest one is held.
-    clamp_below_mm: Length | None = Field(default=None, validation_alias="clamp_below")
+    clamp_below_mm: Length | None = None
     #: Where the loading axis is, from the middle.
-    press_x_mm: Coordinate | None = Field(default=None, validation_alias="press_x")
-    #: Where the loading axis is, from the middle.
-    press_y_mm: Coordinate | None = Field(default=None, validation_alias="press_y")
+    press_x_mm: Coordinate | None = None
+    press_y_mm: Coordinate | None = None
     #: Faces so near to the highest and lowest point lie in the plates.
-    plate_tolerance_mm: Length | None = Field(default=None, validation_alias="plate_tolerance")
+    plate_tolerance_mm: Length | None = None
     shape: Literal["brain"] = "brain"
 
 
@@ -146,10 +138,8 @@ class Brain(Enclosed):
 class Flat:
     """Flat-ended cylindrical indenter; its edge may be rounded (mm)."""
 
-    radius_mm: Annotated[float, measured("length", mend="flat takes radius, edge_radius")] = Field(
-        validation_alias="radius"
-    )
-    edge_radius_mm: LengthOrZero = Field(default=0.0, validation_alias="edge_radius")
+    radius_mm: Annotated[float, measured("length", mend="flat takes radius, edge_radius")]
+    edge_radius_mm: LengthOrZero = 0.0
     shape: Literal["flat"] = "flat"
     has_face: ClassVar[bool] = True
     is_pointed: ClassVar[bool] = False
@@ -208,13 +198,9 @@ class Flat:
 class Cone:
     """Cone with a spherical tip; the half-angle is measured from the axis (deg, mm)."""
 
-    half_angle_deg: Annotated[float, measured("angle", 0, 90, mend=_CONE)] = Field(
-        validation_alias="half_angle"
-    )
-    tip_radius_mm: LengthOrZero = Field(default=0.0, validation_alias="tip_radius")
-    shaft_radius_mm: Annotated[float, measured("length")] | None = Field(
-        default=None, validation_alias="shaft_radius"
-    )
+    half_angle_deg: Annotated[float, measured("angle", 0, 90, mend=_CONE)]
+    tip_radius_mm: LengthOrZero = 0.0
+    shaft_radius_mm: Annotated[float, measured("length")] | None = None
     shape: Literal["cone"] = "cone"
     has_face: ClassVar[bool] = False
     is_pointed: ClassVar[bool] = True
@@ -252,9 +238,7 @@ class Cone:
 class Sphere:
     """Spherical indenter (mm)."""
 
-    radius_mm: Annotated[float, measured("length", mend="sphere takes radius")] = Field(
-        validation_alias="radius"
-    )
+    radius_mm: Annotated[float, measured("length", mend="sphere takes radius")]
     shape: Literal["sphere"] = "sphere"
     has_face: ClassVar[bool] = False
     is_pointed: ClassVar[bool] = False
@@ -290,14 +274,12 @@ _TURN = measured("angle", -MOST_TURNED, MOST_TURNED)
 class FaceMotion:
     """Motion of a loaded plate besides that along the axis: small rotations, and slip."""
 
-    x_mm: Coordinate = Field(default=0.0, validation_alias="x")
-    y_mm: Coordinate = Field(default=0.0, validation_alias="y")
+    x_mm: Coordinate = 0.0
+    y_mm: Coordinate = 0.0
     #: Rotations about x, y and the axis through the middle of the face.
-    tilt_x_deg: Annotated[float, _TURN] = Field(default=0.0, validation_alias="tilt_x")
-    #: Rotations about x, y and the axis through the middle of the face.
-    tilt_y_deg: Annotated[float, _TURN] = Field(default=0.0, validation_alias="tilt_y")
-    #: Rotations about x, y and the axis through the middle of the face.
-    twist_deg: Annotated[float, _TURN] = Field(default=0.0, validation_alias="twist")
+    tilt_x_deg: Annotated[float, _TURN] = 0.0
+    tilt_y_deg: Annotated[float, _TURN] = 0.0
+    twist_deg: Annotated[float, _TURN] = 0.0
     #: In-plane stretch less 1 of the face, which slips on its plate.
     spread: Annotated[float, Reads(number(-0.5, 2.0), "number")] = 0.0
 
@@ -315,9 +297,7 @@ STANDARD_GRAVITY = 9.80665
 class Gravity:
     """Weight of the specimen, which sags (or hangs from its base) before it is touched."""
 
-    density_kg_m3: Annotated[
-        float, measured("density", mend='for example density = "980 kg/m^3"')
-    ] = Field(validation_alias="density")
+    density_kg_m3: Annotated[float, measured("density", mend='for example density = "980 kg/m^3"')]
     #: Down towards the base; up if the specimen hangs from it; none to leave it out.
     direction: Annotated[Literal["down", "up", "none"], word("down", "up", "none")] = "down"
 
@@ -335,7 +315,7 @@ class Homogeneous:
     Where stretch and stress were measured, neither size enters: they are then 1 mm^2 and 1 mm.
     """
 
-    area_mm2: Annotated[float, measured("area")] = Field(default=1.0, validation_alias="area")
+    area_mm2: Annotated[float, measured("area")] = 1.0
     height_mm: Annotated[float, measured("length")] = Field(default=1.0, validation_alias="length")
     shape: Literal["homogeneous"] = "homogeneous"
 

@@ -6,16 +6,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, cast
 
-from pydantic import Field
-
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.energy import FREE, Bounds, DeclaredConstants
 from study.mechanics.material.material import Material, constant_names, energy_named
 from study.mechanics.material.relaxation import (
     RelaxationTerm,
     relaxation_names,
-    share_name,
-    time_name,
 )
 from study.mechanics.setup.declaration import (
     Bad,
@@ -40,7 +36,7 @@ class CompressibilityTable:
     """How a material resists a change of volume; one of the three."""
 
     poisson_ratio: Annotated[float, Reads(_poisson_ratio, "number")] | None = None
-    bulk_modulus_MPa: Pressure | None = Field(default=None, validation_alias="bulk_modulus")
+    bulk_modulus_MPa: Pressure | None = None
     incompressible: Annotated[bool, Reads(flag)] = False
 
 
@@ -126,17 +122,17 @@ class MaterialSection:
         starts = {}
         for k, term in enumerate(self.relaxation, 1):
             usual = _FADING / len(self.relaxation)
-            starts[share_name(k)] = usual if term.share is None else term.share
+            starts[f"share{k}"] = usual if term.share is None else term.share
             if term.range_s is not None:
-                starts[time_name(k)] = term.time_s
+                starts[f"time{k}"] = term.time_s
         return starts
 
     def bounds(self, name: str) -> Bounds:
         """Range in which a constant is looked for where the file gives none."""
         for k, term in enumerate(self.relaxation, 1):
-            if name == share_name(k):
+            if name == f"share{k}":
                 return _SHARES
-            if name == time_name(k) and term.range_s is not None:
+            if name == f"time{k}" and term.range_s is not None:
                 return term.range_s
         energy = energy_named(self.model)
         return energy.bounds(name) if isinstance(energy, DeclaredConstants) else FREE
@@ -160,11 +156,11 @@ class MaterialSection:
 
     def _terms(self, given: Mapping[str, float]) -> Iterator[RelaxationTerm]:
         for k, term in enumerate(self.relaxation, 1):
-            share = given.get(share_name(k), term.share)
+            share = given.get(f"share{k}", term.share)
             if share is None:
                 rule = f"the share of term {k} is not known yet"
                 raise InputError(Fault("material.relaxation", rule, "give it or calibrate"))
-            if term.range_s is not None and time_name(k) not in given:
+            if term.range_s is not None and f"time{k}" not in given:
                 rule = f"the time of term {k} is a range, of which a calibration finds one"
                 raise InputError(Fault("material.relaxation", rule, "give one time or calibrate"))
-            yield RelaxationTerm(float(share), float(given.get(time_name(k), term.time_s)))
+            yield RelaxationTerm(float(share), float(given.get(f"time{k}", term.time_s)))

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
-from pydantic import Field
-
 from study.mechanics.material.material import Material
 from study.mechanics.setup.declaration import DERIVED, Length, section, word
 from study.mechanics.setup.geometry import Enclosed, Specimen
@@ -57,7 +55,7 @@ class Model:
     mesh: Annotated[MeshName, word(*MESH_LEVELS)] = "medium"
     #: Size of a named mesh over that of the next finer one; ``converge.ratio`` of the file.
     mesh_ratio: Annotated[float, DERIVED] = 1.5
-    mesh_size_mm: Length | None = Field(default=None, validation_alias="mesh_size")
+    mesh_size_mm: Length | None = None
     #: Moves the nodes of the mesh at random (see :mod:`study.mechanics.mesh.perturbation`).
     mesh_seed: Annotated[int | None, DERIVED] = None
 

@@ -32,7 +32,6 @@ class StepSettings:
     largest: float = 0.06
     #: First and largest step of an indentation over the indenter's own length.
     first_touch: float = 0.15
-    #: First and largest step of an indentation over the indenter's own length.
     largest_touch: float = 0.25
     #: Largest step of an indenter that holds what it touches: where a point is held depends on the
     #: step in which it was met. Forces of cones were 0.2 to 0.9 % low at 0.125, in proportion to
@@ -58,7 +57,6 @@ class StepRule:
     settings: StepSettings
     #: First step, and the largest one at no depth.
     first_mm: float
-    #: First step, and the largest one at no depth.
     base_mm: float
     #: Largest step over the depth reached, where that is more.
     deeper: float = 0.0

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from study.ground.arrays import Array
 from study.mechanics.setup.declaration import (
@@ -54,17 +53,15 @@ class TestSection:
     #: indentation, unless given.
     base: Annotated[Interface, word(*_CONDITIONS, synonyms=_SYNONYMS)] | None = None
     #: Final displacement; the end of the measured range may give it.
-    displacement_mm: Length | None = Field(default=None, validation_alias="displacement")
+    displacement_mm: Length | None = None
     #: Displacements at which the force is asked for.
     steps: Annotated[int, Reads(integer(1, 10_000))] = 10
     #: Of an indentation.
     indenter: Annotated[Indenter | None, as_written()] = None
     #: Of the displacement; a material that relaxes resists a fast test more.
-    speed_mm_per_s: Annotated[float, measured("speed")] | None = Field(
-        default=None, validation_alias="speed"
-    )
+    speed_mm_per_s: Annotated[float, measured("speed")] | None = None
     #: How long the final displacement is held.
-    hold_s: Duration | None = Field(default=None, validation_alias="hold")
+    hold_s: Duration | None = None
     #: How often it is reached and left again, at the same speed.
     cycles: Annotated[int | None, Reads(integer(1, 1000))] = None
     #: Final motion of the plate above besides the displacement, of a plate motion.
@@ -100,7 +97,6 @@ class Course:
 
     #: shape (n,); the unloaded begin at 0 s is left out.
     displacement_mm: Array
-    #: shape (n,); the unloaded begin at 0 s is left out.
     time_s: Array
 
 
