@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from study.reporting.content import comparison_content
-from study.reporting.figures import registry
+from study.reporting.figures.axes import data_alone
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_answers import (
     DIFFERS,
@@ -64,7 +64,7 @@ def page(data: ReportData) -> str:
 
 
 def with_beside(data: ReportData, other: Beside) -> str:
-    with registry.data_alone():
+    with data_alone():
         return prepare(replace(data, beside=other)).html()[1]
 
 

@@ -13,7 +13,7 @@ import pytest
 from study.reporting.content import analysis_content, sentences, tables
 from study.reporting.content.blocks import Checks, Figure
 from study.reporting.content.report_facts import cells, comparable, facts
-from study.reporting.content.text import folded
+from study.reporting.content.sentences import folded
 from study.reporting.figures import effect_figures
 from study.reporting.output import study_page
 from study.reporting.output.page import Pages, policy_hash, printed, table_script

@@ -8,25 +8,29 @@ from collections.abc import Callable
 import pytest
 
 from study.reporting.content.effect_words import together
-from study.reporting.content.numbers import (
+from study.reporting.content.report_facts import grouped_inputs
+from study.reporting.content.text import (
     MINUS,
     MISSING,
     case_counts,
+    clean,
     decimals_that_count,
     duration,
     f_value,
     inside,
     interval,
     level,
+    listing,
+    name_of,
     p_value,
     percent,
+    plural_of,
     rounded,
+    sentence,
     share,
     significant,
     span,
 )
-from study.reporting.content.report_facts import grouped_inputs
-from study.reporting.content.text import clean, listing, name_of, plural_of, sentence
 from study.reporting.results.study_answers import Change
 
 

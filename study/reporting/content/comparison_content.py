@@ -7,9 +7,18 @@ from dataclasses import replace
 
 from study.reporting.content.blocks import Block, Folded, Points, Sentence, Table
 from study.reporting.content.effect_words import over_numerical, size, size_interval
-from study.reporting.content.numbers import MISSING, level, p_value
 from study.reporting.content.report_facts import Facts
-from study.reporting.content.text import clean, count, listing, name_of, sentence, term_name
+from study.reporting.content.text import (
+    MISSING,
+    clean,
+    count,
+    level,
+    listing,
+    name_of,
+    p_value,
+    sentence,
+    term_name,
+)
 from study.reporting.results import study_answers
 from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
 from study.statistics.analysis.anova_table import Effect

@@ -11,16 +11,6 @@ from typing import TYPE_CHECKING
 from study.harness.record.record import cell_names
 from study.reporting.content import effect_words, surface_content
 from study.reporting.content.effect_words import size, size_interval, with_unit
-from study.reporting.content.numbers import (
-    THIN,
-    decimals_that_count,
-    duration,
-    level,
-    percent,
-    quantity,
-    rounded,
-    significant,
-)
 from study.reporting.content.report_facts import (
     Facts,
     cells,
@@ -30,12 +20,20 @@ from study.reporting.content.report_facts import (
     practical_of,
 )
 from study.reporting.content.text import (
+    THIN,
     clean,
     count,
+    decimals_that_count,
+    duration,
+    level,
     listing,
     name_of,
+    percent,
     plural_of,
+    quantity,
+    rounded,
     sentence,
+    significant,
     term_name,
 )
 from study.reporting.results.study_result import ReportData

@@ -11,19 +11,27 @@ import re
 from collections.abc import Sequence
 
 from study.reporting.content import effect_words, recommendation, surface_content
-from study.reporting.content.effect_words import change, shown_difference, size
-from study.reporting.content.numbers import MISSING, p_phrase, percent
+from study.reporting.content.effect_words import (
+    blocks_needed,
+    change,
+    setting,
+    shown_difference,
+    size,
+    sole_setting,
+)
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import (
+    MISSING,
     clean,
     count,
     listing,
     name_of,
+    p_phrase,
+    percent,
     plural_of,
     sentence,
     term_name,
 )
-from study.reporting.content.verdicts import blocks_needed, setting, sole_setting
 from study.reporting.results.study_result import FITTED_CURVE, Failure, ReportData
 from study.statistics.analysis.anova_table import Effect, ErrorTerm
 from study.statistics.analysis.simple_effects import (
@@ -407,3 +415,36 @@ def _in_common(items: Sequence[Failure]) -> str:
     if not levels:
         return ""
     return f" All have {listing([clean(level) for level in levels.values()])}."
+
+
+# Warnings of several responses and terms as few sentences.
+
+_MOST = 4
+
+
+def folded(warnings: Sequence[tuple[str, str]], data: ReportData) -> tuple[str, ...]:
+    """Fold warnings of several responses and terms that differ in names and numbers alone."""
+    groups: dict[tuple[str, bool], list[tuple[str, str, str]]] = {}
+    for title, warning in warnings:
+        term, text = _split(warning, data)
+        # warnings about a term may differ in their numbers, others must be the same
+        key = re.sub(r"\d+", "#", text) if term else text
+        groups.setdefault((key, bool(term)), []).append((title, term, text))
+    return tuple(_line(items) for items in groups.values())
+
+
+def _split(warning: str, data: ReportData) -> tuple[str, str]:
+    """Term that a warning is about (empty for none) and what it says."""
+    head, colon, rest = warning.partition(": ")
+    if colon and set(head.split(":")) <= set(data.factors):
+        return term_name(head, data.labels), rest
+    return "", warning
+
+
+def _line(items: Sequence[tuple[str, str, str]]) -> str:
+    titles = listing(list(dict.fromkeys(title for title, _, _ in items)))
+    terms = list(dict.fromkeys(term for _, term, _ in items if term))
+    if len(terms) > _MOST:
+        terms = [*terms[:_MOST], f"{len(terms) - _MOST} more terms"]
+    about = f"{listing(terms)}: " if terms else ""
+    return sentence(f"{titles}: {about}{items[0][2]}")

@@ -16,19 +16,23 @@ from study.reporting.content.blocks import (
     Verbatim,
     titled,
 )
-from study.reporting.content.numbers import (
+from study.reporting.content.text import (
     MISSING,
     TIMES,
     between,
+    clean,
+    count,
     general,
     interval,
+    listing,
+    name_of,
     p_phrase,
     p_value,
     percent,
     quantity,
+    sentence,
     significant,
 )
-from study.reporting.content.text import clean, count, listing, name_of, sentence
 from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.statistics.surfaces.emulator import Emulator
 from study.statistics.surfaces.quadratic import QuadraticSurface

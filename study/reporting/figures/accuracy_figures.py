@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import pandas as pd
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
 
 from study.ground.arrays import Array
 from study.laboratory.shape.shape_deviation import ShapeDeviation
@@ -21,12 +23,6 @@ from study.reporting.figures.axes import (
     plain_ticks,
     wrap,
 )
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
 
 #: Points that the CSV beside the page and the figures hold at most.
 MOST_POINTS = 50_000
@@ -57,8 +53,6 @@ VIEWS = (
 
 def deviation_points(deviation: ShapeDeviation) -> pd.DataFrame:
     """Tabulate registered points with their normals and signed distances, mm."""
-    import pandas as pd
-
     n = len(deviation.distances)
     shown = np.linspace(0, n - 1, min(n, MOST_POINTS)).astype(int)
     frame = pd.DataFrame(deviation.points[shown], columns=["x_mm", "y_mm", "z_mm"])
@@ -86,8 +80,6 @@ def draw_histogram(frame: pd.DataFrame) -> Canvas:
 
 def draw_views(frame: pd.DataFrame) -> Canvas:
     """Draw the body from six sides, colored by the mean deviation of every hexagon."""
-    from matplotlib import colormaps
-
     colors = colormaps["RdBu_r"].resampled(COLORS)
     figure = canvas(WIDTH_IN, 6.4)
     panels = figure.subplots(2, 3).ravel()
@@ -137,8 +129,6 @@ LONGEST_ARROW = 0.15
 
 def distance_points(distance: DistanceResult) -> pd.DataFrame:
     """Histogram of the distances of every stage: classes in mm, counts."""
-    import pandas as pd
-
     edges = np.histogram_bin_edges(distance.samples_mm, CLASSES)
     stages = np.array(distance.sample_stage, dtype=object)
     parts = []
@@ -179,8 +169,6 @@ def draw_distances(frame: pd.DataFrame, distance: DistanceResult) -> Canvas:
 
 def displacement_points(displacement: DisplacementResult) -> pd.DataFrame:
     """Commanded and measured displacement of every stop, their mean and difference, mm."""
-    import pandas as pd
-
     return pd.DataFrame({
         "commanded_mm": displacement.commanded_mm,
         "measured_mm": displacement.measured_mm,
@@ -216,8 +204,6 @@ def draw_displacement(frame: pd.DataFrame, displacement: DisplacementResult) -> 
 
 def reference_points(reference: ReferenceResult) -> pd.DataFrame:
     """Every pose in the reference's frame with its residual and errors, mm."""
-    import pandas as pd
-
     placed = reference.fit.motion(reference.positions_mm)
     columns = {"pose": list(reference.poses)}
     frame = pd.DataFrame(columns)

@@ -5,16 +5,19 @@ Everything comes as plain values: a series is the document that ``study converge
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
-from study.reporting.content.blocks import Document, Table
-from study.reporting.content.numbers import MISSING, percent, significant
-from study.reporting.content.text import clean, count, name_of
+from study.reporting.content.blocks import Document
+from study.reporting.content.tables import label_of
+from study.reporting.content.text import clean, count, name_of, percent
 from study.reporting.figures.axes import (
     BAND,
     INK,
@@ -31,21 +34,9 @@ from study.reporting.figures.axes import (
     wrap,
 )
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
-
 #: more panels than these are no picture any more; the table has them all
 MOST_PANELS = 12
 COLUMNS = 4
-
-
-def label_of(cell: Document) -> str:
-    """Name of a cell: its levels, else the quantity where it has one."""
-    levels = (cell.get("levels") or {}).values()
-    return " / ".join(map(str, levels)) or str(cell.get("qoi", "all"))
 
 
 #: behaviour whose bound is a scatter and no interval of a limit
@@ -54,8 +45,6 @@ DIVERGENT = "divergent"
 
 def value_points(cells: Sequence[Document]) -> pd.DataFrame:
     """One row a mesh: size, value, and what the series says of it."""
-    import pandas as pd
-
     rows = [
         {
             "cell": label_of(cell), "panel": title, "quantity": cell["qoi"], "unit": cell["unit"],
@@ -191,8 +180,6 @@ def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: 
 
     Shapes: meshes (n, 2), mm; window (2, 2), mm.
     """
-    from matplotlib.collections import PolyCollection
-
     figure, axes = panels(len(meshes), COLUMNS, 2.3, 0.4)
     for ax, (label, points, cells) in zip(axes, meshes, strict=True):
         corners = points[cells]
@@ -251,8 +238,6 @@ def error_caption(cells: Sequence[Document]) -> str:
 
 def validation_error_points(rows: Sequence[Document]) -> pd.DataFrame:
     """One row a place of a curve: E and each part of its uncertainty."""
-    import pandas as pd
-
     names = ("displacement_mm", "simulated_N", "measured_N", "error_N", "u_num_N", "u_input_N",
              "u_data_N", "u_val_N")  # fmt: skip
     frames = [
@@ -294,33 +279,3 @@ def caption(rows: Sequence[Document]) -> str:
         f"cells{block}{unjudged}. Band: u_val, from mesh, uncertain "
         f"inputs and scatter of the data.{lacking}"
     )
-
-
-def table(rows: Sequence[Document], block: str) -> Table:
-    """Compare every case at the end of its curve."""
-    heads = dict(zip(("E (N)", "u_num", "u_input", "u_data", "u_val"), _SHOWN, strict=True))
-    columns: dict[str, Callable[[Document], str]] = {
-        "cell": lambda row: clean(label_of(row)),
-        block or "block": lambda row: clean(row["block"] or MISSING),
-        **{
-            head: lambda row, name=name: significant(row[name][-1])  # type: ignore[misc]
-            for head, name in heads.items()
-        },
-        "curve outside": lambda row: f"{100 * row['outside']:.0f} %",
-        "verdict": lambda row: clean(row["verdict"], 200),
-    }
-    return Table.of(
-        "validation",
-        rows,
-        columns,
-        left=2,
-        tail=1,
-        raw=lambda row: (
-            {**row["levels"], "block": row["block"]}
-            | {name: row[name][-1] for name in _SHOWN}
-            | {name: row[name] for name in ("outside", "verdict")}
-        ),
-    )
-
-
-_SHOWN = ("error_N", "u_num_N", "u_input_N", "u_data_N", "u_val_N")

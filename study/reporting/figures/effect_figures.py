@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
+from matplotlib.figure import Figure as Canvas
 
-from study.reporting.content.effect_words import apart, shown_difference, size, size_interval
-from study.reporting.content.numbers import level, quantity, significant
+from study.reporting.content.effect_words import (
+    apart,
+    setting,
+    shown_difference,
+    size,
+    size_interval,
+    sole_setting,
+)
 from study.reporting.content.report_facts import Facts, cells, comparable, describe, groups
-from study.reporting.content.text import clean, name_of, term_name
-from study.reporting.content.verdicts import setting, sole_setting
+from study.reporting.content.text import clean, level, name_of, quantity, significant, term_name
 from study.reporting.figures.axes import (
     BAND,
     DASHES,
@@ -40,12 +48,6 @@ from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
-
 #: how means are joined by lines
 _JOINED = {
     "native_scale": True, "errorbar": None, "legend": False, "linewidth": 1.4,
@@ -57,8 +59,6 @@ _JOINED = {
 
 def level_means(facts: Facts) -> pd.DataFrame:
     """Mean of every level of every factor."""
-    import pandas as pd
-
     return pd.DataFrame(
         [
             {"factor": effect.term, "level": level, "mean": mean}
@@ -132,8 +132,6 @@ def _sides(means: Sequence[float]) -> list[int]:
 
 def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
     """Every observation of each distinct computation with its rank, best first."""
-    import pandas as pd
-
     ranked = groups(data, facts)
     if facts.better == "higher":
         ranked = ranked[::-1]
@@ -202,8 +200,6 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
 
 def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
     """Mean of every combination of two levels, for every pair of factors."""
-    import pandas as pd
-
     frame = cells(data, facts.name)
     log = facts.ratio
     rows = []
@@ -299,7 +295,6 @@ def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> Non
 def _numbers(ax: Axes, table: pd.DataFrame, low: float, high: float) -> None:
     """Write a table of means, the larger the darker."""
     import seaborn as sns
-    from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
     shades = [to_rgba("#0072B2", 0.04), to_rgba("#0072B2", 0.34)]
     sns.heatmap(
@@ -355,8 +350,6 @@ def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
 
 def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.DataFrame:
     """Largest difference of every term over the smallest that matters, ratios on the log."""
-    import pandas as pd
-
     rows = []
     for facts in all_facts:
         strong = [e for e in facts.interactions if e.strength == MATTERS or e.practical is None]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
 
-from study.reporting.content.numbers import p_value
 from study.reporting.content.report_facts import Facts
-from study.reporting.content.text import clean, count, name_of, sentence, term_name
+from study.reporting.content.text import clean, count, name_of, p_value, sentence, term_name
 from study.reporting.figures.axes import (
     BAND,
     INK,
@@ -31,12 +32,6 @@ from study.reporting.figures.axes import (
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.unreplicated import pseudo_standard_error
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
-
 #: color of contrasts beyond the margin of error, and of the others
 _CONTRAST_COLORS = {True: "#D55E00", False: "#0072B2"}
 
@@ -47,8 +42,6 @@ _HALF_NORMAL_SIMULATIONS = 2000
 
 def contrasts(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Every contrast with its half-normal score and limits, the largest first."""
-    import pandas as pd
-
     lenth = None if facts.result is None else facts.result.variation.lenth
     if lenth is None:
         raise ValueError("there are no single contrasts: the design is replicated")
@@ -188,8 +181,6 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
 
 def _level_places(frame: pd.DataFrame, data: ReportData) -> pd.DataFrame:
     """Place of every level on the shared axis; 0.7 of a step more parts the factors."""
-    import pandas as pd
-
     rows: list[tuple[int, str, str, float]] = []
     start = 0.0
     for number, (factor, levels) in enumerate(data.factors.items()):
@@ -201,8 +192,6 @@ def _level_places(frame: pd.DataFrame, data: ReportData) -> pd.DataFrame:
 
 def _jittered(frame: pd.DataFrame, levels: pd.DataFrame, seed: int) -> pd.DataFrame:
     """Residuals spread about the place of their level; seaborn's jitter differs at every run."""
-    import pandas as pd
-
     rng = np.random.default_rng(seed)
     parts = []
     for number, factor, level, place in levels.itertuples(index=False):
@@ -214,7 +203,6 @@ def _jittered(frame: pd.DataFrame, levels: pd.DataFrame, seed: int) -> pd.DataFr
 
 def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
     """Give each cell's deviation with a chi-squared interval, approximate after blocks."""
-    import pandas as pd
     from scipy.special import chdtri
 
     frame = diagnostic_residual_points(facts)

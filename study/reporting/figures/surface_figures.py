@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure as Canvas
 
-from study.reporting.content.numbers import percent, quantity
 from study.reporting.content.surface_content import title
-from study.reporting.content.text import clean, listing, name_of, sentence
+from study.reporting.content.text import clean, listing, name_of, percent, quantity, sentence
 from study.reporting.figures.axes import (
     BAND,
     INK,
@@ -26,10 +27,7 @@ from study.reporting.figures.axes import (
 from study.statistics.surfaces.surface_profile import contour, left_out, profiles, strongest
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure as Canvas
-
-    from study.reporting.figures.registry import Plot
+    from study.reporting.figures.axes import Plot
     from study.reporting.results.study_result import ReportData
     from study.statistics.surfaces.surface_profile import FittedSurface
     from study.statistics.surfaces.surface_result import SurfaceAnalysis
@@ -80,7 +78,6 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
 
 
 def _profiles(surface: SurfaceAnalysis) -> pd.DataFrame:
-    import pandas as pd
 
     by_factor = profiles(surface)
     return pd.concat(
@@ -116,7 +113,6 @@ def _draw_profiles(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData)
 
 
 def _contours(surface: SurfaceAnalysis, pair: Sequence[str]) -> pd.DataFrame:
-    import pandas as pd
 
     grid = contour(surface, pair)
     x, y = np.meshgrid(grid.x, grid.y)
@@ -157,8 +153,6 @@ def _draw_contours(
 
 
 def _shares(surface: SurfaceAnalysis) -> pd.DataFrame:
-    import pandas as pd
-
     return pd.DataFrame(
         {
             "factor": item.factor, "total": item.index.total, "low": item.index.total_interval[0],
@@ -197,7 +191,6 @@ def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
 
 
 def _left_out(surface: SurfaceAnalysis) -> pd.DataFrame:
-    import pandas as pd
 
     errors = left_out(surface)
     if errors is None:

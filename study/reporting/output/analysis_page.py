@@ -23,11 +23,10 @@ from study.reporting.content.blocks import (
     Sentence,
     titled,
 )
+from study.reporting.content.effect_words import normality_phrase
 from study.reporting.content.report_facts import Facts, facts
-from study.reporting.content.text import clean, count, sentence
-from study.reporting.content.verdicts import normality_phrase
-from study.reporting.figures import registry, residual_figures
-from study.reporting.figures.registry import Plot, made, slug
+from study.reporting.content.text import clean, count, sentence, slug
+from study.reporting.figures.axes import Plot, made
 from study.reporting.output import study_page, write
 from study.reporting.output.page import Page, Pages, page_names, replace_file
 from study.statistics.analysis.post_hoc import (
@@ -65,6 +64,8 @@ def prepare(
 
     ``rows`` have fit, residuals, leverage and Cook's distance.
     """
+    from study.reporting.figures import registry
+
     (item,) = facts(data)
     unusual = unusual_observations(analysis)
     figures = _figures(analysis, data, item, rows, unusual)
@@ -193,6 +194,8 @@ def _figures(
     unusual: UnusualObservations | None,
 ) -> dict[str, Figure]:
     """Figures of a study's response, with Minitab's residual plots for the study's."""
+    from study.reporting.figures import registry, residual_figures
+
     without = {"residuals"}
     if len(data.table) > MOST_ROWS_DRAWN or len(analysis.data.cell_means) > MOST_CELLS:
         without |= {"cells"}

@@ -15,14 +15,14 @@ from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, p
 from study.laboratory.sensors.requirement import sentences as requirement_sentences
 from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.blocks import Table
-from study.reporting.content.numbers import MISSING, significant
-from study.reporting.content.text import clean
+from study.reporting.content.text import MISSING, clean, significant
 from study.reporting.figures.axes import (
     BAND,
     INK,
     MUTED,
     RULE,
     WIDTH_IN,
+    Plot,
     canvas,
     color_of,
     log_ticks,
@@ -30,7 +30,6 @@ from study.reporting.figures.axes import (
     one_panel,
     plain_ticks,
 )
-from study.reporting.figures.registry import Plot
 from study.reporting.output.write import answer_blocks, write_answer
 
 if TYPE_CHECKING:

@@ -13,9 +13,8 @@ from study.harness.record.atomic_files import write_atomic, write_error
 from study.harness.record.folder import own_folder
 from study.reporting.content import methods
 from study.reporting.content.blocks import Block, Figure, Heading, Sentence, Table, flat
-from study.reporting.content.text import clean, sentence
-from study.reporting.content.verdicts import VERDICTS
-from study.reporting.figures.registry import slug
+from study.reporting.content.effect_words import VERDICTS
+from study.reporting.content.text import clean, sentence, slug
 
 if TYPE_CHECKING:
     from jinja2 import Environment

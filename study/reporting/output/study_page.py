@@ -17,7 +17,6 @@ from study.reporting.content import (
     sentences,
     surface_content,
     tables,
-    verdicts,
 )
 from study.reporting.content.blocks import (
     Block,
@@ -34,19 +33,18 @@ from study.reporting.content.blocks import (
     Verbatim,
     titled,
 )
-from study.reporting.content.numbers import duration
 from study.reporting.content.report_facts import Facts, facts, grouped_inputs
 from study.reporting.content.text import (
     clean,
     count,
-    folded,
+    duration,
     listing,
     name_of,
     plural_of,
     sentence,
+    slug,
 )
-from study.reporting.figures import convergence_figures, registry, surface_figures
-from study.reporting.figures.registry import slug
+from study.reporting.figures.axes import made
 from study.reporting.output.page import Page, Pages, page_names
 from study.reporting.results.study_result import FITTED_CURVE, ReportData
 
@@ -56,7 +54,7 @@ if TYPE_CHECKING:
 EFFECTS = Heading("Effects in full", 2, "answer")
 IF_VIOLATED = (
     Heading("What happens if they are violated"),
-    Definitions.of(verdicts.WHAT_IF),
+    Definitions.of(effect_words.WHAT_IF),
 )
 GLOSSARY = (Heading("Glossary", 2, "glossary"), Definitions.of(methods.TERMS.items()))
 
@@ -65,19 +63,21 @@ _VERSION = "version of "
 
 def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     """Compute every sentence, table and figure of a report."""
+    from study.reporting.figures import registry, surface_figures
+
     of_study = partial(registry.of_study, data)
     figures = of_study if worker is None else worker.begin(of_study)
     all_facts = facts(data)
     of_each = {item.name: registry.of_response(data, item) for item in all_facts}
     shapes = {surface_content.title(one, data): one for one in data.surfaces}
     over = {
-        title: registry.made(surface_figures.drawings(one, data), f"surface-{slug(title)}", title)
+        title: made(surface_figures.drawings(one, data), f"surface-{slug(title)}", title)
         for title, one in shapes.items()
     }
     effects = registry.overview(data, all_facts)
     shares = next((of["shares"] for of in over.values() if "shares" in of), None)
     if shares is not None and effects is None:
-        effects = registry.renamed(shares, "overview")
+        effects = replace(shares, name="overview")
     parts = [(item, of_each[item.name]) for item in all_facts if item.terms or not shapes]
     middle: list[Block | None] = []
     for title, one in shapes.items():
@@ -376,7 +376,7 @@ def _checks(
             "be said of the model."
         )
         yield figures["validation"]
-        yield convergence_figures.table(data.validation, data.block)
+        yield tables.validation(data.validation, data.block)
     if data.controls:
         yield Heading("Controls")
         yield Checks.of(data.controls)
@@ -434,7 +434,7 @@ def _expected(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
             "one whose interval lies above the other's; a cell behind the best by less than what "
             "matters may be the best."
         )
-        yield verdicts.table(data, all_facts)
+        yield effect_words.table(data, all_facts)
 
 
 def _beside(data: ReportData) -> Iterator[Block]:
@@ -565,4 +565,4 @@ def _warnings(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     over = bool(data.surfaces)  # a table of levels that a surface replaces is not missed
     read = [item for item in all_facts if item.terms or not over]
     pairs = [(item.title, warning) for item in read for warning in item.warnings]
-    return (*dict.fromkeys(data.warnings), *folded(pairs, data))
+    return (*dict.fromkeys(data.warnings), *sentences.folded(pairs, data))

@@ -38,10 +38,9 @@ from study.reporting.content.blocks import (
     titled,
 )
 from study.reporting.content.methods import paragraph
-from study.reporting.content.numbers import MINUS, MISSING, THIN, TIMES
 from study.reporting.content.report_facts import facts
-from study.reporting.content.text import clean
-from study.reporting.figures.registry import Plot, data_alone, make, slug
+from study.reporting.content.text import MINUS, MISSING, THIN, TIMES, clean, slug
+from study.reporting.figures.axes import Plot, data_alone, make
 from study.reporting.output.page import (
     Page,
     Pages,
