@@ -202,7 +202,7 @@ def test_no_two_panels_have_the_same_title(data: ReportData):
 
 def test_mathematics_in_a_name_stays_text():
     def draw():
-        figure = axes.canvas(3, 2)
+        figure = axes.canvas(2, 3)
         figure.subplots().set_title(r"$\frac{a}$ & <b>")
         return figure
 

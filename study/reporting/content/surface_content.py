@@ -20,6 +20,7 @@ from study.reporting.content.text import (
     MISSING,
     TIMES,
     between,
+    capital,
     clean,
     count,
     general,
@@ -444,7 +445,7 @@ def surface_blocks(
 ) -> Iterator[Block | None]:
     """One surface: what drives it, what it says, its tables, then its other figures."""
     named, lines = title(one, data), surface_lines(one, data)
-    yield Heading(named[0].upper() + named[1:], 2, anchor, one.unit)
+    yield Heading(capital(named), 2, anchor, one.unit)
     if one.found is None:
         yield Sentence(lines[0], kind="missing")
         return

@@ -274,4 +274,11 @@ def sentence(text: str) -> str:
     if not text:
         return ""
     closed = text if text[-1] in ".?!:" else text + "."
-    return closed[0].upper() + closed[1:]
+    return capital(closed)
+
+
+def capital(text: str) -> str:
+    """Text with a capital first letter; a symbol, such as ``y`` or ``mu0``, stays as it is."""
+    first = re.split(r"\W", text, maxsplit=1)[0]
+    is_symbol = (len(first) == 1 and first not in "aiAI") or bool(re.search(r"[\d_]", first))
+    return text if is_symbol else text[:1].upper() + text[1:]

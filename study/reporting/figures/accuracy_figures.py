@@ -16,11 +16,9 @@ from study.reporting.figures.axes import (
     BAND,
     INK,
     MUTED,
-    WIDTH_IN,
     canvas,
     color_of,
     one_panel,
-    plain_ticks,
     wrap,
 )
 
@@ -65,7 +63,7 @@ def draw_histogram(frame: pd.DataFrame) -> Canvas:
     """Draw the histogram of signed distances, with mean and middle 90 %."""
     import seaborn as sns
 
-    figure, ax = one_panel(WIDTH_IN, 2.8)
+    figure, ax = one_panel(2.8)
     sns.histplot(
         frame, x="deviation_mm", bins=60, color=color_of(0), alpha=0.8, edgecolor="white",
         linewidth=0.3, ax=ax,
@@ -74,14 +72,13 @@ def draw_histogram(frame: pd.DataFrame) -> Canvas:
     for value in np.percentile(frame["deviation_mm"], [5, 95]):
         ax.axvline(value, color=MUTED, linewidth=1.0, linestyle="--")
     ax.set(xlabel="deviation (mm): scan outside the simulation +", ylabel="points")
-    plain_ticks(ax, "x")
     return figure
 
 
 def draw_views(frame: pd.DataFrame) -> Canvas:
     """Draw the body from six sides, colored by the mean deviation of every hexagon."""
     colors = colormaps["RdBu_r"].resampled(COLORS)
-    figure = canvas(WIDTH_IN, 6.4)
+    figure = canvas(6.4)
     panels = figure.subplots(2, 3).ravel()
     places = frame[["x_mm", "y_mm", "z_mm"]].to_numpy()
     normals = frame[["normal_x", "normal_y", "normal_z"]].to_numpy()
@@ -147,7 +144,7 @@ def draw_distances(frame: pd.DataFrame, distance: DistanceResult) -> Canvas:
     import seaborn as sns
 
     stages = list(dict.fromkeys(frame["stage"]))[:MOST_STAGES]
-    figure = canvas(WIDTH_IN, 0.6 + 1.0 * len(stages))
+    figure = canvas(0.6 + 1.0 * len(stages))
     axes = np.atleast_1d(figure.subplots(len(stages), 1, sharex=True))
     edges = [*frame["low_mm"].unique(), frame["high_mm"].max()]
     means = {stage.stage: stage.mean_mm for stage in distance.stages}
@@ -163,7 +160,6 @@ def draw_distances(frame: pd.DataFrame, distance: DistanceResult) -> Canvas:
             ax.axvline(distance.standard.distance_mm, color=MUTED, linewidth=1.0, linestyle="--")
         ax.set(title=wrap(stage, 60), xlabel="", ylabel="samples")
     axes[-1].set_xlabel("distance between the markers (mm)")
-    plain_ticks(axes[-1], "x")
     return figure
 
 
@@ -181,7 +177,7 @@ def draw_displacement(frame: pd.DataFrame, displacement: DisplacementResult) -> 
     """Draw measured on commanded displacement, and their differences with limits of agreement."""
     import seaborn as sns
 
-    figure = canvas(WIDTH_IN, 3.4)
+    figure = canvas(3.4)
     line, limits = figure.subplots(1, 2)
     sns.scatterplot(frame, x="commanded_mm", y="measured_mm", s=16, color=color_of(0), ax=line)
     ends = np.array([0.0, frame["commanded_mm"].max()])
@@ -197,8 +193,6 @@ def draw_displacement(frame: pd.DataFrame, displacement: DisplacementResult) -> 
         limits.axhline(value, color=MUTED, linewidth=1.0, linestyle=style)
     sns.scatterplot(frame, x="mean_mm", y="difference_mm", s=16, color=color_of(0), ax=limits)
     limits.set(xlabel="mean of both (mm)", ylabel="measured - commanded (mm)", title="agreement")
-    for ax in (line, limits):
-        plain_ticks(ax)
     return figure
 
 
@@ -220,7 +214,7 @@ def draw_reference(frame: pd.DataFrame) -> Canvas:
     """Draw residuals over the workspace, and errors pose by pose."""
     import seaborn as sns
 
-    figure = canvas(WIDTH_IN, 3.6)
+    figure = canvas(3.6)
     where, errors = figure.subplots(1, 2)
     _arrows(where, frame)
     long = frame.melt("pose", ["residual_mm", "left_out_mm"], "kind", "error")
@@ -234,7 +228,6 @@ def draw_reference(frame: pd.DataFrame) -> Canvas:
     errors.set(xlabel="pose", ylabel="error (mm)", title="errors by pose")
     errors.set_ylim(bottom=0)
     errors.legend(title="")
-    plain_ticks(errors, "y")
     return figure
 
 
@@ -254,4 +247,3 @@ def _arrows(ax: Axes, frame: pd.DataFrame) -> None:
         xlabel=f"{first} (mm)", ylabel=f"{second} (mm)", title=f"residuals, {factor:.3g} times",
         aspect="equal", adjustable="datalim",
     )  # fmt: skip
-    plain_ticks(ax)

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     Drawing: TypeAlias = Canvas
 
 
+#: width of a figure, inches
+WIDTH_IN = 9.6
 #: labels of a logarithmic axis beyond which some are left out
 _MOST_TICKS = 9
 
@@ -62,18 +64,6 @@ def name_rows(
             edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
             look = {"ha": "right", "va": "center_baseline", "fontsize": fontsize} | edge
             note(ax, line, (0, place), (-3.5, higher), **look)
-
-
-def plain_ticks(ax: Axes, axes: str = "xy") -> None:
-    """Few ticks, the same decimals on each, no offset and no exponent."""
-    from matplotlib.ticker import MaxNLocator, ScalarFormatter
-
-    for axis in axes:
-        target = ax.xaxis if axis == "x" else ax.yaxis
-        formatter = ScalarFormatter(useOffset=False, useMathText=False)
-        formatter.set_scientific(False)
-        target.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
-        target.set_major_formatter(formatter)
 
 
 def log_places(low: float, high: float) -> list[float]:
@@ -133,9 +123,9 @@ def above(ax: Axes, words: str, x: float, **look: Any) -> None:
     ax.text(x, 1.0, words, transform=ax.get_xaxis_transform(), **{**usual, **look})
 
 
-def one_panel(width_in: float, height_in: float) -> tuple[Canvas, Axes]:
+def one_panel(height_in: float, width_in: float = WIDTH_IN) -> tuple[Canvas, Axes]:
     """Return an empty figure with its only axes."""
-    figure = canvas(width_in, height_in)
+    figure = canvas(height_in, width_in)
     return figure, figure.subplots()
 
 
@@ -145,7 +135,7 @@ def panels(
     """Return a figure of panels in rows, all of one size; places that are left over stay empty."""
     columns = min(columns, number)
     rows = -(-number // columns)
-    figure = canvas(WIDTH_IN, pad_in + height_in * rows)
+    figure = canvas(pad_in + height_in * rows)
     axes = figure.subplots(rows, columns, squeeze=False, **shared).ravel()
     for ax in axes[number:]:
         ax.set_visible(False)
@@ -173,12 +163,14 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 WORDS = ("#005f96", "#a84300", "#00694d", "#8f3f6c", "#7a5200", "#1b6a96", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
-WIDTH_IN = 9.6
 _RC: dict[str, Any] = {
     "svg.fonttype": "none",
     "text.parse_math": False,
     "text.usetex": False,
+    # no offset and no exponent at an axis
     "axes.formatter.use_mathtext": False,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-9, 9),
     "axes.unicode_minus": True,
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
@@ -203,6 +195,10 @@ _RC: dict[str, Any] = {
     "ytick.major.width": 0.6,
     "xtick.major.size": 3,
     "ytick.major.size": 3,
+    "figure.labelsize": 8.5,
+    "figure.titlesize": 8.5,
+    "grid.color": RULE,
+    "grid.linewidth": 0.4,
     "legend.frameon": False,
     "legend.fontsize": 8,
     "lines.linewidth": 1.4,
@@ -225,7 +221,7 @@ def word_color_of(index: int) -> str:
     return WORDS[index % len(WORDS)]
 
 
-def canvas(width_in: float, height_in: float, *, arranged: bool = True) -> Canvas:
+def canvas(height_in: float, width_in: float = WIDTH_IN, *, arranged: bool = True) -> Canvas:
     """Return an empty figure that belongs to no global state."""
     from matplotlib.figure import Figure
 

@@ -24,13 +24,11 @@ from study.reporting.figures.axes import (
     MARKERS,
     MUTED,
     RULE,
-    WIDTH_IN,
     color_of,
     labeled,
     log_ticks,
     one_panel,
     panels,
-    plain_ticks,
     wrap,
 )
 
@@ -80,9 +78,9 @@ def draw_values(frame: pd.DataFrame) -> Canvas:
         ax.set_title(wrap(part["panel"].iloc[0], 30, 90), fontsize=7.5)
         if several:
             ax.set_ylabel(wrap(_axis(part), 24), fontsize=7.5)
-    figure.supxlabel("mesh size (mm)", fontsize=8.5)
+    figure.supxlabel("mesh size (mm)")
     if not several:
-        figure.supylabel(_axis(frame), fontsize=8.5)
+        figure.supylabel(_axis(frame))
     return figure
 
 
@@ -111,7 +109,6 @@ def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
     )  # fmt: skip
     ax.set_xlim(left=0)
     ax.margins(y=0.15)
-    plain_ticks(ax, "y")
 
 
 def _free(h: Array, v: Array) -> float:
@@ -132,7 +129,7 @@ def error_points(cells: Sequence[Document]) -> pd.DataFrame:
 
 def draw_errors(frame: pd.DataFrame) -> Canvas:
     """Draw the error against the mesh size in logarithms, with the formal slope beside."""
-    figure, ax = one_panel(WIDTH_IN, 3.8)
+    figure, ax = one_panel(3.8)
     _errors_of_cells(ax, frame, "mesh_size")
     _slopes(ax, frame)
     _logarithmic(ax, "mesh size (mm)", "distance to the limit, part of it")
@@ -162,7 +159,7 @@ def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
 
 def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
     """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
-    figure, ax = one_panel(WIDTH_IN, 3.8)
+    figure, ax = one_panel(3.8)
     frame = frame.assign(error=frame["error"].clip(lower=1e-12))
     ax.axhspan(float(frame["error"].min()) / 3, accuracy, color=BAND, zorder=0)
     ax.axhline(accuracy, color=MUTED, linewidth=0.8)
@@ -193,14 +190,14 @@ def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: 
         ax.set_ylim(window[0, 1], window[1, 1])
         ax.set_aspect("equal")
         ax.set_title(wrap(label, 34), fontsize=7.5)
-    figure.supxlabel("distance from the axis (mm)", fontsize=8.5)
+    figure.supxlabel("distance from the axis (mm)")
     return figure
 
 
 def _logarithmic(ax: Axes, x: str, y: str) -> None:
     ax.set_xscale("log")
     ax.set_yscale("log")
-    ax.grid(visible=True, color=RULE, linewidth=0.4)
+    ax.grid(visible=True)
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     ax.margins(x=0.12)
@@ -258,10 +255,9 @@ def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
         ax.fill_between(d, -u, u, color=BAND, linewidth=0)
         ax.axhline(0.0, color=MUTED, linewidth=0.6)
         ax.plot(d, part["error_N"], color=color_of(0))
-        plain_ticks(ax, "y")
         ax.set_title(wrap(cell, 30), fontsize=7.5)
-    figure.supxlabel("displacement (mm)", fontsize=8.5)
-    figure.supylabel("simulated minus measured force (N)", fontsize=8.5)
+    figure.supxlabel("displacement (mm)")
+    figure.supylabel("simulated minus measured force (N)")
     return figure
 
 

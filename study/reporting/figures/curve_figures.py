@@ -28,7 +28,6 @@ from study.reporting.figures.axes import (
     color_of,
     one_panel,
     panels,
-    plain_ticks,
     wrap,
 )
 from study.reporting.results.study_result import CurvePair, ReportData
@@ -63,7 +62,7 @@ def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
     total, panels = len(panels), panels[:_MOST]
     columns = min(_COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
-    figure = canvas(WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN, 0.5 + 3.0 * rows)
+    figure = canvas(0.5 + 3.0 * rows, WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN)
     axes = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2.4, 1.0] * rows)
     for place in range(rows * columns):
         r, c = divmod(place, columns)
@@ -76,9 +75,9 @@ def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
         if c == 0:
             force.set_ylabel("force (N)")
             residual.set_ylabel("fit - meas. (N)")
-    figure.supxlabel(_axis(panels), fontsize=8.5)
+    figure.supxlabel(_axis(panels))
     more = f" (the first {len(panels)} of {total} curves)" if total > len(panels) else ""
-    figure.suptitle(clean(title, 120) + more, fontsize=9)
+    figure.suptitle(clean(title, 120) + more)
     return figure
 
 
@@ -112,7 +111,7 @@ def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
     force.tick_params(labelbottom=False)
     force.legend(loc="upper left", fontsize=7)
     for ax in (force, residual):
-        ax.grid(axis="y", color=RULE, linewidth=0.4)
+        ax.grid(axis="y")
 
 
 # Recordings with their branches, in the coordinates of the file.
@@ -153,7 +152,7 @@ def _recording_panel(ax: Axes, rows: pd.DataFrame, title: str) -> None:
         unit = _UNITS.get(quantity_name)
         words = f"recorded {quantity_name.replace('_', ' ')}" + (f" ({unit})" if unit else "")
         write(words, fontsize=8)
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.grid(axis="y")
     ax.legend(loc="best", fontsize=6.5)
 
 
@@ -189,7 +188,7 @@ def draw_layers(frame: pd.DataFrame) -> Canvas:
     axes[0].set_ylabel("RMS error of markers (mm)", fontsize=8.5)
     axes[0].legend(fontsize=6.5, frameon=False, loc="upper left")
     axes[0].set_ylim(bottom=0.0)
-    figure.supxlabel("layer of markers, from the base up", fontsize=8.5)
+    figure.supxlabel("layer of markers, from the base up")
     return figure
 
 
@@ -402,7 +401,7 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
     title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
     top_in = 0.05 + 1.3 * LINE_IN * -(-len(handles) // NAMES_IN_ROW)
     height = 0.5 + top_in + rows * (title_in + FORCE_IN + RESIDUAL_IN)
-    figure = canvas(WIDTH_IN, height, arranged=False)
+    figure = canvas(height, arranged=False)
     grid = figure.add_gridspec(
         3 * rows, columns, left=0.62 / WIDTH_IN, right=0.99, top=1 - top_in / height,
         bottom=0.5 / height, wspace=0.1, hspace=0.06,
@@ -427,10 +426,9 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
             force.set_ylabel(f"force ({unit})")
             residual.set_ylabel(f"resid. ({unit})")
         for ax in (force, residual):
-            plain_ticks(ax)
             ax.locator_params(axis="y", nbins=4 if ax is force else 3)
             ax.locator_params(axis="x", nbins=4)
-            ax.grid(axis="y", color=RULE, linewidth=0.4)
+            ax.grid(axis="y")
             # numbers at the outer axes hold for all panels of a row or a column
             is_lowest = ax is residual and place + columns >= number
             ax.tick_params(labelleft=column == 0, labelbottom=is_lowest)
@@ -498,12 +496,11 @@ def _handles(panels: CurvePanels, data: ReportData) -> list[Line2D | Patch]:
 
 def draw_curve(curve: Curve) -> Canvas:
     """Draw force against displacement from the unloaded origin, load steps as points."""
-    figure, ax = one_panel(0.6 * WIDTH_IN, 3.2)
+    figure, ax = one_panel(3.2, 0.6 * WIDTH_IN)
     places = np.linspace(0.0, curve.displacement_mm[-1], 200)
     ax.plot(places, curve.force_at(places), color=color_of(0))
     ax.plot(curve.displacement_mm, curve.force_N, "o", color=color_of(0), markersize=3)
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.grid(axis="y")
     ax.set_xlabel("displacement (mm)")
     ax.set_ylabel("force (N)")
-    plain_ticks(ax)
     return figure

@@ -27,8 +27,6 @@ from study.reporting.figures.axes import (
     INK,
     MARKERS,
     MUTED,
-    RULE,
-    WIDTH_IN,
     WORDS,
     above,
     at_right,
@@ -39,7 +37,6 @@ from study.reporting.figures.axes import (
     name_rows,
     note,
     one_panel,
-    plain_ticks,
     shown,
     word_color_of,
     wrap,
@@ -79,7 +76,7 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     """Draw the main effects on one shared axis, grand mean and practical band behind."""
     center = grand_mean(data, facts)
     practical = next((e.practical for e in facts.effects if e.practical is not None), None)
-    figure, ax = one_panel(WIDTH_IN, 3.5)
+    figure, ax = one_panel(3.5)
     if practical is not None:
         low, high = center - practical / 2, center + practical / 2
         if facts.ratio:
@@ -89,10 +86,8 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
     placed = _connect_levels(ax, frame)
     for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
-        means = group["mean"].tolist()
-        for place, mean, sign in zip(group["place"], means, _sides(means), strict=True):
-            va = "bottom" if sign > 0 else "top"
-            note(ax, significant(mean), (place, mean), (0, 6 * sign), ha="center", va=va)
+        for place, mean in zip(group["place"], group["mean"].tolist(), strict=True):
+            note(ax, significant(mean), (place, mean), (0, 6), ha="center")
         name = clean(name_of(str(factor), data.labels), 30)
         bold = {"fontweight": "bold", "color": word_color_of(index), "fontsize": 8.5}
         above(ax, name, float(group["place"].mean()), **bold)
@@ -102,7 +97,6 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     ax.set_xticks(placed["place"], names, rotation=45 if many else 0, ha=side, fontsize=small)
     ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
     ax.margins(y=0.2)
-    plain_ticks(ax, "y")
     ax.set(xlabel="", ylabel=labeled(facts.title, facts.unit))
     ax.tick_params(axis="x", length=0)
     return figure
@@ -120,14 +114,6 @@ def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
         placed, x="place", y="mean", hue="factor", palette=colors, markersize=5.5, ax=ax, **_JOINED
     )
     return placed
-
-
-def _sides(means: Sequence[float]) -> list[int]:
-    """Side of each point on which its number meets no line: 1 above, -1 below."""
-    values = np.asarray(means, dtype=float)
-    left = np.r_[values[1:2], values[:-1]]
-    right = np.r_[values[1:], values[-2:-1]]
-    return [1 if v >= (a + b) / 2 else -1 for v, a, b in zip(values, left, right, strict=True)]
 
 
 def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
@@ -158,7 +144,7 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
 def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
     count = int(frame["rank"].max()) + 1
-    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.24 * count)
+    figure, ax = one_panel(0.8 + 0.24 * count)
     best = float(frame["cell_mean"].iloc[0])
     if facts.better and practical > 0:
         sign = -1 if facts.better == "higher" else 1
@@ -170,9 +156,8 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
         at_right(ax, significant(float(mean)), float(place))
     name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
     ax.set_ylim(count - 0.4, -0.8)
-    plain_ticks(ax, "x")
     ax.set(xlabel=labeled(facts.title, facts.unit), ylabel="")
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.grid(axis="y")
     clean_left(ax)
     return figure
 
@@ -217,7 +202,7 @@ def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Ca
     """Draw a matrix: lines above the diagonal, the same means as numbers below it."""
     factors = data.factors
     k = len(factors)
-    figure = canvas(WIDTH_IN, 0.7 + 1.45 * k)
+    figure = canvas(0.7 + 1.45 * k)
     axes = figure.subplots(k, k, squeeze=False)
     low, high = float(frame["mean"].min()), float(frame["mean"].max())
     pad = 0.08 * (high - low or abs(high) or 1.0)
@@ -237,7 +222,7 @@ def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Ca
             _upper_ticks(upper, i, j, k, factors[second])
             _numbers(lower, table.T, low, high)
             _lower_ticks(lower, factors[first], j == k - 1)
-    figure.suptitle(labeled(facts.title, facts.unit), x=0.01, ha="left", fontsize=8.5)
+    figure.suptitle(labeled(facts.title, facts.unit), x=0.01, ha="left")
     return figure
 
 
@@ -274,7 +259,7 @@ def _lines(ax: Axes, table: pd.DataFrame) -> None:
         **_JOINED,
     )
     ax.set_xlim(-0.35, columns - 0.65)
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.grid(axis="y")
 
 
 def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> None:
@@ -287,7 +272,6 @@ def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> Non
     ax.yaxis.tick_right()
     ax.spines["left"].set_visible(False)
     ax.spines["right"].set_visible(j == k - 1)
-    plain_ticks(ax, "y")
     if j < k - 1:
         ax.tick_params(axis="y", length=0, labelright=False)
 
@@ -409,7 +393,7 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     several = len(all_facts) > 1
     places, heads = _rows_of(frame, several)
     height = max(places) + 1
-    figure, ax = one_panel(WIDTH_IN, 0.75 + 0.27 * height)
+    figure, ax = one_panel(0.75 + 0.27 * height)
     limited = bool(frame["limited"].all())
     if limited:
         ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)
@@ -473,7 +457,6 @@ def _scale_of_multiples(
     """Scale an axis of multiples; where they reach far, to one scale only up to what matters."""
     facts = all_facts[0]
     if not limited:
-        plain_ticks(ax, "x")
         unit = f" ({facts.difference_unit})" if facts.difference_unit else ""
         what = "log of the largest ratio" if facts.ratio else f"largest difference{unit}"
         ax.set_xlabel(f"{what} between levels, with {level(facts.alpha)} interval")
@@ -488,8 +471,6 @@ def _scale_of_multiples(
         ticks = ticks if len(ticks) < 13 else [t for t in ticks if str(abs(t))[0] in "01"]
         ax.set_xticks(ticks, [f"{tick:g}".replace("-", "\N{MINUS SIGN}") for tick in ticks])
         ax.minorticks_off()
-    else:
-        plain_ticks(ax, "x")
     ax.set_xlim(low * 1.05, high * 1.06)
     ends = f", with {level(facts.alpha)} interval" if frame["low"].notna().any() else ""
     ax.set_xlabel(f"largest difference between levels, as a multiple of what matters{ends}")

@@ -85,7 +85,7 @@ def _section(points: Array, faces: Ints, displacement: Array) -> Canvas:
     mirror = np.array([-1.0, 1.0])
     both = np.concatenate((points * mirror, after))
     size = np.ptp(both, axis=0)
-    figure, ax = one_panel(WIDTH_IN, float(np.clip(WIDTH_IN * size[1] / size[0], 2.2, 6.5)) + 0.6)
+    figure, ax = one_panel(float(np.clip(WIDTH_IN * size[1] / size[0], 2.2, 6.5)) + 0.6)
     color = _mean(np.linalg.norm(displacement, axis=1), faces)
     _polygons(ax, (points * mirror)[faces], None)
     made = _polygons(ax, after[faces], color)
@@ -111,7 +111,7 @@ def _solid(points: Array, faces: Ints, displacement: Array) -> Canvas:
     x, y, z = np.ptp(points + displacement, axis=0)
     # beside the drawings of three sides there is room for their axes
     low = float((WIDTH_IN - 2.4) * max(z, y) / (2 * x + y) + 0.8) if whole else 0.0
-    figure = canvas(WIDTH_IN, high + low)
+    figure = canvas(high + low)
     upper: Canvas | SubFigure = figure
     lower: SubFigure | None = None
     if whole:

@@ -282,7 +282,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
 def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:
     """Figure of the first page: every effect against what matters; None without an effect."""
     analyzed = [facts for facts in all_facts if facts.terms]
-    limited = [facts for facts in analyzed if any(e.practical is not None for e in facts.effects)]
+    limited = [facts for facts in analyzed if facts.has_size]
     # without a limit there is no common scale: the first response stands for itself
     shown = limited or analyzed[:1]
     if not any(effect.range is not None for facts in shown for effect in facts.terms):

@@ -15,8 +15,6 @@ from study.reporting.figures.axes import (
     BAND,
     INK,
     MUTED,
-    RULE,
-    WIDTH_IN,
     above,
     canvas,
     clean_left,
@@ -25,7 +23,6 @@ from study.reporting.figures.axes import (
     name_rows,
     note,
     one_panel,
-    plain_ticks,
     word_color_of,
     wrap,
 )
@@ -79,7 +76,7 @@ def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw the Pareto plot on the left, the half-normal plot on the right."""
     shown = frame.head(_MOST_BARS)
-    figure = canvas(WIDTH_IN, max(3.4, 1.0 + 0.2 * len(shown)))
+    figure = canvas(max(3.4, 1.0 + 0.2 * len(shown)))
     pareto, half = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     label = labeled("absolute contrast", facts.scale)
     _pareto(pareto, shown, label)
@@ -104,7 +101,6 @@ def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
     ax.set_ylim(len(frame) - 0.4, -0.6)
     clean_left(ax)
     ax.set_xlabel(f"{label}; limits for one, for all")
-    plain_ticks(ax, "x")
 
 
 def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
@@ -125,7 +121,6 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
     ax.set_xlim(left=0)
     ax.set_xlabel("half-normal score, with the 95 % envelope of no effect")
     ax.set_ylabel(label)
-    plain_ticks(ax, "y")
 
 
 # Figures of assumptions: four views of the residuals, and the spread of the cells.
@@ -229,18 +224,17 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
     import seaborn as sns
 
-    figure, ax = one_panel(WIDTH_IN, 0.9 + 0.22 * len(frame))
+    figure, ax = one_panel(0.9 + 0.22 * len(frame))
     places = np.arange(len(frame))
     ax.hlines(places, frame["low"], frame["high"], color=color_of(0), linewidth=1.6)
     sns.scatterplot(x=frame["sd"], y=places, color=color_of(0), s=36, linewidth=0, zorder=3, ax=ax)
     name_rows(ax, places, [wrap(cell, 70, 70) for cell in frame["cell"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
     ax.set_xlim(left=0)
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.grid(axis="y")
     clean_left(ax)
     label = labeled("standard deviation of residuals", facts.scale)
     ax.set_xlabel(f"{label}, 95 % Bonferroni intervals")
-    plain_ticks(ax, "x")
     return figure
 
 
@@ -293,7 +287,7 @@ def draw_residuals(
     points: pd.DataFrame, facts: Facts, data: ReportData, *, ordered: bool = False
 ) -> Canvas:
     """Draw four views of the residuals; rows of a table have an order, runs have none."""
-    figure = canvas(WIDTH_IN, 5.7)
+    figure = canvas(5.7)
     (normal, fits), (histogram, last) = figure.subplots(2, 2)
     shown, label = thinned(points, data.seed), labeled("residual", facts.scale)
     _probability(normal, shown, points, facts, data.seed, label)
@@ -305,9 +299,6 @@ def draw_residuals(
         _in_order(last, shown, label)
     else:
         _against_factors(last, shown, data, label)
-    for ax in (normal, fits, histogram):
-        plain_ticks(ax)
-    plain_ticks(last, "xy" if ordered else "y")
     return figure
 
 
@@ -356,9 +347,8 @@ def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
 
 def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
     """Draw the residuals at every level of every factor, side by side."""
-    figure, ax = one_panel(WIDTH_IN, 3.2)
+    figure, ax = one_panel(3.2)
     _against_factors(ax, thinned(points, data.seed), data, labeled("residual", facts.scale))
-    plain_ticks(ax, "y")
     return figure
 
 
@@ -375,7 +365,7 @@ def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
 
 def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) -> Canvas:
     """Draw Cook's distance by row, and standardized residual against leverage."""
-    figure = canvas(WIDTH_IN, 3.2)
+    figure = canvas(3.2)
     cook, leverage = figure.subplots(1, 2)
     # a row that is fitted exactly has leverage one, and no Cook's distance
     drawn = thinned(points, data.seed)
@@ -395,6 +385,4 @@ def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) 
     leverage.set(
         title="residual against leverage", xlabel="leverage", ylabel="standardized residual"
     )
-    for ax in (cook, leverage):
-        plain_ticks(ax)
     return figure

@@ -18,8 +18,6 @@ from study.reporting.figures.axes import (
     INK,
     MARKERS,
     MUTED,
-    RULE,
-    WIDTH_IN,
     canvas,
     clean_left,
     color_of,
@@ -28,7 +26,6 @@ from study.reporting.figures.axes import (
     name_rows,
     note,
     one_panel,
-    plain_ticks,
     wrap,
 )
 from study.reporting.results.study_result import DepthEffect, ReportData
@@ -64,7 +61,7 @@ def draw_constants(frame: pd.DataFrame) -> Canvas:
     # the constant of most fits first: it is the one that all models share
     names = frame["constant"].value_counts().index.tolist()[:_MOST_PANELS]
     rows = frame.drop_duplicates("place").sort_values("place")
-    figure = canvas(WIDTH_IN, 1.0 + 0.3 * len(rows))
+    figure = canvas(1.0 + 0.3 * len(rows))
     axes = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
     for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
         some = frame[frame["constant"] == name]
@@ -86,9 +83,8 @@ def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
             group["value"][~sure], y[~sure], "o", color=color, markersize=2.8,
             markerfacecolor="white", markeredgewidth=0.8,
         )  # fmt: skip
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.grid(axis="y")
     clean_left(ax)
-    plain_ticks(ax, "x")
     ax.locator_params(axis="x", nbins=4)
 
 
@@ -104,7 +100,7 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     """Draw the mean response of each cell against its seconds, front stepped and labeled."""
     import seaborn as sns
 
-    figure, ax = one_panel(WIDTH_IN, 3.7)
+    figure, ax = one_panel(3.7)
     shown = frame.astype(dict.fromkeys(data.factors, str))
     shown = shown.rename(columns={name: name_of(name, data.labels) for name in data.factors})
     first, second = _styling(frame, data)
@@ -135,7 +131,6 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     else:
         ax.set_xticks(ticks, [duration(t) for t in ticks])
     ax.set_xticks([], minor=True)
-    plain_ticks(ax, "y")
     ax.set(xlabel="mean computing time of a case", ylabel=labeled(facts.title, facts.unit))
     return figure
 
@@ -173,7 +168,7 @@ def draw_failures(frame: pd.DataFrame) -> Canvas:
     statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
     rows = list(dict.fromkeys(frame["cell"]))
     columns = list(dict.fromkeys(frame["block"]))
-    figure, ax = one_panel(WIDTH_IN, 0.9 + 0.2 * len(rows))
+    figure, ax = one_panel(0.9 + 0.2 * len(rows))
     for index, status in enumerate(statuses):
         some = frame[frame["status"] == status]
         good = status == "converged"
@@ -210,7 +205,7 @@ def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.D
 
 def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw the largest difference of every factor with its interval against depth."""
-    figure, ax = one_panel(WIDTH_IN, 3.6)
+    figure, ax = one_panel(3.6)
     _band(ax, frame, facts)
     depths = sorted(frame["depth_mm"].unique())
     apart = _BESIDE * (depths[-1] - depths[0]) / max(len(depths) - 1, 1)

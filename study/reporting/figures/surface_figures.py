@@ -15,13 +15,11 @@ from study.reporting.figures.axes import (
     BAND,
     INK,
     MUTED,
-    WIDTH_IN,
     color_of,
     labeled,
     name_rows,
     one_panel,
     panels,
-    plain_ticks,
     wrap,
 )
 from study.statistics.surfaces.surface_profile import contour, left_out, profiles, strongest
@@ -106,7 +104,6 @@ def _draw_profiles(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData)
         ax.plot(part["setting"], part["value"], color=color_of(0))
         ax.set_xlabel(_axis(name, fitted, data))
         ax.set_xmargin(0)
-        plain_ticks(ax, "x")
     for ax in axes[::_COLUMNS]:
         ax.set_ylabel(_response(fitted, data))
     return figure
@@ -138,7 +135,7 @@ def _draw_contours(
 ) -> Canvas:  # fmt: skip
     across, up = frame.columns[:2]
     table = frame.pivot_table(index=up, columns=across, values="value")
-    figure, ax = one_panel(WIDTH_IN, 4.2)
+    figure, ax = one_panel(4.2)
     x, y, z = table.columns.to_numpy(), table.index.to_numpy(), table.to_numpy()
     filled = ax.contourf(x, y, z, levels=10, cmap="Blues", alpha=0.75)
     ax.contour(x, y, z, levels=filled.levels, colors="white", linewidths=0.6)
@@ -148,7 +145,6 @@ def _draw_contours(
     bar.outline.set_visible(False)
     ax.set_xlabel(_axis(across, fitted, data))
     ax.set_ylabel(_axis(up, fitted, data))
-    plain_ticks(ax)
     return figure
 
 
@@ -175,7 +171,7 @@ def _shares_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData
 
 
 def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
-    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.36 * len(frame))
+    figure, ax = one_panel(0.8 + 0.36 * len(frame))
     places = np.arange(len(frame))
     percents = 100 * frame[["total", "low", "high", "alone"]]
     ax.barh(places, percents["total"], color=color_of(0), height=0.55, alpha=0.35)
@@ -186,7 +182,6 @@ def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
     ax.set_ylim(len(frame) - 0.5, -0.5)
     ax.set_xlim(left=0)
     ax.set_xlabel("share of the variance (%)")
-    plain_ticks(ax, "x")
     return figure
 
 
@@ -210,14 +205,13 @@ def _left_out_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportDa
 
 
 def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:
-    figure, ax = one_panel(WIDTH_IN, 3.9)
+    figure, ax = one_panel(3.9)
     ends = [float(frame.min().min()), float(frame.max().max())]
     ax.plot(ends, ends, color=MUTED, linewidth=0.8)
     ax.scatter(frame["simulated"], frame["predicted"], s=14, color=color_of(0), linewidths=0)
     ax.set_box_aspect(1)
     ax.set_xlabel(f"run: {_response(fitted, data)}")
     ax.set_ylabel("predicted from the others")
-    plain_ticks(ax)
     return figure
 
 

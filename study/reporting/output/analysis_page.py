@@ -25,7 +25,7 @@ from study.reporting.content.blocks import (
 )
 from study.reporting.content.effect_words import normality_phrase
 from study.reporting.content.report_facts import Facts, facts
-from study.reporting.content.text import clean, count, sentence, slug
+from study.reporting.content.text import capital, clean, count, sentence, slug
 from study.reporting.figures.axes import Plot, made
 from study.reporting.output import study_page, write
 from study.reporting.output.page import Page, Pages, page_names, replace_file
@@ -69,7 +69,7 @@ def prepare(
     (item,) = facts(data)
     unusual = unusual_observations(analysis)
     figures = _figures(analysis, data, item, rows, unusual)
-    stem, lines = _stem(analysis, data), answer(data, item)
+    stem, lines = _stem(analysis, data), sentences.answer(data, (item,))
     effects = registry.overview(data, (item,))
     first = study_page.first_page(
         data, (item,), stem, item.title, study_page.in_few(lines), effects, rows="rows.csv"
@@ -103,7 +103,7 @@ def prepare(
     second = Page(
         title=f"{item.title}, {data.name}: details",
         kicker=first.kicker,
-        name=item.title[0].upper() + item.title[1:],
+        name=capital(item.title),
         question=data.question,
         blocks=blocks,
         back=page_names(stem)[0],
@@ -234,15 +234,6 @@ def _figures(
         ),
     }
     return drawn | made(plots, slug(item.name), item.title)
-
-
-def answer(data: ReportData, item: Facts) -> tuple[str, ...]:
-    """Answer first: verdicts where a smallest difference that matters was given, else tests."""
-    if not item.terms:
-        return tuple(sentence(clean(note)) for note in item.warnings) or ("Nothing to analyze.",)
-    if any(effect.practical is not None for effect in item.effects):
-        return sentences.answer(data, (item,))
-    return (sentences.tested(data, item), sentences.without_size(data, (item,)))
 
 
 def _stem(analysis: AnalysisResult, data: ReportData) -> str:

@@ -21,14 +21,12 @@ from study.reporting.figures.axes import (
     INK,
     MUTED,
     RULE,
-    WIDTH_IN,
     Plot,
     canvas,
     color_of,
     log_ticks,
     note,
     one_panel,
-    plain_ticks,
 )
 from study.reporting.output.write import answer_blocks, write_answer
 
@@ -220,7 +218,7 @@ def draw_law(frame: pd.DataFrame, knots_mm: np.ndarray) -> Canvas:
 
     Shapes: knots_mm (n,).
     """
-    figure = canvas(WIDTH_IN, 3.2)
+    figure = canvas(3.2)
     axes = figure.subplots(1, 3)
     d = frame["displacement_mm"].to_numpy(float)
     tested = frame["tested"].to_numpy(bool)
@@ -261,7 +259,7 @@ def deviation_points(law: ForceLaw) -> pd.DataFrame:
 
 def draw_deviation(frame: pd.DataFrame) -> Canvas:
     """Draw the law less the simulation at the points kept out, within the error bound."""
-    figure, ax = one_panel(WIDTH_IN, 2.2)
+    figure, ax = one_panel(2.2)
     d, off = frame["displacement_mm"].to_numpy(float), frame["deviation_N"].to_numpy(float)
     bound = float(frame["error_bound_N"].max())
     ax.axhspan(-bound, bound, color=BAND)
@@ -297,7 +295,7 @@ def map_points(sensors: SensorRequirement) -> pd.DataFrame:
 
 def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
     """Draw lines of equal uncertainty over the errors of both sensors, for constants and force."""
-    figure = canvas(WIDTH_IN, 4.0)
+    figure = canvas(4.0)
     axes = figure.subplots(1, 2, sharey=True)
     n = MULTIPLES.size
     x, y = (frame[c].to_numpy(float).reshape(n, n) for c in ("position_multiple", "force_multiple"))
@@ -343,7 +341,7 @@ def part_points(sensors: SensorRequirement) -> pd.DataFrame:
 def draw_parts(frame: pd.DataFrame) -> Canvas:
     """Draw a group of bars for each error, a bar for each quantity."""
     errors, names = list(dict.fromkeys(frame["error"])), list(dict.fromkeys(frame["quantity"]))
-    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.22 * len(errors) * (len(names) + 0.6))
+    figure, ax = one_panel(0.8 + 0.22 * len(errors) * (len(names) + 0.6))
     height = 0.8 / len(names)
     for k, name in enumerate(names):
         part = frame[frame["quantity"] == name].set_index("error")["percent"]
@@ -353,5 +351,4 @@ def draw_parts(frame: pd.DataFrame) -> Canvas:
     ax.invert_yaxis()
     ax.set_xlabel("standard uncertainty, percent of the value")
     ax.legend(loc="lower right")
-    plain_ticks(ax, "x")
     return figure

@@ -35,6 +35,7 @@ from study.reporting.content.blocks import (
 )
 from study.reporting.content.report_facts import Facts, facts, grouped_inputs
 from study.reporting.content.text import (
+    capital,
     clean,
     count,
     duration,
@@ -92,7 +93,7 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
         all_facts,
         stem,
         data.name,
-        short_answer(data, all_facts),
+        in_few((*sentences.answer(data, all_facts, is_short=True), *_held(data))),
         effects,
         of_all.get("few-curves", of_all.get("curves")),
     )
@@ -174,32 +175,9 @@ def first_page(
 
 # The first page in words: an answer of few sentences, a line for every check, what to do.
 
-#: sentences of the answer, and responses that it speaks of one by one
+#: sentences of the answer
 MOST_SENTENCES = 5
-MOST_RESPONSES = 3
 _END = re.compile(r"(?<=[.?!])\s+(?=[A-Z\N{MULTIPLICATION SIGN}])")
-
-
-def short_answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
-    """Answer in at most five sentences: verdicts first, then the best setting and the doubts."""
-    analyzed = [facts for facts in all_facts if facts.terms]
-    if not analyzed:
-        return in_few(sentences.answer(data, all_facts))
-    lines = [sentences.verdicts_of(data, facts) for facts in analyzed[:MOST_RESPONSES]]
-    if len(analyzed) > MOST_RESPONSES:
-        more = count(len(analyzed) - MOST_RESPONSES, "more response")
-        lines.append(f"The figure below shows the effects on {more}.")
-    ranked = (
-        *lines,
-        *comparison_content.answer_lines(data.beside, data.labels),
-        *sentences.left_out(data, all_facts),
-        sentences.without_verdict(all_facts),
-        recommendation.best_cell(data, all_facts) if any(f.better for f in analyzed) else "",
-        *effect_words.unknowns(data, all_facts),
-        *effect_words.by_condition(data, all_facts),
-        sentences.interactions(data, all_facts),
-    )
-    return in_few(ranked)
 
 
 def in_few(lines: Iterable[str]) -> tuple[str, ...]:
@@ -235,7 +213,10 @@ def _card_line(group: CheckGroup) -> tuple[str, str, str]:
 def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     """Recommendation of every response that has a better end; why there is none otherwise."""
     if data.surfaces and not any(facts.terms for facts in all_facts):
-        where = {surface_content.title(one, data): one for one in data.surfaces[:MOST_RESPONSES]}
+        where = {
+            surface_content.title(one, data): one
+            for one in data.surfaces[: sentences.MOST_RESPONSES]
+        }
         return tuple(
             sentence(f"{name}: {' '.join(ends)}")
             for name, one in where.items()
@@ -264,10 +245,14 @@ def _linked(words: str, links: Mapping[str, str], folder: str) -> Sentence:
     return Sentence(words, kind="note", links=addresses)
 
 
+def _held(data: ReportData) -> tuple[str, ...]:
+    """Say how many conclusions hold in the other study too; empty without one."""
+    return comparison_content.summary(data.beside, data.labels)[:1] if data.beside else ()
+
+
 def _effects(data: ReportData, all_facts: Sequence[Facts], files: str) -> Iterator[Block]:
     yield EFFECTS
-    yield from map(Sentence, sentences.answer(data, all_facts))
-    yield from map(Sentence, comparison_content.answer_lines(data.beside, data.labels))
+    yield from map(Sentence, (*sentences.answer(data, all_facts), *_held(data)))
     table = tables.verdicts(all_facts, data)
     anchors = {item.title: anchor_of(item) for item in all_facts}
     yield replace(table, links=tuple(anchors[row[0]] for row in table.rows))
@@ -401,7 +386,7 @@ def drawn(figures: Mapping[str, Figure], *kinds: str) -> Iterator[Figure]:
 def _response(
     data: ReportData, item: Facts, figures: Mapping[str, Figure]
 ) -> Iterator[Block | None]:
-    yield Heading(item.title[0].upper() + item.title[1:], 2, anchor_of(item), item.unit)
+    yield Heading(capital(item.title), 2, anchor_of(item), item.unit)
     if item.result is None or not item.terms:
         yield Sentence(f"Not analyzed. {' '.join(item.warnings)}", kind="missing")
         return
@@ -456,7 +441,7 @@ def _assumptions(
     yield Heading("Assumptions", 2, "assumptions")
     for item, figures in parts:
         if item.result is not None and item.terms:
-            yield Heading(item.title[0].upper() + item.title[1:])
+            yield Heading(capital(item.title))
             yield analysis_content.checks(item.result, f"tests of assumptions {item.name}")
             yield from drawn(figures, "residuals", "spread")
     yield from IF_VIOLATED
