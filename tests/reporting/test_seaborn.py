@@ -126,7 +126,7 @@ def test_residuals(data: ReportData, error: Facts):
     counts, edges = np.histogram(frame["residual"], bins=sturges)
     assert [bar.get_height() for bar in histogram.patches] == counts.tolist()
     assert [bar.get_x() for bar in histogram.patches] == pytest.approx(edges[:-1])
-    (drawn,) = points(factors)
+    drawn = np.vstack(points(factors))
     # every residual once for each factor
     expected = np.sort(np.tile(frame["residual"], len(data.factors)))
     assert np.sort(drawn[:, 1]).tolist() == expected.tolist()

@@ -77,7 +77,7 @@ def answer(
     has_size = any(facts.has_size for facts in analyzed)
     has_goal = any(facts.better for facts in analyzed)
     parts = (
-        " ".join(text for text in first if text),
+        *(first if is_short else [" ".join(filter(None, first))]),
         f"The figure below shows the effects on {rest}." if named != analyzed else "",
         without_size(data, all_facts),
         without_verdict(all_facts),

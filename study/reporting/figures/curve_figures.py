@@ -382,8 +382,8 @@ LONGEST_TITLE = 72
 CHARACTER_IN = 0.6 * 7.5 / 72
 #: Inches of a row: a line of the title or the legend, the force axis, the residual axis.
 LINE_IN = 0.15
-FORCE_IN = 1.15
-RESIDUAL_IN = 0.7
+FORCE_IN = 1.0
+RESIDUAL_IN = 0.65
 #: Levels of the factor drawn as lines that stand beside each other in the legend.
 NAMES_IN_ROW = 5
 

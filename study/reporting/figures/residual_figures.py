@@ -152,48 +152,27 @@ def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str) -> None:
     """Draw the residuals of every level of every factor, side by side."""
-    import seaborn as sns
-
     ax.axhline(0, color=MUTED, linewidth=0.7)
-    levels = _level_places(frame, data)
-    if levels.empty:
-        return
-    colors = {number: color_of(number) for number in levels["number"]}
-    sns.scatterplot(
-        _jittered(frame, levels, data.seed), x="place", y="residual", hue="number", palette=colors,
-        s=7, alpha=0.7, linewidth=0, zorder=2, clip_on=False, legend=False, ax=ax,
-    )  # fmt: skip
-    for number, factor in levels.groupby("number"):
-        name = wrap(name_of(factor["factor"].iloc[0], data.labels), 16, 24)
-        bold = {"color": word_color_of(int(str(number))), "fontweight": "bold"}
-        above(ax, name, float(factor["place"].mean()), **bold)
-    names = [clean(level, 20) for level in levels["level"]]
-    ax.set_xticks(
-        levels["place"], names, rotation=40, ha="right", rotation_mode="anchor", fontsize=7
-    )
-    ax.set(xlabel="", ylabel=label)
-
-
-def _level_places(frame: pd.DataFrame, data: ReportData) -> pd.DataFrame:
-    """Place of every level on the shared axis; 0.7 of a step more parts the factors."""
-    rows: list[tuple[int, str, str, float]] = []
+    # seaborn's jitter differs at every run
+    rng = np.random.default_rng(data.seed)
+    names: dict[float, str] = {}
     start = 0.0
     for number, (factor, levels) in enumerate(data.factors.items()):
-        if factor in frame:
-            rows += [(number, factor, level, start + i) for i, level in enumerate(levels)]
-            start += len(levels) + 0.7
-    return pd.DataFrame(rows, columns=["number", "factor", "level", "place"])
-
-
-def _jittered(frame: pd.DataFrame, levels: pd.DataFrame, seed: int) -> pd.DataFrame:
-    """Residuals spread about the place of their level; seaborn's jitter differs at every run."""
-    rng = np.random.default_rng(seed)
-    parts = []
-    for number, factor, level, place in levels.itertuples(index=False):
-        values = frame.loc[frame[factor].astype(str) == level, "residual"]
-        spread = place + rng.uniform(-0.18, 0.18, len(values))
-        parts.append(pd.DataFrame({"place": spread, "residual": values, "number": number}))
-    return pd.concat(parts, ignore_index=True)
+        if factor not in frame:
+            continue
+        for place, level in enumerate(levels, 1):
+            values = frame.loc[frame[factor].astype(str) == level, "residual"]
+            across = start + place + rng.uniform(-0.18, 0.18, len(values))
+            ax.scatter(across, values, s=7, alpha=0.7, linewidth=0, color=color_of(number))
+            names[start + place] = clean(level, 20)
+        name = wrap(name_of(factor, data.labels), 16, 24)
+        bold = {"color": word_color_of(number), "fontweight": "bold"}
+        above(ax, name, start + (len(levels) + 1) / 2, **bold)
+        start += len(levels) + 0.7  # parts the factors
+    ax.set_xticks(
+        list(names), [*names.values()], rotation=40, ha="right", rotation_mode="anchor", fontsize=7
+    )
+    ax.set(xlabel="", ylabel=label)
 
 
 def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:

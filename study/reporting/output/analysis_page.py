@@ -70,10 +70,8 @@ def prepare(
     unusual = unusual_observations(analysis)
     figures = _figures(analysis, data, item, rows, unusual)
     stem, lines = _stem(analysis, data), sentences.answer(data, (item,))
-    effects = registry.overview(data, (item,))
-    first = study_page.first_page(
-        data, (item,), stem, item.title, study_page.in_few(lines), effects, rows="rows.csv"
-    )
+    effects, name = registry.overview(data, (item,)), capital(item.title)
+    first = study_page.first_page(data, (item,), stem, name, effects, rows="rows.csv")
     warnings = [sentence(clean(text)) for text in dict.fromkeys((*data.warnings, *analysis.notes))]
     blocks: list[Block | None] = [
         study_page.EFFECTS,
@@ -103,7 +101,7 @@ def prepare(
     second = Page(
         title=f"{item.title}, {data.name}: details",
         kicker=first.kicker,
-        name=capital(item.title),
+        name=name,
         question=data.question,
         blocks=blocks,
         back=page_names(stem)[0],

@@ -133,24 +133,29 @@ def warnings(sensors: SensorRequirement) -> list[str]:
 
 def errors(sensors: SensorRequirement) -> Table:
     """Every error: as given, and as large as it may be."""
-    rows, raw = [], []
-    for k, source in enumerate(sensors.propagation.sources):
-        alone, jointly = sensors.allowed(k)
-        rows.append((
-            source.sensor, source.name, size(source, source.given), size(source, alone),
-            size(source, jointly),
-        ))  # fmt: skip
-        raw.append({
-            "sensor": source.sensor, "error": source.name, "unit": source.unit or "1",
-            "given": source.given, "allowed_alone": alone, "allowed_beside": jointly,
-        })  # fmt: skip
     limit = percent(sensors.accuracy)
-    columns = ("sensor", "error", "given", "allowed alone", "allowed beside the others")
     note = (
         f"For {limit} (k = {sensors.coverage:g}) of every constant: alone, with all other errors "
         "zero; beside the others as given (none: they are too large already)."
     )
-    return Table("Errors", columns, tuple(rows), 2, raw=tuple(raw), note=note)
+    every = [(s, *sensors.allowed(k)) for k, s in enumerate(sensors.propagation.sources)]
+    return Table.of(
+        "Errors",
+        every,
+        {
+            "sensor": lambda of: of[0].sensor,
+            "error": lambda of: of[0].name,
+            "given": lambda of: size(of[0], of[0].given),
+            "allowed alone": lambda of: size(of[0], of[1]),
+            "allowed beside the others": lambda of: size(of[0], of[2]),
+        },
+        left=2,
+        note=note,
+        raw=lambda of: {
+            "sensor": of[0].sensor, "error": of[0].name, "unit": of[0].unit or "1",
+            "given": of[0].given, "allowed_alone": of[1], "allowed_beside": of[2],
+        },
+    )  # fmt: skip
 
 
 def quantities(sensors: SensorRequirement) -> Table:
@@ -172,18 +177,25 @@ def quantities(sensors: SensorRequirement) -> Table:
 
 def simulations(sensors: SensorRequirement) -> Table:
     """Scatter in simulated tests beside that of first order."""
-    rows, raw = [], []
-    for run in sensors.simulations:
-        for s in run.scatters:
-            rows.append((
-                f"{run.multiple:g}", s.name, f"{s.ratio:.3f}", f"{s.ratio_error:.3f}",
-                f"{s.bias:+.2f}", "first order holds" if s.is_linear else "first order fails",
-            ))  # fmt: skip
-            raw.append({"multiple": run.multiple, "samples": run.samples, "failed": run.failed,
-                        **vars(s)})  # fmt: skip
-    columns = ("multiple", "quantity", "scatter over first order", "its error", "shift", "verdict")
-    note = "The shift of the mean is in standard deviations."
-    return Table("Simulated tests", columns, tuple(rows), 2, 1, raw=tuple(raw), note=note)
+    return Table.of(
+        "Simulated tests",
+        [(run, s) for run in sensors.simulations for s in run.scatters],
+        {
+            "multiple": lambda of: f"{of[0].multiple:g}",
+            "quantity": lambda of: of[1].name,
+            "scatter over first order": lambda of: f"{of[1].ratio:.3f}",
+            "its error": lambda of: f"{of[1].ratio_error:.3f}",
+            "shift": lambda of: f"{of[1].bias:+.2f}",
+            "verdict": lambda of: f"first order {'holds' if of[1].is_linear else 'fails'}",
+        },
+        left=2,
+        tail=1,
+        note="The shift of the mean is in standard deviations.",
+        raw=lambda of: {
+            "multiple": of[0].multiple, "samples": of[0].samples, "failed": of[0].failed,
+            **vars(of[1]),
+        },
+    )  # fmt: skip
 
 
 # Drawings of both pages.

@@ -134,7 +134,7 @@ def page_names(stem: str) -> tuple[str, str]:
 
 def printed(first: str, second: str) -> str:
     """Return both pages as one document, as a printer wants them."""
-    return first.partition("</main>")[0] + second.partition("<main>")[2]
+    return f"{first.partition('</main>')[0]}</main>\n<main>{second.partition('<main>')[2]}"
 
 
 def table_script() -> Markup:

@@ -88,15 +88,8 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     middle += [block for part in parts for block in _response(data, *part)]
     of_all = figures()
     stem = slug(data.name)
-    first = first_page(
-        data,
-        all_facts,
-        stem,
-        data.name,
-        in_few((*sentences.answer(data, all_facts, is_short=True), *_held(data))),
-        effects,
-        of_all.get("few-curves", of_all.get("curves")),
-    )
+    curves = of_all.get("few-curves", of_all.get("curves"))
+    first = first_page(data, all_facts, stem, data.name, effects, curves)
     second = Page(
         title=f"{data.name}: details",
         kicker=first.kicker,
@@ -136,12 +129,12 @@ def first_page(
     all_facts: Sequence[Facts],
     stem: str,
     name: str,
-    answer: Sequence[str],
     effects: Figure | None,
     curves: Figure | None = None,
     rows: str = "cases.csv",
 ) -> Page:
     """Question, answer, effects, checks, curves, what to do."""
+    answer = in_few((*sentences.answer(data, all_facts, is_short=True), *_held(data)))
     advice = what_to_do(data, all_facts)
     would_change = recommendation.would_change(data, all_facts)
     blocks: list[Block] = [Heading("Answer", 2, "answer"), *map(Sentence, answer)]
