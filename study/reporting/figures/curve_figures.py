@@ -18,18 +18,7 @@ from matplotlib.patches import Patch
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.reporting.content.text import THIN, clean, quantity
-from study.reporting.figures.axes import (
-    DASHES,
-    INK,
-    MUTED,
-    RULE,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    one_panel,
-    panels,
-    wrap,
-)
+from study.reporting.figures import axes as style
 from study.reporting.results.study_result import CurvePair, ReportData
 
 #: color of the scatter of repeats
@@ -62,7 +51,7 @@ def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
     total, panels = len(panels), panels[:_MOST]
     columns = min(_COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
-    figure = canvas(0.5 + 3.0 * rows, WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN)
+    figure = style.canvas(0.5 + 3.0 * rows, style.WIDTH_IN if columns > 1 else 0.6 * style.WIDTH_IN)
     axes = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2.4, 1.0] * rows)
     for place in range(rows * columns):
         r, c = divmod(place, columns)
@@ -100,10 +89,12 @@ def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
         residual.fill_between(
             d, -s, s, color=SCATTER, alpha=0.6, linewidth=0, label="sd of repeats"
         )
-    force.plot(d[thin], panel.measured_N[thin], "o", color=INK, markersize=1.9, label="measured")
-    residual.axhline(0, color=INK, linewidth=0.6)
+    force.plot(
+        d[thin], panel.measured_N[thin], "o", color=style.INK, markersize=1.9, label="measured"
+    )
+    residual.axhline(0, color=style.INK, linewidth=0.6)
     if panel.predicted_N is not None:
-        color = color_of(0 if panel.fitted else 1)
+        color = style.color_of(0 if panel.fitted else 1)
         label = "fit" if panel.fitted else "prediction (held out)"
         force.plot(d, panel.predicted_N, label=label, color=color, linewidth=1.1)
         residual.plot(d, panel.predicted_N - panel.measured_N, color=color, linewidth=1.1)
@@ -128,9 +119,9 @@ def draw_recordings(frame: pd.DataFrame) -> Canvas:
     Columns of the frame: test, line, far, hard, branch, set_aside, far_name, hard_name.
     """
     titles = list(dict.fromkeys(frame["test"]))[:_MOST]
-    figure, axes = panels(len(titles), _COLUMNS, 2.6, 0.3)
+    figure, axes = style.panels(len(titles), _COLUMNS, 2.6, 0.3)
     if len(titles) == 1:
-        figure.set_figwidth(0.6 * WIDTH_IN)
+        figure.set_figwidth(0.6 * style.WIDTH_IN)
     for ax, title in zip(axes, titles, strict=True):
         _recording_panel(ax, frame[frame["test"] == title], title)
     return figure
@@ -138,12 +129,12 @@ def draw_recordings(frame: pd.DataFrame) -> Canvas:
 
 def _recording_panel(ax: Axes, rows: pd.DataFrame, title: str) -> None:
     thin = rows.iloc[:: max(1, len(rows) // _DRAWN)]
-    ax.plot(thin["far"], thin["hard"], color=RULE, linewidth=0.6, zorder=1)
+    ax.plot(thin["far"], thin["hard"], color=style.RULE, linewidth=0.6, zorder=1)
     grays = itertools.cycle(("#8a929b", "#b3bac1", "#6b737b"))
     for why, part in thin.groupby("set_aside", sort=False):
         used = why == ""
         label = "used" if used else f"set aside: {why}"
-        color = color_of(0) if used else next(grays)
+        color = style.color_of(0) if used else next(grays)
         ax.plot(part["far"], part["hard"], ".", color=color, markersize=2.4, label=label,
                 zorder=3 if used else 2)  # fmt: skip
     ax.set_title(clean(title, 44), fontsize=7.5)
@@ -180,7 +171,7 @@ def layer_points(data: ReportData) -> pd.DataFrame:
 def draw_layers(frame: pd.DataFrame) -> Canvas:
     """Draw a panel a state: a line for each cell, colored by the first factor."""
     states = list(dict.fromkeys(frame["state"]))
-    figure, axes = panels(len(states), len(states), 2.6, 0.0, sharey=True)
+    figure, axes = style.panels(len(states), len(states), 2.6, 0.0, sharey=True)
     groups = list(dict.fromkeys(frame["group"]))
     for ax, state in zip(axes, states, strict=True):
         _marker_layers_panel(ax, frame[frame["state"] == state], groups)
@@ -197,10 +188,14 @@ def _marker_layers_panel(ax: Axes, part: pd.DataFrame, groups: list[str]) -> Non
         rows = part[part["group"] == group]
         for k, (_, line) in enumerate(rows.groupby("cell", sort=False)):
             label = clean(group, 30) if k == 0 else None
-            ax.plot(line["place"], line["error_mm"], color=color_of(number), lw=0.9, label=label)
+            ax.plot(
+                line["place"], line["error_mm"], color=style.color_of(number), lw=0.9, label=label
+            )
     floor = part["floor_mm"].dropna()
     if len(floor):
-        ax.axhline(float(floor.iloc[0]), color=MUTED, linewidth=0.8, linestyle="--", label="floor")
+        ax.axhline(
+            float(floor.iloc[0]), color=style.MUTED, linewidth=0.8, linestyle="--", label="floor"
+        )
     ticks = part[["place", "layer"]].drop_duplicates()
     ax.set_xticks(ticks["place"], [clean(v, 8) for v in ticks["layer"]])
 
@@ -396,14 +391,14 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
     number, levels = len(panels.panels), len(data.factors[panels.panel]) if panels.panel else 1
     columns = min(max(levels, (4 // levels) * levels), number)
     rows = -(-number // columns)
-    titles = panel_titles(panels, WIDTH_IN / columns)
+    titles = panel_titles(panels, style.WIDTH_IN / columns)
     handles = _handles(panels, data)
     title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
     top_in = 0.05 + 1.3 * LINE_IN * -(-len(handles) // NAMES_IN_ROW)
     height = 0.5 + top_in + rows * (title_in + FORCE_IN + RESIDUAL_IN)
-    figure = canvas(height, arranged=False)
+    figure = style.canvas(height, arranged=False)
     grid = figure.add_gridspec(
-        3 * rows, columns, left=0.62 / WIDTH_IN, right=0.99, top=1 - top_in / height,
+        3 * rows, columns, left=0.62 / style.WIDTH_IN, right=0.99, top=1 - top_in / height,
         bottom=0.5 / height, wspace=0.1, hspace=0.06,
         height_ratios=(title_in, FORCE_IN, RESIDUAL_IN) * rows,
     )  # fmt: skip
@@ -433,7 +428,7 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
             is_lowest = ax is residual and place + columns >= number
             ax.tick_params(labelleft=column == 0, labelbottom=is_lowest)
     figure.text(0.5, 0.08 / height, "displacement (mm)", ha="center", fontsize=8.5)
-    corner = (0.5 / WIDTH_IN, 1.0)
+    corner = (0.5 / style.WIDTH_IN, 1.0)
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=NAMES_IN_ROW,
         borderaxespad=0.2, columnspacing=1.4,
@@ -454,20 +449,20 @@ def panel_titles(panels: CurvePanels, width_in: float) -> tuple[str, ...]:
             f"{words} ({THIN.join(('100', '%', '=', quantity(top, 'N')))})"
             for words, top in zip(joined, tops, strict=True)
         ]
-    return tuple(wrap(words, width, longest=3 * LONGEST_TITLE) for words in joined)
+    return tuple(style.wrap(words, width, longest=3 * LONGEST_TITLE) for words in joined)
 
 
 def _plot_panel(force: Axes, residual: Axes, rows: pd.DataFrame, levels: Sequence[str]) -> None:
     """Draw measurements with the scatter of their repeats, and a line for each prediction."""
-    residual.axhline(0, color=INK, linewidth=0.6)
+    residual.axhline(0, color=style.INK, linewidth=0.6)
     for number, line in enumerate(measurements(rows)):
         d, measured, s = (line[name] for name in ("displacement_mm", "measured_N", "scatter_N"))
         if s.notna().all():
             force.fill_between(d, measured - s, measured + s, color=SCATTER, linewidth=0)
             residual.fill_between(d, -s, s, color=SCATTER, alpha=0.6, linewidth=0)
         force.plot(
-            d.iloc[::2], measured.iloc[::2], "o", color=INK, markersize=1.9,
-            markerfacecolor="#ffffff" if number else INK, markeredgewidth=0.5,
+            d.iloc[::2], measured.iloc[::2], "o", color=style.INK, markersize=1.9,
+            markerfacecolor="#ffffff" if number else style.INK, markeredgewidth=0.5,
         )  # fmt: skip
     for index, name in enumerate(levels):
         line = rows[rows["line"] == name]
@@ -477,12 +472,14 @@ def _plot_panel(force: Axes, residual: Axes, rows: pd.DataFrame, levels: Sequenc
 
 
 def _look_of(index: int) -> dict[str, Any]:
-    return {"color": color_of(index), "linestyle": DASHES[index % 4], "linewidth": 1.1}
+    return {"color": style.color_of(index), "linestyle": style.DASHES[index % 4], "linewidth": 1.1}
 
 
 def _handles(panels: CurvePanels, data: ReportData) -> list[Line2D | Patch]:
     """Entries of the legend: points, bands, and the level of every line."""
-    points = Line2D([], [], color=INK, marker="o", markersize=3, linestyle="none", label="measured")
+    points = Line2D(
+        [], [], color=style.INK, marker="o", markersize=3, linestyle="none", label="measured"
+    )
     handles: list[Line2D | Patch] = [points]
     if panels.frame["scatter_N"].notna().any():
         handles.append(Patch(color=SCATTER, label="standard deviation of the repeats"))
@@ -496,10 +493,10 @@ def _handles(panels: CurvePanels, data: ReportData) -> list[Line2D | Patch]:
 
 def draw_curve(curve: Curve) -> Canvas:
     """Draw force against displacement from the unloaded origin, load steps as points."""
-    figure, ax = one_panel(3.2, 0.6 * WIDTH_IN)
+    figure, ax = style.one_panel(3.2, 0.6 * style.WIDTH_IN)
     places = np.linspace(0.0, curve.displacement_mm[-1], 200)
-    ax.plot(places, curve.force_at(places), color=color_of(0))
-    ax.plot(curve.displacement_mm, curve.force_N, "o", color=color_of(0), markersize=3)
+    ax.plot(places, curve.force_at(places), color=style.color_of(0))
+    ax.plot(curve.displacement_mm, curve.force_N, "o", color=style.color_of(0), markersize=3)
     ax.grid(axis="y")
     ax.set_xlabel("displacement (mm)")
     ax.set_ylabel("force (N)")

@@ -11,21 +11,7 @@ from matplotlib.figure import Figure as Canvas
 
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, count, name_of, p_value, sentence, term_name
-from study.reporting.figures.axes import (
-    BAND,
-    INK,
-    MUTED,
-    above,
-    canvas,
-    clean_left,
-    color_of,
-    labeled,
-    name_rows,
-    note,
-    one_panel,
-    word_color_of,
-    wrap,
-)
+from study.reporting.figures import axes as style
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.unreplicated import pseudo_standard_error
 
@@ -76,9 +62,9 @@ def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw the Pareto plot on the left, the half-normal plot on the right."""
     shown = frame.head(_MOST_BARS)
-    figure = canvas(max(3.4, 1.0 + 0.2 * len(shown)))
+    figure = style.canvas(max(3.4, 1.0 + 0.2 * len(shown)))
     pareto, half = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    label = labeled("absolute contrast", facts.scale)
+    label = style.labeled("absolute contrast", facts.scale)
     _pareto(pareto, shown, label)
     _half_normal(half, frame, label)
     return figure
@@ -93,13 +79,13 @@ def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
         native_scale=True, dodge=False, saturation=1, width=0.66, errorbar=None, legend=False,
         ax=ax,
     )  # fmt: skip
-    for column, style, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
+    for column, dashes, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
         limit = float(frame[column].iloc[0])
-        ax.axvline(limit, color=INK, linewidth=0.8, linestyle=style)
-        above(ax, name, limit)
-    name_rows(ax, places, [wrap(name, 30) for name in frame["name"]])
+        ax.axvline(limit, color=style.INK, linewidth=0.8, linestyle=dashes)
+        style.above(ax, name, limit)
+    style.name_rows(ax, places, [style.wrap(name, 30) for name in frame["name"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
-    clean_left(ax)
+    style.clean_left(ax)
     ax.set_xlabel(f"{label}; limits for one, for all")
 
 
@@ -108,7 +94,11 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
 
     ordered = frame.sort_values("score")
     ax.fill_between(
-        ordered["score"], np.sort(frame["low"]), np.sort(frame["high"]), color=BAND, linewidth=0
+        ordered["score"],
+        np.sort(frame["low"]),
+        np.sort(frame["high"]),
+        color=style.BAND,
+        linewidth=0,
     )
     sns.scatterplot(
         frame, x="score", y="size", hue="active", style="active", palette=_CONTRAST_COLORS,
@@ -116,7 +106,7 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
     )  # fmt: skip
     for name, score, size in zip(*(frame[c] for c in ("name", "score", "size")), strict=True):
         if size > float(frame["margin"].iloc[0]):
-            note(ax, name, (score, size), (-6, 0), ha="right", va="center")
+            style.note(ax, name, (score, size), (-6, 0), ha="right", va="center")
     ax.set_ylim(bottom=0)
     ax.set_xlim(left=0)
     ax.set_xlabel("half-normal score, with the 95 % envelope of no effect")
@@ -152,7 +142,7 @@ def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str) -> None:
     """Draw the residuals of every level of every factor, side by side."""
-    ax.axhline(0, color=MUTED, linewidth=0.7)
+    ax.axhline(0, color=style.MUTED, linewidth=0.7)
     # seaborn's jitter differs at every run
     rng = np.random.default_rng(data.seed)
     names: dict[float, str] = {}
@@ -163,11 +153,11 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
         for place, level in enumerate(levels, 1):
             values = frame.loc[frame[factor].astype(str) == level, "residual"]
             across = start + place + rng.uniform(-0.18, 0.18, len(values))
-            ax.scatter(across, values, s=7, alpha=0.7, linewidth=0, color=color_of(number))
+            ax.scatter(across, values, s=7, alpha=0.7, linewidth=0, color=style.color_of(number))
             names[start + place] = clean(level, 20)
-        name = wrap(name_of(factor, data.labels), 16, 24)
-        bold = {"color": word_color_of(number), "fontweight": "bold"}
-        above(ax, name, start + (len(levels) + 1) / 2, **bold)
+        name = style.wrap(name_of(factor, data.labels), 16, 24)
+        bold = {"color": style.word_color_of(number), "fontweight": "bold"}
+        style.above(ax, name, start + (len(levels) + 1) / 2, **bold)
         start += len(levels) + 0.7  # parts the factors
     ax.set_xticks(
         list(names), [*names.values()], rotation=40, ha="right", rotation_mode="anchor", fontsize=7
@@ -203,16 +193,18 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
     import seaborn as sns
 
-    figure, ax = one_panel(0.9 + 0.22 * len(frame))
+    figure, ax = style.one_panel(0.9 + 0.22 * len(frame))
     places = np.arange(len(frame))
-    ax.hlines(places, frame["low"], frame["high"], color=color_of(0), linewidth=1.6)
-    sns.scatterplot(x=frame["sd"], y=places, color=color_of(0), s=36, linewidth=0, zorder=3, ax=ax)
-    name_rows(ax, places, [wrap(cell, 70, 70) for cell in frame["cell"]])
+    ax.hlines(places, frame["low"], frame["high"], color=style.color_of(0), linewidth=1.6)
+    sns.scatterplot(
+        x=frame["sd"], y=places, color=style.color_of(0), s=36, linewidth=0, zorder=3, ax=ax
+    )
+    style.name_rows(ax, places, [style.wrap(cell, 70, 70) for cell in frame["cell"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
     ax.set_xlim(left=0)
     ax.grid(axis="y")
-    clean_left(ax)
-    label = labeled("standard deviation of residuals", facts.scale)
+    style.clean_left(ax)
+    label = style.labeled("standard deviation of residuals", facts.scale)
     ax.set_xlabel(f"{label}, 95 % Bonferroni intervals")
     return figure
 
@@ -266,13 +258,13 @@ def draw_residuals(
     points: pd.DataFrame, facts: Facts, data: ReportData, *, ordered: bool = False
 ) -> Canvas:
     """Draw four views of the residuals; rows of a table have an order, runs have none."""
-    figure = canvas(5.7)
+    figure = style.canvas(5.7)
     (normal, fits), (histogram, last) = figure.subplots(2, 2)
-    shown, label = thinned(points, data.seed), labeled("residual", facts.scale)
+    shown, label = thinned(points, data.seed), style.labeled("residual", facts.scale)
     _probability(normal, shown, points, facts, data.seed, label)
     _against(fits, shown["fitted"], shown["residual"])
     where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
-    fits.set(title="versus fits", xlabel=labeled("fit", where), ylabel=label)
+    fits.set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
     _histogram(histogram, points["residual"].to_numpy(float), label)
     if ordered:
         _in_order(last, shown, label)
@@ -283,9 +275,9 @@ def draw_residuals(
 
 def _in_order(ax: Axes, shown: pd.DataFrame, label: str) -> None:
     """Draw the residuals in the order of the rows, joined where they are few."""
-    ax.axhline(0, color=MUTED, linewidth=0.7)
+    ax.axhline(0, color=style.MUTED, linewidth=0.7)
     ax.plot(shown["row"], shown["residual"], "o-" if len(shown) <= MOST_JOINED else "o",
-            markersize=3.2, linewidth=0.7, color=color_of(0), markeredgewidth=0)  # fmt: skip
+            markersize=3.2, linewidth=0.7, color=style.color_of(0), markeredgewidth=0)  # fmt: skip
     ax.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
 
 
@@ -296,11 +288,11 @@ def _probability(
     spread = float(points["residual"].std(ddof=1))
     if len(points) <= MOST_POINTS:
         low, high = envelope(len(points), spread, seed)
-        ax.fill_between(np.sort(points["score"]), low, high, color=BAND, linewidth=0)
+        ax.fill_between(np.sort(points["score"]), low, high, color=style.BAND, linewidth=0)
     ends = np.array([points["score"].min(), points["score"].max()])
-    ax.plot(ends, ends * spread, color=MUTED, linewidth=0.8)
-    ax.plot(shown["score"], shown["residual"], "o", markersize=3.2, alpha=0.8, color=color_of(0),
-            markeredgewidth=0)  # fmt: skip
+    ax.plot(ends, ends * spread, color=style.MUTED, linewidth=0.8)
+    look = {"color": style.color_of(0), "markersize": 3.2, "markeredgewidth": 0}
+    ax.plot(shown["score"], shown["residual"], "o", alpha=0.8, **look)
     normality = facts.assumptions.normality
     if normality is not None and normality.rj is not None:
         p = p_value(normality.p_exact)
@@ -311,23 +303,23 @@ def _probability(
 
 
 def _against(ax: Axes, x: pd.Series, residual: pd.Series) -> None:
-    ax.axhline(0, color=MUTED, linewidth=0.7)
-    ax.plot(x, residual, "o", markersize=3.2, alpha=0.7, color=color_of(0), markeredgewidth=0)
+    ax.axhline(0, color=style.MUTED, linewidth=0.7)
+    ax.plot(x, residual, "o", markersize=3.2, alpha=0.7, color=style.color_of(0), markeredgewidth=0)
 
 
 def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
     import seaborn as sns
 
     bins = int(np.clip(np.ceil(1 + np.log2(values.size)), 4, 40))  # Sturges 1926
-    sns.histplot(x=values, bins=bins, color=color_of(5), alpha=1, edgecolor="white", linewidth=0.6,
-                 ax=ax)  # fmt: skip
+    look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
+    sns.histplot(x=values, bins=bins, alpha=1, ax=ax, **look)
     ax.set(title="histogram", xlabel=label, ylabel="rows")
 
 
 def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
     """Draw the residuals at every level of every factor, side by side."""
-    figure, ax = one_panel(3.2)
-    _against_factors(ax, thinned(points, data.seed), data, labeled("residual", facts.scale))
+    figure, ax = style.one_panel(3.2)
+    _against_factors(ax, thinned(points, data.seed), data, style.labeled("residual", facts.scale))
     return figure
 
 
@@ -344,22 +336,22 @@ def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
 
 def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) -> Canvas:
     """Draw Cook's distance by row, and standardized residual against leverage."""
-    figure = canvas(3.2)
+    figure = style.canvas(3.2)
     cook, leverage = figure.subplots(1, 2)
     # a row that is fitted exactly has leverage one, and no Cook's distance
     drawn = thinned(points, data.seed)
     shown = drawn[np.isfinite(drawn["cook"].to_numpy(float))]
-    cook.vlines(shown["row"], 0, shown["cook"], color=color_of(0), linewidth=1.0)
+    cook.vlines(shown["row"], 0, shown["cook"], color=style.color_of(0), linewidth=1.0)
     largest = float(np.nanmax(shown["cook"].to_numpy(float), initial=0.0))
     if limit is not None and limit <= 3 * largest:
-        cook.axhline(limit, color=INK, linewidth=0.8, linestyle="--")
+        cook.axhline(limit, color=style.INK, linewidth=0.8, linestyle="--")
     for row in shown.nlargest(NAMED, "cook").itertuples():
         at = float(str(row.row)), float(str(row.cook))
-        note(cook, f"{row.row}", at, (0, 2), ha="center", va="bottom")
+        style.note(cook, f"{row.row}", at, (0, 2), ha="center", va="bottom")
     cook.set_ylim(bottom=0, top=1.12 * largest if largest > 0 else 1.0)
     cook.set(title="Cook's distance", xlabel="row of the file", ylabel="")
     for height in (-2, 2):
-        leverage.axhline(height, color=MUTED, linewidth=0.7, linestyle="--")
+        leverage.axhline(height, color=style.MUTED, linewidth=0.7, linestyle="--")
     _against(leverage, shown["leverage"], shown["standardized"])
     leverage.set(
         title="residual against leverage", xlabel="leverage", ylabel="standardized residual"

@@ -13,21 +13,7 @@ from matplotlib.figure import Figure as Canvas
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.tables import fit_name, fit_rank
 from study.reporting.content.text import clean, duration, listing, name_of, quantity, term_name
-from study.reporting.figures.axes import (
-    BAND,
-    INK,
-    MARKERS,
-    MUTED,
-    canvas,
-    clean_left,
-    color_of,
-    labeled,
-    log_ticks,
-    name_rows,
-    note,
-    one_panel,
-    wrap,
-)
+from study.reporting.figures import axes as style
 from study.reporting.results.study_result import DepthEffect, ReportData
 
 _MOST_ROWS = 40
@@ -61,13 +47,13 @@ def draw_constants(frame: pd.DataFrame) -> Canvas:
     # the constant of most fits first: it is the one that all models share
     names = frame["constant"].value_counts().index.tolist()[:_MOST_PANELS]
     rows = frame.drop_duplicates("place").sort_values("place")
-    figure = canvas(1.0 + 0.3 * len(rows))
+    figure = style.canvas(1.0 + 0.3 * len(rows))
     axes = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
     for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
         some = frame[frame["constant"] == name]
-        _panel(ax, some, color_of(index))
-        ax.set_xlabel(labeled(clean(name, 16), str(some["unit"].iloc[0])))
-    name_rows(axes[0], rows["place"], [wrap(row, 46, 90) for row in rows["row"]])
+        _panel(ax, some, style.color_of(index))
+        ax.set_xlabel(style.labeled(clean(name, 16), str(some["unit"].iloc[0])))
+    style.name_rows(axes[0], rows["place"], [style.wrap(row, 46, 90) for row in rows["row"]])
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     return figure
 
@@ -84,7 +70,7 @@ def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
             markerfacecolor="white", markeredgewidth=0.8,
         )  # fmt: skip
     ax.grid(axis="y")
-    clean_left(ax)
+    style.clean_left(ax)
     ax.locator_params(axis="x", nbins=4)
 
 
@@ -100,38 +86,39 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     """Draw the mean response of each cell against its seconds, front stepped and labeled."""
     import seaborn as sns
 
-    figure, ax = one_panel(3.7)
+    figure, ax = style.one_panel(3.7)
     shown = frame.astype(dict.fromkeys(data.factors, str))
     shown = shown.rename(columns={name: name_of(name, data.labels) for name in data.factors})
     first, second = _styling(frame, data)
     look = {"hue": name_of(first, data.labels), "hue_order": data.factors[first],
-            "palette": [color_of(k) for k in range(len(data.factors[first]))],
+            "palette": [style.color_of(k) for k in range(len(data.factors[first]))],
             "style": name_of(second, data.labels), "style_order": data.factors[second],
-            "markers": [MARKERS[k % 7] for k in range(len(data.factors[second]))]}  # fmt: skip
+            "markers": [style.MARKERS[k % 7] for k, _ in enumerate(data.factors[second])],
+            }  # fmt: skip
     sns.scatterplot(shown, x="seconds", y="mean", s=44, alpha=0.85, ax=ax, **look)
     levels = len(data.factors[first]) + len(data.factors[second])
     columns = -(-levels // _LEGEND_ROWS)
     sns.move_legend(ax, "upper left", bbox_to_anchor=(1.0, 1.0), ncols=columns, fontsize=7.5)
     ax.set_xscale("log")
     front = frame[frame["front"]]
-    ax.step(front["seconds"], front["mean"], where="post", color=MUTED, linewidth=0.9)
+    ax.step(front["seconds"], front["mean"], where="post", color=style.MUTED, linewidth=0.9)
     sign = -1.0 if facts.better == "higher" else 1.0
     best = float(sign * (sign * frame["mean"]).min())
     if practical > 0:
-        ax.axhspan(best, best + sign * practical, color=BAND, zorder=0)
+        ax.axhspan(best, best + sign * practical, color=style.BAND, zorder=0)
         ax.text(
             1.0, best + sign * practical, "as good as the best ", ha="right", va="bottom",
-            transform=ax.get_yaxis_transform(), fontsize=7.5, color=MUTED,
+            transform=ax.get_yaxis_transform(), fontsize=7.5, color=style.MUTED,
         )  # fmt: skip
     ax.margins(x=0.06, y=0.16)
     _front_labels(ax, front, list(data.factors))
     low, high = ax.get_xlim()
     if len(ticks := [t for t in _TIMES if low <= t <= high]) < 2:
-        log_ticks(ax, "x", duration)
+        style.log_ticks(ax, "x", duration)
     else:
         ax.set_xticks(ticks, [duration(t) for t in ticks])
     ax.set_xticks([], minor=True)
-    ax.set(xlabel="mean computing time of a case", ylabel=labeled(facts.title, facts.unit))
+    ax.set(xlabel="mean computing time of a case", ylabel=style.labeled(facts.title, facts.unit))
     return figure
 
 
@@ -160,7 +147,7 @@ def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None
         taken.append((x, y))
         text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in factors)
         shift, side = ((-7, -6), "right") if x > 0.6 else ((7, -6), "left")
-        note(ax, text, (row["seconds"], row["mean"]), shift, va="top", ha=side)
+        style.note(ax, text, (row["seconds"], row["mean"]), shift, va="top", ha=side)
 
 
 def draw_failures(frame: pd.DataFrame) -> Canvas:
@@ -168,20 +155,20 @@ def draw_failures(frame: pd.DataFrame) -> Canvas:
     statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
     rows = list(dict.fromkeys(frame["cell"]))
     columns = list(dict.fromkeys(frame["block"]))
-    figure, ax = one_panel(0.9 + 0.2 * len(rows))
+    figure, ax = style.one_panel(0.9 + 0.2 * len(rows))
     for index, status in enumerate(statuses):
         some = frame[frame["status"] == status]
         good = status == "converged"
         x, y = map(columns.index, some["block"]), map(rows.index, some["cell"])
-        marker, color, big = MARKERS[(index + 1) % 7], color_of(index), 7
+        marker, color, big = style.MARKERS[(index + 1) % 7], style.color_of(index), 7
         if good:
             marker, color, big = ".", "#c4cad1", 4
         ax.plot(
             list(x), list(y), linestyle="none", marker=marker, color=color, markersize=big,
             label=clean(status, 24),
         )  # fmt: skip
-    ax.set_xticks(range(len(columns)), [wrap(c, 10, 20) for c in columns], fontsize=7.5)
-    name_rows(ax, range(len(rows)), [wrap(r, 80, 70) for r in rows])
+    ax.set_xticks(range(len(columns)), [style.wrap(c, 10, 20) for c in columns], fontsize=7.5)
+    style.name_rows(ax, range(len(rows)), [style.wrap(r, 80, 70) for r in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_xlim(-0.5, len(columns) - 0.5)
     ax.tick_params(length=0)
@@ -205,7 +192,7 @@ def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.D
 
 def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw the largest difference of every factor with its interval against depth."""
-    figure, ax = one_panel(3.6)
+    figure, ax = style.one_panel(3.6)
     _band(ax, frame, facts)
     depths = sorted(frame["depth_mm"].unique())
     apart = _BESIDE * (depths[-1] - depths[0]) / max(len(depths) - 1, 1)
@@ -213,7 +200,7 @@ def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
     for k, name in enumerate(terms):
         part = frame[frame["name"] == name]
         x = part["depth_mm"] + apart * (k - (len(terms) - 1) / 2)
-        marker, color = MARKERS[k % len(MARKERS)], color_of(k)
+        marker, color = style.MARKERS[k % len(style.MARKERS)], style.color_of(k)
         ax.plot(x, part["difference"], marker=marker, color=color, label=name, markersize=5)
         ax.vlines(x, part["low"], part["high"], color=color, linewidth=1.2, alpha=0.7)
     ax.set_xticks(depths, [f"{depth:g}" for depth in depths])
@@ -229,15 +216,15 @@ def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
 def _band(ax: Axes, frame: pd.DataFrame, facts: Facts) -> None:
     """Shade what does not matter; a share of the mean grows with the depth."""
     zero = 1.0 if facts.ratio else 0.0
-    ax.axhline(zero, color=MUTED, linewidth=0.7)
+    ax.axhline(zero, color=style.MUTED, linewidth=0.7)
     limits = frame.dropna(subset=["practical"]).drop_duplicates("depth_mm")
     if limits.empty:
         return
     limits = limits.sort_values("depth_mm")
     below = 1 / limits["practical"] if facts.ratio else -limits["practical"]
-    ax.fill_between(limits["depth_mm"], below, limits["practical"], color=BAND, zorder=0)
+    ax.fill_between(limits["depth_mm"], below, limits["practical"], color=style.BAND, zorder=0)
     end = limits["depth_mm"].iloc[-1], below.iloc[-1]
-    note(ax, "no practical difference", end, (0, 3), ha="right", color=INK, alpha=0.7)
+    style.note(ax, "no practical difference", end, (0, 3), ha="right", color=style.INK, alpha=0.7)
 
 
 def caption(frame: pd.DataFrame, facts: Facts) -> str:

@@ -16,18 +16,7 @@ from study.laboratory.sensors.requirement import sentences as requirement_senten
 from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.blocks import Table
 from study.reporting.content.text import MISSING, clean, significant
-from study.reporting.figures.axes import (
-    BAND,
-    INK,
-    MUTED,
-    RULE,
-    Plot,
-    canvas,
-    color_of,
-    log_ticks,
-    note,
-    one_panel,
-)
+from study.reporting.figures import axes as style
 from study.reporting.output.write import answer_blocks, write_answer
 
 if TYPE_CHECKING:
@@ -40,7 +29,7 @@ def write_force_law(
 ) -> Path:
     """Write the page of a force law."""
     uncertain = law.covariance is not None
-    plots: dict[str, Plot] = {
+    plots: dict[str, style.Plot] = {
         "force-law": (
             "Force, stiffness, sensitivity",
             lambda: law_points(law),
@@ -97,7 +86,7 @@ def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
     if any(simulation.scatters for simulation in sensors.simulations):
         tables.append(simulations(sensors))
     limit = 100 * sensors.accuracy
-    plots: dict[str, Plot] = {
+    plots: dict[str, style.Plot] = {
         "requirement-map": (
             "Position against force accuracy",
             lambda: map_points(sensors),
@@ -230,26 +219,26 @@ def draw_law(frame: pd.DataFrame, knots_mm: np.ndarray) -> Canvas:
 
     Shapes: knots_mm (n,).
     """
-    figure = canvas(3.2)
+    figure = style.canvas(3.2)
     axes = figure.subplots(1, 3)
     d = frame["displacement_mm"].to_numpy(float)
     tested = frame["tested"].to_numpy(bool)
     columns = ("force_N", "stiffness_N_per_mm")
     for ax, column, label in zip(axes, columns, ("force (N)", "stiffness (N/mm)"), strict=False):
         y = frame[column].to_numpy(float)
-        ax.plot(d[tested], y[tested], color=color_of(0))
+        ax.plot(d[tested], y[tested], color=style.color_of(0))
         for outside in (d <= 0, d >= d[tested].max()):
-            ax.plot(d[outside], y[outside], color=MUTED, linestyle=(0, (3, 2)))
-        ax.plot(knots_mm, np.interp(knots_mm, d, y), "o", color=INK, markersize=2.5)
+            ax.plot(d[outside], y[outside], color=style.MUTED, linestyle=(0, (3, 2)))
+        ax.plot(knots_mm, np.interp(knots_mm, d, y), "o", color=style.INK, markersize=2.5)
         ax.set_ylabel(label)
     for k, name in enumerate(c for c in frame.columns if c.startswith("change_by_")):
         label = name.removeprefix("change_by_").removesuffix("_N")
         y = frame[name].to_numpy(float)
-        axes[2].plot(d[tested], y[tested], color=color_of(k + 1), label=label)
+        axes[2].plot(d[tested], y[tested], color=style.color_of(k + 1), label=label)
     axes[2].set_ylabel(f"change by {100 * SHARE:g} % of a constant (N)")
     axes[2].legend(loc="upper left")
     for ax in axes:
-        ax.axhline(0, color=RULE, linewidth=0.6, zorder=0)
+        ax.axhline(0, color=style.RULE, linewidth=0.6, zorder=0)
         ax.set_xlabel("displacement (mm)")
     return figure
 
@@ -271,13 +260,13 @@ def deviation_points(law: ForceLaw) -> pd.DataFrame:
 
 def draw_deviation(frame: pd.DataFrame) -> Canvas:
     """Draw the law less the simulation at the points kept out, within the error bound."""
-    figure, ax = one_panel(2.2)
+    figure, ax = style.one_panel(2.2)
     d, off = frame["displacement_mm"].to_numpy(float), frame["deviation_N"].to_numpy(float)
     bound = float(frame["error_bound_N"].max())
-    ax.axhspan(-bound, bound, color=BAND)
-    ax.axhline(0, color=RULE, linewidth=0.6)
-    ax.vlines(d, 0, off, color=color_of(0), linewidth=1.0)
-    ax.plot(d, off, "o", color=color_of(0), markersize=3.5)
+    ax.axhspan(-bound, bound, color=style.BAND)
+    ax.axhline(0, color=style.RULE, linewidth=0.6)
+    ax.vlines(d, 0, off, color=style.color_of(0), linewidth=1.0)
+    ax.plot(d, off, "o", color=style.color_of(0), markersize=3.5)
     ax.set_xlabel("displacement (mm)")
     ax.set_ylabel("law less simulation (N)")
     return figure
@@ -307,7 +296,7 @@ def map_points(sensors: SensorRequirement) -> pd.DataFrame:
 
 def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
     """Draw lines of equal uncertainty over the errors of both sensors, for constants and force."""
-    figure = canvas(4.0)
+    figure = style.canvas(4.0)
     axes = figure.subplots(1, 2, sharey=True)
     n = MULTIPLES.size
     x, y = (frame[c].to_numpy(float).reshape(n, n) for c in ("position_multiple", "force_multiple"))
@@ -317,16 +306,16 @@ def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
         # before the lines: their labels are placed where they are seen
         ax.set_xscale("log")
         ax.set_yscale("log")
-        ax.contourf(x, y, z, [0, wanted_percent], colors=[color_of(2)], alpha=0.15)
+        ax.contourf(x, y, z, [0, wanted_percent], colors=[style.color_of(2)], alpha=0.15)
         other = [level for level in LEVELS if abs(level / wanted_percent - 1) > 0.01]
         levels = [level for level in other if z.min() < level < z.max()]
-        lines = ax.contour(x, y, z, levels, colors=[MUTED], linewidths=0.8)
+        lines = ax.contour(x, y, z, levels, colors=[style.MUTED], linewidths=0.8)
         ax.clabel(lines, fmt=lambda level: f"{level:g} %", fontsize=7.5)
-        limit = ax.contour(x, y, z, [wanted_percent], colors=[color_of(2)], linewidths=2.0)
+        limit = ax.contour(x, y, z, [wanted_percent], colors=[style.color_of(2)], linewidths=2.0)
         ax.clabel(limit, fmt=lambda level: f"{level:g} %", fontsize=7.5)
-        ax.plot([1], [1], "o", color=INK, markersize=5)
-        note(ax, "as given", (1, 1), (6, 5))
-        log_ticks(ax)
+        ax.plot([1], [1], "o", color=style.INK, markersize=5)
+        style.note(ax, "as given", (1, 1), (6, 5))
+        style.log_ticks(ax)
         ax.set_title(title)
         ax.set_xlabel("position errors, multiple of those given")
     axes[0].set_ylabel("force errors, multiple of those given")
@@ -353,12 +342,12 @@ def part_points(sensors: SensorRequirement) -> pd.DataFrame:
 def draw_parts(frame: pd.DataFrame) -> Canvas:
     """Draw a group of bars for each error, a bar for each quantity."""
     errors, names = list(dict.fromkeys(frame["error"])), list(dict.fromkeys(frame["quantity"]))
-    figure, ax = one_panel(0.8 + 0.22 * len(errors) * (len(names) + 0.6))
+    figure, ax = style.one_panel(0.8 + 0.22 * len(errors) * (len(names) + 0.6))
     height = 0.8 / len(names)
     for k, name in enumerate(names):
         part = frame[frame["quantity"] == name].set_index("error")["percent"]
         places = np.arange(len(errors)) + (k - (len(names) - 1) / 2) * height
-        ax.barh(places, [part[e] for e in errors], height, color=color_of(k), label=name)
+        ax.barh(places, [part[e] for e in errors], height, color=style.color_of(k), label=name)
     ax.set_yticks(range(len(errors)), errors)
     ax.invert_yaxis()
     ax.set_xlabel("standard uncertainty, percent of the value")
