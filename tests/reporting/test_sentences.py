@@ -87,28 +87,27 @@ def with_result(facts: Facts, assumptions: Assumptions, *, u_num_by_term: bool =
     return replace(facts, result=result)
 
 
-def test_matters_names_levels_difference_and_interval():
-    assert flat(effect_words.verdict(effect(MATTERS), error())) == (
-        "Plates: matters; bonded gives 1.20 pp more relative RMS force error than frictionless "
-        "(95 % interval 0.90 to 1.50 pp)."
-    )
+RATIO = {"range": 1.373, "ci95": (1.36, 1.38), "practical": 1.1, "scale": "ratio"}
 
 
-def test_matters_on_the_log_is_a_ratio():
-    one = effect(MATTERS, range=1.373, ci95=(1.36, 1.38), practical=1.1, scale="ratio")
-    assert flat(effect_words.verdict(one, modulus())) == (
-        "Plates: matters; bonded gives 1.37 times the initial shear modulus of frictionless "
-        "(95 % interval 1.36 to 1.38)."
-    )
-
-
-def test_no_difference_says_that_a_small_p_does_not_decide():
-    one = effect(NO_DIFFERENCE, range=0.02, ci95=(0.01, 0.03), p=1e-9)
-    assert flat(effect_words.verdict(one, error())) == (
-        "Plates: no practical difference in the relative RMS force error; the largest is "
-        "0.020 pp (95 % interval 0.010 to 0.030 pp), within 0.5 pp (repeatable, p < .001, but "
-        "too small to matter)."
-    )
+@pytest.mark.parametrize(
+    ("one", "facts_of", "text"),
+    [
+        (effect(MATTERS), error(),
+         "Plates: matters; bonded gives 1.20 pp more relative RMS force error than frictionless "
+         "(95 % interval 0.90 to 1.50 pp)."),
+        (effect(MATTERS, **RATIO), modulus(),
+         "Plates: matters; bonded gives 1.37 times the initial shear modulus of frictionless "
+         "(95 % interval 1.36 to 1.38)."),
+        # a small p does not decide
+        (effect(NO_DIFFERENCE, range=0.02, ci95=(0.01, 0.03), p=1e-9), error(),
+         "Plates: no practical difference in the relative RMS force error; the largest is "
+         "0.020 pp (95 % interval 0.010 to 0.030 pp), within 0.5 pp (repeatable, p < .001, but "
+         "too small to matter)."),
+    ],
+)  # fmt: skip
+def test_a_verdict_names_levels_difference_and_interval(one: Effect, facts_of: Facts, text: str):
+    assert flat(effect_words.verdict(one, facts_of)) == text
 
 
 def test_cannot_tell_is_said_whatever_p_is():
@@ -232,22 +231,17 @@ def test_error_term_is_said_once_for_responses_that_share_it(data: ReportData):
 def test_an_effect_is_no_finer_than_a_thousandth_of_what_matters():
     tiny = effect(NO_DIFFERENCE, range=0.000267, ci95=(-3.91e-5, 0.000574))
     assert flat(effect_words.size(tiny, error())) == "< 0.001 pp"
-    assert flat(effect_words.size_interval(tiny, error())) == "0.000 to 0.001 pp"
     same = effect(MATTERS, range=1.43363, ci95=(1.43362, 1.43364), practical=1.1, scale="ratio")
-    assert effect_words.size_interval(same, modulus()) == "narrower than 0.0001"
     apart = replace(same, ci95=(1.4334, 1.4338))
-    assert effect_words.size_interval(apart, modulus()) == "1.433 to 1.434"
-
-
-def test_numerical_uncertainty_of_a_ratio_is_a_ratio():
+    each = ((tiny, error()), (same, modulus()), (apart, modulus()))
+    assert [flat(effect_words.size_interval(*of)) for of in each] == [
+        "0.000 to 0.001 pp", "narrower than 0.0001", "1.433 to 1.434",
+    ]  # fmt: skip
     # ln 1.43363 = 0.3602; over 7.4 is 0.04867, a factor of 1.0499
-    one = effect(
-        MATTERS, range=1.43363, practical=1.1, scale="ratio", u_num=0.85, effect_over_u_num=7.4
-    )
+    one = replace(same, u_num=0.85, effect_over_u_num=7.4)
     assert flat(effect_words.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
-    assert effect_words.over_numerical(one) == "7.4"
-    assert effect_words.over_numerical(replace(one, effect_over_u_num=4321.0)) == "> 100"
-    assert effect_words.over_numerical(replace(one, effect_over_u_num=None)) == "\N{EN DASH}"
+    times = (replace(one, effect_over_u_num=times) for times in (7.4, 4321.0, None))
+    assert [*map(effect_words.over_numerical, times)] == ["7.4", "> 100", "\N{EN DASH}"]
 
 
 def test_copies_are_one_computation_and_named_together(data: ReportData):

@@ -64,12 +64,12 @@ def answer(
     """
     analyzed = [facts for facts in all_facts if facts.terms]
     if not analyzed:
-        if data.is_table and (notes := [note for facts in all_facts for note in facts.warnings]):
-            return tuple(sentence(clean(note)) for note in notes)
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
         if data.surfaces:
             return tuple(surface_content.surface_answer(one, data) for one in data.surfaces)
+        if data.is_table and (notes := [note for facts in all_facts for note in facts.warnings]):
+            return tuple(sentence(clean(note)) for note in notes)
         return ("No response could be analyzed; the reasons stand below.",)
     named = analyzed[:MOST_RESPONSES] if is_short else analyzed
     rest = count(len(analyzed) - len(named), "more response")

@@ -67,8 +67,10 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     style.at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=style.MUTED)
     placed = _connect_levels(ax, frame)
     for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
-        for place, mean in zip(group["place"], group["mean"].tolist(), strict=True):
-            style.note(ax, significant(mean), (place, mean), (0, 6), ha="center")
+        means = group["mean"].tolist()
+        for place, mean, sign in zip(group["place"], means, _sides(means), strict=True):
+            va = "bottom" if sign > 0 else "top"
+            style.note(ax, significant(mean), (place, mean), (0, 6 * sign), ha="center", va=va)
         name = clean(name_of(str(factor), data.labels), 30)
         bold = {"fontweight": "bold", "color": style.word_color_of(index), "fontsize": 8.5}
         style.above(ax, name, float(group["place"].mean()), **bold)
@@ -95,6 +97,14 @@ def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
         placed, x="place", y="mean", hue="factor", palette=colors, markersize=5.5, ax=ax, **_JOINED
     )
     return placed
+
+
+def _sides(means: Sequence[float]) -> list[int]:
+    """Side of each point on which its number meets no line: 1 above, -1 below."""
+    values = np.asarray(means, dtype=float)
+    left = np.r_[values[1:2], values[:-1]]
+    right = np.r_[values[1:], values[-2:-1]]
+    return [1 if v >= (a + b) / 2 else -1 for v, a, b in zip(values, left, right, strict=True)]
 
 
 def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -291,7 +292,7 @@ def _probability(
         ax.fill_between(np.sort(points["score"]), low, high, color=style.BAND, linewidth=0)
     ends = np.array([points["score"].min(), points["score"].max()])
     ax.plot(ends, ends * spread, color=style.MUTED, linewidth=0.8)
-    look = {"color": style.color_of(0), "markersize": 3.2, "markeredgewidth": 0}
+    look: dict[str, Any] = {"color": style.color_of(0), "markersize": 3.2, "markeredgewidth": 0}
     ax.plot(shown["score"], shown["residual"], "o", alpha=0.8, **look)
     normality = facts.assumptions.normality
     if normality is not None and normality.rj is not None:

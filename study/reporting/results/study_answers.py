@@ -240,7 +240,7 @@ class Recommendation:
         of_each = zip(self.bounds, self.limited, strict=True)
         run = self.confirmed
         names = ("goal", "response", "unit", "settings", "held", "units", "value", "low", "high")
-        return plain({
+        answer: dict[str, object] = {
             **{name: getattr(self, name) for name in (*names, "notes")},
             "limits": [
                 {"limit": bound.words, "response": bound.response, "unit": bound.unit}
@@ -255,7 +255,8 @@ class Recommendation:
                 "settings": run.settings, "values": run.values,
                 "inside_interval": run.predicted, "keeps_limits": run.kept,
             },
-        })  # fmt: skip
+        }  # fmt: skip
+        return plain(answer)
 
 
 # All inputs of a study that agree with a measured curve, as they are told.
@@ -345,7 +346,7 @@ class Inverted:
     def to_json(self) -> dict[str, Json]:
         """Plain values."""
         names = ("sentence", "held", "units", "rows", "q2", "members", "notes")
-        return plain({
+        answer: dict[str, object] = {
             **{name: getattr(self, name) for name in names},
             "inputs": [vars(item) | {"verdict": item.verdict} for item in self.inputs],
             "combinations": [vars(item) | {"words": item.words} for item in self.combinations],
@@ -354,4 +355,5 @@ class Inverted:
             "relative_rms": self.relative,
             "best_run": None if self.best_run is None else self.best_run.to_json(),
             "end_runs": [run.to_json() for run in self.end_runs],
-        })  # fmt: skip
+        }
+        return plain(answer)
