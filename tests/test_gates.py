@@ -120,7 +120,7 @@ BREACHES = [
     ("ground/a", "study.mechanics.setup.setup", WINGS),
     ("mechanics/setup/a", "study.harness.record.record", WINGS),
     ("statistics/analysis/a", "study.harness.runner.job", WINGS),
-    ("harness/runner/a", "study.reporting.content.numbers", WINGS),
+    ("harness/runner/a", "study.reporting.content.text", WINGS),
     ("utils", "study.ground.errors", WINGS),
     ("mechanics/element/a", "study.mechanics.forward.model", "Inside mechanics"),
     ("statistics/convergence/a", "study.statistics.analysis.anova", "Inside statistics"),

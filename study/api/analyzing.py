@@ -26,9 +26,8 @@ from study.harness.runner.record_analysis import analyze_records, effects_of_rec
 from study.harness.runner.response import CURVE_RESPONSES
 from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
-from study.reporting.figures.effect_figures import shown_effect_sizes
 from study.reporting.output.analysis_page import write_analysis
-from study.reporting.output.notebook import Shown
+from study.reporting.output.terminal import Shown
 from study.reporting.results.study_result import (
     FITTED_CURVE,
     OTHER_SPECIMEN,
@@ -281,6 +280,8 @@ class TableAnalysis(Shown, AnalysisResult):
 
     def plot(self) -> Drawing:
         """Draw the largest difference of every term with its interval against what matters."""
+        from study.reporting.figures.effect_figures import shown_effect_sizes
+
         data = report_data(self, AnalysisSource())
         (item,) = facts(data)
         return shown_effect_sizes(item, data.labels)

@@ -11,8 +11,7 @@ from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.runner.batch import notes_of
 from study.harness.runner.case_series import stored_convergence
 from study.mechanics.material.material import is_dimensionless
-from study.reporting.content.numbers import percent, quantity
-from study.reporting.content.text import count, listing, name_of
+from study.reporting.content.text import count, listing, name_of, percent, quantity
 from study.reporting.results.study_result import (
     ANY,
     Check,

@@ -33,9 +33,7 @@ from study.mechanics.measurement import inspection
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 from study.reporting.content.calibration_content import calibration_blocks
 from study.reporting.figures.axes import render, shown
-from study.reporting.figures.curve_figures import FitPanel, draw_fit
-from study.reporting.figures.registry import of_recordings
-from study.reporting.output.notebook import Shown
+from study.reporting.output.terminal import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,6 +45,7 @@ if TYPE_CHECKING:
     from study.mechanics.setup.calibration_table import Fitting
     from study.reporting.content.blocks import Block as ResultBlock
     from study.reporting.figures.axes import Drawing
+    from study.reporting.figures.curve_figures import FitPanel
 
 
 # Curves of a calibration as the panels of its figure.
@@ -54,6 +53,8 @@ if TYPE_CHECKING:
 
 def panels_of(found: CalibrationResult) -> list[FitPanel]:
     """Every measured curve with its prediction."""
+    from study.reporting.figures.curve_figures import FitPanel
+
     return [
         FitPanel(
             curve.file if curve.specimen is None else f"{curve.file}, {curve.specimen}",
@@ -122,6 +123,8 @@ class Calibrated(Shown, CalibrationResult):
 
     def plot(self) -> Drawing:
         """Draw every measured curve with its fit or prediction, and the residuals below."""
+        from study.reporting.figures.curve_figures import draw_fit
+
         title = _title(self)
         return shown(lambda: draw_fit(panels_of(self), title), "calibration", title)
 
@@ -244,6 +247,9 @@ def _opened(
 
 def save_calibration(found: CalibrationResult, folder: Path) -> None:
     """Write the document of a calibration, its figure and that of the recordings."""
+    from study.reporting.figures.curve_figures import draw_fit
+    from study.reporting.figures.registry import of_recordings
+
     drawn = of_recordings(recording_points(found))
     if drawn.svg:
         write_atomic(folder / "recording.svg", drawn.svg.encode())

@@ -49,9 +49,8 @@ from study.harness.runner.tasks import default_jobs, processes
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.setup.setup import Problem, Tables
 from study.reporting.figures.axes import shown
-from study.reporting.figures.convergence_figures import draw_values, value_points
 from study.reporting.output.convergence_page import series_blocks, write_convergence
-from study.reporting.output.notebook import Shown
+from study.reporting.output.terminal import Shown
 from study.statistics.analysis.work_precision import (
     CostPoint,
     CostToAccuracy,
@@ -395,10 +394,14 @@ class SeriesDocument(Shown, dict[str, object]):
 
     def to_frame(self) -> pd.DataFrame:
         """Return the meshes of all series, one row each."""
+        from study.reporting.figures.convergence_figures import value_points
+
         return value_points(cast("Sequence[Document]", self.get("cells", [self])))
 
     def plot(self) -> Drawing:
         """Draw value against mesh size, a panel a series, with the limit at zero."""
+        from study.reporting.figures.convergence_figures import draw_values
+
         frame = self.to_frame()
         return shown(lambda: draw_values(frame), "convergence", "value against mesh size")
 

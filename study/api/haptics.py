@@ -49,8 +49,7 @@ from study.mechanics.material import input_file
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
 from study.mechanics.setup.setup import Problem
-from study.reporting.content.numbers import THIN, duration
-from study.reporting.figures.registry import slug
+from study.reporting.content.text import THIN, duration, slug
 from study.reporting.output.accuracy_page import write_shape, write_tracker
 from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
 

@@ -34,18 +34,17 @@ from study.harness.runner.study_uncertainty import stored_numerical
 from study.mechanics.measurement.conditioning import is_caution
 from study.reporting.content import (
     comparison_content,
+    effect_words,
     sentences,
     surface_content,
     tables,
-    verdicts,
 )
 from study.reporting.content.analysis_content import contrasts
 from study.reporting.content.blocks import Sentence, Verbatim
-from study.reporting.content.numbers import THIN, case_counts
 from study.reporting.content.recommendation import would_change
 from study.reporting.content.report_facts import facts
-from study.reporting.figures.effect_figures import shown_effect_sizes
-from study.reporting.output.notebook import Shown
+from study.reporting.content.text import THIN, case_counts
+from study.reporting.output.terminal import Shown
 from study.reporting.results.study_result import ResponseAnalysis, StudyResult
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
@@ -90,6 +89,8 @@ class Study(Shown, StudyResult):
 
     def plot(self, response: str | None = None) -> Drawing:
         """Draw the largest difference of every term with its interval against what matters."""
+        from study.reporting.figures.effect_figures import shown_effect_sizes
+
         data = report_data(self, {})
         by_name = {item.name: item for item in facts(data)}
         name = response or next(iter(by_name), "")
@@ -121,7 +122,7 @@ class Study(Shown, StudyResult):
         for item in facts(data):
             for effect in item.effects:
                 if effect.verdict == NOT_RESOLVED or refused(effect):
-                    yield Sentence(verdicts.verdict(effect, item, data.labels))
+                    yield Sentence(effect_words.verdict(effect, item, data.labels))
             if (table := contrasts(item)) is not None:
                 yield replace(table, name=f"{item.title}: asked for", note="")
 

@@ -29,9 +29,7 @@ from study.mechanics.setup.setup import Problem, Tables
 from study.mechanics.solver.solution import Solution
 from study.reporting.content.blocks import Table, Verbatim
 from study.reporting.figures.axes import shown
-from study.reporting.figures.curve_figures import draw_curve
-from study.reporting.figures.mesh_figures import picture
-from study.reporting.output.notebook import Shown
+from study.reporting.output.terminal import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,6 +58,8 @@ class SolvedProblem(Shown, Solution):
 
     def plot(self) -> Drawing:
         """Draw force against displacement."""
+        from study.reporting.figures.curve_figures import draw_curve
+
         if not len(self.curve):
             raise ValueError(f"there is nothing to draw: {self.message}")
         return shown(lambda: draw_curve(self.curve), "solution", "force against displacement")
@@ -298,6 +298,8 @@ def write_vtu(solution: Solution, path: str | Path, *, whole: bool = False) -> N
 
 def write_picture(solution: Solution, path: str | Path) -> None:
     """Draw both meshes of a solution; a buckling column whole, moved by a tenth of its height."""
+    from study.reporting.figures.mesh_figures import picture
+
     points, cells, moved = solution.points, solution.cells, solution.displacement
     bent, warm = solution.instability, solution.warm
     if bent is not None and warm is not None and not solution.converged:

@@ -12,7 +12,7 @@ import typer
 from study.cli import output
 from study.cli.study_commands import REPORTS, RESULTS, Data, Jobs, Json, Reports, Results, Set
 from study.reporting.content.blocks import Sentence, Table, Verbatim
-from study.reporting.content.numbers import between, general
+from study.reporting.content.text import between, general
 
 if TYPE_CHECKING:
     from study.api.haptics import Required

@@ -88,7 +88,7 @@ def warn(messages: Sequence[str]) -> None:
 
 def seconds(value: float) -> str:
     """Give a duration in words."""
-    from study.reporting.content.numbers import THIN, duration
+    from study.reporting.content.text import THIN, duration
 
     return duration(value).replace(THIN, " ")
 

@@ -23,7 +23,7 @@ from study.reporting.content.calibration_content import (
     comparison_blocks,
     energy_blocks,
 )
-from study.reporting.content.numbers import general
+from study.reporting.content.text import general
 
 if TYPE_CHECKING:
     from study.harness.runner.staged_fit import FitStep

@@ -25,7 +25,7 @@ from study.cli.study_commands import (
 )
 from study.ground.errors import Fault, InputError
 from study.reporting.content.blocks import Sentence, Table
-from study.reporting.content.numbers import interval, p_value, significant
+from study.reporting.content.text import interval, p_value, significant
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:

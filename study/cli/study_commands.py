@@ -12,7 +12,7 @@ import typer
 from study.cli import output
 from study.ground.errors import Fault, InputError
 from study.reporting.content.blocks import Sentence, Table, Verbatim
-from study.reporting.content.numbers import between, case_counts, general
+from study.reporting.content.text import between, case_counts, general
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError
-from study.reporting.content.verdicts import told
+from study.reporting.content.effect_words import told
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import (
     block_multiplier,

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from study.ground.curve import Curve
-from study.reporting.figures import registry
+from study.reporting.figures.axes import data_alone
 from study.reporting.output.page import printed
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import (
@@ -49,7 +49,7 @@ CURL = {
 
 def undrawn(data: ReportData) -> str:
     """Both pages in one document without their drawings, which take most of the time."""
-    with registry.data_alone():
+    with data_alone():
         return build(data)
 
 

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.reporting.content.numbers import MISSING, THIN
+from study.reporting.content import tables
+from study.reporting.content.text import MISSING, THIN
 from study.reporting.figures import axes
 from study.reporting.figures import convergence_figures as convergence
 from study.reporting.figures import convergence_figures as validation
-from study.reporting.figures.registry import make
+from study.reporting.figures.axes import make
 from study.reporting.output.convergence_page import (
     convergence_plots,
     sources_tables,
@@ -115,7 +116,7 @@ def test_validation_is_drawn_and_tabled() -> None:
     assert beside.split(" cells")[0] == text.split(" cells")[0]
     assert "in 1 of 2 cells (block M1)" in text
     assert "Not known, and so left out: data." in text
-    table = validation.table(rows, "mix")
+    table = tables.validation(rows, "mix")
     assert table.rows[0][2] == "0.500"
     assert table.rows[0][-1].startswith("the model is off by E = 0.5 N +- 0.11 N")
     assert "within u_val" in table.rows[1][-1]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from study.harness.design.spec import Expected
-from study.reporting.content import verdicts
+from study.reporting.content import effect_words
 from study.reporting.content.report_facts import facts
 from study.reporting.results.study_result import ReportData
 from tests.reporting.example import undrawn
@@ -18,7 +18,7 @@ BEST = {"material": "reduced-polynomial-3", "plates": "bonded"}
 
 def judged(data: ReportData, *items: Expected) -> list[tuple[str, ...]]:
     whole = replace(data, expected=items)
-    return list(verdicts.table(whole, facts(whole)).rows)
+    return list(effect_words.table(whole, facts(whole)).rows)
 
 
 def test_an_effect_is_larger_where_intervals_do_not_overlap(data: ReportData) -> None:

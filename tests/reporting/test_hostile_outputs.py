@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from study.reporting.figures import registry
+from study.reporting.figures.axes import data_alone
 from study.reporting.output import write
 from study.reporting.results.study_result import ReportData
 from tests.reporting.test_page import ALL_IN_ONE, CORPUS, hostile
@@ -37,7 +37,7 @@ def number(text: str) -> bool:
 @pytest.fixture(scope="module")
 def sound_commands(data: ReportData) -> set[str]:
     """Commands that the LaTeX of a harmless report holds."""
-    with registry.data_alone():
+    with data_alone():
         return set(COMMANDS.findall(write._latex(data, write.prepare(data))))
 
 

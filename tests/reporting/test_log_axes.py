@@ -29,7 +29,7 @@ def test_two_places_at_least(low: float, ratio: float) -> None:
 
 @pytest.mark.parametrize("ratio", [1.02, 1.7, 4.0, 40.0, 1e5])
 def test_an_axis_shows_two_different_labels(ratio: float) -> None:
-    ax = canvas(6, 3).subplots()
+    ax = canvas(3, 6).subplots()
     ax.plot([3.0, 3.0 * ratio], [0.07, 0.07 * ratio])
     ax.set_xscale("log")
     ax.set_yscale("log")

@@ -13,7 +13,7 @@ import pytest
 from study.reporting.content import analysis_content, sentences, tables
 from study.reporting.content.blocks import Checks, Figure
 from study.reporting.content.report_facts import cells, comparable, facts
-from study.reporting.content.text import folded
+from study.reporting.content.sentences import folded
 from study.reporting.figures import effect_figures
 from study.reporting.output import study_page
 from study.reporting.output.page import Pages, policy_hash, printed, table_script
@@ -187,7 +187,7 @@ def test_a_claim_that_hangs_on_one_block_says_so_in_the_answer(data: ReportData)
     fragile = tuple(
         replace(e, lost_without=("EF10_1",)) if e.verdict == MATTERS else e for e in analyzed.terms
     )
-    (line, *_) = study_page.short_answer(data, [replace(analyzed, terms=fragile)])
+    (line, *_) = sentences.answer(data, [replace(analyzed, terms=fragile)], is_short=True)
     assert "between extremes; not so if phantom EF10_1 is left out" in line
 
 

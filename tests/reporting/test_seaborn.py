@@ -105,7 +105,7 @@ def test_a_combination_without_a_mean_is_a_gap():
     table = pd.DataFrame(
         [[1.0, np.nan, 3.0], [2.0, 2.5, np.nan]], ["_$a$", "<b>"], ["1", "2", "_c"]
     )
-    figure = style.canvas(6, 3)
+    figure = style.canvas(3, 6)
     lines, numbers = figure.subplots(1, 2)
     effect_figures._lines(lines, table)
     effect_figures._numbers(numbers, table, 1.0, 3.0)
@@ -126,7 +126,7 @@ def test_residuals(data: ReportData, error: Facts):
     counts, edges = np.histogram(frame["residual"], bins=sturges)
     assert [bar.get_height() for bar in histogram.patches] == counts.tolist()
     assert [bar.get_x() for bar in histogram.patches] == pytest.approx(edges[:-1])
-    (drawn,) = points(factors)
+    drawn = np.vstack(points(factors))
     # every residual once for each factor
     expected = np.sort(np.tile(frame["residual"], len(data.factors)))
     assert np.sort(drawn[:, 1]).tolist() == expected.tolist()

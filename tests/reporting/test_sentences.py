@@ -13,7 +13,6 @@ from study.reporting.content import (
     methods,
     report_facts,
     sentences,
-    verdicts,
 )
 from study.reporting.content.recommendation import best_cell, cheaper, recommendation, would_change
 from study.reporting.content.report_facts import Facts, Group, describe, facts, groups
@@ -88,33 +87,32 @@ def with_result(facts: Facts, assumptions: Assumptions, *, u_num_by_term: bool =
     return replace(facts, result=result)
 
 
-def test_matters_names_levels_difference_and_interval():
-    assert flat(verdicts.verdict(effect(MATTERS), error())) == (
-        "Plates: matters; bonded gives 1.20 pp more relative RMS force error than frictionless "
-        "(95 % interval 0.90 to 1.50 pp)."
-    )
+RATIO = {"range": 1.373, "ci95": (1.36, 1.38), "practical": 1.1, "scale": "ratio"}
 
 
-def test_matters_on_the_log_is_a_ratio():
-    one = effect(MATTERS, range=1.373, ci95=(1.36, 1.38), practical=1.1, scale="ratio")
-    assert flat(verdicts.verdict(one, modulus())) == (
-        "Plates: matters; bonded gives 1.37 times the initial shear modulus of frictionless "
-        "(95 % interval 1.36 to 1.38)."
-    )
-
-
-def test_no_difference_says_that_a_small_p_does_not_decide():
-    one = effect(NO_DIFFERENCE, range=0.02, ci95=(0.01, 0.03), p=1e-9)
-    assert flat(verdicts.verdict(one, error())) == (
-        "Plates: no practical difference in the relative RMS force error; the largest is "
-        "0.020 pp (95 % interval 0.010 to 0.030 pp), within 0.5 pp (repeatable, p < .001, but "
-        "too small to matter)."
-    )
+@pytest.mark.parametrize(
+    ("one", "facts_of", "text"),
+    [
+        (effect(MATTERS), error(),
+         "Plates: matters; bonded gives 1.20 pp more relative RMS force error than frictionless "
+         "(95 % interval 0.90 to 1.50 pp)."),
+        (effect(MATTERS, **RATIO), modulus(),
+         "Plates: matters; bonded gives 1.37 times the initial shear modulus of frictionless "
+         "(95 % interval 1.36 to 1.38)."),
+        # a small p does not decide
+        (effect(NO_DIFFERENCE, range=0.02, ci95=(0.01, 0.03), p=1e-9), error(),
+         "Plates: no practical difference in the relative RMS force error; the largest is "
+         "0.020 pp (95 % interval 0.010 to 0.030 pp), within 0.5 pp (repeatable, p < .001, but "
+         "too small to matter)."),
+    ],
+)  # fmt: skip
+def test_a_verdict_names_levels_difference_and_interval(one: Effect, facts_of: Facts, text: str):
+    assert flat(effect_words.verdict(one, facts_of)) == text
 
 
 def test_cannot_tell_is_said_whatever_p_is():
     one = effect(CANNOT_TELL, ci95=(0.1, 2.3), p=0.0001, why="the interval crosses")
-    text = verdicts.verdict(one, error())
+    text = effect_words.verdict(one, error())
     assert "these data cannot show whether it matters" in text
     assert "matters:" not in text
     assert "the interval crosses" in text
@@ -133,7 +131,7 @@ def test_cannot_tell_is_said_whatever_p_is():
 def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
     found = RyanJoinerResult(0.9871, 30, printed, exact, 10_000, 1, True, "", "")
     tested = with_result(error(), Assumptions(normality=found))
-    text = verdicts.normality_phrase(tested, 0.05)
+    text = effect_words.normality_phrase(tested, 0.05)
     assert ("is rejected" in text) is rejected
     assert ("not rejected" in text) is not rejected
     assert tested.result is not None
@@ -161,7 +159,7 @@ def test_tests_that_do_not_apply_say_why():
 
 def test_monte_carlo_p_decides_the_spread():
     found = SpreadTest(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
-    assert not verdicts.rejects(found)
+    assert not effect_words.rejects(found)
     tested = replace(with_result(error(), Assumptions(levene=found)), terms=(effect(MATTERS),))
     groups = analysis_content.all_checks(EMPTY, (tested,)).groups
     (check,) = next(group.items for group in groups if "spread" in group.name)
@@ -232,23 +230,18 @@ def test_error_term_is_said_once_for_responses_that_share_it(data: ReportData):
 
 def test_an_effect_is_no_finer_than_a_thousandth_of_what_matters():
     tiny = effect(NO_DIFFERENCE, range=0.000267, ci95=(-3.91e-5, 0.000574))
-    assert flat(verdicts.size(tiny, error())) == "< 0.001 pp"
-    assert flat(verdicts.size_interval(tiny, error())) == "0.000 to 0.001 pp"
+    assert flat(effect_words.size(tiny, error())) == "< 0.001 pp"
     same = effect(MATTERS, range=1.43363, ci95=(1.43362, 1.43364), practical=1.1, scale="ratio")
-    assert verdicts.size_interval(same, modulus()) == "narrower than 0.0001"
     apart = replace(same, ci95=(1.4334, 1.4338))
-    assert verdicts.size_interval(apart, modulus()) == "1.433 to 1.434"
-
-
-def test_numerical_uncertainty_of_a_ratio_is_a_ratio():
+    each = ((tiny, error()), (same, modulus()), (apart, modulus()))
+    assert [flat(effect_words.size_interval(*of)) for of in each] == [
+        "0.000 to 0.001 pp", "narrower than 0.0001", "1.433 to 1.434",
+    ]  # fmt: skip
     # ln 1.43363 = 0.3602; over 7.4 is 0.04867, a factor of 1.0499
-    one = effect(
-        MATTERS, range=1.43363, practical=1.1, scale="ratio", u_num=0.85, effect_over_u_num=7.4
-    )
+    one = replace(same, u_num=0.85, effect_over_u_num=7.4)
     assert flat(effect_words.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
-    assert effect_words.over_numerical(one) == "7.4"
-    assert effect_words.over_numerical(replace(one, effect_over_u_num=4321.0)) == "> 100"
-    assert effect_words.over_numerical(replace(one, effect_over_u_num=None)) == "\N{EN DASH}"
+    times = (replace(one, effect_over_u_num=times) for times in (7.4, 4321.0, None))
+    assert [*map(effect_words.over_numerical, times)] == ["7.4", "> 100", "\N{EN DASH}"]
 
 
 def test_copies_are_one_computation_and_named_together(data: ReportData):
@@ -328,7 +321,7 @@ def test_a_factor_that_the_mesh_leaves_open_names_the_setting_and_the_bound_ther
         NOT_RESOLVED, term="order", scale="ratio", range=1.01, ci95=(1.009, 1.011), practical=1.1,
         u_num=0.3, u_needed=1.4, u_unit=0.05, simple_effects=settings,
     )  # fmt: skip
-    said = flat(verdicts.verdict(order, modulus()))
+    said = flat(effect_words.verdict(order, modulus()))
     # exp(0.05 * 2.0) = 1.105, exp(0.05 * 1.4) = 1.073: the average's exp(0.05 * 0.3) is not named
     assert said == (
         "Order: not resolved by the mesh; on average the largest difference in the initial shear "
@@ -339,7 +332,7 @@ def test_a_factor_that_the_mesh_leaves_open_names_the_setting_and_the_bound_ther
     pair = SimpleEffect("b", "c", (), 1.03, (1.02, 1.04), None, 2.0, NOT_RESOLVED)
     of_three = replace(order, largest=("a", "c"), simple_effects=(pair,))
     assert "; between b and c it is \u00d7 1.030, and the numerical uncertainty there" in flat(
-        verdicts.verdict(of_three, modulus())
+        effect_words.verdict(of_three, modulus())
     )
     unknown = replace(
         order, simple_effects=(*settings, replace(settings[1], difference=1.03, u=None))
@@ -347,11 +340,11 @@ def test_a_factor_that_the_mesh_leaves_open_names_the_setting_and_the_bound_ther
     assert (
         "at plates bonded, material yeoh it is \u00d7 1.030, and the numerical uncertainty there, "
         "which these meshes do not bound, would have to be below \u00d7 1.07."
-        in flat(verdicts.verdict(unknown, modulus()))
+        in flat(effect_words.verdict(unknown, modulus()))
     )
     alone = replace(order, simple_effects=())
     assert "and its numerical uncertainty \u00d7 1.02 would have to be below" in flat(
-        verdicts.verdict(alone, modulus())
+        effect_words.verdict(alone, modulus())
     )
 
 

@@ -8,25 +8,30 @@ from collections.abc import Callable
 import pytest
 
 from study.reporting.content.effect_words import together
-from study.reporting.content.numbers import (
+from study.reporting.content.report_facts import grouped_inputs
+from study.reporting.content.text import (
     MINUS,
     MISSING,
+    capital,
     case_counts,
+    clean,
     decimals_that_count,
     duration,
     f_value,
     inside,
     interval,
     level,
+    listing,
+    name_of,
     p_value,
     percent,
+    plural_of,
     rounded,
+    sentence,
     share,
     significant,
     span,
 )
-from study.reporting.content.report_facts import grouped_inputs
-from study.reporting.content.text import clean, listing, name_of, plural_of, sentence
 from study.reporting.results.study_answers import Change
 
 
@@ -120,6 +125,10 @@ def change(then: str | None, now: str | None) -> str:
         (plural_of, ("day",), "days"),
         (plural_of, ("A",), "levels of A"),
         (sentence, ("ends here",), "Ends here."),
+        # a symbol is no word, at the head of a sentence or a heading either
+        (sentence, ("y at kind a: level",), "y at kind a: level."),
+        (capital, ("mu0 at kind a",), "mu0 at kind a"),
+        (capital, ("a peak",), "A peak"),
         (name_of, ("model.element_order",), "element order"),
         (name_of, ("mu0",), "initial shear modulus"),
         (name_of, ("force_at_2.5_mm",), "force at 2.5 mm"),

@@ -8,23 +8,27 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from study.ground.canonical import plain
-from study.reporting.content import sentences, surface_content, tables, verdicts
+from study.reporting.content import effect_words, sentences, surface_content, tables
 from study.reporting.content.blocks import Block, Checks, Points, Table, Verbatim
 from study.reporting.content.effect_words import bound
-from study.reporting.content.numbers import (
+from study.reporting.content.report_facts import Facts
+from study.reporting.content.report_facts import facts as read_facts
+from study.reporting.content.text import (
     MISSING,
+    clean,
     f_value,
     interval,
     level,
+    listing,
+    name_of,
     p_phrase,
     p_value,
     percent,
+    plural_of,
     ratio_digits,
     significant,
+    term_name,
 )
-from study.reporting.content.report_facts import Facts
-from study.reporting.content.report_facts import facts as read_facts
-from study.reporting.content.text import clean, listing, name_of, plural_of, term_name
 from study.reporting.results.study_result import Check, ReportData
 from study.statistics.analysis import repeats
 from study.statistics.analysis.anova_table import Effect, Row
@@ -221,7 +225,7 @@ def _raw_ends(ends: Ends | None, suffix: str = "") -> dict[str, object]:
 def judged(item: Facts, data: ReportData) -> Points:
     """Say of every factor, and of every interaction that matters, what it does."""
     return Points([
-        verdicts.verdict(effect, item, data.labels)
+        effect_words.verdict(effect, item, data.labels)
         for effect in item.terms
         if effect.is_main or effect.strength == "matters"
     ])  # fmt: skip
@@ -606,7 +610,7 @@ def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
     """Make the checks of one analysis; the last asks whether claims hang on a single block."""
     yield _normality(facts, data.alpha)
     yield _spread(facts, data.alpha)
-    if (least := verdicts.least_sphericity(facts)) is not None:
+    if (least := effect_words.least_sphericity(facts)) is not None:
         finding = f"smallest epsilon {least[1]:.2f}, of {term_name(least[0], data.labels)}"
         changed = [
             term_name(row.term, data.labels)
@@ -634,7 +638,7 @@ def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
     judged = [effect for effect in facts.effects if effect.lost_without is not None]
     lost = [
         f"the claim on {term_name(effect.term, data.labels)} fails if "
-        f"{verdicts.blocks_needed(effect, facts)} is left out"
+        f"{effect_words.blocks_needed(effect, facts)} is left out"
         for effect in judged
         if effect.lost_without
     ]
@@ -654,7 +658,7 @@ def _normality(facts: Facts, alpha: float) -> Check:
     if normality is None or normality.rj is None:
         reason = (normality and normality.reason) or "there are no residuals to test"
         return Check(name, "not applicable", f"Ryan-Joiner: {reason}")
-    rejected = verdicts.rejects_normality(facts, alpha)
+    rejected = effect_words.rejects_normality(facts, alpha)
     finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
     if normality.p_exact is not None:
         finding += f" ({p_phrase(normality.p_exact)})"
@@ -677,9 +681,9 @@ def _spread(facts: Facts, alpha: float) -> Check:
         why = listing(reasons) if reasons else "they were not run"
         untested = f"neither Bartlett's nor Levene's test applies: {why}"
         return Check(name, "not applicable", untested)
-    against = [k.capitalize() for k, t in applicable.items() if verdicts.rejects(t, alpha)]
+    against = [k.capitalize() for k, t in applicable.items() if effect_words.rejects(t, alpha)]
     p_values = listing(
-        [f"{k.capitalize()} {p_phrase(verdicts.p_of(t))}" for k, t in applicable.items()]
+        [f"{k.capitalize()} {p_phrase(effect_words.p_of(t))}" for k, t in applicable.items()]
     )
     if not against:
         finding = f"not rejected ({p_values})"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from study.reporting.content.blocks import Block, Document, Table, Verbatim
-from study.reporting.content.numbers import between, general, p_phrase
+from study.reporting.content.text import between, general, p_phrase
 
 Columns = dict[str, Callable[[tuple[str, Document]], str]]
 

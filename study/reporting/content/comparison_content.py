@@ -7,9 +7,18 @@ from dataclasses import replace
 
 from study.reporting.content.blocks import Block, Folded, Points, Sentence, Table
 from study.reporting.content.effect_words import over_numerical, size, size_interval
-from study.reporting.content.numbers import MISSING, level, p_value
 from study.reporting.content.report_facts import Facts
-from study.reporting.content.text import clean, count, listing, name_of, sentence, term_name
+from study.reporting.content.text import (
+    MISSING,
+    clean,
+    count,
+    level,
+    listing,
+    name_of,
+    p_value,
+    sentence,
+    term_name,
+)
 from study.reporting.results import study_answers
 from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
 from study.statistics.analysis.anova_table import Effect
@@ -86,31 +95,8 @@ def _of_response(rows: Sequence[Conclusion], comparison: Beside, labels: Labels)
     never = [_term(row, labels) for row in mains if row.conclusion == study_answers.NONE_CAN_TELL]
     if never:
         parts.append(f"neither study can show whether {listing(never, 'or')} matters")
-    text = f"for the {name_of(rows[0].response, labels)}, {'; '.join(parts)}" if parts else ""
-    return sentence(f"{text}{_interactions(rows, labels)}") if text else ""
-
-
-def _interactions(rows: Sequence[Conclusion], labels: Labels) -> str:
-    """Say of the interactions that no sentence names how many agree."""
-    quiet = [row for row in rows if not row.is_main and not _strong(row)]
-    if not quiet:
-        return ""
-    small = sum(row.conclusion == study_answers.NO_DIFFERENCE for row in quiet)
-    if small == len(quiet):
-        return (
-            f"; no interaction matters in either ({small} compared)"
-            if small > 1
-            else (f"; the interaction {_term(quiet[0], labels)} does not matter in either")
-        )
-    if not small:
-        single = f"the interaction {_term(quiet[0], labels)}"
-        which = single if len(quiet) == 1 else f"any of {count(len(quiet), 'other interaction')}"
-        return f"; whether {which} matters cannot be told in one or both"
-    return (
-        f"; of {count(len(quiet), 'interaction')} that matter in neither, "
-        f"{small} make{'s' * (small == 1)} no practical difference in both and the rest cannot be "
-        "told in one or both"
-    )
+    title = name_of(rows[0].response, labels)
+    return sentence(f"for the {title}, {'; '.join(parts)}") if parts else ""
 
 
 def _strong(row: Conclusion) -> bool:
@@ -164,37 +150,6 @@ def _how(row: Conclusion, comparison: Beside) -> str:
 def facts_of(row: Conclusion) -> Facts:
     """Response of a conclusion: its title and unit."""
     return Facts(row.response, clean(row.unit), title=name_of(row.response))
-
-
-def answer_lines(comparison: Beside | None, labels: Labels = None) -> tuple[str, ...]:
-    """Lines for the answer box: which conclusions hold beside the other study, which do not."""
-    if comparison is None:
-        return ()
-    mains = [row for row in comparison.conclusions if row.is_main]
-    other = clean(comparison.names[1])
-    held = _named([row for row in mains if row.holds is True], labels)
-    broken = _named([row for row in mains if row.holds is False], labels)
-    open_ones = _named([row for row in mains if row.holds is None], labels)
-    parts = [f"these conclusions hold beside {other}: {held}"] if held else []
-    parts += [f"these do not: {broken}" if held else f"beside {other} these do not hold: {broken}"
-              ] if broken else []  # fmt: skip
-    parts += [f"whether these hold cannot be told: {open_ones}"] if open_ones else []
-    return (" ".join(sentence(part) for part in parts),) if parts else ()
-
-
-def _named(rows: Iterable[Conclusion], labels: Labels) -> str:
-    """Terms with their verdicts, response by response."""
-    texts = []
-    for group in _by_response(rows).values():
-        matter = [_term(r, labels) for r in group if r.conclusion == study_answers.MATTERS]
-        small = [_term(r, labels) for r in group if r.conclusion == study_answers.NO_DIFFERENCE]
-        rest = [_term(r, labels) for r in group if r.holds is not True]
-        parts = [f"{listing(matter)} matter{'s' * (len(matter) == 1)}"] if matter else []
-        parts += [f"{listing(small)} make{'s' * (len(small) == 1)} no practical difference"
-                  ] if small else []  # fmt: skip
-        parts += [listing(rest)] if rest else []
-        texts.append(f"for the {name_of(group[0].response, labels)}, {' and '.join(parts)}")
-    return "; ".join(texts)
 
 
 def _by_response(rows: Iterable[Conclusion]) -> dict[str, list[Conclusion]]:

@@ -1,4 +1,4 @@
-"""Effects as text: their sizes, and their answers by the role of a factor."""
+"""Effects as text: sizes, verdicts, answers by the role of a factor, and what was expected."""
 
 from __future__ import annotations
 
@@ -7,23 +7,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
-from study.reporting.content.numbers import (
+from study.harness.design.spec import Expected
+from study.reporting.content.blocks import Table
+from study.reporting.content.report_facts import Facts, cells, practical_of
+from study.reporting.content.text import (
     MINUS,
     MISSING,
     THIN,
     TIMES,
+    clean,
+    count,
     decimals_that_count,
     inside,
+    level,
+    listing,
+    name_of,
+    p_phrase,
     percent,
     quantity,
     ratio_digits,
     rounded,
+    sentence,
     span,
+    term_name,
 )
-from study.reporting.content.report_facts import Facts
-from study.reporting.content.text import clean, listing, name_of, sentence, term_name
 from study.reporting.results.study_result import ReportData
-from study.statistics.analysis.anova_table import Effect
+from study.statistics.analysis.anova_table import Effect, SimpleEffect
+from study.statistics.analysis.equal_variance import SpreadTest
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,
@@ -182,8 +192,8 @@ def settings(data: ReportData) -> list[dict[str, str]]:
 def at(data: ReportData, setting: Mapping[str, str]) -> ReportData:
     """Copy of a study with the rows of one setting of its conditions alone."""
     table = data.table
-    for name, level in setting.items():
-        table = table[table[name].astype(str) == level]
+    for name, label in setting.items():
+        table = table[table[name].astype(str) == label]
     return replace(data, table=table)
 
 
@@ -205,14 +215,14 @@ def by_condition(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
 
 def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportData) -> str:
     by_verdict: dict[str, list[str]] = {}
-    for level in data.factors[condition]:
-        here = [e for e in effect.simple_effects if dict(e.at).get(condition) == level]
+    for label in data.factors[condition]:
+        here = [e for e in effect.simple_effects if dict(e.at).get(condition) == label]
         if not here:
             return ""
         verdict = together([e.verdict for e in here])
         largest = max([e for e in here if e.verdict == verdict] or here, key=effect.distance)
         size = shown_difference(apart(largest.difference, effect), effect, facts)
-        by_verdict.setdefault(verdict, []).append(f"{clean(level)} ({size})")
+        by_verdict.setdefault(verdict, []).append(f"{clean(label)} ({size})")
     parts = [f"{_SAID[verdict]} at {listing(levels)}" for verdict, levels in by_verdict.items()]
     name, by = term_name(effect.term, data.labels), name_of(condition, data.labels)
     return sentence(f"{name} by {by}, for the {facts.title}: {'; '.join(parts)}")
@@ -256,3 +266,386 @@ def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]]) -> str:
     if all(effect.verdict == NO_DIFFERENCE for _, effect in effects):
         return sentence(f"{start}. It makes no practical difference, so it need not be measured")
     return sentence(f"{start}. This study cannot tell whether it has to be measured")
+
+
+# Words for one effect: what it does to a response, and how sure that is.
+
+Labels = Mapping[str, str] | None
+
+#: *matters* where the average over the other factors does not
+MATTERS_AT_SETTINGS = "matters at some settings"
+
+PLUS_MINUS = "\u00b1"
+
+
+def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
+    """One sentence: what a factor does to a response, and how sure that is."""
+    name = term_name(effect.term, labels)
+    if effect.range is None:
+        return sentence(f"{name}: {effect.verdict}; {effect.why or 'no effect could be estimated'}")
+    numbers = size(effect, facts) if effect.low is None else _sized(effect, facts)
+    if not effect.is_main:
+        return sentence(
+            f"{name}: its largest component in the {facts.title} is {numbers}; read it from the "
+            "simple effects"
+        )
+    if effect.verdict == MATTERS:
+        return sentence(_matters(effect, facts, name, numbers, labels) + robust(effect, facts))
+    if effect.verdict == NO_DIFFERENCE:
+        return sentence(_no_difference(effect, facts, name, numbers) + robust(effect, facts))
+    if effect.verdict == NOT_RESOLVED:
+        return sentence(
+            f"{name}: not resolved by the mesh; {'on average ' * effect.depends_on_settings}the "
+            f"largest difference in the {facts.title} is {numbers}"
+            f"{_unresolved(effect, facts, labels)}"
+        )
+    limit = practical(effect, facts)
+    against = "" if limit == MISSING else f" against {limit} that matters"
+    worst, least = "", effect.deciding_simple
+    if least is not None and effect.depends_on_settings and least.ci is not None:
+        there = setting(least, labels)
+        worst = f"; the largest single one is {simple(least, effect, facts)}, {there}"
+    return sentence(
+        f"{name}: these data cannot show whether it matters for the {facts.title}; the largest "
+        f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}{worst}"
+    )
+
+
+def sole_setting(effect: Effect) -> SimpleEffect | None:
+    """Return the simple effect that carries *matters* where the average does not."""
+    if effect.verdict != MATTERS or effect.matters_on_average or not effect.depends_on_settings:
+        return None
+    return effect.deciding_simple
+
+
+def told(effect: Effect) -> str:
+    """Verdict as a table says it, at some settings where not on average; a dash without a limit."""
+    if effect.practical is None:
+        return MISSING
+    return MATTERS_AT_SETTINGS if sole_setting(effect) else effect.verdict
+
+
+def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
+    """Say at which setting the numerical uncertainty leaves a factor open, and what it may be."""
+    least = effect.deciding_simple
+    if effect.u_needed is None:
+        return f", and {clean(effect.why)}"
+    below = f"would have to be below {bound(effect.u_needed, effect, facts)}"
+    same = least and not least.at and {least.first, least.second} == set(effect.largest or ())
+    if least is None or (same and least.u is not None):
+        return f", and its numerical uncertainty {numerical(effect, facts)} {below}"
+    # another setting, or another pair of levels, has the larger uncertainty
+    where = (
+        setting(least, labels)
+        if least.at
+        else f"between {clean(least.first)} and {clean(least.second)}"
+    )
+    bound_text = (
+        "which these meshes do not bound" if least.u is None else bound(least.u, effect, facts)
+    )
+    return (
+        f"; {where} it is {shown_difference(least.difference, effect, facts)}, and the numerical "
+        f"uncertainty there, {bound_text}, {below}"
+    )
+
+
+def simple(effect_there: SimpleEffect, effect: Effect, facts: Facts) -> str:
+    """Return a simple effect with its interval and its numerical uncertainty."""
+    number = shown_difference(effect_there.difference, effect, facts)
+    ends = effect_there.ci_simultaneous if effect_there.verdict == MATTERS else effect_there.ci
+    if ends is None:
+        return number
+    shown = span(*ends, decimals(effect), digits_of(effect_there.difference, effect))
+    note = ""
+    if effect_there.u and not effect.is_ratio:
+        note = f", numerics {PLUS_MINUS}{THIN}{rounded(effect_there.u, decimals(effect), 2)}"
+    return f"{number} ({shown}{note})"
+
+
+def setting(simple: SimpleEffect, labels: Labels = None) -> str:
+    """Name a setting: ``at element order linear, mesh fine``."""
+    listed = ", ".join(f"{name_of(name, labels or {})} {clean(level)}" for name, level in simple.at)
+    return f"at {listed}" if listed else "whatever the other factors"
+
+
+def robust(effect: Effect, facts: Facts) -> str:
+    """Say whether a claim holds with any one block left out; empty where that is not known."""
+    if effect.lost_without is None:
+        return ""
+    if not effect.lost_without:
+        return f"; so with any one {facts.block} left out"
+    return f"; the claim fails if {blocks_needed(effect, facts)} is left out"
+
+
+def blocks_needed(effect: Effect, facts: Facts) -> str:
+    """Name the blocks without any one of which a claim is not made."""
+    named = [clean(name) for name in effect.lost_without or ()]
+    several = f"any one of {count(len(named), facts.block)}"
+    return f"{facts.block} {listing(named, 'or')}" if len(named) < 4 else several
+
+
+def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
+    least, whatever, where = effect.deciding_simple, "", ""
+    if least is not None and effect.depends_on_settings:
+        whatever, where = ", whatever the other factors", " at any setting"
+        numbers = simple(least, effect, facts)
+    repeatable = ""  # a tiny difference may well be real: p never decides alone
+    if effect.p is not None and effect.p < facts.alpha:
+        repeatable = f" (repeatable, {p_phrase(effect.p)}, but too small to matter)"
+    return (
+        f"{name}: no practical difference in the {facts.title}{whatever}; the largest{where} is "
+        f"{numbers}, within {practical(effect, facts)}{repeatable}"
+    )
+
+
+def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labels) -> str:
+    if effect.largest is None:
+        return f"{name}: matters for the {facts.title}, {numbers}"
+    if sole := sole_setting(effect):
+        return (
+            f"{name}: matters for the {facts.title} {setting(sole, labels)}, where "
+            f"{clean(sole.first)} and {clean(sole.second)} differ by "
+            f"{simple(sole, effect, facts)}; "
+            f"on average over the other factors the largest difference is {numbers}"
+        )
+    low, high = clean(effect.lowest), clean(effect.highest)
+    # "1.37 times the modulus", yet "1.20 pp more error"
+    text = f"{high} gives " + (
+        f"{shown_size(effect)} times the {facts.title} of {low}"
+        if effect.is_ratio
+        else f"{size(effect, facts)} more {facts.title} than {low}"
+    )
+    if effect.low is not None:
+        text += f" ({level(facts.alpha)} interval {size_interval(effect, facts)})"
+    if not effect.depends_on_settings:
+        return f"{name}: matters; {text}"
+    if (effect.highest, effect.lowest) in effect.always:
+        return f"{name}: matters; {text}, and more than matters at every setting"
+    return f"{name}: matters; {text} on average, not at every setting"
+
+
+WHAT_IF: tuple[tuple[str, str], ...] = (
+    (
+        "Residuals are far from normal",
+        "p-values near the limit are uncertain; means and their differences stay unbiased. "
+        "Verdicts rest on the effect against what matters, so few of them would change.",
+    ),
+    (
+        "Cells scatter unequally",
+        "one error term is too small for some cells and too large for others. With each effect "
+        "tested against its own interaction with the blocks, only its own spread enters.",
+    ),
+    (
+        "Correlations between levels differ (no sphericity)",
+        "an uncorrected F rejects too often; the corrected p is the one to read.",
+    ),
+    (
+        "Block and cell interact",
+        "the effect depends on the block. The mean over blocks still answers for this family, "
+        "but not for one specimen; the log of a positive response often helps.",
+    ),
+)
+
+
+def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
+    """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one."""
+    test_result = facts.assumptions.normality
+    if test_result is None:
+        return False
+    if test_result.p_exact is not None:
+        return test_result.p_exact < alpha
+    printed = test_result.p_minitab or ""
+    number = printed.strip("<> ")
+    if not number or printed.startswith(">"):
+        return False
+    return float(number) <= alpha if printed.startswith("<") else float(number) < alpha
+
+
+def normality_phrase(facts: Facts, alpha: float) -> str:
+    """Ryan-Joiner as a caption says it."""
+    test_result = facts.assumptions.normality
+    if test_result is None or test_result.rj is None:
+        return "the test of normality does not apply"
+    p = "" if test_result.p_exact is None else f" ({p_phrase(test_result.p_exact)}, simulated)"
+    rejected = "rejected" if rejects_normality(facts, alpha) else "not rejected"
+    return f"normality is {rejected} by Ryan-Joiner{p}"
+
+
+def rejects(test: SpreadTest, alpha: float = 0.05) -> bool:
+    """Whether a test rejects; a Monte-Carlo p decides where there is one."""
+    p = p_of(test)
+    return p is not None and p < alpha
+
+
+def p_of(test: SpreadTest) -> float | None:
+    """Return the p of a test that decides: the Monte-Carlo one where there is one."""
+    return test.p if test.p_monte_carlo is None else test.p_monte_carlo
+
+
+def least_sphericity(facts: Facts) -> tuple[str, float] | None:
+    """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon."""
+    epsilons = {
+        term: sphericity.epsilon_gg
+        for term, sphericity in facts.assumptions.sphericity.items()
+        if math.isfinite(sphericity.epsilon_gg) and sphericity.df != 0
+    }
+    if not epsilons:
+        return None
+    term = min(epsilons, key=lambda t: epsilons[t])
+    return term, epsilons[term]
+
+
+# What was expected before the study ran, beside what it found.
+
+HOLDS = "holds"
+FAILS = "does not hold"
+_OF_VERDICT = {MATTERS: HOLDS, NO_DIFFERENCE: FAILS}
+#: words that a page gives a color and a sign
+VERDICTS = frozenset(
+    (MATTERS, MATTERS_AT_SETTINGS, NO_DIFFERENCE, NOT_RESOLVED, CANNOT_TELL, HOLDS, FAILS)
+)
+_UNKNOWN = "the study has no answer"
+
+
+def table(data: ReportData, all_facts: Sequence[Facts]) -> Table:
+    """One row an expectation: what, by whom, what was found, and whether it came true."""
+    by_name = {facts.name: facts for facts in all_facts}
+    rows = []
+    for item in data.expected:
+        facts = by_name.get(item.response)
+        saw, verdict = _judged(item, facts, data) if facts else (_UNKNOWN, CANNOT_TELL)
+        source = clean(item.source) or MISSING
+        rows.append((_said(item, data), source, sentence(saw), verdict))
+    columns = ("expected", "by", "found", "verdict")
+    raw = tuple(dict(zip(columns, row, strict=True)) for row in rows)
+    return Table("expected", columns, tuple(rows), 3, 1, raw=raw)
+
+
+def _said(item: Expected, data: ReportData) -> str:
+    names = [name_of(name, data.labels) for name in item.factors]
+    cells = [_cell(cell) for cell in item.cells]
+    return {
+        "matters": lambda: f"{names[0]} matters",
+        "larger": lambda: f"{names[0]} has a larger effect than {names[1]}",
+        "interact": lambda: f"{names[0]} and {names[1]} interact",
+        "best": lambda: f"{cells[0]} is the best",
+        "close": lambda: f"{cells[1]} is close to {cells[0]}",
+        "better": lambda: " is better than ".join([*cells, "the others"][:2]),
+        "fewer": lambda: " needs less than ".join([*cells, "the others"][:2]),
+    }[item.kind]()
+
+
+def _cell(cell: Mapping[str, str]) -> str:
+    return " x ".join(
+        listing([clean(label) for label in level.split("\t")]) for level in cell.values()
+    )
+
+
+def _judged(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
+    if item.kind in ("best", "close"):
+        return _cells(item, facts, data)
+    if item.kind in ("better", "fewer"):
+        return _directed(item, facts)
+    if item.kind == "larger":
+        return _larger([_effect_of(facts, name) for name in item.factors], facts, data)
+    effect = _effect_of(facts, *item.factors)
+    if effect is None or effect.range is None:
+        return _UNKNOWN, CANNOT_TELL
+    return _sized(effect, facts), _OF_VERDICT.get(effect.strength, CANNOT_TELL)
+
+
+def _effect_of(facts: Facts, *factors: str) -> Effect | None:
+    names = set(factors)
+    return next((e for e in facts.terms if set(e.term.split(":")) == names), None)
+
+
+def _sized(effect: Effect, facts: Facts) -> str:
+    return f"{size(effect, facts)} ({level(facts.alpha)} interval {size_interval(effect, facts)})"
+
+
+def _larger(effects: Sequence[Effect | None], facts: Facts, data: ReportData) -> tuple[str, str]:
+    """One effect is larger than another where their intervals do not overlap."""
+    estimated = [e for e in effects if e is not None and e.range is not None]
+    if len(estimated) < 2:
+        return _UNKNOWN, CANNOT_TELL
+    parts = [f"{term_name(e.term, data.labels)} {_sized(e, facts)}" for e in estimated]
+    (low, high), (other_low, other_high) = (_magnitudes(e) for e in estimated)
+    verdict = HOLDS if low > other_high else FAILS if high < other_low else CANNOT_TELL
+    return ", ".join(parts), verdict
+
+
+def _directed(item: Expected, facts: Facts) -> tuple[str, str]:
+    """Levels are better, or less, where every interval of a difference lies on that side of zero.
+
+    One interval on the other side, and the expectation does not hold.
+    """
+    factor, labels = next(iter(item.cells[0].items()))
+    effect = _effect_of(facts, factor)
+    better = facts.better
+    if effect is None or (item.kind == "better" and not better):
+        return _UNKNOWN, CANNOT_TELL
+    named = set(labels.split("\t"))
+    against = set(effect.levels) - named
+    if len(item.cells) > 1:
+        against = set(item.cells[1].get(factor, "").split("\t"))
+    up = item.kind == "better" and better == "higher"
+    zero = 1.0 if effect.is_ratio else 0.0
+    parts, sides = [], []
+    for pair in effect.pairs:
+        if {pair.first, pair.second} & named and {pair.first, pair.second} & against:
+            lower, upper = pair.lower, pair.upper
+            side = 1 if lower > zero else -1 if upper < zero else 0
+            sides.append(side if (pair.first in named) == up else -side)
+            ends = span(lower, upper, decimals_that_count(effect.practical))
+            parts.append(f"{clean(pair.first)} less {clean(pair.second)} {ends}")
+    if not sides:
+        return _UNKNOWN, CANNOT_TELL
+    verdict = HOLDS if set(sides) == {1} else FAILS if -1 in sides else CANNOT_TELL
+    return listing(parts), verdict
+
+
+def _magnitudes(effect: Effect) -> tuple[float, float]:
+    """Smallest and largest size of an effect within its interval."""
+    ends = [effect.range if v is None else v for v in (effect.low, effect.high)]
+    if effect.is_ratio:
+        ends = [math.log(v) if v and v > 0 else 0.0 for v in ends]
+    low, high = sorted(float(v or 0.0) for v in ends)
+    inside = low <= 0 <= high
+    return (0.0 if inside else min(abs(low), abs(high))), max(abs(low), abs(high))
+
+
+def _cells(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
+    """Compare means of cells with what matters."""
+    frame = cells(data, facts.name, list(item.cells[0]))
+    levels = frame[list(item.cells[0])].itertuples(index=False, name=None)
+    means = dict(zip(levels, frame["mean"].tolist(), strict=True))
+    keys = [tuple(cell.values()) for cell in item.cells]
+    if any(key not in means for key in keys):
+        return _UNKNOWN, CANNOT_TELL
+    limit = practical_of(facts, cells(data, facts.name))
+    rank = _worse(means[keys[0]], facts)
+    if item.kind == "close":
+        apart = abs(means[keys[1]] - means[keys[0]])
+        verdict = CANNOT_TELL if not limit else HOLDS if apart <= limit else FAILS
+        return f"{_difference(apart, limit, facts)} apart, {_from(limit, facts)}", verdict
+    ranked = sorted(means, key=lambda key: _worse(means[key], facts))
+    shown = [f"{' x '.join(key)} {quantity(means[key], facts.unit)}" for key in ranked[:3]]
+    if keys[0] not in ranked[:3]:
+        shown.append(f"{_cell(item.cells[0])} {quantity(means[keys[0]], facts.unit)}")
+    behind = rank - _worse(means[ranked[0]], facts)
+    verdict = HOLDS if behind == 0 else CANNOT_TELL if behind <= limit else FAILS
+    return f"{listing(shown)}, {_from(limit, facts)}", verdict
+
+
+def _from(limit: float, facts: Facts) -> str:
+    if not limit:
+        return "and no difference that matters was given"
+    return f"where {_difference(limit, limit, facts)} matter"
+
+
+def _worse(mean: float, facts: Facts) -> float:
+    return -mean if facts.better == "higher" else mean
+
+
+def _difference(value: float, limit: float, facts: Facts) -> str:
+    return with_unit(rounded(value, decimals_that_count(limit or None)), facts.difference_unit)

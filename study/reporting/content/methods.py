@@ -9,9 +9,17 @@ from markupsafe import Markup, escape
 
 from study.reporting.content import surface_content
 from study.reporting.content.effect_words import practical
-from study.reporting.content.numbers import TIMES, level
 from study.reporting.content.report_facts import Facts, grouped_inputs
-from study.reporting.content.text import clean, count, listing, name_of, plural_of, sentence
+from study.reporting.content.text import (
+    TIMES,
+    clean,
+    count,
+    level,
+    listing,
+    name_of,
+    plural_of,
+    sentence,
+)
 from study.reporting.results.study_result import ReportData
 
 #: levels beyond which only the ends are written

@@ -11,16 +11,6 @@ from typing import TYPE_CHECKING
 from study.harness.record.record import cell_names
 from study.reporting.content import effect_words, surface_content
 from study.reporting.content.effect_words import size, size_interval, with_unit
-from study.reporting.content.numbers import (
-    THIN,
-    decimals_that_count,
-    duration,
-    level,
-    percent,
-    quantity,
-    rounded,
-    significant,
-)
 from study.reporting.content.report_facts import (
     Facts,
     cells,
@@ -30,12 +20,20 @@ from study.reporting.content.report_facts import (
     practical_of,
 )
 from study.reporting.content.text import (
+    THIN,
     clean,
     count,
+    decimals_that_count,
+    duration,
+    level,
     listing,
     name_of,
+    percent,
     plural_of,
+    quantity,
+    rounded,
     sentence,
+    significant,
     term_name,
 )
 from study.reporting.results.study_result import ReportData
@@ -278,12 +276,10 @@ def would_change(data: ReportData, all_facts: Sequence[Facts]) -> str:
 def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """More units, or finer meshes: each where it is the cause of a doubt."""
     parts, unit = [], clean(data.block) if data.block else "replicate"
-    unstated = [
-        facts.title for facts in all_facts if any(_has_no_practical(e) for e in facts.effects)
-    ]
+    unstated = [facts.title for facts in all_facts if facts.effects and not facts.has_size]
     if unstated:
         parts.append(f"the smallest difference that matters, stated for the {listing(unstated)}")
-    effects = [e for facts in all_facts for e in facts.effects if not _has_no_practical(e)]
+    effects = [e for facts in all_facts if facts.has_size for e in facts.effects]
     alone = _names([e for e in effects if e.why == ONE_SPECIMEN], data)
     if alone:
         parts.append(f"measurements of more specimens, for one tells nothing of {listing(alone)} "
@@ -317,11 +313,6 @@ def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
             untried = "the numerical error of the program, which [converge] would show"
         parts.append(f"{untried}, could move every result")
     return parts
-
-
-def _has_no_practical(effect: Effect) -> bool:
-    """Whether no verdict is possible, since nobody said from where on a difference matters."""
-    return effect.verdict == CANNOT_TELL and effect.practical is None
 
 
 def _closer_to_reality(data: ReportData) -> list[str]:

@@ -67,6 +67,11 @@ class Facts(ResponseAnalysis):
         return tuple(effect for effect in self.terms if effect.is_main)
 
     @property
+    def has_size(self) -> bool:
+        """Whether a smallest difference that matters was given: without one there is no verdict."""
+        return any(effect.practical is not None for effect in self.effects)
+
+    @property
     def interactions(self) -> tuple[Effect, ...]:
         """The effects of more than one factor."""
         return tuple(effect for effect in self.terms if not effect.is_main)

@@ -11,19 +11,27 @@ import re
 from collections.abc import Sequence
 
 from study.reporting.content import effect_words, recommendation, surface_content
-from study.reporting.content.effect_words import change, shown_difference, size
-from study.reporting.content.numbers import MISSING, p_phrase, percent
+from study.reporting.content.effect_words import (
+    blocks_needed,
+    change,
+    setting,
+    shown_difference,
+    size,
+    sole_setting,
+)
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import (
+    MISSING,
     clean,
     count,
     listing,
     name_of,
+    p_phrase,
+    percent,
     plural_of,
     sentence,
     term_name,
 )
-from study.reporting.content.verdicts import blocks_needed, setting, sole_setting
 from study.reporting.results.study_result import FITTED_CURVE, Failure, ReportData
 from study.statistics.analysis.anova_table import Effect, ErrorTerm
 from study.statistics.analysis.simple_effects import (
@@ -33,6 +41,8 @@ from study.statistics.analysis.simple_effects import (
     NOT_RESOLVED,
 )
 
+#: responses that a short answer speaks of one by one
+MOST_RESPONSES = 3
 _SOURCES = {
     "E0": "independent replicates in the cells",
     "E1": "measured replicates as blocks",
@@ -45,25 +55,37 @@ _SOURCES = {
 }
 
 
-def answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
-    """Sentences that answer the study's question: what matters, what does not, so what."""
-    if not any(facts.terms for facts in all_facts):
+def answer(
+    data: ReportData, all_facts: Sequence[Facts], *, is_short: bool = False
+) -> tuple[str, ...]:
+    """Sentences that answer the study's question: what matters, what does not, so what.
+
+    The short ones speak of three responses, and leave the missing goal to the recommendation.
+    """
+    analyzed = [facts for facts in all_facts if facts.terms]
+    if not analyzed:
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
         if data.surfaces:
             return tuple(surface_content.surface_answer(one, data) for one in data.surfaces)
+        if data.is_table and (notes := [note for facts in all_facts for note in facts.warnings]):
+            return tuple(sentence(clean(note)) for note in notes)
         return ("No response could be analyzed; the reasons stand below.",)
-    first = [
-        *(verdicts_of(data, facts) for facts in all_facts if facts.terms),
-        *left_out(data, all_facts),
-    ]
+    named = analyzed[:MOST_RESPONSES] if is_short else analyzed
+    rest = count(len(analyzed) - len(named), "more response")
+    first = [*(verdicts_of(data, facts) for facts in named), *left_out(data, all_facts)]
+    has_size = any(facts.has_size for facts in analyzed)
+    has_goal = any(facts.better for facts in analyzed)
     parts = (
-        " ".join(text for text in first if text),
+        *(first if is_short else [" ".join(filter(None, first))]),
+        f"The figure below shows the effects on {rest}." if named != analyzed else "",
         without_size(data, all_facts),
         without_verdict(all_facts),
         *effect_words.by_condition(data, all_facts),
-        _one_not_other(data, all_facts),
-        recommendation.best_cell(data, all_facts),
+        _one_not_other(data, all_facts) if has_size else "",
+        recommendation.best_cell(data, all_facts)
+        if has_goal or (has_size and not is_short)
+        else "",
         *effect_words.unknowns(data, all_facts),
     )
     return tuple(text for text in parts if text)
@@ -94,7 +116,7 @@ def without_verdict(all_facts: Sequence[Facts]) -> str:
 def without_size(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Say of which responses no smallest difference that matters was given, and how to give it."""
     judged = [facts for facts in all_facts if facts.effects]
-    titles = [facts.title for facts in judged if _has_no_size(facts)]
+    titles = [facts.title for facts in judged if not facts.has_size]
     if not titles:
         return ""
     here = "" if len(titles) == len(judged) else f" for the {listing(titles)}"
@@ -104,10 +126,6 @@ def without_size(data: ReportData, all_facts: Sequence[Facts]) -> str:
         f"{here and ' there'}: a small p says that an effect is there, not that it is large enough "
         f"to care. Give one {mend}."
     )
-
-
-def _has_no_size(facts: Facts) -> bool:
-    return bool(facts.effects) and all(effect.practical is None for effect in facts.effects)
 
 
 def tested(data: ReportData, facts: Facts) -> str:
@@ -140,32 +158,35 @@ def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     return [f"Left out, because {why}: {listing(list(gone))}."] if gone else []
 
 
+#: how a sentence on a verdict begins that decides nothing
+_OPEN = {
+    MATTERS: "",
+    NO_DIFFERENCE: "",
+    NOT_RESOLVED: "the meshes are too coarse to show whether",
+    CANNOT_TELL: "these data cannot show whether",
+}
+
+
 def verdicts_of(data: ReportData, facts: Facts) -> str:
     """Say in one sentence which choices matter for a response, which do not, which is open."""
-    if _has_no_size(facts):
+    if facts.effects and not facts.has_size:
         return tested(data, facts)
-    named: dict[str, list[Effect]] = {
-        MATTERS: [], NO_DIFFERENCE: [], NOT_RESOLVED: [], CANNOT_TELL: []
-    }  # fmt: skip
+    named: dict[str, list[Effect]] = {}
     for effect in sorted(effect_words.choices(data, facts), key=_magnitude, reverse=True):
-        named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
+        verdict = effect.verdict if effect.verdict in _OPEN else CANNOT_TELL
+        named.setdefault(verdict, []).append(effect)
     parts = []
-    if named[MATTERS]:
-        listed = listing(
-            [f"{_label(e, data)} ({_to_reader(e, facts, data)})" for e in named[MATTERS]]
-        )
-        several = len(named[MATTERS]) > 1
+    if large := named.pop(MATTERS, []):
+        listed = listing([f"{_label(e, data)} ({_to_reader(e, facts, data)})" for e in large])
+        several = len(large) > 1
         parts.append(f"the choice{'s' * several} of {listed} matter{'s' * (not several)}")
-    if named[NO_DIFFERENCE]:
-        names = listing([_with_doubt(e, facts, data) for e in named[NO_DIFFERENCE]], "or")
+    if small := named.pop(NO_DIFFERENCE, []):
+        names = listing([_with_doubt(e, facts, data) for e in small], "or")
         choice = "that of" if parts else "the choice of"
         parts.append(f"{choice} {names} makes no practical difference")
-    if named[NOT_RESOLVED]:
-        names = listing([_label(e, data) for e in named[NOT_RESOLVED]], "or")
-        parts.append(f"the meshes are too coarse to show whether {names} matters")
-    if named[CANNOT_TELL]:
-        names = listing([_label(e, data) for e in named[CANNOT_TELL]], "or")
-        parts.append(f"these data cannot show whether {names} matters")
+    for verdict in (NOT_RESOLVED, CANNOT_TELL):
+        if names := listing([_label(e, data) for e in named.get(verdict, ())], "or"):
+            parts.append(f"{_OPEN[verdict]} {names} matters")
     if not parts:
         return ""
     fitted = facts.scored_on == FITTED_CURVE
@@ -407,3 +428,36 @@ def _in_common(items: Sequence[Failure]) -> str:
     if not levels:
         return ""
     return f" All have {listing([clean(level) for level in levels.values()])}."
+
+
+# Warnings of several responses and terms as few sentences.
+
+_MOST = 4
+
+
+def folded(warnings: Sequence[tuple[str, str]], data: ReportData) -> tuple[str, ...]:
+    """Fold warnings of several responses and terms that differ in names and numbers alone."""
+    groups: dict[tuple[str, bool], list[tuple[str, str, str]]] = {}
+    for title, warning in warnings:
+        term, text = _split(warning, data)
+        # warnings about a term may differ in their numbers, others must be the same
+        key = re.sub(r"\d+", "#", text) if term else text
+        groups.setdefault((key, bool(term)), []).append((title, term, text))
+    return tuple(_line(items) for items in groups.values())
+
+
+def _split(warning: str, data: ReportData) -> tuple[str, str]:
+    """Term that a warning is about (empty for none) and what it says."""
+    head, colon, rest = warning.partition(": ")
+    if colon and set(head.split(":")) <= set(data.factors):
+        return term_name(head, data.labels), rest
+    return "", warning
+
+
+def _line(items: Sequence[tuple[str, str, str]]) -> str:
+    titles = listing(list(dict.fromkeys(title for title, _, _ in items)))
+    terms = list(dict.fromkeys(term for _, term, _ in items if term))
+    if len(terms) > _MOST:
+        terms = [*terms[:_MOST], f"{len(terms) - _MOST} more terms"]
+    about = f"{listing(terms)}: " if terms else ""
+    return sentence(f"{titles}: {about}{items[0][2]}")

@@ -16,19 +16,24 @@ from study.reporting.content.blocks import (
     Verbatim,
     titled,
 )
-from study.reporting.content.numbers import (
+from study.reporting.content.text import (
     MISSING,
     TIMES,
     between,
+    capital,
+    clean,
+    count,
     general,
     interval,
+    listing,
+    name_of,
     p_phrase,
     p_value,
     percent,
     quantity,
+    sentence,
     significant,
 )
-from study.reporting.content.text import clean, count, listing, name_of, sentence
 from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.statistics.surfaces.emulator import Emulator
 from study.statistics.surfaces.quadratic import QuadraticSurface
@@ -440,7 +445,7 @@ def surface_blocks(
 ) -> Iterator[Block | None]:
     """One surface: what drives it, what it says, its tables, then its other figures."""
     named, lines = title(one, data), surface_lines(one, data)
-    yield Heading(named[0].upper() + named[1:], 2, anchor, one.unit)
+    yield Heading(capital(named), 2, anchor, one.unit)
     if one.found is None:
         yield Sentence(lines[0], kind="missing")
         return

@@ -8,26 +8,30 @@ from typing import TYPE_CHECKING
 
 from study.ground.canonical import plain
 from study.reporting.content import sentences
-from study.reporting.content.blocks import Table
+from study.reporting.content.blocks import Document, Table
 from study.reporting.content.effect_words import numerical as u_num_of
-from study.reporting.content.effect_words import practical, size, size_interval
-from study.reporting.content.numbers import (
+from study.reporting.content.effect_words import practical, size, size_interval, told
+from study.reporting.content.report_facts import Facts, cells, is_effect
+from study.reporting.content.text import (
     MINUS,
     MISSING,
     THIN,
+    clean,
+    count,
     duration,
     f_value,
     interval,
     level,
+    listing,
+    name_of,
     p_phrase,
     p_value,
+    plural_of,
     quantity,
     share,
     significant,
+    term_name,
 )
-from study.reporting.content.report_facts import Facts, cells, is_effect
-from study.reporting.content.text import clean, count, listing, name_of, plural_of, term_name
-from study.reporting.content.verdicts import told
 from study.reporting.results.study_result import ANY, FittedConstant, ReportData
 from study.statistics.analysis.anova_table import Row
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
@@ -588,3 +592,42 @@ def _values(motion: dict[str, list[float | None]], names: tuple[str, ...]) -> st
             continue
         parts.append(f"{value:.2f} \N{PLUS-MINUS SIGN} {error:.2f}" if error else f"{value:.4g}")
     return ", ".join(parts).replace("-", MINUS) or MISSING
+
+
+# Simulation against measurement, and the name of a cell among others.
+
+
+def label_of(cell: Document) -> str:
+    """Name of a cell: its levels, else the quantity where it has one."""
+    levels = (cell.get("levels") or {}).values()
+    return " / ".join(map(str, levels)) or str(cell.get("qoi", "all"))
+
+
+def validation(rows: Sequence[Document], block: str) -> Table:
+    """Compare every case at the end of its curve."""
+    heads = dict(zip(("E (N)", "u_num", "u_input", "u_data", "u_val"), _SHOWN, strict=True))
+    columns: dict[str, Callable[[Document], str]] = {
+        "cell": lambda row: clean(label_of(row)),
+        block or "block": lambda row: clean(row["block"] or MISSING),
+        **{
+            head: lambda row, name=name: significant(row[name][-1])  # type: ignore[misc]
+            for head, name in heads.items()
+        },
+        "curve outside": lambda row: f"{100 * row['outside']:.0f} %",
+        "verdict": lambda row: clean(row["verdict"], 200),
+    }
+    return Table.of(
+        "validation",
+        rows,
+        columns,
+        left=2,
+        tail=1,
+        raw=lambda row: (
+            {**row["levels"], "block": row["block"]}
+            | {name: row[name][-1] for name in _SHOWN}
+            | {name: row[name] for name in ("outside", "verdict")}
+        ),
+    )
+
+
+_SHOWN = ("error_N", "u_num_N", "u_input_N", "u_data_N", "u_val_N")

@@ -1,12 +1,194 @@
-"""Words of a report: names, lists, plurals, sentences, and text that is safe in a page."""
+"""Numbers and names as a reader wants them: digits, units, lists, plurals, safe text."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 
-from study.reporting.content.numbers import TIMES
-from study.reporting.results.study_result import ReportData
+MINUS = "\N{MINUS SIGN}"
+TIMES = "\N{MULTIPLICATION SIGN}"
+MISSING = "\N{EN DASH}"
+THIN = "\N{NO-BREAK SPACE}"
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Three significant digits, never an exponent for the sizes met in a laboratory."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    rounded = float(f"{value:.{digits - 1}e}")
+    exponent = math.floor(math.log10(abs(rounded)))
+    if exponent < -4 or exponent > 6:
+        mantissa = f"{rounded / 10.0**exponent:.{digits - 1}f}"
+        return f"{mantissa}e{exponent}".replace("-", MINUS)
+    return f"{rounded:,.{max(digits - 1 - exponent, 0)}f}".replace("-", MINUS)
+
+
+def p_value(p: float | None) -> str:
+    """Write a p-value: three decimals, no leading zero, bounds at the ends."""
+    if p is None or not math.isfinite(p):
+        return MISSING
+    if p < 0.0005:
+        return "< .001"
+    if p >= 0.9995:
+        return "> .999"
+    return f"{p:.3f}"[1:]
+
+
+def p_phrase(p: float | None) -> str:
+    """``p = .032`` or ``p < .001`` for a sentence."""
+    text = p_value(p)
+    if text == MISSING:
+        return "no p"
+    return f"p {text}" if text[0] in "<>" else f"p = {text}"
+
+
+def general(value: float | None, digits: int = 4) -> str:
+    """Write a number to a precision, without zeros at its end; a dash for none."""
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def between(ends: Sequence[float | None] | None, digits: int = 5) -> str:
+    """Write both ends of an interval to a precision; a dash for none."""
+    return "-" if ends is None else " to ".join(general(end, digits) for end in ends)
+
+
+def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
+    """Write a number with its unit, kept together by a space that does not break."""
+    number = significant(value, digits)
+    if number == MISSING or unit in ("", "1"):
+        return number
+    return f"{number}{THIN}{unit}"
+
+
+def percent(fraction: float | None, digits: int = 3) -> str:
+    """Write a fraction as a percentage; below a tenth of a percent only said to be so."""
+    if fraction is not None and 0 < abs(fraction) < 0.0005:
+        return f"< 0.1{THIN}%" if fraction > 0 else f"{MINUS}< 0.1{THIN}%"
+    if fraction is not None and abs(fraction) >= 0.9995:
+        return quantity(100 * fraction, "%", max(digits, 3))
+    return quantity(None if fraction is None else 100 * fraction, "%", digits)
+
+
+def level(alpha: float) -> str:
+    """Write the level of an interval."""
+    return f"{100 * (1 - alpha):.4g}{THIN}%"
+
+
+def interval(low: float | None, high: float | None, unit: str = "", digits: int = 3) -> str:
+    """Write an interval with the decimals of its larger end, more where both would look alike."""
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return MISSING
+    largest = max(abs(low), abs(high))
+    if largest == 0 or not 1e-3 <= largest < 1e5:
+        ends = [significant(low, digits), significant(high, digits)]
+    else:
+        ends = [_fixed(end, _decimals(largest, digits)) for end in (low, high)]
+    if ends[0] == ends[1] and low != high and digits < 8:
+        return interval(low, high, unit, digits + 1)
+    return f"{ends[0]} to {ends[1]}" + (f"{THIN}{unit}" if unit else "")
+
+
+def _fixed(value: float, decimals: int) -> str:
+    text = f"{value:,.{decimals}f}"
+    if float(text.replace(",", "")) == 0:
+        text = text.lstrip("-")
+    return text.replace("-", MINUS)
+
+
+def decimals_that_count(step: float | None) -> int | None:
+    """Decimals that a thousandth of what matters can be read at; None where that is unknown."""
+    if step is None or not math.isfinite(step) or step <= 0:
+        return None
+    return max(math.floor(-math.log10(step / 1000) + 1e-9), 0)
+
+
+def rounded(value: float | None, decimals: int | None, digits: int = 3) -> str:
+    """Three significant digits, but no finer than ``decimals``; ``< 0.001`` below them."""
+    if value is None or decimals is None or value == 0 or not math.isfinite(value):
+        return significant(value, digits)
+    least = 10.0**-decimals
+    if abs(value) < least / 2:
+        return f"{'' if value > 0 else MINUS}< {least:.{decimals}f}"
+    return _fixed(value, min(_decimals(abs(value), digits), decimals))
+
+
+def span(low: float | None, high: float | None, decimals: int | None, digits: int = 3) -> str:
+    """Write both ends with the same decimals: as few as tell them apart, at most ``decimals``."""
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return MISSING
+    if decimals is None:
+        return interval(low, high, "", digits)
+    largest = max(abs(low), abs(high))
+    places = min(_decimals(largest, digits), decimals) if largest else 0
+    while places < decimals and round(low, places) == round(high, places):
+        places += 1
+    return f"{_fixed(low, places)} to {_fixed(high, places)}"
+
+
+def inside(
+    value: float | None, low: float | None, high: float | None, shown: str, ends: str
+) -> str:
+    """Write an estimate as finely as its interval where it would else stand outside of it."""
+    places = [len(text.partition(".")[2]) for text in (shown, ends.partition(" to ")[0])]
+    if value is None or low is None or high is None or places[1] <= places[0]:
+        return shown
+    if round(low, places[1]) <= round(value, places[0]) <= round(high, places[1]):
+        return shown
+    return _fixed(value, places[1])
+
+
+def _decimals(value: float, digits: int) -> int:
+    # log10 of the value as it will be printed: 9.999 is 10.0
+    exponent = math.floor(math.log10(float(f"{value:.{digits - 1}e}")))
+    return max(digits - 1 - exponent, 0)
+
+
+def f_value(value: float | None, most: float = 1e4) -> str:
+    """F of a table; beyond ``most`` only said to be so, for its digits mean nothing."""
+    if value is not None and math.isfinite(value) and value > most:
+        return f"> {most:,.0f}"
+    return significant(value)
+
+
+def share(fraction: float | None) -> str:
+    """Write a share of a total in percent with one decimal."""
+    if fraction is None or not math.isfinite(fraction):
+        return MISSING
+    if 0 < fraction < 0.0005:
+        return f"< 0.1{THIN}%"
+    return f"{100 * fraction:.1f}{THIN}%"
+
+
+def ratio_digits(value: float | None) -> int:
+    """Digits that a ratio needs: more near 1, so that a small change is not hidden."""
+    if value is None or not math.isfinite(value):
+        return 3
+    away = abs(value - 1)
+    return 3 if away >= 0.05 else 4 if away >= 0.005 else 5
+
+
+def duration(seconds: float | None) -> str:
+    """Seconds in the unit a person would use."""
+    if seconds is None or not math.isfinite(seconds):
+        return MISSING
+    for limit, size, unit in ((1, 1e-3, "ms"), (60, 1, "s"), (3600, 60, "min")):
+        if seconds < limit:
+            return f"{float(f'{seconds / size:.2g}'):g}{THIN}{unit}"
+    return f"{seconds / 3600:.3g}{THIN}h"
+
+
+def case_counts(cases: Mapping[str, int]) -> str:
+    """Cases in one line."""
+    return (
+        f"{cases['total']} cases: {cases['done']} done, {cases['failed']} failed, "
+        f"{cases['missing']} missing"
+    )
+
+
+# Words: names, lists, plurals, sentences, and text that is safe in a page.
 
 _NAMES = {
     "relative_rms_force_error": "relative RMS force error",
@@ -74,6 +256,11 @@ def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:
     return f" {TIMES} ".join(name_of(part, labels) for part in term.split(":"))
 
 
+def slug(text: str) -> str:
+    """File and id name made of letters, digits and hyphens alone."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower())[:48].strip("-") or "response"
+
+
 def listing(items: Sequence[str], word: str = "and") -> str:
     """Items as in a sentence."""
     if len(items) < 2:
@@ -87,35 +274,11 @@ def sentence(text: str) -> str:
     if not text:
         return ""
     closed = text if text[-1] in ".?!:" else text + "."
-    return closed[0].upper() + closed[1:]
+    return capital(closed)
 
 
-_MOST = 4
-
-
-def folded(warnings: Sequence[tuple[str, str]], data: ReportData) -> tuple[str, ...]:
-    """Fold warnings of several responses and terms that differ in names and numbers alone."""
-    groups: dict[tuple[str, bool], list[tuple[str, str, str]]] = {}
-    for title, warning in warnings:
-        term, text = _split(warning, data)
-        # warnings about a term may differ in their numbers, others must be the same
-        key = re.sub(r"\d+", "#", text) if term else text
-        groups.setdefault((key, bool(term)), []).append((title, term, text))
-    return tuple(_line(items) for items in groups.values())
-
-
-def _split(warning: str, data: ReportData) -> tuple[str, str]:
-    """Term that a warning is about (empty for none) and what it says."""
-    head, colon, rest = warning.partition(": ")
-    if colon and set(head.split(":")) <= set(data.factors):
-        return term_name(head, data.labels), rest
-    return "", warning
-
-
-def _line(items: Sequence[tuple[str, str, str]]) -> str:
-    titles = listing(list(dict.fromkeys(title for title, _, _ in items)))
-    terms = list(dict.fromkeys(term for _, term, _ in items if term))
-    if len(terms) > _MOST:
-        terms = [*terms[:_MOST], f"{len(terms) - _MOST} more terms"]
-    about = f"{listing(terms)}: " if terms else ""
-    return sentence(f"{titles}: {about}{items[0][2]}")
+def capital(text: str) -> str:
+    """Text with a capital first letter; a symbol, such as ``y`` or ``mu0``, stays as it is."""
+    first = re.split(r"\W", text, maxsplit=1)[0]
+    is_symbol = (len(first) == 1 and first not in "aiAI") or bool(re.search(r"[\d_]", first))
+    return text if is_symbol else text[:1].upper() + text[1:]

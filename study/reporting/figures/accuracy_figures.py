@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import pandas as pd
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
 
 from study.ground.arrays import Array
 from study.laboratory.shape.shape_deviation import ShapeDeviation
 from study.laboratory.tracker.tracker_error import DisplacementResult, DistanceResult
 from study.laboratory.tracker.tracker_reference import ReferenceResult
-from study.reporting.figures.axes import (
-    BAND,
-    INK,
-    MUTED,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    one_panel,
-    plain_ticks,
-    wrap,
-)
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
+from study.reporting.figures import axes as style
 
 #: Points that the CSV beside the page and the figures hold at most.
 MOST_POINTS = 50_000
@@ -57,8 +43,6 @@ VIEWS = (
 
 def deviation_points(deviation: ShapeDeviation) -> pd.DataFrame:
     """Tabulate registered points with their normals and signed distances, mm."""
-    import pandas as pd
-
     n = len(deviation.distances)
     shown = np.linspace(0, n - 1, min(n, MOST_POINTS)).astype(int)
     frame = pd.DataFrame(deviation.points[shown], columns=["x_mm", "y_mm", "z_mm"])
@@ -71,25 +55,22 @@ def draw_histogram(frame: pd.DataFrame) -> Canvas:
     """Draw the histogram of signed distances, with mean and middle 90 %."""
     import seaborn as sns
 
-    figure, ax = one_panel(WIDTH_IN, 2.8)
+    figure, ax = style.one_panel(2.8)
     sns.histplot(
-        frame, x="deviation_mm", bins=60, color=color_of(0), alpha=0.8, edgecolor="white",
+        frame, x="deviation_mm", bins=60, color=style.color_of(0), alpha=0.8, edgecolor="white",
         linewidth=0.3, ax=ax,
     )  # fmt: skip
-    ax.axvline(frame["deviation_mm"].mean(), color=INK, linewidth=1.2)
+    ax.axvline(frame["deviation_mm"].mean(), color=style.INK, linewidth=1.2)
     for value in np.percentile(frame["deviation_mm"], [5, 95]):
-        ax.axvline(value, color=MUTED, linewidth=1.0, linestyle="--")
+        ax.axvline(value, color=style.MUTED, linewidth=1.0, linestyle="--")
     ax.set(xlabel="deviation (mm): scan outside the simulation +", ylabel="points")
-    plain_ticks(ax, "x")
     return figure
 
 
 def draw_views(frame: pd.DataFrame) -> Canvas:
     """Draw the body from six sides, colored by the mean deviation of every hexagon."""
-    from matplotlib import colormaps
-
     colors = colormaps["RdBu_r"].resampled(COLORS)
-    figure = canvas(WIDTH_IN, 6.4)
+    figure = style.canvas(6.4)
     panels = figure.subplots(2, 3).ravel()
     places = frame[["x_mm", "y_mm", "z_mm"]].to_numpy()
     normals = frame[["normal_x", "normal_y", "normal_z"]].to_numpy()
@@ -101,7 +82,7 @@ def draw_views(frame: pd.DataFrame) -> Canvas:
         ax.set(title=title, aspect="equal", adjustable="datalim")
         ax.set_axis_off()
         if not facing.any():
-            ax.text(0.5, 0.5, "not scanned", transform=ax.transAxes, ha="center", color=MUTED)
+            ax.text(0.5, 0.5, "not scanned", transform=ax.transAxes, ha="center", color=style.MUTED)
             continue
         drawn = ax.hexbin(
             places[facing, right], places[facing, up], deviation[facing],
@@ -137,8 +118,6 @@ LONGEST_ARROW = 0.15
 
 def distance_points(distance: DistanceResult) -> pd.DataFrame:
     """Histogram of the distances of every stage: classes in mm, counts."""
-    import pandas as pd
-
     edges = np.histogram_bin_edges(distance.samples_mm, CLASSES)
     stages = np.array(distance.sample_stage, dtype=object)
     parts = []
@@ -157,7 +136,7 @@ def draw_distances(frame: pd.DataFrame, distance: DistanceResult) -> Canvas:
     import seaborn as sns
 
     stages = list(dict.fromkeys(frame["stage"]))[:MOST_STAGES]
-    figure = canvas(WIDTH_IN, 0.6 + 1.0 * len(stages))
+    figure = style.canvas(0.6 + 1.0 * len(stages))
     axes = np.atleast_1d(figure.subplots(len(stages), 1, sharex=True))
     edges = [*frame["low_mm"].unique(), frame["high_mm"].max()]
     means = {stage.stage: stage.mean_mm for stage in distance.stages}
@@ -165,22 +144,21 @@ def draw_distances(frame: pd.DataFrame, distance: DistanceResult) -> Canvas:
         rows = frame[frame["stage"] == stage]
         middles = (rows["low_mm"] + rows["high_mm"]) / 2
         sns.histplot(
-            x=middles, weights=rows["samples"], bins=edges, color=color_of(k), alpha=0.8,
+            x=middles, weights=rows["samples"], bins=edges, color=style.color_of(k), alpha=0.8,
             edgecolor="white", linewidth=0.4, ax=ax,
         )  # fmt: skip
-        ax.axvline(means[stage], color=INK, linewidth=1.0)
+        ax.axvline(means[stage], color=style.INK, linewidth=1.0)
         if distance.standard is not None:
-            ax.axvline(distance.standard.distance_mm, color=MUTED, linewidth=1.0, linestyle="--")
-        ax.set(title=wrap(stage, 60), xlabel="", ylabel="samples")
+            ax.axvline(
+                distance.standard.distance_mm, color=style.MUTED, linewidth=1.0, linestyle="--"
+            )
+        ax.set(title=style.wrap(stage, 60), xlabel="", ylabel="samples")
     axes[-1].set_xlabel("distance between the markers (mm)")
-    plain_ticks(axes[-1], "x")
     return figure
 
 
 def displacement_points(displacement: DisplacementResult) -> pd.DataFrame:
     """Commanded and measured displacement of every stop, their mean and difference, mm."""
-    import pandas as pd
-
     return pd.DataFrame({
         "commanded_mm": displacement.commanded_mm,
         "measured_mm": displacement.measured_mm,
@@ -193,31 +171,32 @@ def draw_displacement(frame: pd.DataFrame, displacement: DisplacementResult) -> 
     """Draw measured on commanded displacement, and their differences with limits of agreement."""
     import seaborn as sns
 
-    figure = canvas(WIDTH_IN, 3.4)
+    figure = style.canvas(3.4)
     line, limits = figure.subplots(1, 2)
-    sns.scatterplot(frame, x="commanded_mm", y="measured_mm", s=16, color=color_of(0), ax=line)
+    sns.scatterplot(
+        frame, x="commanded_mm", y="measured_mm", s=16, color=style.color_of(0), ax=line
+    )
     ends = np.array([0.0, frame["commanded_mm"].max()])
     ends[0] = min(0.0, frame["commanded_mm"].min())
     line.plot(
-        ends, displacement.line.offset + displacement.line.scale * ends, color=MUTED, linewidth=1.0
+        ends,
+        displacement.line.offset + displacement.line.scale * ends,
+        color=style.MUTED,
+        linewidth=1.0,
     )
     line.set(xlabel="commanded (mm)", ylabel="measured (mm)", title="regression")
     agreement = displacement.agreement
     for low, high in (agreement.lower_interval, agreement.upper_interval):
-        limits.axhspan(low, high, color=BAND, linewidth=0)
-    for value, style in ((agreement.bias, "-"), (agreement.lower, "--"), (agreement.upper, "--")):
-        limits.axhline(value, color=MUTED, linewidth=1.0, linestyle=style)
-    sns.scatterplot(frame, x="mean_mm", y="difference_mm", s=16, color=color_of(0), ax=limits)
+        limits.axhspan(low, high, color=style.BAND, linewidth=0)
+    for value, dashes in ((agreement.bias, "-"), (agreement.lower, "--"), (agreement.upper, "--")):
+        limits.axhline(value, color=style.MUTED, linewidth=1.0, linestyle=dashes)
+    sns.scatterplot(frame, x="mean_mm", y="difference_mm", s=16, color=style.color_of(0), ax=limits)
     limits.set(xlabel="mean of both (mm)", ylabel="measured - commanded (mm)", title="agreement")
-    for ax in (line, limits):
-        plain_ticks(ax)
     return figure
 
 
 def reference_points(reference: ReferenceResult) -> pd.DataFrame:
     """Every pose in the reference's frame with its residual and errors, mm."""
-    import pandas as pd
-
     placed = reference.fit.motion(reference.positions_mm)
     columns = {"pose": list(reference.poses)}
     frame = pd.DataFrame(columns)
@@ -234,7 +213,7 @@ def draw_reference(frame: pd.DataFrame) -> Canvas:
     """Draw residuals over the workspace, and errors pose by pose."""
     import seaborn as sns
 
-    figure = canvas(WIDTH_IN, 3.6)
+    figure = style.canvas(3.6)
     where, errors = figure.subplots(1, 2)
     _arrows(where, frame)
     long = frame.melt("pose", ["residual_mm", "left_out_mm"], "kind", "error")
@@ -242,13 +221,12 @@ def draw_reference(frame: pd.DataFrame) -> Canvas:
         {"residual_mm": "left by the registration", "left_out_mm": "predicted from the others"}
     )
     sns.pointplot(
-        long, x="pose", y="error", hue="kind", palette=[color_of(0), color_of(1)],
+        long, x="pose", y="error", hue="kind", palette=[style.color_of(0), style.color_of(1)],
         linestyle="none", errorbar=None, markersize=4, dodge=0.2, ax=errors,
     )  # fmt: skip
     errors.set(xlabel="pose", ylabel="error (mm)", title="errors by pose")
     errors.set_ylim(bottom=0)
     errors.legend(title="")
-    plain_ticks(errors, "y")
     return figure
 
 
@@ -261,11 +239,10 @@ def _arrows(ax: Axes, frame: pd.DataFrame) -> None:
     ax.quiver(
         frame[f"{first}_mm"], frame[f"{second}_mm"],
         factor * frame[f"residual_{first}_mm"], factor * frame[f"residual_{second}_mm"],
-        angles="xy", scale_units="xy", scale=1, color=color_of(1), width=0.004,
+        angles="xy", scale_units="xy", scale=1, color=style.color_of(1), width=0.004,
     )  # fmt: skip
-    ax.plot(frame[f"{first}_mm"], frame[f"{second}_mm"], "o", markersize=3, color=color_of(0))
+    ax.plot(frame[f"{first}_mm"], frame[f"{second}_mm"], "o", markersize=3, color=style.color_of(0))
     ax.set(
         xlabel=f"{first} (mm)", ylabel=f"{second} (mm)", title=f"residuals, {factor:.3g} times",
         aspect="equal", adjustable="datalim",
     )  # fmt: skip
-    plain_ticks(ax)

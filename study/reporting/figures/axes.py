@@ -7,13 +7,18 @@ import math
 import re
 import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 from xml.etree import ElementTree
 
+from study.reporting.content.blocks import Figure
 from study.reporting.content.text import clean
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
@@ -21,6 +26,8 @@ if TYPE_CHECKING:
     Drawing: TypeAlias = Canvas
 
 
+#: width of a figure, inches
+WIDTH_IN = 9.6
 #: labels of a logarithmic axis beyond which some are left out
 _MOST_TICKS = 9
 
@@ -57,18 +64,6 @@ def name_rows(
             edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
             look = {"ha": "right", "va": "center_baseline", "fontsize": fontsize} | edge
             note(ax, line, (0, place), (-3.5, higher), **look)
-
-
-def plain_ticks(ax: Axes, axes: str = "xy") -> None:
-    """Few ticks, the same decimals on each, no offset and no exponent."""
-    from matplotlib.ticker import MaxNLocator, ScalarFormatter
-
-    for axis in axes:
-        target = ax.xaxis if axis == "x" else ax.yaxis
-        formatter = ScalarFormatter(useOffset=False, useMathText=False)
-        formatter.set_scientific(False)
-        target.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
-        target.set_major_formatter(formatter)
 
 
 def log_places(low: float, high: float) -> list[float]:
@@ -128,9 +123,9 @@ def above(ax: Axes, words: str, x: float, **look: Any) -> None:
     ax.text(x, 1.0, words, transform=ax.get_xaxis_transform(), **{**usual, **look})
 
 
-def one_panel(width_in: float, height_in: float) -> tuple[Canvas, Axes]:
+def one_panel(height_in: float, width_in: float = WIDTH_IN) -> tuple[Canvas, Axes]:
     """Return an empty figure with its only axes."""
-    figure = canvas(width_in, height_in)
+    figure = canvas(height_in, width_in)
     return figure, figure.subplots()
 
 
@@ -140,7 +135,7 @@ def panels(
     """Return a figure of panels in rows, all of one size; places that are left over stay empty."""
     columns = min(columns, number)
     rows = -(-number // columns)
-    figure = canvas(WIDTH_IN, pad_in + height_in * rows)
+    figure = canvas(pad_in + height_in * rows)
     axes = figure.subplots(rows, columns, squeeze=False, **shared).ravel()
     for ax in axes[number:]:
         ax.set_visible(False)
@@ -168,12 +163,14 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 WORDS = ("#005f96", "#a84300", "#00694d", "#8f3f6c", "#7a5200", "#1b6a96", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
-WIDTH_IN = 9.6
 _RC: dict[str, Any] = {
     "svg.fonttype": "none",
     "text.parse_math": False,
     "text.usetex": False,
+    # no offset and no exponent at an axis
     "axes.formatter.use_mathtext": False,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-9, 9),
     "axes.unicode_minus": True,
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
@@ -198,6 +195,10 @@ _RC: dict[str, Any] = {
     "ytick.major.width": 0.6,
     "xtick.major.size": 3,
     "ytick.major.size": 3,
+    "figure.labelsize": 8.5,
+    "figure.titlesize": 8.5,
+    "grid.color": RULE,
+    "grid.linewidth": 0.4,
     "legend.frameon": False,
     "legend.fontsize": 8,
     "lines.linewidth": 1.4,
@@ -206,8 +207,8 @@ _RC: dict[str, Any] = {
     "savefig.facecolor": "none",
 }
 _DECIMALS = re.compile(r"-?\d+\.\d+")
+_FAMILY = re.compile("font-family: [^;]*; ")
 _SVG = "http://www.w3.org/2000/svg"
-_XLINK = "http://www.w3.org/1999/xlink"
 
 
 def color_of(index: int) -> str:
@@ -220,7 +221,7 @@ def word_color_of(index: int) -> str:
     return WORDS[index % len(WORDS)]
 
 
-def canvas(width_in: float, height_in: float, *, arranged: bool = True) -> Canvas:
+def canvas(height_in: float, width_in: float = WIDTH_IN, *, arranged: bool = True) -> Canvas:
     """Return an empty figure that belongs to no global state."""
     from matplotlib.figure import Figure
 
@@ -278,9 +279,12 @@ def shown(draw: Callable[[], Canvas], name: str, title: str) -> Canvas:
 
 
 def _inline(text: str, name: str, title: str) -> str:
-    """Strip the prologue, prefix ids, let the page choose the font, name the drawing."""
+    """Strip the prologue, let the page choose the font, name the drawing.
+
+    Its ids hold the hash of a name and of what they stand for: those of a page are different.
+    """
     ElementTree.register_namespace("", _SVG)
-    ElementTree.register_namespace("xlink", _XLINK)
+    ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
     root = ElementTree.fromstring(text[text.index("<svg") :])
     for metadata in root.findall(f"{{{_SVG}}}metadata"):
         root.remove(metadata)
@@ -289,7 +293,15 @@ def _inline(text: str, name: str, title: str) -> str:
         for rule in definitions.findall(f"{{{_SVG}}}style"):
             definitions.remove(rule)
     for element in root.iter():
-        _prefix_ids(element, name)
+        if element.tag.endswith("}g"):
+            # ids that nothing refers to only make the page longer
+            element.attrib.pop("id", None)
+        for key in element.attrib.keys() & {"d", "x", "y"}:
+            element.attrib[key] = _DECIMALS.sub(_shorter, element.attrib[key])
+        if element.tag.endswith("}text"):
+            element.attrib["style"] = _FAMILY.sub("", element.attrib["style"])
+            if element.attrib.get("transform", "").startswith("rotate(-0 "):
+                del element.attrib["transform"]
     for dimension in ("width", "height"):
         root.attrib.pop(dimension, None)
     root.attrib.update({"role": "img", "aria-label": title})
@@ -301,37 +313,48 @@ def _shorter(number: re.Match[str]) -> str:
     return f"{float(number.group()):.2f}".rstrip("0").rstrip(".")
 
 
-def _prefix_ids(element: ElementTree.Element, name: str) -> None:
-    for key, value in list(element.attrib.items()):
-        if key == "id":
-            # ids that nothing refers to only make the page longer
-            if element.tag.endswith("}g"):
-                del element.attrib[key]
-            else:
-                element.attrib[key] = f"{name}-{value}"
-        elif key == f"{{{_XLINK}}}href":
-            del element.attrib[key]
-            element.attrib["href"] = f"#{name}-{value.removeprefix('#')}"
-        elif "url(#" in value:
-            element.attrib[key] = value.replace("url(#", f"url(#{name}-")
-        elif key in ("d", "x", "y"):
-            element.attrib[key] = _DECIMALS.sub(_shorter, value)
-        elif key == "transform" and value.startswith("rotate(-0 "):
-            del element.attrib[key]
-        elif key == "style" and element.tag.endswith("}text"):
-            element.attrib[key] = _plain_font(value)
+# A figure is its title, its points, its drawing and its caption, or why it is missing.
 
 
-def _plain_font(style: str) -> str:
-    """Drop the font family, so that the page's own is inherited; keep size and weight."""
-    parts = []
-    for part in style.split(";"):
-        key, _, value = part.strip().partition(":")
-        if key == "font":
-            size = re.search(r"([\d.]+)px", value)
-            weight = re.match(r"\s*(bold|\d00)\b", value)
-            parts += [f"font-size: {size.group(1)}px"] if size else []
-            parts += [f"font-weight: {weight.group(1)}"] if weight else []
-        elif key and key != "font-family":
-            parts.append(f"{key}: {value.strip()}")
-    return "; ".join(parts)
+#: title, points, drawing and caption of a figure: the frame that is computed is drawn and told of
+Plot = tuple[
+    str,
+    Callable[[], "pd.DataFrame"],
+    Callable[["pd.DataFrame"], "Canvas"],
+    Callable[["pd.DataFrame"], str],
+]
+
+
+_of_data_alone: ContextVar[bool] = ContextVar("figures of data alone", default=False)
+
+
+@contextmanager
+def data_alone() -> Iterator[None]:
+    """Make figures without drawings, which take three quarters of the time of a small report."""
+    token = _of_data_alone.set(True)
+    try:
+        yield
+    finally:
+        _of_data_alone.reset(token)
+
+
+def make(name: str, plot: Plot) -> Figure:
+    """Compute and draw one figure; any failure becomes its ``missing``."""
+    title, points, draw, caption = plot
+    frame: pd.DataFrame | None = None
+    try:
+        frame = points()
+        words = caption(frame)
+        svg = "" if _of_data_alone.get() else render(partial(draw, frame), name, title)
+    except Exception as error:  # the numbers must reach the reader whatever the drawing does
+        why = f"{type(error).__name__}: {error}"
+        return Figure(name, title, data=frame, missing=why[:300])
+    return Figure(name, title, words, svg, frame)
+
+
+def made(plots: Mapping[str, Plot], stem: str, of: str) -> dict[str, Figure]:
+    """Make the figures of one response or surface: its name stands in their titles."""
+    return {
+        kind: make(f"{stem}-{kind}", (f"{title}: {of}", points, draw, caption))
+        for kind, (title, points, draw, caption) in plots.items()
+    }

@@ -5,47 +5,24 @@ Everything comes as plain values: a series is the document that ``study converge
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
-from study.reporting.content.blocks import Document, Table
-from study.reporting.content.numbers import MISSING, percent, significant
-from study.reporting.content.text import clean, count, name_of
-from study.reporting.figures.axes import (
-    BAND,
-    INK,
-    MARKERS,
-    MUTED,
-    RULE,
-    WIDTH_IN,
-    color_of,
-    labeled,
-    log_ticks,
-    one_panel,
-    panels,
-    plain_ticks,
-    wrap,
-)
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
+from study.reporting.content.blocks import Document
+from study.reporting.content.tables import label_of
+from study.reporting.content.text import clean, count, name_of, percent
+from study.reporting.figures import axes as style
 
 #: more panels than these are no picture any more; the table has them all
 MOST_PANELS = 12
 COLUMNS = 4
-
-
-def label_of(cell: Document) -> str:
-    """Name of a cell: its levels, else the quantity where it has one."""
-    levels = (cell.get("levels") or {}).values()
-    return " / ".join(map(str, levels)) or str(cell.get("qoi", "all"))
 
 
 #: behaviour whose bound is a scatter and no interval of a limit
@@ -54,8 +31,6 @@ DIVERGENT = "divergent"
 
 def value_points(cells: Sequence[Document]) -> pd.DataFrame:
     """One row a mesh: size, value, and what the series says of it."""
-    import pandas as pd
-
     rows = [
         {
             "cell": label_of(cell), "panel": title, "quantity": cell["qoi"], "unit": cell["unit"],
@@ -84,22 +59,22 @@ def _titles(cells: Sequence[Document]) -> list[str]:
 def draw_values(frame: pd.DataFrame) -> Canvas:
     """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
-    figure, axes = panels(len(groups), COLUMNS, 2.1)
+    figure, axes = style.panels(len(groups), COLUMNS, 2.1)
     several = len(set(frame["quantity"])) > 1
     for ax, (_, part) in zip(axes, groups, strict=True):
         _value_panel(ax, part)
-        ax.set_title(wrap(part["panel"].iloc[0], 30, 90), fontsize=7.5)
+        ax.set_title(style.wrap(part["panel"].iloc[0], 30, 90), fontsize=7.5)
         if several:
-            ax.set_ylabel(wrap(_axis(part), 24), fontsize=7.5)
-    figure.supxlabel("mesh size (mm)", fontsize=8.5)
+            ax.set_ylabel(style.wrap(_axis(part), 24), fontsize=7.5)
+    figure.supxlabel("mesh size (mm)")
     if not several:
-        figure.supylabel(_axis(frame), fontsize=8.5)
+        figure.supylabel(_axis(frame))
     return figure
 
 
 def _axis(frame: pd.DataFrame) -> str:
     """Name of the quantity with its unit."""
-    return labeled(name_of(str(frame["quantity"].iloc[0])), clean(str(frame["unit"].iloc[0])))
+    return style.labeled(name_of(str(frame["quantity"].iloc[0])), clean(str(frame["unit"].iloc[0])))
 
 
 def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
@@ -107,22 +82,21 @@ def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
     limit, order = part["extrapolated"].iloc[0], part["order_used"].iloc[0]
     if limit is not None and np.isfinite(limit) and order is not None and np.isfinite(order):
         x = np.linspace(0, h.max(), 100)
-        ax.plot(x, limit + (v[0] - limit) * (x / h[0]) ** order, color=MUTED, linewidth=1.0)
-        ax.plot([0], [limit], marker="D", color=MUTED, markersize=4, clip_on=False)
+        ax.plot(x, limit + (v[0] - limit) * (x / h[0]) ** order, color=style.MUTED, linewidth=1.0)
+        ax.plot([0], [limit], marker="D", color=style.MUTED, markersize=4, clip_on=False)
     u = part["u_num"].iloc[0]
     if u is not None and np.isfinite(u):
-        ax.errorbar(h[:1], v[:1], yerr=[u], color=INK, linewidth=1.0, capsize=3)
-    ax.plot(h, v, marker="o", linestyle="none", color=color_of(0), markersize=4.5)
+        ax.errorbar(h[:1], v[:1], yerr=[u], color=style.INK, linewidth=1.0, capsize=3)
+    ax.plot(h, v, marker="o", linestyle="none", color=style.color_of(0), markersize=4.5)
     order_seen = part["observed_order"].iloc[0]
     is_estimated = order_seen is not None and np.isfinite(order_seen)
     text = f"order {order_seen:.2f}" if is_estimated else str(part["behaviour"].iloc[0])
     ax.text(
         0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
-        color=MUTED,
+        color=style.MUTED,
     )  # fmt: skip
     ax.set_xlim(left=0)
     ax.margins(y=0.15)
-    plain_ticks(ax, "y")
 
 
 def _free(h: Array, v: Array) -> float:
@@ -143,7 +117,7 @@ def error_points(cells: Sequence[Document]) -> pd.DataFrame:
 
 def draw_errors(frame: pd.DataFrame) -> Canvas:
     """Draw the error against the mesh size in logarithms, with the formal slope beside."""
-    figure, ax = one_panel(WIDTH_IN, 3.8)
+    figure, ax = style.one_panel(3.8)
     _errors_of_cells(ax, frame, "mesh_size")
     _slopes(ax, frame)
     _logarithmic(ax, "mesh size (mm)", "distance to the limit, part of it")
@@ -156,7 +130,7 @@ def _errors_of_cells(ax: Axes, frame: pd.DataFrame, across: str) -> None:
     """Draw the errors of every cell as a line with marks, with a legend beside."""
     for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
         ax.plot(
-            part[across], part["error"], marker=MARKERS[k % 7], color=color_of(k),
+            part[across], part["error"], marker=style.MARKERS[k % 7], color=style.color_of(k),
             markersize=4.5, label=clean(cell, 60),
         )  # fmt: skip
 
@@ -167,21 +141,21 @@ def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
     start = float(frame["error"].min()) / 2
     for k, order in enumerate(sorted({round(float(p), 2) for p in frame["formal_order"].dropna()})):
         y = start * 0.7**k * (h / h[0]) ** order
-        ax.plot(h, y, color=RULE, linewidth=1.2, linestyle="--", zorder=0)
-        ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=MUTED, va="center")
+        ax.plot(h, y, color=style.RULE, linewidth=1.2, linestyle="--", zorder=0)
+        ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=style.MUTED, va="center")
 
 
 def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
     """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
-    figure, ax = one_panel(WIDTH_IN, 3.8)
+    figure, ax = style.one_panel(3.8)
     frame = frame.assign(error=frame["error"].clip(lower=1e-12))
-    ax.axhspan(float(frame["error"].min()) / 3, accuracy, color=BAND, zorder=0)
-    ax.axhline(accuracy, color=MUTED, linewidth=0.8)
+    ax.axhspan(float(frame["error"].min()) / 3, accuracy, color=style.BAND, zorder=0)
+    ax.axhline(accuracy, color=style.MUTED, linewidth=0.8)
     _errors_of_cells(ax, frame, "seconds")
     _logarithmic(ax, "seconds of one solution", "error, part of the limit")
     ax.text(
         0.01, accuracy, f"{100 * accuracy:g} % ", transform=ax.get_yaxis_transform(),
-        va="bottom", fontsize=7.5, color=MUTED,
+        va="bottom", fontsize=7.5, color=style.MUTED,
     )  # fmt: skip
     return figure
 
@@ -191,33 +165,31 @@ def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: 
 
     Shapes: meshes (n, 2), mm; window (2, 2), mm.
     """
-    from matplotlib.collections import PolyCollection
-
-    figure, axes = panels(len(meshes), COLUMNS, 2.3, 0.4)
+    figure, axes = style.panels(len(meshes), COLUMNS, 2.3, 0.4)
     for ax, (label, points, cells) in zip(axes, meshes, strict=True):
         corners = points[cells]
         low, high = corners.min(axis=1), corners.max(axis=1)
         near = cells[np.asarray(((high > window[0]) & (low < window[1])).all(axis=1))]
         shapes = PolyCollection(
-            list(points[near]), facecolors="none", edgecolors=INK, linewidths=0.35
+            list(points[near]), facecolors="none", edgecolors=style.INK, linewidths=0.35
         )
         ax.add_collection(shapes)
         ax.set_xlim(window[0, 0], window[1, 0])
         ax.set_ylim(window[0, 1], window[1, 1])
         ax.set_aspect("equal")
-        ax.set_title(wrap(label, 34), fontsize=7.5)
-    figure.supxlabel("distance from the axis (mm)", fontsize=8.5)
+        ax.set_title(style.wrap(label, 34), fontsize=7.5)
+    figure.supxlabel("distance from the axis (mm)")
     return figure
 
 
 def _logarithmic(ax: Axes, x: str, y: str) -> None:
     ax.set_xscale("log")
     ax.set_yscale("log")
-    ax.grid(visible=True, color=RULE, linewidth=0.4)
+    ax.grid(visible=True)
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     ax.margins(x=0.12)
-    log_ticks(ax)
+    style.log_ticks(ax)
     ax.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
@@ -251,8 +223,6 @@ def error_caption(cells: Sequence[Document]) -> str:
 
 def validation_error_points(rows: Sequence[Document]) -> pd.DataFrame:
     """One row a place of a curve: E and each part of its uncertainty."""
-    import pandas as pd
-
     names = ("displacement_mm", "simulated_N", "measured_N", "error_N", "u_num_N", "u_input_N",
              "u_data_N", "u_val_N")  # fmt: skip
     frames = [
@@ -267,16 +237,15 @@ def validation_error_points(rows: Sequence[Document]) -> pd.DataFrame:
 def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
     """Draw E along the curve on the band of u_val, a panel a cell, on shared axes."""
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
-    figure, axes = panels(len(groups), COLUMNS, 1.9, sharex=True, sharey=True)
+    figure, axes = style.panels(len(groups), COLUMNS, 1.9, sharex=True, sharey=True)
     for ax, (cell, part) in zip(axes, groups, strict=True):
         d, u = part["displacement_mm"], part["u_val_N"]
-        ax.fill_between(d, -u, u, color=BAND, linewidth=0)
-        ax.axhline(0.0, color=MUTED, linewidth=0.6)
-        ax.plot(d, part["error_N"], color=color_of(0))
-        plain_ticks(ax, "y")
-        ax.set_title(wrap(cell, 30), fontsize=7.5)
-    figure.supxlabel("displacement (mm)", fontsize=8.5)
-    figure.supylabel("simulated minus measured force (N)", fontsize=8.5)
+        ax.fill_between(d, -u, u, color=style.BAND, linewidth=0)
+        ax.axhline(0.0, color=style.MUTED, linewidth=0.6)
+        ax.plot(d, part["error_N"], color=style.color_of(0))
+        ax.set_title(style.wrap(cell, 30), fontsize=7.5)
+    figure.supxlabel("displacement (mm)")
+    figure.supylabel("simulated minus measured force (N)")
     return figure
 
 
@@ -294,33 +263,3 @@ def caption(rows: Sequence[Document]) -> str:
         f"cells{block}{unjudged}. Band: u_val, from mesh, uncertain "
         f"inputs and scatter of the data.{lacking}"
     )
-
-
-def table(rows: Sequence[Document], block: str) -> Table:
-    """Compare every case at the end of its curve."""
-    heads = dict(zip(("E (N)", "u_num", "u_input", "u_data", "u_val"), _SHOWN, strict=True))
-    columns: dict[str, Callable[[Document], str]] = {
-        "cell": lambda row: clean(label_of(row)),
-        block or "block": lambda row: clean(row["block"] or MISSING),
-        **{
-            head: lambda row, name=name: significant(row[name][-1])  # type: ignore[misc]
-            for head, name in heads.items()
-        },
-        "curve outside": lambda row: f"{100 * row['outside']:.0f} %",
-        "verdict": lambda row: clean(row["verdict"], 200),
-    }
-    return Table.of(
-        "validation",
-        rows,
-        columns,
-        left=2,
-        tail=1,
-        raw=lambda row: (
-            {**row["levels"], "block": row["block"]}
-            | {name: row[name][-1] for name in _SHOWN}
-            | {name: row[name] for name in ("outside", "verdict")}
-        ),
-    )
-
-
-_SHOWN = ("error_N", "u_num_N", "u_input_N", "u_data_N", "u_val_N")

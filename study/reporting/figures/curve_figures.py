@@ -6,36 +6,23 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.reporting.content.numbers import THIN, quantity
-from study.reporting.content.text import clean
-from study.reporting.figures.axes import (
-    DASHES,
-    INK,
-    MUTED,
-    RULE,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    one_panel,
-    panels,
-    plain_ticks,
-    word_color_of,
-    wrap,
-)
+from study.reporting.content.text import THIN, clean, quantity
+from study.reporting.figures import axes as style
 from study.reporting.results.study_result import CurvePair, ReportData
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
-
+#: color of the scatter of repeats
+SCATTER = "#c4cad1"
 _COLUMNS = 3
 _MOST = 12
 
@@ -64,7 +51,7 @@ def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
     total, panels = len(panels), panels[:_MOST]
     columns = min(_COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
-    figure = canvas(WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN, 0.5 + 3.0 * rows)
+    figure = style.canvas(0.5 + 3.0 * rows, style.WIDTH_IN if columns > 1 else 0.6 * style.WIDTH_IN)
     axes = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2.4, 1.0] * rows)
     for place in range(rows * columns):
         r, c = divmod(place, columns)
@@ -77,9 +64,9 @@ def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
         if c == 0:
             force.set_ylabel("force (N)")
             residual.set_ylabel("fit - meas. (N)")
-    figure.supxlabel(_axis(panels), fontsize=8.5)
+    figure.supxlabel(_axis(panels))
     more = f" (the first {len(panels)} of {total} curves)" if total > len(panels) else ""
-    figure.suptitle(clean(title, 120) + more, fontsize=9)
+    figure.suptitle(clean(title, 120) + more)
     return figure
 
 
@@ -98,12 +85,16 @@ def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
     if panel.scatter_N is not None:
         s = panel.scatter_N
         low, high = panel.measured_N - s, panel.measured_N + s
-        force.fill_between(d, low, high, color="#c4cad1", linewidth=0)
-        residual.fill_between(d, -s, s, color="#e3e7eb", linewidth=0, label="sd of repeats")
-    force.plot(d[thin], panel.measured_N[thin], "o", color=INK, markersize=1.9, label="measured")
-    residual.axhline(0, color=INK, linewidth=0.6)
+        force.fill_between(d, low, high, color=SCATTER, linewidth=0)
+        residual.fill_between(
+            d, -s, s, color=SCATTER, alpha=0.6, linewidth=0, label="sd of repeats"
+        )
+    force.plot(
+        d[thin], panel.measured_N[thin], "o", color=style.INK, markersize=1.9, label="measured"
+    )
+    residual.axhline(0, color=style.INK, linewidth=0.6)
     if panel.predicted_N is not None:
-        color = color_of(0 if panel.fitted else 1)
+        color = style.color_of(0 if panel.fitted else 1)
         label = "fit" if panel.fitted else "prediction (held out)"
         force.plot(d, panel.predicted_N, label=label, color=color, linewidth=1.1)
         residual.plot(d, panel.predicted_N - panel.measured_N, color=color, linewidth=1.1)
@@ -111,7 +102,7 @@ def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
     force.tick_params(labelbottom=False)
     force.legend(loc="upper left", fontsize=7)
     for ax in (force, residual):
-        ax.grid(axis="y", color=RULE, linewidth=0.4)
+        ax.grid(axis="y")
 
 
 # Recordings with their branches, in the coordinates of the file.
@@ -128,9 +119,9 @@ def draw_recordings(frame: pd.DataFrame) -> Canvas:
     Columns of the frame: test, line, far, hard, branch, set_aside, far_name, hard_name.
     """
     titles = list(dict.fromkeys(frame["test"]))[:_MOST]
-    figure, axes = panels(len(titles), _COLUMNS, 2.6, 0.3)
+    figure, axes = style.panels(len(titles), _COLUMNS, 2.6, 0.3)
     if len(titles) == 1:
-        figure.set_figwidth(0.6 * WIDTH_IN)
+        figure.set_figwidth(0.6 * style.WIDTH_IN)
     for ax, title in zip(axes, titles, strict=True):
         _recording_panel(ax, frame[frame["test"] == title], title)
     return figure
@@ -138,12 +129,12 @@ def draw_recordings(frame: pd.DataFrame) -> Canvas:
 
 def _recording_panel(ax: Axes, rows: pd.DataFrame, title: str) -> None:
     thin = rows.iloc[:: max(1, len(rows) // _DRAWN)]
-    ax.plot(thin["far"], thin["hard"], color=RULE, linewidth=0.6, zorder=1)
+    ax.plot(thin["far"], thin["hard"], color=style.RULE, linewidth=0.6, zorder=1)
     grays = itertools.cycle(("#8a929b", "#b3bac1", "#6b737b"))
     for why, part in thin.groupby("set_aside", sort=False):
         used = why == ""
         label = "used" if used else f"set aside: {why}"
-        color = color_of(0) if used else next(grays)
+        color = style.color_of(0) if used else next(grays)
         ax.plot(part["far"], part["hard"], ".", color=color, markersize=2.4, label=label,
                 zorder=3 if used else 2)  # fmt: skip
     ax.set_title(clean(title, 44), fontsize=7.5)
@@ -152,7 +143,7 @@ def _recording_panel(ax: Axes, rows: pd.DataFrame, title: str) -> None:
         unit = _UNITS.get(quantity_name)
         words = f"recorded {quantity_name.replace('_', ' ')}" + (f" ({unit})" if unit else "")
         write(words, fontsize=8)
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.grid(axis="y")
     ax.legend(loc="best", fontsize=6.5)
 
 
@@ -161,8 +152,6 @@ def _recording_panel(ax: Axes, rows: pd.DataFrame, title: str) -> None:
 
 def layer_points(data: ReportData) -> pd.DataFrame:
     """RMS error of every layer of every case, all markers fitted with the freest plate."""
-    import pandas as pd
-
     rows = [
         {
             "state": case.state, "group": next(iter(case.levels.values()), "all"),
@@ -182,7 +171,7 @@ def layer_points(data: ReportData) -> pd.DataFrame:
 def draw_layers(frame: pd.DataFrame) -> Canvas:
     """Draw a panel a state: a line for each cell, colored by the first factor."""
     states = list(dict.fromkeys(frame["state"]))
-    figure, axes = panels(len(states), len(states), 2.6, 0.0, sharey=True)
+    figure, axes = style.panels(len(states), len(states), 2.6, 0.0, sharey=True)
     groups = list(dict.fromkeys(frame["group"]))
     for ax, state in zip(axes, states, strict=True):
         _marker_layers_panel(ax, frame[frame["state"] == state], groups)
@@ -190,7 +179,7 @@ def draw_layers(frame: pd.DataFrame) -> Canvas:
     axes[0].set_ylabel("RMS error of markers (mm)", fontsize=8.5)
     axes[0].legend(fontsize=6.5, frameon=False, loc="upper left")
     axes[0].set_ylim(bottom=0.0)
-    figure.supxlabel("layer of markers, from the base up", fontsize=8.5)
+    figure.supxlabel("layer of markers, from the base up")
     return figure
 
 
@@ -199,10 +188,14 @@ def _marker_layers_panel(ax: Axes, part: pd.DataFrame, groups: list[str]) -> Non
         rows = part[part["group"] == group]
         for k, (_, line) in enumerate(rows.groupby("cell", sort=False)):
             label = clean(group, 30) if k == 0 else None
-            ax.plot(line["place"], line["error_mm"], color=color_of(number), lw=0.9, label=label)
+            ax.plot(
+                line["place"], line["error_mm"], color=style.color_of(number), lw=0.9, label=label
+            )
     floor = part["floor_mm"].dropna()
     if len(floor):
-        ax.axhline(float(floor.iloc[0]), color=MUTED, linewidth=0.8, linestyle="--", label="floor")
+        ax.axhline(
+            float(floor.iloc[0]), color=style.MUTED, linewidth=0.8, linestyle="--", label="floor"
+        )
     ticks = part[["place", "layer"]].drop_duplicates()
     ax.set_xticks(ticks["place"], [clean(v, 8) for v in ticks["layer"]])
 
@@ -231,8 +224,6 @@ MOST_COLUMNS = 4
 #: factor. Otherwise each panel shows shares of its own largest measured force: on an axis that
 #: reaches 10 times higher, residuals of some percent could not be seen.
 COMPARABLE = 3.0
-#: Displacements are drawn on one axis if the panels end within this factor of each other.
-SAME_LENGTH = 1.5
 #: Two measurements are one if their forces differ by less than this share of the largest force.
 #: Both are interpolated from the same points, so that only round-off is left between them.
 SAME_FORCE = 1e-6
@@ -258,22 +249,24 @@ class CurvePanels:
     #: prediction that stopped early, ``scatter_N`` where there are no repeats.
     frame: pd.DataFrame
 
-    def rows(self, panel: tuple[str, str]) -> pd.DataFrame:
-        """Return the points of one panel."""
-        block, level = panel
-        return self.frame[(self.frame["block"] == block) & (self.frame["panel"] == level)]
+    @property
+    def largest(self) -> pd.Series[float]:
+        """Largest measured force of every panel in N."""
+        return self.frame.groupby(["block", "panel"], sort=False)["measured_N"].max()
 
     @property
     def is_relative(self) -> bool:
         """Whether forces are shown as shares of the largest measured one of their panel."""
-        top = self.frame.groupby(["block", "panel"])["measured_N"].max()
-        return bool(top.max() > COMPARABLE * top.min())
+        return bool(self.largest.max() > COMPARABLE * self.largest.min())
 
     @property
-    def has_one_length(self) -> bool:
-        """Whether the curves of all panels end at about the same displacement."""
-        end = self.frame.groupby(["block", "panel"])["displacement_mm"].max()
-        return bool(end.max() < SAME_LENGTH * end.min())
+    def shown(self) -> pd.DataFrame:
+        """Points with forces as they are drawn: in N, or in percent of the largest."""
+        if not self.is_relative:
+            return self.frame
+        top = self.frame.groupby(["block", "panel"])["measured_N"].transform("max")
+        forces = self.frame[["measured_N", "predicted_N", "scatter_N"]]
+        return self.frame.assign(**(100 * forces.div(top.replace(0.0, 1.0), axis=0)))
 
 
 def curve_panels(data: ReportData, most: int = MOST_PANELS) -> CurvePanels:
@@ -283,8 +276,6 @@ def curve_panels(data: ReportData, most: int = MOST_PANELS) -> CurvePanels:
     panel shows one measurement. Of the others, lines are the factor whose levels differ most
     among the predictions, panels the next; the first scored curve of a block stands for it.
     """
-    import pandas as pd
-
     scored = [pair for pair in data.curves if pair.role == "score"] or list(data.curves)
     if not scored:
         raise ValueError("no curves were kept")
@@ -384,56 +375,64 @@ def _repeats(line: pd.DataFrame, longer: pd.DataFrame) -> bool:
 LONGEST_TITLE = 72
 #: Width of one character of a title in inches: 7.5 pt, 0.6 em wide.
 CHARACTER_IN = 0.6 * 7.5 / 72
-#: Room to the right of the last column for the names of the lines, in inches.
-NAMES_IN = 1.35
-#: Distance of two names in points: 7 pt text.
-NAME_PT = 8.5
-#: Line from the end of a curve to its name.
-_LEADER = {"arrowstyle": "-", "color": MUTED, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 0}
-#: Inches that a pair of axes is high, without its title.
-PAIR_IN = 1.85
-TITLE_LINE_IN = 0.125
-#: Height of a force axis over that of its residual axis.
-FORCE_SHARE = 1.7
-
-
-@dataclass(frozen=True)
-class PanelScale:
-    """Units and limits of one panel."""
-
-    #: Force of one unit of the vertical axis, in N.
-    unit_N: float
-    #: End of the horizontal axis, in mm.
-    end_mm: float
-    #: Ends of the force axis and, to both sides, of the residual axis, in that unit.
-    top: float
-    gap: float
+#: Inches of a row: a line of the title or the legend, the force axis, the residual axis.
+LINE_IN = 0.15
+FORCE_IN = 1.0
+RESIDUAL_IN = 0.65
+#: Levels of the factor drawn as lines that stand beside each other in the legend.
+NAMES_IN_ROW = 5
 
 
 def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
-    """Draw every panel: measured points, predictions on them, residuals below."""
-    levels = len(data.factors[panels.panel]) if panels.panel else 1
-    columns = min(max(levels, (4 // levels) * levels), len(panels.panels))
-    rows = -(-len(panels.panels) // columns)
-    titles = panel_titles(panels, (WIDTH_IN - NAMES_IN) / columns)
-    lines = max(title.count("\n") + 1 for title in titles)
-    high = PAIR_IN + 0.28 + TITLE_LINE_IN * lines
-    figure = canvas(WIDTH_IN, 0.72 + high * rows, arranged=False)
-    scales = panel_scales(panels, columns)
-    axes = _grid(figure, rows, columns, (0.28 + TITLE_LINE_IN * lines) / high)
-    for place, (force, residual) in enumerate(axes):
-        if place >= len(panels.panels):
-            force.set_axis_off()
-            residual.set_axis_off()
-            continue
-        _plot_panel(force, residual, panels.rows(panels.panels[place]), scales[place], panels, data)
-        force.set_title(titles[place], fontsize=7.5, y=1.0, va="bottom", linespacing=1.15)
-        _ticks(force, residual, place, columns, panels)
-        if place % columns == columns - 1 or place == len(panels.panels) - 1:
-            _name_lines(residual, panels, place, scales[place], data)
-    x_label = "displacement (mm)"
-    figure.text(0.45, 0.08 / figure.get_figheight(), x_label, ha="center", fontsize=8.5)
-    _legend(figure, panels)
+    """Draw every panel: measured points, predictions on them, residuals below.
+
+    Axes are placed in inches: to measure the text of 48 of them takes a layout engine seconds.
+    """
+    number, levels = len(panels.panels), len(data.factors[panels.panel]) if panels.panel else 1
+    columns = min(max(levels, (4 // levels) * levels), number)
+    rows = -(-number // columns)
+    titles = panel_titles(panels, style.WIDTH_IN / columns)
+    handles = _handles(panels, data)
+    title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
+    top_in = 0.05 + 1.3 * LINE_IN * -(-len(handles) // NAMES_IN_ROW)
+    height = 0.5 + top_in + rows * (title_in + FORCE_IN + RESIDUAL_IN)
+    figure = style.canvas(height, arranged=False)
+    grid = figure.add_gridspec(
+        3 * rows, columns, left=0.62 / style.WIDTH_IN, right=0.99, top=1 - top_in / height,
+        bottom=0.5 / height, wspace=0.1, hspace=0.06,
+        height_ratios=(title_in, FORCE_IN, RESIDUAL_IN) * rows,
+    )  # fmt: skip
+    frame = panels.shown
+    gap = (frame["predicted_N"] - frame["measured_N"]).abs()
+    top = 1.06 * (frame[["measured_N", "predicted_N"]].max().max() or 1.0)
+    wide = 1.1 * (np.nanmax([gap.max(), frame["scatter_N"].max()]) or 1.0)
+    ends = frame.groupby("panel")["displacement_mm"].max()
+    for place, ((block, level), title) in enumerate(zip(panels.panels, titles, strict=True)):
+        row, column = divmod(place, columns)
+        force = figure.add_subplot(grid[3 * row + 1, column])
+        residual = figure.add_subplot(grid[3 * row + 2, column], sharex=force)
+        lines = frame[(frame["block"] == block) & (frame["panel"] == level)]
+        _plot_panel(force, residual, lines, data.factors[panels.line])
+        force.set_title(title, fontsize=7.5)
+        force.set(xlim=(0, 1.02 * ends.get(level, 1.0)), ylim=(0, top))
+        residual.set_ylim(-wide, wide)
+        if column == 0:
+            unit = "%" if panels.is_relative else "N"
+            force.set_ylabel(f"force ({unit})")
+            residual.set_ylabel(f"resid. ({unit})")
+        for ax in (force, residual):
+            ax.locator_params(axis="y", nbins=4 if ax is force else 3)
+            ax.locator_params(axis="x", nbins=4)
+            ax.grid(axis="y")
+            # numbers at the outer axes hold for all panels of a row or a column
+            is_lowest = ax is residual and place + columns >= number
+            ax.tick_params(labelleft=column == 0, labelbottom=is_lowest)
+    figure.text(0.5, 0.08 / height, "displacement (mm)", ha="center", fontsize=8.5)
+    corner = (0.5 / style.WIDTH_IN, 1.0)
+    figure.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=NAMES_IN_ROW,
+        borderaxespad=0.2, columnspacing=1.4,
+    )  # fmt: skip
     return figure
 
 
@@ -445,181 +444,48 @@ def panel_titles(panels: CurvePanels, width_in: float) -> tuple[str, ...]:
     if len(set(joined)) < len(joined):
         joined = [f"{number}: {words}" for number, words in enumerate(joined, 1)]
     if panels.is_relative:
-        tops = [_largest(panels.rows(panel)["measured_N"]) for panel in panels.panels]
+        tops = panels.largest.reindex(panels.panels)
         joined = [
             f"{words} ({THIN.join(('100', '%', '=', quantity(top, 'N')))})"
             for words, top in zip(joined, tops, strict=True)
         ]
-    return tuple(wrap(words, width, longest=3 * LONGEST_TITLE) for words in joined)
+    return tuple(style.wrap(words, width, longest=3 * LONGEST_TITLE) for words in joined)
 
 
-def panel_scales(panels: CurvePanels, columns: int) -> tuple[PanelScale, ...]:
-    """Units and limits of every panel: the same forces for all, the same lengths where alike."""
-    units, ends, tops, gaps = [], [], [], []
-    for panel in panels.panels:
-        rows = panels.rows(panel)
-        unit = _largest(rows["measured_N"]) / 100 if panels.is_relative else 1.0
-        unit = unit or 1.0  # a cell that was never computed leaves its panel empty
-        residual = (rows["predicted_N"] - rows["measured_N"]).abs()
-        units.append(unit)
-        ends.append(_largest(rows["displacement_mm"]))
-        tops.append(max(_largest(rows["measured_N"]), _largest(rows["predicted_N"])) / unit)
-        gaps.append(max(_largest(residual), _largest(rows["scatter_N"])) / unit)
-    top, gap = 1.06 * max(tops) or 1.0, 1.1 * max(gaps) or 1.0
-    together = [
-        max(ends if panels.has_one_length else ends[place % columns :: columns])
-        for place in range(len(ends))
-    ]
-    return tuple(PanelScale(unit, end, top, gap) for unit, end in zip(units, together, strict=True))
-
-
-def _largest(values: pd.Series[float]) -> float:
-    """Return the largest of the known values, 0 if there are none."""
-    values_present = values.dropna()
-    return float(values_present.max()) if len(values_present) else 0.0
-
-
-def _grid(figure: Canvas, rows: int, columns: int, titles: float) -> list[tuple[Axes, Axes]]:
-    """Pairs of axes in reading order, placed in inches: no layout engine has to measure text."""
-    height = figure.get_figheight()
-    outer = figure.add_gridspec(
-        rows, columns, left=0.62 / WIDTH_IN, right=1 - NAMES_IN / WIDTH_IN, top=1 - 0.62 / height,
-        bottom=0.48 / height, wspace=0.1, hspace=titles / (1 - titles),
-    )  # fmt: skip
-    pairs: list[tuple[Axes, Axes]] = []
-    for place in range(rows * columns):
-        inner = outer[place // columns, place % columns].subgridspec(
-            2, 1, height_ratios=(FORCE_SHARE, 1.0), hspace=0.12
-        )
-        force = figure.add_subplot(inner[0])
-        pairs.append((force, figure.add_subplot(inner[1], sharex=force)))
-    return pairs
-
-
-def _plot_panel(
-    force: Axes,
-    residual: Axes,
-    rows: pd.DataFrame,
-    scale: PanelScale,
-    panels: CurvePanels,
-    data: ReportData,
-) -> None:
-    residual.set_title("", y=1.0)
-    residual.axhline(0, color=INK, linewidth=0.6)
+def _plot_panel(force: Axes, residual: Axes, rows: pd.DataFrame, levels: Sequence[str]) -> None:
+    """Draw measurements with the scatter of their repeats, and a line for each prediction."""
+    residual.axhline(0, color=style.INK, linewidth=0.6)
     for number, line in enumerate(measurements(rows)):
-        _measured(force, residual, line, scale.unit_N, filled=number == 0)
-    for index, name in enumerate(data.factors[panels.line]):
-        line = rows[rows["line"] == name]
-        if line.empty:
-            continue
-        look = {"color": color_of(index), "linestyle": DASHES[index % 4], "linewidth": 1.1}
-        predicted = line["predicted_N"] / scale.unit_N
-        gap = predicted - line["measured_N"] / scale.unit_N
-        force.plot(line["displacement_mm"], predicted, **look)
-        residual.plot(line["displacement_mm"], gap, **look)
-    force.set_xlim(0, 1.02 * scale.end_mm)
-    force.set_ylim(0, scale.top)
-    residual.set_ylim(-scale.gap, scale.gap)
-
-
-def _measured(
-    force: Axes, residual: Axes, line: pd.DataFrame, unit_N: float, *, filled: bool
-) -> None:
-    """Points of a measurement, with a band of the standard deviation of its repeats."""
-    d, measured = line["displacement_mm"], line["measured_N"] / unit_N
-    if line["scatter_N"].notna().all():
-        s = line["scatter_N"] / unit_N
-        force.fill_between(d, measured - s, measured + s, color="#c4cad1", linewidth=0)
-        residual.fill_between(d, -s, s, color="#dde2e7", linewidth=0)
-    ground = INK if filled else "#ffffff"
-    force.plot(
-        d.iloc[::2], measured.iloc[::2], "o", color=INK, markersize=1.9, markerfacecolor=ground,
-        markeredgewidth=0.5,
-    )  # fmt: skip
-
-
-def _ticks(force: Axes, residual: Axes, place: int, columns: int, panels: CurvePanels) -> None:
-    """Write numbers at the outer axes only, which hold for all panels of a row or a column."""
-    first, last = place % columns == 0, place + columns >= len(panels.panels)
-    for ax in (force, residual):
-        plain_ticks(ax)
-        ax.locator_params(axis="y", nbins=4 if ax is force else 3)
-        ax.locator_params(axis="x", nbins=4)
-        ax.grid(axis="y", color=RULE, linewidth=0.4)
-        ax.tick_params(labelleft=first)
-    force.tick_params(labelbottom=False)
-    residual.tick_params(labelbottom=last)
-    if first:
-        unit = "% of largest" if panels.is_relative else "N"
-        force.set_ylabel(f"force ({unit})")
-        residual.set_ylabel("resid. (%)" if panels.is_relative else "resid. (N)")
-
-
-def _name_lines(
-    residual: Axes, panels: CurvePanels, place: int, scale: PanelScale, data: ReportData
-) -> None:
-    """Write the level of every line to the right of a row, joined to the end of its residual."""
-    rows = panels.rows(panels.panels[place])
-    ends: list[tuple[float, float, int, str]] = []
-    for index, name in enumerate(data.factors[panels.line]):
-        line = rows[rows["line"] == name].dropna(subset=["predicted_N"])
-        if not line.empty:
-            last = line.iloc[-1]
-            gap = (last["predicted_N"] - last["measured_N"]) / scale.unit_N
-            ends.append((float(gap), float(last["displacement_mm"]), index, name))
-    ends.sort()
-    # two axes and between them 0.12 of their mean height
-    height_pt = 72 * PAIR_IN / (FORCE_SHARE + 1.0 + 0.06 * (FORCE_SHARE + 1.0))
-    heights = [height_pt * (gap / scale.gap + 1) / 2 for gap, *_ in ends]
-    for (gap, d, index, name), at in zip(ends, spread(heights, NAME_PT), strict=True):
-        residual.annotate(
-            clean(name, 24), xy=(d, gap), xytext=(1.09, at / height_pt), fontsize=7, va="center",
-            textcoords="axes fraction", color=word_color_of(index), annotation_clip=False,
-            arrowprops=_LEADER,
+        d, measured, s = (line[name] for name in ("displacement_mm", "measured_N", "scatter_N"))
+        if s.notna().all():
+            force.fill_between(d, measured - s, measured + s, color=SCATTER, linewidth=0)
+            residual.fill_between(d, -s, s, color=SCATTER, alpha=0.6, linewidth=0)
+        force.plot(
+            d.iloc[::2], measured.iloc[::2], "o", color=style.INK, markersize=1.9,
+            markerfacecolor="#ffffff" if number else style.INK, markeredgewidth=0.5,
         )  # fmt: skip
+    for index, name in enumerate(levels):
+        line = rows[rows["line"] == name]
+        d, look = line["displacement_mm"], _look_of(index)
+        force.plot(d, line["predicted_N"], **look)
+        residual.plot(d, line["predicted_N"] - line["measured_N"], **look)
 
 
-def spread(heights: Sequence[float], distance: float) -> tuple[float, ...]:
-    """Places in rising order, at least a distance apart, as near to the wanted ones as they can.
+def _look_of(index: int) -> dict[str, Any]:
+    return {"color": style.color_of(index), "linestyle": style.DASHES[index % 4], "linewidth": 1.1}
 
-    Examples
-    --------
-    >>> spread([0.0, 1.0, 9.0], 4.0)
-    (-1.5, 2.5, 9.0)
-    """
-    # neighbors that are too near each other become a block around the mean of what they wanted
-    blocks: list[list[float]] = []
-    for place in heights:
-        blocks.append([place])
-        while len(blocks) > 1 and (
-            _low(blocks[-1], distance) < _low(blocks[-2], distance) + distance * len(blocks[-2])
-        ):
-            blocks[-2:] = [blocks[-2] + blocks[-1]]
-    return tuple(
-        _low(block, distance) + number * distance
-        for block in blocks
-        for number in range(len(block))
+
+def _handles(panels: CurvePanels, data: ReportData) -> list[Line2D | Patch]:
+    """Entries of the legend: points, bands, and the level of every line."""
+    points = Line2D(
+        [], [], color=style.INK, marker="o", markersize=3, linestyle="none", label="measured"
     )
-
-
-def _low(block: Sequence[float], distance: float) -> float:
-    return float(np.mean(block)) - distance * (len(block) - 1) / 2
-
-
-def _legend(figure: Canvas, panels: CurvePanels) -> None:
-    """Say what points and bands are; lines are named where they end."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    points = Line2D([], [], color=INK, marker="o", markersize=3, linestyle="none", label="measured")
     handles: list[Line2D | Patch] = [points]
     if panels.frame["scatter_N"].notna().any():
-        handles.append(Patch(color="#c4cad1", label="standard deviation of the repeats"))
-    room = {"handlelength": 1.6, "columnspacing": 1.4, "borderaxespad": 0.2}
-    corner = (0.5 / WIDTH_IN, 1.0)
-    figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=len(handles), **room
-    )
+        handles.append(Patch(color=SCATTER, label="standard deviation of the repeats"))
+    drawn = set(panels.frame["line"])
+    names = [(k, name) for k, name in enumerate(data.factors[panels.line]) if name in drawn]
+    return handles + [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
 
 
 # One curve by itself.
@@ -627,12 +493,11 @@ def _legend(figure: Canvas, panels: CurvePanels) -> None:
 
 def draw_curve(curve: Curve) -> Canvas:
     """Draw force against displacement from the unloaded origin, load steps as points."""
-    figure, ax = one_panel(0.6 * WIDTH_IN, 3.2)
+    figure, ax = style.one_panel(3.2, 0.6 * style.WIDTH_IN)
     places = np.linspace(0.0, curve.displacement_mm[-1], 200)
-    ax.plot(places, curve.force_at(places), color=color_of(0))
-    ax.plot(curve.displacement_mm, curve.force_N, "o", color=color_of(0), markersize=3)
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.plot(places, curve.force_at(places), color=style.color_of(0))
+    ax.plot(curve.displacement_mm, curve.force_N, "o", color=style.color_of(0), markersize=3)
+    ax.grid(axis="y")
     ax.set_xlabel("displacement (mm)")
     ax.set_ylabel("force (N)")
-    plain_ticks(ax)
     return figure

@@ -4,47 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
+from matplotlib.figure import Figure as Canvas
 
-from study.reporting.content.effect_words import apart, shown_difference, size, size_interval
-from study.reporting.content.numbers import level, quantity, significant
-from study.reporting.content.report_facts import Facts, cells, comparable, describe, groups
-from study.reporting.content.text import clean, name_of, term_name
-from study.reporting.content.verdicts import setting, sole_setting
-from study.reporting.figures.axes import (
-    BAND,
-    DASHES,
-    INK,
-    MARKERS,
-    MUTED,
-    RULE,
-    WIDTH_IN,
-    WORDS,
-    above,
-    at_right,
-    canvas,
-    clean_left,
-    color_of,
-    labeled,
-    name_rows,
-    note,
-    one_panel,
-    plain_ticks,
-    shown,
-    word_color_of,
-    wrap,
+from study.reporting.content.effect_words import (
+    apart,
+    setting,
+    shown_difference,
+    size,
+    size_interval,
+    sole_setting,
 )
+from study.reporting.content.report_facts import Facts, cells, comparable, describe, groups
+from study.reporting.content.text import clean, level, name_of, quantity, significant, term_name
+from study.reporting.figures import axes as style
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
 
 #: how means are joined by lines
 _JOINED = {
@@ -57,8 +37,6 @@ _JOINED = {
 
 def level_means(facts: Facts) -> pd.DataFrame:
     """Mean of every level of every factor."""
-    import pandas as pd
-
     return pd.DataFrame(
         [
             {"factor": effect.term, "level": level, "mean": mean}
@@ -79,31 +57,30 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     """Draw the main effects on one shared axis, grand mean and practical band behind."""
     center = grand_mean(data, facts)
     practical = next((e.practical for e in facts.effects if e.practical is not None), None)
-    figure, ax = one_panel(WIDTH_IN, 3.5)
+    figure, ax = style.one_panel(3.5)
     if practical is not None:
         low, high = center - practical / 2, center + practical / 2
         if facts.ratio:
             low, high = center / practical**0.5, center * practical**0.5
-        ax.axhspan(low, high, color=BAND, zorder=0)
-    ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
-    at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
+        ax.axhspan(low, high, color=style.BAND, zorder=0)
+    ax.axhline(center, color=style.MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
+    style.at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=style.MUTED)
     placed = _connect_levels(ax, frame)
     for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
         means = group["mean"].tolist()
         for place, mean, sign in zip(group["place"], means, _sides(means), strict=True):
             va = "bottom" if sign > 0 else "top"
-            note(ax, significant(mean), (place, mean), (0, 6 * sign), ha="center", va=va)
+            style.note(ax, significant(mean), (place, mean), (0, 6 * sign), ha="center", va=va)
         name = clean(name_of(str(factor), data.labels), 30)
-        bold = {"fontweight": "bold", "color": word_color_of(index), "fontsize": 8.5}
-        above(ax, name, float(group["place"].mean()), **bold)
-    names = [wrap(level, 12, 40) for level in frame["level"]]
+        bold = {"fontweight": "bold", "color": style.word_color_of(index), "fontsize": 8.5}
+        style.above(ax, name, float(group["place"].mean()), **bold)
+    names = [style.wrap(level, 12, 40) for level in frame["level"]]
     many = len(names) > 13
     small, side = 7.5 if len(names) < 9 else 7, "right" if many else "center"
     ax.set_xticks(placed["place"], names, rotation=45 if many else 0, ha=side, fontsize=small)
     ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
     ax.margins(y=0.2)
-    plain_ticks(ax, "y")
-    ax.set(xlabel="", ylabel=labeled(facts.title, facts.unit))
+    ax.set(xlabel="", ylabel=style.labeled(facts.title, facts.unit))
     ax.tick_params(axis="x", length=0)
     return figure
 
@@ -115,7 +92,7 @@ def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
     factors = frame.groupby("factor", sort=False)
     # levels are 1 apart, and half a step more parts the factors
     placed = frame.assign(place=np.arange(len(frame)) + 0.5 * factors.ngroup())
-    colors = [color_of(index) for index in range(factors.ngroups)]
+    colors = [style.color_of(index) for index in range(factors.ngroups)]
     sns.pointplot(
         placed, x="place", y="mean", hue="factor", palette=colors, markersize=5.5, ax=ax, **_JOINED
     )
@@ -132,8 +109,6 @@ def _sides(means: Sequence[float]) -> list[int]:
 
 def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
     """Every observation of each distinct computation with its rank, best first."""
-    import pandas as pd
-
     ranked = groups(data, facts)
     if facts.better == "higher":
         ranked = ranked[::-1]
@@ -160,22 +135,21 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
 def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
     count = int(frame["rank"].max()) + 1
-    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.24 * count)
+    figure, ax = style.one_panel(0.8 + 0.24 * count)
     best = float(frame["cell_mean"].iloc[0])
     if facts.better and practical > 0:
         sign = -1 if facts.better == "higher" else 1
-        ax.axvspan(best, best + sign * practical, color=BAND, zorder=0)
-        above(ax, "as good as the best", best + sign * practical / 2)
+        ax.axvspan(best, best + sign * practical, color=style.BAND, zorder=0)
+        style.above(ax, "as good as the best", best + sign * practical / 2)
     means = frame.drop_duplicates("rank")
     _mark_cells(ax, frame, means)
     for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
-        at_right(ax, significant(float(mean)), float(place))
-    name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
+        style.at_right(ax, significant(float(mean)), float(place))
+    style.name_rows(ax, means["rank"], [style.wrap(label, 56, 130) for label in means["label"]])
     ax.set_ylim(count - 0.4, -0.8)
-    plain_ticks(ax, "x")
-    ax.set(xlabel=labeled(facts.title, facts.unit), ylabel="")
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
-    clean_left(ax)
+    ax.set(xlabel=style.labeled(facts.title, facts.unit), ylabel="")
+    ax.grid(axis="y")
+    style.clean_left(ax)
     return figure
 
 
@@ -184,7 +158,7 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
     import seaborn as sns
 
     if "block" in frame and 0 < frame["block"].nunique() <= 40:
-        thin = {"color": MUTED, "alpha": 0.28, "linewidth": 0.5}
+        thin = {"color": style.MUTED, "alpha": 0.28, "linewidth": 0.5}
         sns.lineplot(
             frame, x="value", y="rank", units="block", estimator=None, sort=False, ax=ax, **thin
         )
@@ -193,7 +167,7 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
         frame, x="value", y="rank", orient="y", native_scale=True, jitter=False, zorder=2.5, ax=ax,
         **dots,
     )  # fmt: skip
-    diamonds = {"marker": "D", "color": INK, "s": 26, "linewidth": 0}
+    diamonds = {"marker": "D", "color": style.INK, "s": 26, "linewidth": 0}
     sns.scatterplot(means, x="cell_mean", y="rank", zorder=3, legend=False, ax=ax, **diamonds)
 
 
@@ -202,8 +176,6 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
 
 def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
     """Mean of every combination of two levels, for every pair of factors."""
-    import pandas as pd
-
     frame = cells(data, facts.name)
     log = facts.ratio
     rows = []
@@ -221,7 +193,7 @@ def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Ca
     """Draw a matrix: lines above the diagonal, the same means as numbers below it."""
     factors = data.factors
     k = len(factors)
-    figure = canvas(WIDTH_IN, 0.7 + 1.45 * k)
+    figure = style.canvas(0.7 + 1.45 * k)
     axes = figure.subplots(k, k, squeeze=False)
     low, high = float(frame["mean"].min()), float(frame["mean"].max())
     pad = 0.08 * (high - low or abs(high) or 1.0)
@@ -241,7 +213,7 @@ def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Ca
             _upper_ticks(upper, i, j, k, factors[second])
             _numbers(lower, table.T, low, high)
             _lower_ticks(lower, factors[first], j == k - 1)
-    figure.suptitle(labeled(facts.title, facts.unit), x=0.01, ha="left", fontsize=8.5)
+    figure.suptitle(style.labeled(facts.title, facts.unit), x=0.01, ha="left")
     return figure
 
 
@@ -255,8 +227,11 @@ def _diagonal(ax: Axes, name: str, levels: Sequence[str]) -> None:
     ax.text(0.02, top, clean(name, 22), fontweight="bold", va="center")
     for index, shown_level in enumerate(shown):
         y = top - step * (index + 1.2)
-        look = {"color": color_of(index), "linestyle": DASHES[index % len(DASHES)]}
-        ax.plot([0.03, 0.17], [y, y], marker=MARKERS[index % 7], markersize=3.5, **look)
+        look = {
+            "color": style.color_of(index),
+            "linestyle": style.DASHES[index % len(style.DASHES)],
+        }
+        ax.plot([0.03, 0.17], [y, y], marker=style.MARKERS[index % 7], markersize=3.5, **look)
         ax.text(0.22, y, clean(shown_level, 24), va="center", fontsize=7.5)
 
 
@@ -270,15 +245,15 @@ def _lines(ax: Axes, table: pd.DataFrame) -> None:
         y=table.to_numpy(float).ravel(),
         hue=np.repeat(np.asarray(table.index, dtype=object), columns),
         hue_order=list(table.index),
-        palette=[color_of(index) for index in range(rows)],
-        markers=[MARKERS[index % 7] for index in range(rows)],
-        linestyles=[DASHES[index % len(DASHES)] for index in range(rows)],
+        palette=[style.color_of(index) for index in range(rows)],
+        markers=[style.MARKERS[index % 7] for index in range(rows)],
+        linestyles=[style.DASHES[index % len(style.DASHES)] for index in range(rows)],
         markersize=4,
         ax=ax,
         **_JOINED,
     )
     ax.set_xlim(-0.35, columns - 0.65)
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.grid(axis="y")
 
 
 def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> None:
@@ -286,12 +261,11 @@ def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> Non
     ax.spines["top"].set_visible(True)
     ax.spines["bottom"].set_visible(False)
     narrow = max(int(26 / len(levels)), 6)
-    ax.set_xticks(range(len(levels)), [wrap(v, narrow, 24) for v in levels] if i == 0 else [])
+    ax.set_xticks(range(len(levels)), [style.wrap(v, narrow, 24) for v in levels] if i == 0 else [])
     ax.tick_params(axis="x", labelsize=7, length=0)
     ax.yaxis.tick_right()
     ax.spines["left"].set_visible(False)
     ax.spines["right"].set_visible(j == k - 1)
-    plain_ticks(ax, "y")
     if j < k - 1:
         ax.tick_params(axis="y", length=0, labelright=False)
 
@@ -299,7 +273,6 @@ def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> Non
 def _numbers(ax: Axes, table: pd.DataFrame, low: float, high: float) -> None:
     """Write a table of means, the larger the darker."""
     import seaborn as sns
-    from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
     shades = [to_rgba("#0072B2", 0.04), to_rgba("#0072B2", 0.34)]
     sns.heatmap(
@@ -309,7 +282,7 @@ def _numbers(ax: Axes, table: pd.DataFrame, low: float, high: float) -> None:
         cmap=LinearSegmentedColormap.from_list("means", shades),
         annot=table.map(significant).to_numpy(),
         fmt="",
-        annot_kws={"color": INK, "fontsize": 7.5 if table.shape[1] < 5 else 6.5},
+        annot_kws={"color": style.INK, "fontsize": 7.5 if table.shape[1] < 5 else 6.5},
         linewidths=2,
         linecolor="white",
         cbar=False,
@@ -317,14 +290,14 @@ def _numbers(ax: Axes, table: pd.DataFrame, low: float, high: float) -> None:
         yticklabels=False,
         ax=ax,
     )
-    names = [wrap(level, 12, 24) for level in table.index]
-    name_rows(ax, 0.5 + np.arange(len(table)), names, 7)
+    names = [style.wrap(level, 12, 24) for level in table.index]
+    style.name_rows(ax, 0.5 + np.arange(len(table)), names, 7)
     ax.tick_params(length=0, pad=2)
 
 
 def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
     narrow = max(27 // len(levels), 6)
-    names = [wrap(v, narrow, 24) if len(levels) < 4 else clean(v, 24) for v in levels]
+    names = [style.wrap(v, narrow, 24) if len(levels) < 4 else clean(v, 24) for v in levels]
     places = 0.5 + np.arange(len(levels))
     ax.set_xticks(places, names if last else [])
     if last and len(levels) > 3:
@@ -337,7 +310,7 @@ def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
 _VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
 #: marker of each verdict, so that it is not told by its color alone; hollow where nothing is shown
 _VERDICT_MARKER = {MATTERS: "o", NO_DIFFERENCE: "s"}
-_WORD_COLOR = {MATTERS: WORDS[1], NO_DIFFERENCE: WORDS[2]}
+_WORD_COLOR = {MATTERS: style.WORDS[1], NO_DIFFERENCE: style.WORDS[2]}
 #: interactions of a response that are drawn
 _MOST_INTERACTIONS = 3
 #: multiples of what matters up to which an axis is drawn to one scale
@@ -350,13 +323,11 @@ def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
     if frame.empty or frame["difference"].isna().all():
         raise ValueError("there is nothing to draw: no effect could be estimated")
     title = f"largest difference of every term: {facts.title}"
-    return shown(lambda: draw_against_limits(frame, [facts]), "effects", title)
+    return style.shown(lambda: draw_against_limits(frame, [facts]), "effects", title)
 
 
 def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.DataFrame:
     """Largest difference of every term over the smallest that matters, ratios on the log."""
-    import pandas as pd
-
     rows = []
     for facts in all_facts:
         strong = [e for e in facts.interactions if e.strength == MATTERS or e.practical is None]
@@ -416,28 +387,30 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     several = len(all_facts) > 1
     places, heads = _rows_of(frame, several)
     height = max(places) + 1
-    figure, ax = one_panel(WIDTH_IN, 0.75 + 0.27 * height)
+    figure, ax = style.one_panel(0.75 + 0.27 * height)
     limited = bool(frame["limited"].all())
     if limited:
         ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)
         top = ax.get_xaxis_transform()
-        look = {"ha": "center", "color": MUTED, "xycoords": top}
-        note(ax, "too small to matter", (0, 1.0), (0, 3), **look)
-    ax.axvline(0, color=MUTED, linewidth=0.7)
+        look = {"ha": "center", "color": style.MUTED, "xycoords": top}
+        style.note(ax, "too small to matter", (0, 1.0), (0, 3), **look)
+    ax.axvline(0, color=style.MUTED, linewidth=0.7)
     _mark_multiples(ax, frame, places)
     by_name = {facts.name: facts for facts in all_facts}
     names = list(frame["name"])
-    rows = [*zip(places, (wrap(name, 40, 80) for name in names), strict=True)]
+    rows = [*zip(places, (style.wrap(name, 40, 80) for name in names), strict=True)]
     for place, response in heads:
         edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
         bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
-        note(ax, clean(by_name[response].title, 60), (0, place), (-3.5, 0), **bold)
-    name_rows(ax, [place for place, _ in rows], [name for _, name in rows], 8)
+        style.note(ax, clean(by_name[response].title, 60), (0, place), (-3.5, 0), **bold)
+    style.name_rows(ax, [place for place, _ in rows], [name for _, name in rows], 8)
     for place, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
-        at_right(ax, f"{verdict}:  {words}" if verdict else words, place, _WORD_COLOR.get(verdict))
+        style.at_right(
+            ax, f"{verdict}:  {words}" if verdict else words, place, _WORD_COLOR.get(verdict)
+        )
     ax.set_ylim(height - 0.4, -0.7)
     _scale_of_multiples(ax, frame, limited, all_facts)
-    clean_left(ax)
+    style.clean_left(ax)
     return figure
 
 
@@ -458,7 +431,7 @@ def _rows_of(frame: pd.DataFrame, several: bool) -> tuple[list[int], list[tuple[
 def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> None:
     """Draw every interval, thinner where mesh error widens it, and the difference on it."""
     at, verdicts = np.asarray(places), [str(verdict) for verdict in frame["verdict"]]
-    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in verdicts]
+    colors = [_VERDICT_COLOR.get(verdict, style.MUTED) for verdict in verdicts]
     low, high, bound, size_of = (
         frame[name].to_numpy(float) for name in ("low", "high", "bound", "difference")
     )
@@ -480,7 +453,6 @@ def _scale_of_multiples(
     """Scale an axis of multiples; where they reach far, to one scale only up to what matters."""
     facts = all_facts[0]
     if not limited:
-        plain_ticks(ax, "x")
         unit = f" ({facts.difference_unit})" if facts.difference_unit else ""
         what = "log of the largest ratio" if facts.ratio else f"largest difference{unit}"
         ax.set_xlabel(f"{what} between levels, with {level(facts.alpha)} interval")
@@ -495,8 +467,6 @@ def _scale_of_multiples(
         ticks = ticks if len(ticks) < 13 else [t for t in ticks if str(abs(t))[0] in "01"]
         ax.set_xticks(ticks, [f"{tick:g}".replace("-", "\N{MINUS SIGN}") for tick in ticks])
         ax.minorticks_off()
-    else:
-        plain_ticks(ax, "x")
     ax.set_xlim(low * 1.05, high * 1.06)
     ends = f", with {level(facts.alpha)} interval" if frame["low"].notna().any() else ""
     ax.set_xlabel(f"largest difference between levels, as a multiple of what matters{ends}")

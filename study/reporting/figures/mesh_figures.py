@@ -7,21 +7,18 @@ whole one also from three sides.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure as Canvas
+from matplotlib.figure import SubFigure
 
 from study.ground.arrays import Array, Ints
-from study.reporting.content.numbers import quantity
-from study.reporting.content.text import count, sentence
+from study.reporting.content.text import count, quantity, sentence
 from study.reporting.figures.axes import INK, MUTED, WIDTH_IN, canvas, one_panel, render
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.figure import Figure as Canvas
-    from matplotlib.figure import SubFigure
-
 
 #: more polygons than these make a drawing that no browser likes
 MOST_FACES = 20_000
@@ -88,7 +85,7 @@ def _section(points: Array, faces: Ints, displacement: Array) -> Canvas:
     mirror = np.array([-1.0, 1.0])
     both = np.concatenate((points * mirror, after))
     size = np.ptp(both, axis=0)
-    figure, ax = one_panel(WIDTH_IN, float(np.clip(WIDTH_IN * size[1] / size[0], 2.2, 6.5)) + 0.6)
+    figure, ax = one_panel(float(np.clip(WIDTH_IN * size[1] / size[0], 2.2, 6.5)) + 0.6)
     color = _mean(np.linalg.norm(displacement, axis=1), faces)
     _polygons(ax, (points * mirror)[faces], None)
     made = _polygons(ax, after[faces], color)
@@ -114,7 +111,7 @@ def _solid(points: Array, faces: Ints, displacement: Array) -> Canvas:
     x, y, z = np.ptp(points + displacement, axis=0)
     # beside the drawings of three sides there is room for their axes
     low = float((WIDTH_IN - 2.4) * max(z, y) / (2 * x + y) + 0.8) if whole else 0.0
-    figure = canvas(WIDTH_IN, high + low)
+    figure = canvas(high + low)
     upper: Canvas | SubFigure = figure
     lower: SubFigure | None = None
     if whole:
@@ -167,10 +164,6 @@ def _polygons(
     ax: Axes, corners: Array, values: Array | None, shade: Array | None = None
 ) -> ScalarMappable:
     """Draw faces; without values they are plain."""
-    import matplotlib as mpl
-    from matplotlib.collections import PolyCollection
-    from matplotlib.colors import Normalize
-
     norm = Normalize(0.0, 1.0 if values is None else float(values.max()) or 1.0)
     scale = mpl.colormaps[_COLORS]
     color = np.tile((0.93, 0.94, 0.95, 1.0), (len(corners), 1))

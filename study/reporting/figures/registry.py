@@ -5,48 +5,47 @@ A figure that cannot be drawn never stops the report: the page says which one is
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Collection, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from study.reporting.content import sentences
 from study.reporting.content.blocks import Figure
-from study.reporting.content.effect_words import size
-from study.reporting.content.numbers import THIN, duration, p_phrase, quantity, share, significant
+from study.reporting.content.effect_words import normality_phrase, size
 from study.reporting.content.recommendation import cost_front
 from study.reporting.content.report_facts import Facts, practical_of
 from study.reporting.content.report_facts import cells as report_cells
 from study.reporting.content.text import (
+    THIN,
     clean,
     count,
+    duration,
     listing,
     name_of,
+    p_phrase,
     plural_of,
+    quantity,
     sentence,
+    share,
+    significant,
+    slug,
     term_name,
 )
-from study.reporting.content.verdicts import normality_phrase
 from study.reporting.figures import (
-    axes,
     convergence_figures,
     curve_figures,
     effect_figures,
     residual_figures,
     study_figures,
 )
+from study.reporting.figures.axes import Plot, made, make
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure as Canvas
-
     from study.reporting.figures.curve_figures import CurvePanels
 
 
@@ -206,50 +205,6 @@ def _by(fraction: float) -> str:
     return share(fraction).replace("< ", "less than ")
 
 
-#: title, points, drawing and caption of a figure: the frame that is computed is drawn and told of
-Plot = tuple[
-    str,
-    Callable[[], "pd.DataFrame"],
-    Callable[["pd.DataFrame"], "Canvas"],
-    Callable[["pd.DataFrame"], str],
-]
-
-
-_of_data_alone: ContextVar[bool] = ContextVar("figures of data alone", default=False)
-
-
-@contextmanager
-def data_alone() -> Iterator[None]:
-    """Make figures without drawings, which take three quarters of the time of a small report."""
-    token = _of_data_alone.set(True)
-    try:
-        yield
-    finally:
-        _of_data_alone.reset(token)
-
-
-def make(name: str, plot: Plot) -> Figure:
-    """Compute and draw one figure; any failure becomes its ``missing``."""
-    title, points, draw, caption = plot
-    frame: pd.DataFrame | None = None
-    try:
-        frame = points()
-        words = caption(frame)
-        svg = "" if _of_data_alone.get() else axes.render(partial(draw, frame), name, title)
-    except Exception as error:  # the numbers must reach the reader whatever the drawing does
-        why = f"{type(error).__name__}: {error}"
-        return Figure(name, title, data=frame, missing=why[:300])
-    return Figure(name, title, words, svg, frame)
-
-
-def made(plots: Mapping[str, Plot], stem: str, of: str) -> dict[str, Figure]:
-    """Make the figures of one response or surface: its name stands in their titles."""
-    return {
-        kind: make(f"{stem}-{kind}", (f"{title}: {of}", points, draw, caption))
-        for kind, (title, points, draw, caption) in plots.items()
-    }
-
-
 def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
     """Figures of one response by kind, but those ``without``; none where it was not analyzed."""
     if (result := facts.result) is None or not facts.terms:
@@ -327,7 +282,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
 def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:
     """Figure of the first page: every effect against what matters; None without an effect."""
     analyzed = [facts for facts in all_facts if facts.terms]
-    limited = [facts for facts in analyzed if any(e.practical is not None for e in facts.effects)]
+    limited = [facts for facts in analyzed if facts.has_size]
     # without a limit there is no common scale: the first response stands for itself
     shown = limited or analyzed[:1]
     if not any(effect.range is not None for facts in shown for effect in facts.terms):
@@ -364,12 +319,6 @@ def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Seque
     if left:
         parts.append(f"not drawn, on the second page: {listing(left)}")
     return sentence("; ".join(parts))
-
-
-def renamed(figure: Figure, name: str) -> Figure:
-    """Copy of a figure under another name, which begins all ids of its drawing."""
-    svg = re.sub(rf'(id="|href="#|url\(#){re.escape(figure.name)}-', rf"\g<1>{name}-", figure.svg)
-    return replace(figure, name=name, svg=svg)
 
 
 def of_study(data: ReportData) -> dict[str, Figure]:
@@ -443,11 +392,6 @@ def of_recordings(frame: pd.DataFrame) -> Figure:
         lambda _: sentence(caption),
     )
     return make("recording", plot)
-
-
-def slug(text: str) -> str:
-    """File and id name made of letters, digits and hyphens alone."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower())[:48].strip("-") or "response"
 
 
 def _failed_cases(data: ReportData) -> pd.DataFrame:

@@ -3,39 +3,18 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
 
-from study.reporting.content.numbers import p_value
 from study.reporting.content.report_facts import Facts
-from study.reporting.content.text import clean, count, name_of, sentence, term_name
-from study.reporting.figures.axes import (
-    BAND,
-    INK,
-    MUTED,
-    RULE,
-    WIDTH_IN,
-    above,
-    canvas,
-    clean_left,
-    color_of,
-    labeled,
-    name_rows,
-    note,
-    one_panel,
-    plain_ticks,
-    word_color_of,
-    wrap,
-)
+from study.reporting.content.text import clean, count, name_of, p_value, sentence, term_name
+from study.reporting.figures import axes as style
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.unreplicated import pseudo_standard_error
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
 
 #: color of contrasts beyond the margin of error, and of the others
 _CONTRAST_COLORS = {True: "#D55E00", False: "#0072B2"}
@@ -47,8 +26,6 @@ _HALF_NORMAL_SIMULATIONS = 2000
 
 def contrasts(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Every contrast with its half-normal score and limits, the largest first."""
-    import pandas as pd
-
     lenth = None if facts.result is None else facts.result.variation.lenth
     if lenth is None:
         raise ValueError("there are no single contrasts: the design is replicated")
@@ -86,9 +63,9 @@ def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw the Pareto plot on the left, the half-normal plot on the right."""
     shown = frame.head(_MOST_BARS)
-    figure = canvas(WIDTH_IN, max(3.4, 1.0 + 0.2 * len(shown)))
+    figure = style.canvas(max(3.4, 1.0 + 0.2 * len(shown)))
     pareto, half = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    label = labeled("absolute contrast", facts.scale)
+    label = style.labeled("absolute contrast", facts.scale)
     _pareto(pareto, shown, label)
     _half_normal(half, frame, label)
     return figure
@@ -103,15 +80,14 @@ def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
         native_scale=True, dodge=False, saturation=1, width=0.66, errorbar=None, legend=False,
         ax=ax,
     )  # fmt: skip
-    for column, style, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
+    for column, dashes, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
         limit = float(frame[column].iloc[0])
-        ax.axvline(limit, color=INK, linewidth=0.8, linestyle=style)
-        above(ax, name, limit)
-    name_rows(ax, places, [wrap(name, 30) for name in frame["name"]])
+        ax.axvline(limit, color=style.INK, linewidth=0.8, linestyle=dashes)
+        style.above(ax, name, limit)
+    style.name_rows(ax, places, [style.wrap(name, 30) for name in frame["name"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
-    clean_left(ax)
+    style.clean_left(ax)
     ax.set_xlabel(f"{label}; limits for one, for all")
-    plain_ticks(ax, "x")
 
 
 def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
@@ -119,7 +95,11 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
 
     ordered = frame.sort_values("score")
     ax.fill_between(
-        ordered["score"], np.sort(frame["low"]), np.sort(frame["high"]), color=BAND, linewidth=0
+        ordered["score"],
+        np.sort(frame["low"]),
+        np.sort(frame["high"]),
+        color=style.BAND,
+        linewidth=0,
     )
     sns.scatterplot(
         frame, x="score", y="size", hue="active", style="active", palette=_CONTRAST_COLORS,
@@ -127,12 +107,11 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
     )  # fmt: skip
     for name, score, size in zip(*(frame[c] for c in ("name", "score", "size")), strict=True):
         if size > float(frame["margin"].iloc[0]):
-            note(ax, name, (score, size), (-6, 0), ha="right", va="center")
+            style.note(ax, name, (score, size), (-6, 0), ha="right", va="center")
     ax.set_ylim(bottom=0)
     ax.set_xlim(left=0)
     ax.set_xlabel("half-normal score, with the 95 % envelope of no effect")
     ax.set_ylabel(label)
-    plain_ticks(ax, "y")
 
 
 # Figures of assumptions: four views of the residuals, and the spread of the cells.
@@ -164,57 +143,31 @@ def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str) -> None:
     """Draw the residuals of every level of every factor, side by side."""
-    import seaborn as sns
-
-    ax.axhline(0, color=MUTED, linewidth=0.7)
-    levels = _level_places(frame, data)
-    if levels.empty:
-        return
-    colors = {number: color_of(number) for number in levels["number"]}
-    sns.scatterplot(
-        _jittered(frame, levels, data.seed), x="place", y="residual", hue="number", palette=colors,
-        s=7, alpha=0.7, linewidth=0, zorder=2, clip_on=False, legend=False, ax=ax,
-    )  # fmt: skip
-    for number, factor in levels.groupby("number"):
-        name = wrap(name_of(factor["factor"].iloc[0], data.labels), 16, 24)
-        bold = {"color": word_color_of(int(str(number))), "fontweight": "bold"}
-        above(ax, name, float(factor["place"].mean()), **bold)
-    names = [clean(level, 20) for level in levels["level"]]
+    ax.axhline(0, color=style.MUTED, linewidth=0.7)
+    # seaborn's jitter differs at every run
+    rng = np.random.default_rng(data.seed)
+    names: dict[float, str] = {}
+    start = 0.0
+    for number, (factor, levels) in enumerate(data.factors.items()):
+        if factor not in frame:
+            continue
+        for place, level in enumerate(levels, 1):
+            values = frame.loc[frame[factor].astype(str) == level, "residual"]
+            across = start + place + rng.uniform(-0.18, 0.18, len(values))
+            ax.scatter(across, values, s=7, alpha=0.7, linewidth=0, color=style.color_of(number))
+            names[start + place] = clean(level, 20)
+        name = style.wrap(name_of(factor, data.labels), 16, 24)
+        bold = {"color": style.word_color_of(number), "fontweight": "bold"}
+        style.above(ax, name, start + (len(levels) + 1) / 2, **bold)
+        start += len(levels) + 0.7  # parts the factors
     ax.set_xticks(
-        levels["place"], names, rotation=40, ha="right", rotation_mode="anchor", fontsize=7
+        list(names), [*names.values()], rotation=40, ha="right", rotation_mode="anchor", fontsize=7
     )
     ax.set(xlabel="", ylabel=label)
 
 
-def _level_places(frame: pd.DataFrame, data: ReportData) -> pd.DataFrame:
-    """Place of every level on the shared axis; 0.7 of a step more parts the factors."""
-    import pandas as pd
-
-    rows: list[tuple[int, str, str, float]] = []
-    start = 0.0
-    for number, (factor, levels) in enumerate(data.factors.items()):
-        if factor in frame:
-            rows += [(number, factor, level, start + i) for i, level in enumerate(levels)]
-            start += len(levels) + 0.7
-    return pd.DataFrame(rows, columns=["number", "factor", "level", "place"])
-
-
-def _jittered(frame: pd.DataFrame, levels: pd.DataFrame, seed: int) -> pd.DataFrame:
-    """Residuals spread about the place of their level; seaborn's jitter differs at every run."""
-    import pandas as pd
-
-    rng = np.random.default_rng(seed)
-    parts = []
-    for number, factor, level, place in levels.itertuples(index=False):
-        values = frame.loc[frame[factor].astype(str) == level, "residual"]
-        spread = place + rng.uniform(-0.18, 0.18, len(values))
-        parts.append(pd.DataFrame({"place": spread, "residual": values, "number": number}))
-    return pd.concat(parts, ignore_index=True)
-
-
 def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
     """Give each cell's deviation with a chi-squared interval, approximate after blocks."""
-    import pandas as pd
     from scipy.special import chdtri
 
     frame = diagnostic_residual_points(facts)
@@ -241,18 +194,19 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
     import seaborn as sns
 
-    figure, ax = one_panel(WIDTH_IN, 0.9 + 0.22 * len(frame))
+    figure, ax = style.one_panel(0.9 + 0.22 * len(frame))
     places = np.arange(len(frame))
-    ax.hlines(places, frame["low"], frame["high"], color=color_of(0), linewidth=1.6)
-    sns.scatterplot(x=frame["sd"], y=places, color=color_of(0), s=36, linewidth=0, zorder=3, ax=ax)
-    name_rows(ax, places, [wrap(cell, 70, 70) for cell in frame["cell"]])
+    ax.hlines(places, frame["low"], frame["high"], color=style.color_of(0), linewidth=1.6)
+    sns.scatterplot(
+        x=frame["sd"], y=places, color=style.color_of(0), s=36, linewidth=0, zorder=3, ax=ax
+    )
+    style.name_rows(ax, places, [style.wrap(cell, 70, 70) for cell in frame["cell"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
     ax.set_xlim(left=0)
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
-    clean_left(ax)
-    label = labeled("standard deviation of residuals", facts.scale)
+    ax.grid(axis="y")
+    style.clean_left(ax)
+    label = style.labeled("standard deviation of residuals", facts.scale)
     ax.set_xlabel(f"{label}, 95 % Bonferroni intervals")
-    plain_ticks(ax, "x")
     return figure
 
 
@@ -305,29 +259,26 @@ def draw_residuals(
     points: pd.DataFrame, facts: Facts, data: ReportData, *, ordered: bool = False
 ) -> Canvas:
     """Draw four views of the residuals; rows of a table have an order, runs have none."""
-    figure = canvas(WIDTH_IN, 5.7)
+    figure = style.canvas(5.7)
     (normal, fits), (histogram, last) = figure.subplots(2, 2)
-    shown, label = thinned(points, data.seed), labeled("residual", facts.scale)
+    shown, label = thinned(points, data.seed), style.labeled("residual", facts.scale)
     _probability(normal, shown, points, facts, data.seed, label)
     _against(fits, shown["fitted"], shown["residual"])
     where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
-    fits.set(title="versus fits", xlabel=labeled("fit", where), ylabel=label)
+    fits.set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
     _histogram(histogram, points["residual"].to_numpy(float), label)
     if ordered:
         _in_order(last, shown, label)
     else:
         _against_factors(last, shown, data, label)
-    for ax in (normal, fits, histogram):
-        plain_ticks(ax)
-    plain_ticks(last, "xy" if ordered else "y")
     return figure
 
 
 def _in_order(ax: Axes, shown: pd.DataFrame, label: str) -> None:
     """Draw the residuals in the order of the rows, joined where they are few."""
-    ax.axhline(0, color=MUTED, linewidth=0.7)
+    ax.axhline(0, color=style.MUTED, linewidth=0.7)
     ax.plot(shown["row"], shown["residual"], "o-" if len(shown) <= MOST_JOINED else "o",
-            markersize=3.2, linewidth=0.7, color=color_of(0), markeredgewidth=0)  # fmt: skip
+            markersize=3.2, linewidth=0.7, color=style.color_of(0), markeredgewidth=0)  # fmt: skip
     ax.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
 
 
@@ -338,11 +289,11 @@ def _probability(
     spread = float(points["residual"].std(ddof=1))
     if len(points) <= MOST_POINTS:
         low, high = envelope(len(points), spread, seed)
-        ax.fill_between(np.sort(points["score"]), low, high, color=BAND, linewidth=0)
+        ax.fill_between(np.sort(points["score"]), low, high, color=style.BAND, linewidth=0)
     ends = np.array([points["score"].min(), points["score"].max()])
-    ax.plot(ends, ends * spread, color=MUTED, linewidth=0.8)
-    ax.plot(shown["score"], shown["residual"], "o", markersize=3.2, alpha=0.8, color=color_of(0),
-            markeredgewidth=0)  # fmt: skip
+    ax.plot(ends, ends * spread, color=style.MUTED, linewidth=0.8)
+    look: dict[str, Any] = {"color": style.color_of(0), "markersize": 3.2, "markeredgewidth": 0}
+    ax.plot(shown["score"], shown["residual"], "o", alpha=0.8, **look)
     normality = facts.assumptions.normality
     if normality is not None and normality.rj is not None:
         p = p_value(normality.p_exact)
@@ -353,24 +304,23 @@ def _probability(
 
 
 def _against(ax: Axes, x: pd.Series, residual: pd.Series) -> None:
-    ax.axhline(0, color=MUTED, linewidth=0.7)
-    ax.plot(x, residual, "o", markersize=3.2, alpha=0.7, color=color_of(0), markeredgewidth=0)
+    ax.axhline(0, color=style.MUTED, linewidth=0.7)
+    ax.plot(x, residual, "o", markersize=3.2, alpha=0.7, color=style.color_of(0), markeredgewidth=0)
 
 
 def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
     import seaborn as sns
 
     bins = int(np.clip(np.ceil(1 + np.log2(values.size)), 4, 40))  # Sturges 1926
-    sns.histplot(x=values, bins=bins, color=color_of(5), alpha=1, edgecolor="white", linewidth=0.6,
-                 ax=ax)  # fmt: skip
+    look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
+    sns.histplot(x=values, bins=bins, alpha=1, ax=ax, **look)
     ax.set(title="histogram", xlabel=label, ylabel="rows")
 
 
 def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
     """Draw the residuals at every level of every factor, side by side."""
-    figure, ax = one_panel(WIDTH_IN, 3.2)
-    _against_factors(ax, thinned(points, data.seed), data, labeled("residual", facts.scale))
-    plain_ticks(ax, "y")
+    figure, ax = style.one_panel(3.2)
+    _against_factors(ax, thinned(points, data.seed), data, style.labeled("residual", facts.scale))
     return figure
 
 
@@ -387,26 +337,24 @@ def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
 
 def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) -> Canvas:
     """Draw Cook's distance by row, and standardized residual against leverage."""
-    figure = canvas(WIDTH_IN, 3.2)
+    figure = style.canvas(3.2)
     cook, leverage = figure.subplots(1, 2)
     # a row that is fitted exactly has leverage one, and no Cook's distance
     drawn = thinned(points, data.seed)
     shown = drawn[np.isfinite(drawn["cook"].to_numpy(float))]
-    cook.vlines(shown["row"], 0, shown["cook"], color=color_of(0), linewidth=1.0)
+    cook.vlines(shown["row"], 0, shown["cook"], color=style.color_of(0), linewidth=1.0)
     largest = float(np.nanmax(shown["cook"].to_numpy(float), initial=0.0))
     if limit is not None and limit <= 3 * largest:
-        cook.axhline(limit, color=INK, linewidth=0.8, linestyle="--")
+        cook.axhline(limit, color=style.INK, linewidth=0.8, linestyle="--")
     for row in shown.nlargest(NAMED, "cook").itertuples():
         at = float(str(row.row)), float(str(row.cook))
-        note(cook, f"{row.row}", at, (0, 2), ha="center", va="bottom")
+        style.note(cook, f"{row.row}", at, (0, 2), ha="center", va="bottom")
     cook.set_ylim(bottom=0, top=1.12 * largest if largest > 0 else 1.0)
     cook.set(title="Cook's distance", xlabel="row of the file", ylabel="")
     for height in (-2, 2):
-        leverage.axhline(height, color=MUTED, linewidth=0.7, linestyle="--")
+        leverage.axhline(height, color=style.MUTED, linewidth=0.7, linestyle="--")
     _against(leverage, shown["leverage"], shown["standardized"])
     leverage.set(
         title="residual against leverage", xlabel="leverage", ylabel="standardized residual"
     )
-    for ax in (cook, leverage):
-        plain_ticks(ax)
     return figure

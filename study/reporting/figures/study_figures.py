@@ -4,40 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
 
-from study.reporting.content.numbers import duration, quantity
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.tables import fit_name, fit_rank
-from study.reporting.content.text import clean, listing, name_of, term_name
-from study.reporting.figures.axes import (
-    BAND,
-    INK,
-    MARKERS,
-    MUTED,
-    RULE,
-    WIDTH_IN,
-    canvas,
-    clean_left,
-    color_of,
-    labeled,
-    log_ticks,
-    name_rows,
-    note,
-    one_panel,
-    plain_ticks,
-    wrap,
-)
+from study.reporting.content.text import clean, duration, listing, name_of, quantity, term_name
+from study.reporting.figures import axes as style
 from study.reporting.results.study_result import DepthEffect, ReportData
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
-
 
 _MOST_ROWS = 40
 _MOST_PANELS = 4
@@ -45,8 +22,6 @@ _MOST_PANELS = 4
 
 def constant_points(data: ReportData) -> pd.DataFrame:
     """Every fitted constant with its interval, in the order of the design."""
-    import pandas as pd
-
     fits = [fit for fit in data.fits if fit.value is not None]
     if not fits:
         raise ValueError("no constant was fitted")
@@ -72,13 +47,13 @@ def draw_constants(frame: pd.DataFrame) -> Canvas:
     # the constant of most fits first: it is the one that all models share
     names = frame["constant"].value_counts().index.tolist()[:_MOST_PANELS]
     rows = frame.drop_duplicates("place").sort_values("place")
-    figure = canvas(WIDTH_IN, 1.0 + 0.3 * len(rows))
+    figure = style.canvas(1.0 + 0.3 * len(rows))
     axes = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
     for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
         some = frame[frame["constant"] == name]
-        _panel(ax, some, color_of(index))
-        ax.set_xlabel(labeled(clean(name, 16), str(some["unit"].iloc[0])))
-    name_rows(axes[0], rows["place"], [wrap(row, 46, 90) for row in rows["row"]])
+        _panel(ax, some, style.color_of(index))
+        ax.set_xlabel(style.labeled(clean(name, 16), str(some["unit"].iloc[0])))
+    style.name_rows(axes[0], rows["place"], [style.wrap(row, 46, 90) for row in rows["row"]])
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     return figure
 
@@ -94,58 +69,61 @@ def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
             group["value"][~sure], y[~sure], "o", color=color, markersize=2.8,
             markerfacecolor="white", markeredgewidth=0.8,
         )  # fmt: skip
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
-    clean_left(ax)
-    plain_ticks(ax, "x")
+    ax.grid(axis="y")
+    style.clean_left(ax)
     ax.locator_params(axis="x", nbins=4)
 
 
 # Figures of cost and of failure: the front of cells worth their seconds, the failure map.
 
-#: a row of a legend in small type, a letter in it, what its mark and gaps take, inches; and the
-#: share of the figure's width beside the labels of the vertical axis
-_LEGEND_ROW_IN = 0.16
-_LEGEND_LETTER_IN = 0.062
-_LEGEND_MARK_IN = 0.5
-_LEGEND_SHARE = 0.9
+#: levels below each other in a legend beside the axes
+_LEGEND_ROWS = 20
+#: Seconds that may stand at an axis.
+_TIMES = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 60.0, 600.0, 3600.0, 36000.0)
 
 
 def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: float) -> Canvas:
     """Draw the mean response of each cell against its seconds, front stepped and labeled."""
-    color_by, shape_by = _styling(frame, data)
-    columns, rows = _legend_shape(color_by[0], shape_by[0], data)
-    figure, ax = one_panel(WIDTH_IN, 3.7 + _LEGEND_ROW_IN * (rows - 1))
-    for row in frame.to_dict("records"):
-        ax.plot(
-            row["seconds"], row["mean"], marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
-            color=color_of(color_by[1].get(row["cell"], 0)), markersize=6.5, alpha=0.85,
-            markeredgecolor="white", markeredgewidth=0.5, linestyle="none",
-        )  # fmt: skip
+    import seaborn as sns
+
+    figure, ax = style.one_panel(3.7)
+    shown = frame.astype(dict.fromkeys(data.factors, str))
+    shown = shown.rename(columns={name: name_of(name, data.labels) for name in data.factors})
+    first, second = _styling(frame, data)
+    look = {"hue": name_of(first, data.labels), "hue_order": data.factors[first],
+            "palette": [style.color_of(k) for k in range(len(data.factors[first]))],
+            "style": name_of(second, data.labels), "style_order": data.factors[second],
+            "markers": [style.MARKERS[k % 7] for k, _ in enumerate(data.factors[second])],
+            }  # fmt: skip
+    sns.scatterplot(shown, x="seconds", y="mean", s=44, alpha=0.85, ax=ax, **look)
+    levels = len(data.factors[first]) + len(data.factors[second])
+    columns = -(-levels // _LEGEND_ROWS)
+    sns.move_legend(ax, "upper left", bbox_to_anchor=(1.0, 1.0), ncols=columns, fontsize=7.5)
     ax.set_xscale("log")
     front = frame[frame["front"]]
-    ax.step(front["seconds"], front["mean"], where="post", color=MUTED, linewidth=0.9)
+    ax.step(front["seconds"], front["mean"], where="post", color=style.MUTED, linewidth=0.9)
     sign = -1.0 if facts.better == "higher" else 1.0
     best = float(sign * (sign * frame["mean"]).min())
     if practical > 0:
-        ax.axhspan(best, best + sign * practical, color="#eef1f4", zorder=0)
+        ax.axhspan(best, best + sign * practical, color=style.BAND, zorder=0)
         ax.text(
             1.0, best + sign * practical, "as good as the best ", ha="right", va="bottom",
-            transform=ax.get_yaxis_transform(), fontsize=7.5, color=MUTED,
+            transform=ax.get_yaxis_transform(), fontsize=7.5, color=style.MUTED,
         )  # fmt: skip
     ax.margins(x=0.06, y=0.16)
     _front_labels(ax, front, list(data.factors))
-    _front_legend(ax, color_by[0], shape_by[0], data, columns)
-    _time_ticks(ax, frame)
-    plain_ticks(ax, "y")
-    ax.set_xlabel("mean computing time of a case")
-    ax.set_ylabel(labeled(facts.title, facts.unit))
+    low, high = ax.get_xlim()
+    if len(ticks := [t for t in _TIMES if low <= t <= high]) < 2:
+        style.log_ticks(ax, "x", duration)
+    else:
+        ax.set_xticks(ticks, [duration(t) for t in ticks])
+    ax.set_xticks([], minor=True)
+    ax.set(xlabel="mean computing time of a case", ylabel=style.labeled(facts.title, facts.unit))
     return figure
 
 
-def _styling(
-    frame: pd.DataFrame, data: ReportData
-) -> tuple[tuple[str, dict[str, int]], tuple[str, dict[str, int]]]:
-    """Color and shape by the two factors that change the cost most."""
+def _styling(frame: pd.DataFrame, data: ReportData) -> tuple[str, str]:
+    """Return the two factors that change the cost most, for color and shape."""
     cost = np.log(frame["seconds"].clip(lower=1e-9))
     moved = {
         name: float(cost.groupby(frame[name]).mean().var() or 0.0)
@@ -153,16 +131,7 @@ def _styling(
         if len(data.factors[name]) > 1
     }
     order = sorted(moved, key=lambda name: -moved[name]) or list(data.factors)[:1]
-    chosen = (order[0], order[1] if len(order) > 1 else order[0])
-
-    def index(name: str) -> dict[str, int]:
-        places = {level: i for i, level in enumerate(data.factors[name])}
-        return {
-            str(cell): places.get(str(level), 0)
-            for cell, level in zip(frame["cell"], frame[name], strict=True)
-        }
-
-    return (chosen[0], index(chosen[0])), (chosen[1], index(chosen[1]))
+    return order[0], order[min(1, len(order) - 1)]
 
 
 def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None:
@@ -178,46 +147,7 @@ def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None
         taken.append((x, y))
         text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in factors)
         shift, side = ((-7, -6), "right") if x > 0.6 else ((7, -6), "left")
-        note(ax, text, (row["seconds"], row["mean"]), shift, va="top", ha=side)
-
-
-def _legend_shape(color_by: str, shape_by: str, data: ReportData) -> tuple[int, int]:
-    """Columns and rows of the legend: no more columns than the width of the figure holds."""
-    shown = [clean(level, 22) for name in dict.fromkeys((color_by, shape_by))
-             for level in data.factors[name]]  # fmt: skip
-    wide = _LEGEND_MARK_IN + _LEGEND_LETTER_IN * max(map(len, shown))
-    columns = max(1, min(len(shown), int(_LEGEND_SHARE * WIDTH_IN / wide)))
-    return columns, -(-len(shown) // columns)
-
-
-def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData, columns: int) -> None:
-    from matplotlib.lines import Line2D
-
-    named = [(level, color_of(i), "o") for i, level in enumerate(data.factors[color_by])]
-    title = clean(name_of(color_by, data.labels), 30)
-    if shape_by != color_by:
-        named += [(v, MUTED, MARKERS[i % 7]) for i, v in enumerate(data.factors[shape_by])]
-        title += f" (color), {clean(name_of(shape_by, data.labels), 30)} (shape)"
-    mark = partial(Line2D, [], [], linestyle="none", markersize=5)
-    handles = [
-        mark(color=color, marker=marker, label=clean(level, 22)) for level, color, marker in named
-    ]
-    ax.legend(
-        handles=handles, title=title, title_fontsize=7.5, fontsize=7.5, ncols=columns,
-        loc="lower left", bbox_to_anchor=(0, 1.0), alignment="left", borderpad=0,
-    )  # fmt: skip
-
-
-def _time_ticks(ax: Axes, frame: pd.DataFrame) -> None:
-    low, high = float(frame["seconds"].min()), float(frame["seconds"].max())
-    ticks = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 60.0, 600.0, 3600.0, 36000.0]
-    inside = [t for t in ticks if low / 2 <= t <= high * 2]
-    seen = [t for t in inside if ax.get_xlim()[0] <= t <= ax.get_xlim()[1]]
-    if len(seen) < 2:
-        log_ticks(ax, "x", duration)
-    else:
-        ax.set_xticks(inside, [duration(t) for t in inside])
-    ax.set_xticks([], minor=True)
+        style.note(ax, text, (row["seconds"], row["mean"]), shift, va="top", ha=side)
 
 
 def draw_failures(frame: pd.DataFrame) -> Canvas:
@@ -225,20 +155,20 @@ def draw_failures(frame: pd.DataFrame) -> Canvas:
     statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
     rows = list(dict.fromkeys(frame["cell"]))
     columns = list(dict.fromkeys(frame["block"]))
-    figure, ax = one_panel(WIDTH_IN, 0.9 + 0.2 * len(rows))
+    figure, ax = style.one_panel(0.9 + 0.2 * len(rows))
     for index, status in enumerate(statuses):
         some = frame[frame["status"] == status]
         good = status == "converged"
         x, y = map(columns.index, some["block"]), map(rows.index, some["cell"])
-        marker, color, big = MARKERS[(index + 1) % 7], color_of(index), 7
+        marker, color, big = style.MARKERS[(index + 1) % 7], style.color_of(index), 7
         if good:
             marker, color, big = ".", "#c4cad1", 4
         ax.plot(
             list(x), list(y), linestyle="none", marker=marker, color=color, markersize=big,
             label=clean(status, 24),
         )  # fmt: skip
-    ax.set_xticks(range(len(columns)), [wrap(c, 10, 20) for c in columns], fontsize=7.5)
-    name_rows(ax, range(len(rows)), [wrap(r, 80, 70) for r in rows])
+    ax.set_xticks(range(len(columns)), [style.wrap(c, 10, 20) for c in columns], fontsize=7.5)
+    style.name_rows(ax, range(len(rows)), [style.wrap(r, 80, 70) for r in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_xlim(-0.5, len(columns) - 0.5)
     ax.tick_params(length=0)
@@ -254,8 +184,6 @@ _BESIDE = 0.05
 
 def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.DataFrame:
     """Rows of one response with the names of their factors."""
-    import pandas as pd
-
     frame = pd.DataFrame([asdict(row) for row in rows if row.response == response])
     names = [term_name(str(term), data.labels) for term in frame["term"]]
     numbers = {"difference": float, "low": float, "high": float, "practical": float}
@@ -264,7 +192,7 @@ def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.D
 
 def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw the largest difference of every factor with its interval against depth."""
-    figure, ax = one_panel(WIDTH_IN, 3.6)
+    figure, ax = style.one_panel(3.6)
     _band(ax, frame, facts)
     depths = sorted(frame["depth_mm"].unique())
     apart = _BESIDE * (depths[-1] - depths[0]) / max(len(depths) - 1, 1)
@@ -272,7 +200,7 @@ def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
     for k, name in enumerate(terms):
         part = frame[frame["name"] == name]
         x = part["depth_mm"] + apart * (k - (len(terms) - 1) / 2)
-        marker, color = MARKERS[k % len(MARKERS)], color_of(k)
+        marker, color = style.MARKERS[k % len(style.MARKERS)], style.color_of(k)
         ax.plot(x, part["difference"], marker=marker, color=color, label=name, markersize=5)
         ax.vlines(x, part["low"], part["high"], color=color, linewidth=1.2, alpha=0.7)
     ax.set_xticks(depths, [f"{depth:g}" for depth in depths])
@@ -288,15 +216,15 @@ def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
 def _band(ax: Axes, frame: pd.DataFrame, facts: Facts) -> None:
     """Shade what does not matter; a share of the mean grows with the depth."""
     zero = 1.0 if facts.ratio else 0.0
-    ax.axhline(zero, color=MUTED, linewidth=0.7)
+    ax.axhline(zero, color=style.MUTED, linewidth=0.7)
     limits = frame.dropna(subset=["practical"]).drop_duplicates("depth_mm")
     if limits.empty:
         return
     limits = limits.sort_values("depth_mm")
     below = 1 / limits["practical"] if facts.ratio else -limits["practical"]
-    ax.fill_between(limits["depth_mm"], below, limits["practical"], color=BAND, zorder=0)
+    ax.fill_between(limits["depth_mm"], below, limits["practical"], color=style.BAND, zorder=0)
     end = limits["depth_mm"].iloc[-1], below.iloc[-1]
-    note(ax, "no practical difference", end, (0, 3), ha="right", color=INK, alpha=0.7)
+    style.note(ax, "no practical difference", end, (0, 3), ha="right", color=style.INK, alpha=0.7)
 
 
 def caption(frame: pd.DataFrame, facts: Facts) -> str:

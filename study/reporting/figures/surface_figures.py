@@ -6,30 +6,16 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure as Canvas
 
-from study.reporting.content.numbers import percent, quantity
 from study.reporting.content.surface_content import title
-from study.reporting.content.text import clean, listing, name_of, sentence
-from study.reporting.figures.axes import (
-    BAND,
-    INK,
-    MUTED,
-    WIDTH_IN,
-    color_of,
-    labeled,
-    name_rows,
-    one_panel,
-    panels,
-    plain_ticks,
-    wrap,
-)
+from study.reporting.content.text import clean, listing, name_of, percent, quantity, sentence
+from study.reporting.figures import axes as style
 from study.statistics.surfaces.surface_profile import contour, left_out, profiles, strongest
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure as Canvas
-
-    from study.reporting.figures.registry import Plot
+    from study.reporting.figures.axes import Plot
     from study.reporting.results.study_result import ReportData
     from study.statistics.surfaces.surface_profile import FittedSurface
     from study.statistics.surfaces.surface_result import SurfaceAnalysis
@@ -80,7 +66,6 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
 
 
 def _profiles(surface: SurfaceAnalysis) -> pd.DataFrame:
-    import pandas as pd
 
     by_factor = profiles(surface)
     return pd.concat(
@@ -102,21 +87,19 @@ def _profiles_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportDa
 
 def _draw_profiles(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:
     names = list(dict.fromkeys(frame["factor"]))
-    figure, axes = panels(len(names), _COLUMNS, 2.3, 0.4, sharey=True)
+    figure, axes = style.panels(len(names), _COLUMNS, 2.3, 0.4, sharey=True)
     for ax, name in zip(axes, names, strict=True):
         part = frame[frame["factor"] == name]
-        ax.fill_between(part["setting"], part["low"], part["high"], color=BAND)
-        ax.plot(part["setting"], part["value"], color=color_of(0))
+        ax.fill_between(part["setting"], part["low"], part["high"], color=style.BAND)
+        ax.plot(part["setting"], part["value"], color=style.color_of(0))
         ax.set_xlabel(_axis(name, fitted, data))
         ax.set_xmargin(0)
-        plain_ticks(ax, "x")
     for ax in axes[::_COLUMNS]:
         ax.set_ylabel(_response(fitted, data))
     return figure
 
 
 def _contours(surface: SurfaceAnalysis, pair: Sequence[str]) -> pd.DataFrame:
-    import pandas as pd
 
     grid = contour(surface, pair)
     x, y = np.meshgrid(grid.x, grid.y)
@@ -142,23 +125,20 @@ def _draw_contours(
 ) -> Canvas:  # fmt: skip
     across, up = frame.columns[:2]
     table = frame.pivot_table(index=up, columns=across, values="value")
-    figure, ax = one_panel(WIDTH_IN, 4.2)
+    figure, ax = style.one_panel(4.2)
     x, y, z = table.columns.to_numpy(), table.index.to_numpy(), table.to_numpy()
     filled = ax.contourf(x, y, z, levels=10, cmap="Blues", alpha=0.75)
     ax.contour(x, y, z, levels=filled.levels, colors="white", linewidths=0.6)
-    ax.scatter(runs[:, 0], runs[:, 1], s=9, color=INK, linewidths=0)
+    ax.scatter(runs[:, 0], runs[:, 1], s=9, color=style.INK, linewidths=0)
     bar = figure.colorbar(filled, ax=ax, pad=0.015, aspect=30)
     bar.set_label(_response(fitted, data))
     bar.outline.set_visible(False)
     ax.set_xlabel(_axis(across, fitted, data))
     ax.set_ylabel(_axis(up, fitted, data))
-    plain_ticks(ax)
     return figure
 
 
 def _shares(surface: SurfaceAnalysis) -> pd.DataFrame:
-    import pandas as pd
-
     return pd.DataFrame(
         {
             "factor": item.factor, "total": item.index.total, "low": item.index.total_interval[0],
@@ -181,23 +161,30 @@ def _shares_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData
 
 
 def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
-    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.36 * len(frame))
+    figure, ax = style.one_panel(0.8 + 0.36 * len(frame))
     places = np.arange(len(frame))
     percents = 100 * frame[["total", "low", "high", "alone"]]
-    ax.barh(places, percents["total"], color=color_of(0), height=0.55, alpha=0.35)
+    ax.barh(places, percents["total"], color=style.color_of(0), height=0.55, alpha=0.35)
     low, high = percents["low"].clip(0), percents["high"].clip(0, 100)
-    ax.hlines(places, low, high, color=INK, linewidth=1.4)
-    ax.plot(percents["alone"], places, "o", markerfacecolor="none", color=color_of(1), markersize=6)
-    name_rows(ax, places, [wrap(name_of(str(n), data.labels), 30) for n in frame["factor"]], 8)
+    ax.hlines(places, low, high, color=style.INK, linewidth=1.4)
+    ax.plot(
+        percents["alone"],
+        places,
+        "o",
+        markerfacecolor="none",
+        color=style.color_of(1),
+        markersize=6,
+    )
+    style.name_rows(
+        ax, places, [style.wrap(name_of(str(n), data.labels), 30) for n in frame["factor"]], 8
+    )
     ax.set_ylim(len(frame) - 0.5, -0.5)
     ax.set_xlim(left=0)
     ax.set_xlabel("share of the variance (%)")
-    plain_ticks(ax, "x")
     return figure
 
 
 def _left_out(surface: SurfaceAnalysis) -> pd.DataFrame:
-    import pandas as pd
 
     errors = left_out(surface)
     if errors is None:
@@ -217,21 +204,20 @@ def _left_out_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportDa
 
 
 def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:
-    figure, ax = one_panel(WIDTH_IN, 3.9)
+    figure, ax = style.one_panel(3.9)
     ends = [float(frame.min().min()), float(frame.max().max())]
-    ax.plot(ends, ends, color=MUTED, linewidth=0.8)
-    ax.scatter(frame["simulated"], frame["predicted"], s=14, color=color_of(0), linewidths=0)
+    ax.plot(ends, ends, color=style.MUTED, linewidth=0.8)
+    ax.scatter(frame["simulated"], frame["predicted"], s=14, color=style.color_of(0), linewidths=0)
     ax.set_box_aspect(1)
     ax.set_xlabel(f"run: {_response(fitted, data)}")
     ax.set_ylabel("predicted from the others")
-    plain_ticks(ax)
     return figure
 
 
 def _axis(factor: str, fitted: FittedSurface, data: ReportData) -> str:
     unit = clean(fitted.units.get(factor, ""))
-    return labeled(clean(name_of(factor, data.labels), 40), unit)
+    return style.labeled(clean(name_of(factor, data.labels), 40), unit)
 
 
 def _response(fitted: FittedSurface, data: ReportData) -> str:
-    return labeled(clean(name_of(fitted.response, data.labels), 40), clean(fitted.unit))
+    return style.labeled(clean(name_of(fitted.response, data.labels), 40), clean(fitted.unit))

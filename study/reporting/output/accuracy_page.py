@@ -18,8 +18,10 @@ from study.laboratory.tracker.tracker_error import (
 )
 from study.laboratory.tracker.tracker_reference import LeverArm, ReferenceResult
 from study.reporting.content.blocks import Table
-from study.reporting.content.numbers import (
+from study.reporting.content.text import (
     MISSING,
+    clean,
+    count,
     interval,
     level,
     p_phrase,
@@ -27,9 +29,7 @@ from study.reporting.content.numbers import (
     share,
     significant,
 )
-from study.reporting.content.text import clean, count
-from study.reporting.figures import accuracy_figures
-from study.reporting.figures.registry import Plot
+from study.reporting.figures.axes import Plot
 from study.reporting.output.write import answer_blocks, write_answer
 
 # What a report says of a scanned surface: its answers in sentences, and its tables.
@@ -291,6 +291,8 @@ def _tracker_poses(reference: ReferenceResult) -> Table:
 
 def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
     """Write the page of a tracker: stages, stops and poses."""
+    from study.reporting.figures import accuracy_figures
+
     plots: dict[str, Plot] = {}
     tables = []
     if (distance := accuracy.distance) is not None:
@@ -333,6 +335,8 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
 
 def write_shape(deviation: ShapeDeviation, out_dir: str | Path) -> Path:
     """Write the page of a scanned surface."""
+    from study.reporting.figures import accuracy_figures
+
     frame = accuracy_figures.deviation_points(deviation)
     plots: dict[str, Plot] = {
         "shape-histogram": (

@@ -23,11 +23,10 @@ from study.reporting.content.blocks import (
     Sentence,
     titled,
 )
+from study.reporting.content.effect_words import normality_phrase
 from study.reporting.content.report_facts import Facts, facts
-from study.reporting.content.text import clean, count, sentence
-from study.reporting.content.verdicts import normality_phrase
-from study.reporting.figures import registry, residual_figures
-from study.reporting.figures.registry import Plot, made, slug
+from study.reporting.content.text import capital, clean, count, sentence, slug
+from study.reporting.figures.axes import Plot, made
 from study.reporting.output import study_page, write
 from study.reporting.output.page import Page, Pages, page_names, replace_file
 from study.statistics.analysis.post_hoc import (
@@ -65,14 +64,14 @@ def prepare(
 
     ``rows`` have fit, residuals, leverage and Cook's distance.
     """
+    from study.reporting.figures import registry
+
     (item,) = facts(data)
     unusual = unusual_observations(analysis)
     figures = _figures(analysis, data, item, rows, unusual)
-    stem, lines = _stem(analysis, data), answer(data, item)
-    effects = registry.overview(data, (item,))
-    first = study_page.first_page(
-        data, (item,), stem, item.title, study_page.in_few(lines), effects, rows="rows.csv"
-    )
+    stem, lines = _stem(analysis, data), sentences.answer(data, (item,))
+    effects, name = registry.overview(data, (item,)), capital(item.title)
+    first = study_page.first_page(data, (item,), stem, name, effects, rows="rows.csv")
     warnings = [sentence(clean(text)) for text in dict.fromkeys((*data.warnings, *analysis.notes))]
     blocks: list[Block | None] = [
         study_page.EFFECTS,
@@ -102,7 +101,7 @@ def prepare(
     second = Page(
         title=f"{item.title}, {data.name}: details",
         kicker=first.kicker,
-        name=item.title[0].upper() + item.title[1:],
+        name=name,
         question=data.question,
         blocks=blocks,
         back=page_names(stem)[0],
@@ -193,6 +192,8 @@ def _figures(
     unusual: UnusualObservations | None,
 ) -> dict[str, Figure]:
     """Figures of a study's response, with Minitab's residual plots for the study's."""
+    from study.reporting.figures import registry, residual_figures
+
     without = {"residuals"}
     if len(data.table) > MOST_ROWS_DRAWN or len(analysis.data.cell_means) > MOST_CELLS:
         without |= {"cells"}
@@ -231,15 +232,6 @@ def _figures(
         ),
     }
     return drawn | made(plots, slug(item.name), item.title)
-
-
-def answer(data: ReportData, item: Facts) -> tuple[str, ...]:
-    """Answer first: verdicts where a smallest difference that matters was given, else tests."""
-    if not item.terms:
-        return tuple(sentence(clean(note)) for note in item.warnings) or ("Nothing to analyze.",)
-    if any(effect.practical is not None for effect in item.effects):
-        return sentences.answer(data, (item,))
-    return (sentences.tested(data, item), sentences.without_size(data, (item,)))
 
 
 def _stem(analysis: AnalysisResult, data: ReportData) -> str:

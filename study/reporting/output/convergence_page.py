@@ -12,10 +12,17 @@ from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
 from study.reporting.content.blocks import Block, Document, Table, Verbatim
-from study.reporting.content.numbers import MISSING, general, quantity, significant
-from study.reporting.content.text import clean, name_of, sentence
-from study.reporting.figures import convergence_figures as convergence
-from study.reporting.figures.registry import Plot
+from study.reporting.content.tables import label_of
+from study.reporting.content.text import (
+    MISSING,
+    clean,
+    general,
+    name_of,
+    quantity,
+    sentence,
+    significant,
+)
+from study.reporting.figures.axes import Plot
 from study.reporting.output.write import answer_blocks, write_answer
 
 if TYPE_CHECKING:
@@ -43,7 +50,7 @@ def write_convergence(
     plots = convergence_plots(cells, document.get("fronts", ()), meshes, window)
     tables = [series_table(cells), *sources_tables(cells)]
     warnings = [
-        f"{convergence.label_of(cell)}: {text}" if len(cells) > 1 else str(text)
+        f"{label_of(cell)}: {text}" if len(cells) > 1 else str(text)
         for cell in cells
         for text in cell.get("warnings") or ()
     ]
@@ -58,6 +65,8 @@ def convergence_plots(
     window: ArrayLike | None = None,
 ) -> dict[str, Plot]:
     """Value against size, error against size, error against seconds, meshes."""
+    from study.reporting.figures import convergence_figures as convergence
+
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
     plots: dict[str, Plot] = {}
     if shown:
@@ -88,10 +97,12 @@ def convergence_plots(
 def _front(front: Document) -> Plot:
     import pandas as pd
 
+    from study.reporting.figures.convergence_figures import draw_front
+
     return (
         "Error against seconds",
         lambda: pd.DataFrame(front["points"]),
-        lambda frame: convergence.draw_front(frame, float(front["accuracy"])),
+        lambda frame: draw_front(frame, float(front["accuracy"])),
         lambda _: sentence(front["answer"]),
     )
 
@@ -146,13 +157,13 @@ def series_table(cells: Sequence[Document]) -> Table:
             if u is not None and q["value"][0]:
                 share += f" ({100 * u / abs(q['value'][0]):.2g} %)"
             rows.append((
-                clean(convergence.label_of(cell)), name_of(str(name)),
+                clean(label_of(cell)), name_of(str(name)),
                 f"{significant(q['value'][0], 4)} {clean(q['unit'])}".strip(),
                 significant(q["extrapolated"], 4), significant(q["observed_order"]),
                 significant(q["formal_order"]), share, clean(str(q["behaviour"])),
             ))  # fmt: skip
             raw.append({
-                "cell": convergence.label_of(cell), "quantity": name, "unit": q["unit"],
+                "cell": label_of(cell), "quantity": name, "unit": q["unit"],
                 "finest_value": q["value"][0], "extrapolated": q["extrapolated"],
                 "observed_order": q["observed_order"], "formal_order": q["formal_order"],
                 "u_num": u, "gci_fine": q["gci_fine"], "behaviour": q["behaviour"],
@@ -172,8 +183,8 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
             if share is not None and 0 < share < SMALLEST_PART:  # no one can measure it
                 part = "< " + quantity(100 * SMALLEST_PART, "%", 1)
             name = name_of(str(row["quantity"]))
-            rows.append((clean(convergence.label_of(cell)), name, clean(row["source"]), part))
-            raw.append({"cell": convergence.label_of(cell)} | {
+            rows.append((clean(label_of(cell)), name, clean(row["source"]), part))
+            raw.append({"cell": label_of(cell)} | {
                 k: row[k] for k in ("quantity", "source", "unit", "u", "relative")
             })  # fmt: skip
     if not rows:

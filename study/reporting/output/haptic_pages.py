@@ -15,22 +15,8 @@ from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, p
 from study.laboratory.sensors.requirement import sentences as requirement_sentences
 from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.blocks import Table
-from study.reporting.content.numbers import MISSING, significant
-from study.reporting.content.text import clean
-from study.reporting.figures.axes import (
-    BAND,
-    INK,
-    MUTED,
-    RULE,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    log_ticks,
-    note,
-    one_panel,
-    plain_ticks,
-)
-from study.reporting.figures.registry import Plot
+from study.reporting.content.text import MISSING, clean, significant
+from study.reporting.figures import axes as style
 from study.reporting.output.write import answer_blocks, write_answer
 
 if TYPE_CHECKING:
@@ -43,7 +29,7 @@ def write_force_law(
 ) -> Path:
     """Write the page of a force law."""
     uncertain = law.covariance is not None
-    plots: dict[str, Plot] = {
+    plots: dict[str, style.Plot] = {
         "force-law": (
             "Force, stiffness, sensitivity",
             lambda: law_points(law),
@@ -100,7 +86,7 @@ def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
     if any(simulation.scatters for simulation in sensors.simulations):
         tables.append(simulations(sensors))
     limit = 100 * sensors.accuracy
-    plots: dict[str, Plot] = {
+    plots: dict[str, style.Plot] = {
         "requirement-map": (
             "Position against force accuracy",
             lambda: map_points(sensors),
@@ -136,24 +122,29 @@ def warnings(sensors: SensorRequirement) -> list[str]:
 
 def errors(sensors: SensorRequirement) -> Table:
     """Every error: as given, and as large as it may be."""
-    rows, raw = [], []
-    for k, source in enumerate(sensors.propagation.sources):
-        alone, jointly = sensors.allowed(k)
-        rows.append((
-            source.sensor, source.name, size(source, source.given), size(source, alone),
-            size(source, jointly),
-        ))  # fmt: skip
-        raw.append({
-            "sensor": source.sensor, "error": source.name, "unit": source.unit or "1",
-            "given": source.given, "allowed_alone": alone, "allowed_beside": jointly,
-        })  # fmt: skip
     limit = percent(sensors.accuracy)
-    columns = ("sensor", "error", "given", "allowed alone", "allowed beside the others")
     note = (
         f"For {limit} (k = {sensors.coverage:g}) of every constant: alone, with all other errors "
         "zero; beside the others as given (none: they are too large already)."
     )
-    return Table("Errors", columns, tuple(rows), 2, raw=tuple(raw), note=note)
+    every = [(s, *sensors.allowed(k)) for k, s in enumerate(sensors.propagation.sources)]
+    return Table.of(
+        "Errors",
+        every,
+        {
+            "sensor": lambda of: of[0].sensor,
+            "error": lambda of: of[0].name,
+            "given": lambda of: size(of[0], of[0].given),
+            "allowed alone": lambda of: size(of[0], of[1]),
+            "allowed beside the others": lambda of: size(of[0], of[2]),
+        },
+        left=2,
+        note=note,
+        raw=lambda of: {
+            "sensor": of[0].sensor, "error": of[0].name, "unit": of[0].unit or "1",
+            "given": of[0].given, "allowed_alone": of[1], "allowed_beside": of[2],
+        },
+    )  # fmt: skip
 
 
 def quantities(sensors: SensorRequirement) -> Table:
@@ -175,18 +166,25 @@ def quantities(sensors: SensorRequirement) -> Table:
 
 def simulations(sensors: SensorRequirement) -> Table:
     """Scatter in simulated tests beside that of first order."""
-    rows, raw = [], []
-    for run in sensors.simulations:
-        for s in run.scatters:
-            rows.append((
-                f"{run.multiple:g}", s.name, f"{s.ratio:.3f}", f"{s.ratio_error:.3f}",
-                f"{s.bias:+.2f}", "first order holds" if s.is_linear else "first order fails",
-            ))  # fmt: skip
-            raw.append({"multiple": run.multiple, "samples": run.samples, "failed": run.failed,
-                        **vars(s)})  # fmt: skip
-    columns = ("multiple", "quantity", "scatter over first order", "its error", "shift", "verdict")
-    note = "The shift of the mean is in standard deviations."
-    return Table("Simulated tests", columns, tuple(rows), 2, 1, raw=tuple(raw), note=note)
+    return Table.of(
+        "Simulated tests",
+        [(run, s) for run in sensors.simulations for s in run.scatters],
+        {
+            "multiple": lambda of: f"{of[0].multiple:g}",
+            "quantity": lambda of: of[1].name,
+            "scatter over first order": lambda of: f"{of[1].ratio:.3f}",
+            "its error": lambda of: f"{of[1].ratio_error:.3f}",
+            "shift": lambda of: f"{of[1].bias:+.2f}",
+            "verdict": lambda of: f"first order {'holds' if of[1].is_linear else 'fails'}",
+        },
+        left=2,
+        tail=1,
+        note="The shift of the mean is in standard deviations.",
+        raw=lambda of: {
+            "multiple": of[0].multiple, "samples": of[0].samples, "failed": of[0].failed,
+            **vars(of[1]),
+        },
+    )  # fmt: skip
 
 
 # Drawings of both pages.
@@ -221,26 +219,26 @@ def draw_law(frame: pd.DataFrame, knots_mm: np.ndarray) -> Canvas:
 
     Shapes: knots_mm (n,).
     """
-    figure = canvas(WIDTH_IN, 3.2)
+    figure = style.canvas(3.2)
     axes = figure.subplots(1, 3)
     d = frame["displacement_mm"].to_numpy(float)
     tested = frame["tested"].to_numpy(bool)
     columns = ("force_N", "stiffness_N_per_mm")
     for ax, column, label in zip(axes, columns, ("force (N)", "stiffness (N/mm)"), strict=False):
         y = frame[column].to_numpy(float)
-        ax.plot(d[tested], y[tested], color=color_of(0))
+        ax.plot(d[tested], y[tested], color=style.color_of(0))
         for outside in (d <= 0, d >= d[tested].max()):
-            ax.plot(d[outside], y[outside], color=MUTED, linestyle=(0, (3, 2)))
-        ax.plot(knots_mm, np.interp(knots_mm, d, y), "o", color=INK, markersize=2.5)
+            ax.plot(d[outside], y[outside], color=style.MUTED, linestyle=(0, (3, 2)))
+        ax.plot(knots_mm, np.interp(knots_mm, d, y), "o", color=style.INK, markersize=2.5)
         ax.set_ylabel(label)
     for k, name in enumerate(c for c in frame.columns if c.startswith("change_by_")):
         label = name.removeprefix("change_by_").removesuffix("_N")
         y = frame[name].to_numpy(float)
-        axes[2].plot(d[tested], y[tested], color=color_of(k + 1), label=label)
+        axes[2].plot(d[tested], y[tested], color=style.color_of(k + 1), label=label)
     axes[2].set_ylabel(f"change by {100 * SHARE:g} % of a constant (N)")
     axes[2].legend(loc="upper left")
     for ax in axes:
-        ax.axhline(0, color=RULE, linewidth=0.6, zorder=0)
+        ax.axhline(0, color=style.RULE, linewidth=0.6, zorder=0)
         ax.set_xlabel("displacement (mm)")
     return figure
 
@@ -262,13 +260,13 @@ def deviation_points(law: ForceLaw) -> pd.DataFrame:
 
 def draw_deviation(frame: pd.DataFrame) -> Canvas:
     """Draw the law less the simulation at the points kept out, within the error bound."""
-    figure, ax = one_panel(WIDTH_IN, 2.2)
+    figure, ax = style.one_panel(2.2)
     d, off = frame["displacement_mm"].to_numpy(float), frame["deviation_N"].to_numpy(float)
     bound = float(frame["error_bound_N"].max())
-    ax.axhspan(-bound, bound, color=BAND)
-    ax.axhline(0, color=RULE, linewidth=0.6)
-    ax.vlines(d, 0, off, color=color_of(0), linewidth=1.0)
-    ax.plot(d, off, "o", color=color_of(0), markersize=3.5)
+    ax.axhspan(-bound, bound, color=style.BAND)
+    ax.axhline(0, color=style.RULE, linewidth=0.6)
+    ax.vlines(d, 0, off, color=style.color_of(0), linewidth=1.0)
+    ax.plot(d, off, "o", color=style.color_of(0), markersize=3.5)
     ax.set_xlabel("displacement (mm)")
     ax.set_ylabel("law less simulation (N)")
     return figure
@@ -298,7 +296,7 @@ def map_points(sensors: SensorRequirement) -> pd.DataFrame:
 
 def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
     """Draw lines of equal uncertainty over the errors of both sensors, for constants and force."""
-    figure = canvas(WIDTH_IN, 4.0)
+    figure = style.canvas(4.0)
     axes = figure.subplots(1, 2, sharey=True)
     n = MULTIPLES.size
     x, y = (frame[c].to_numpy(float).reshape(n, n) for c in ("position_multiple", "force_multiple"))
@@ -308,16 +306,16 @@ def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
         # before the lines: their labels are placed where they are seen
         ax.set_xscale("log")
         ax.set_yscale("log")
-        ax.contourf(x, y, z, [0, wanted_percent], colors=[color_of(2)], alpha=0.15)
+        ax.contourf(x, y, z, [0, wanted_percent], colors=[style.color_of(2)], alpha=0.15)
         other = [level for level in LEVELS if abs(level / wanted_percent - 1) > 0.01]
         levels = [level for level in other if z.min() < level < z.max()]
-        lines = ax.contour(x, y, z, levels, colors=[MUTED], linewidths=0.8)
+        lines = ax.contour(x, y, z, levels, colors=[style.MUTED], linewidths=0.8)
         ax.clabel(lines, fmt=lambda level: f"{level:g} %", fontsize=7.5)
-        limit = ax.contour(x, y, z, [wanted_percent], colors=[color_of(2)], linewidths=2.0)
+        limit = ax.contour(x, y, z, [wanted_percent], colors=[style.color_of(2)], linewidths=2.0)
         ax.clabel(limit, fmt=lambda level: f"{level:g} %", fontsize=7.5)
-        ax.plot([1], [1], "o", color=INK, markersize=5)
-        note(ax, "as given", (1, 1), (6, 5))
-        log_ticks(ax)
+        ax.plot([1], [1], "o", color=style.INK, markersize=5)
+        style.note(ax, "as given", (1, 1), (6, 5))
+        style.log_ticks(ax)
         ax.set_title(title)
         ax.set_xlabel("position errors, multiple of those given")
     axes[0].set_ylabel("force errors, multiple of those given")
@@ -344,15 +342,14 @@ def part_points(sensors: SensorRequirement) -> pd.DataFrame:
 def draw_parts(frame: pd.DataFrame) -> Canvas:
     """Draw a group of bars for each error, a bar for each quantity."""
     errors, names = list(dict.fromkeys(frame["error"])), list(dict.fromkeys(frame["quantity"]))
-    figure, ax = one_panel(WIDTH_IN, 0.8 + 0.22 * len(errors) * (len(names) + 0.6))
+    figure, ax = style.one_panel(0.8 + 0.22 * len(errors) * (len(names) + 0.6))
     height = 0.8 / len(names)
     for k, name in enumerate(names):
         part = frame[frame["quantity"] == name].set_index("error")["percent"]
         places = np.arange(len(errors)) + (k - (len(names) - 1) / 2) * height
-        ax.barh(places, [part[e] for e in errors], height, color=color_of(k), label=name)
+        ax.barh(places, [part[e] for e in errors], height, color=style.color_of(k), label=name)
     ax.set_yticks(range(len(errors)), errors)
     ax.invert_yaxis()
     ax.set_xlabel("standard uncertainty, percent of the value")
     ax.legend(loc="lower right")
-    plain_ticks(ax, "x")
     return figure

@@ -13,9 +13,8 @@ from study.harness.record.atomic_files import write_atomic, write_error
 from study.harness.record.folder import own_folder
 from study.reporting.content import methods
 from study.reporting.content.blocks import Block, Figure, Heading, Sentence, Table, flat
-from study.reporting.content.text import clean, sentence
-from study.reporting.content.verdicts import VERDICTS
-from study.reporting.figures.registry import slug
+from study.reporting.content.effect_words import VERDICTS
+from study.reporting.content.text import clean, sentence, slug
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -135,7 +134,7 @@ def page_names(stem: str) -> tuple[str, str]:
 
 def printed(first: str, second: str) -> str:
     """Return both pages as one document, as a printer wants them."""
-    return first.partition("</main>")[0] + second.partition("<main>")[2]
+    return f"{first.partition('</main>')[0]}</main>\n<main>{second.partition('<main>')[2]}"
 
 
 def table_script() -> Markup:

@@ -17,7 +17,6 @@ from study.reporting.content import (
     sentences,
     surface_content,
     tables,
-    verdicts,
 )
 from study.reporting.content.blocks import (
     Block,
@@ -34,19 +33,19 @@ from study.reporting.content.blocks import (
     Verbatim,
     titled,
 )
-from study.reporting.content.numbers import duration
 from study.reporting.content.report_facts import Facts, facts, grouped_inputs
 from study.reporting.content.text import (
+    capital,
     clean,
     count,
-    folded,
+    duration,
     listing,
     name_of,
     plural_of,
     sentence,
+    slug,
 )
-from study.reporting.figures import convergence_figures, registry, surface_figures
-from study.reporting.figures.registry import slug
+from study.reporting.figures.axes import made
 from study.reporting.output.page import Page, Pages, page_names
 from study.reporting.results.study_result import FITTED_CURVE, ReportData
 
@@ -56,7 +55,7 @@ if TYPE_CHECKING:
 EFFECTS = Heading("Effects in full", 2, "answer")
 IF_VIOLATED = (
     Heading("What happens if they are violated"),
-    Definitions.of(verdicts.WHAT_IF),
+    Definitions.of(effect_words.WHAT_IF),
 )
 GLOSSARY = (Heading("Glossary", 2, "glossary"), Definitions.of(methods.TERMS.items()))
 
@@ -65,19 +64,21 @@ _VERSION = "version of "
 
 def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     """Compute every sentence, table and figure of a report."""
+    from study.reporting.figures import registry, surface_figures
+
     of_study = partial(registry.of_study, data)
     figures = of_study if worker is None else worker.begin(of_study)
     all_facts = facts(data)
     of_each = {item.name: registry.of_response(data, item) for item in all_facts}
     shapes = {surface_content.title(one, data): one for one in data.surfaces}
     over = {
-        title: registry.made(surface_figures.drawings(one, data), f"surface-{slug(title)}", title)
+        title: made(surface_figures.drawings(one, data), f"surface-{slug(title)}", title)
         for title, one in shapes.items()
     }
     effects = registry.overview(data, all_facts)
     shares = next((of["shares"] for of in over.values() if "shares" in of), None)
     if shares is not None and effects is None:
-        effects = registry.renamed(shares, "overview")
+        effects = replace(shares, name="overview")
     parts = [(item, of_each[item.name]) for item in all_facts if item.terms or not shapes]
     middle: list[Block | None] = []
     for title, one in shapes.items():
@@ -87,15 +88,8 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     middle += [block for part in parts for block in _response(data, *part)]
     of_all = figures()
     stem = slug(data.name)
-    first = first_page(
-        data,
-        all_facts,
-        stem,
-        data.name,
-        short_answer(data, all_facts),
-        effects,
-        of_all.get("few-curves", of_all.get("curves")),
-    )
+    curves = of_all.get("few-curves", of_all.get("curves"))
+    first = first_page(data, all_facts, stem, data.name, effects, curves)
     second = Page(
         title=f"{data.name}: details",
         kicker=first.kicker,
@@ -135,12 +129,12 @@ def first_page(
     all_facts: Sequence[Facts],
     stem: str,
     name: str,
-    answer: Sequence[str],
     effects: Figure | None,
     curves: Figure | None = None,
     rows: str = "cases.csv",
 ) -> Page:
     """Question, answer, effects, checks, curves, what to do."""
+    answer = in_few((*sentences.answer(data, all_facts, is_short=True), *_held(data)))
     advice = what_to_do(data, all_facts)
     would_change = recommendation.would_change(data, all_facts)
     blocks: list[Block] = [Heading("Answer", 2, "answer"), *map(Sentence, answer)]
@@ -174,32 +168,9 @@ def first_page(
 
 # The first page in words: an answer of few sentences, a line for every check, what to do.
 
-#: sentences of the answer, and responses that it speaks of one by one
+#: sentences of the answer
 MOST_SENTENCES = 5
-MOST_RESPONSES = 3
 _END = re.compile(r"(?<=[.?!])\s+(?=[A-Z\N{MULTIPLICATION SIGN}])")
-
-
-def short_answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
-    """Answer in at most five sentences: verdicts first, then the best setting and the doubts."""
-    analyzed = [facts for facts in all_facts if facts.terms]
-    if not analyzed:
-        return in_few(sentences.answer(data, all_facts))
-    lines = [sentences.verdicts_of(data, facts) for facts in analyzed[:MOST_RESPONSES]]
-    if len(analyzed) > MOST_RESPONSES:
-        more = count(len(analyzed) - MOST_RESPONSES, "more response")
-        lines.append(f"The figure below shows the effects on {more}.")
-    ranked = (
-        *lines,
-        *comparison_content.answer_lines(data.beside, data.labels),
-        *sentences.left_out(data, all_facts),
-        sentences.without_verdict(all_facts),
-        recommendation.best_cell(data, all_facts) if any(f.better for f in analyzed) else "",
-        *effect_words.unknowns(data, all_facts),
-        *effect_words.by_condition(data, all_facts),
-        sentences.interactions(data, all_facts),
-    )
-    return in_few(ranked)
 
 
 def in_few(lines: Iterable[str]) -> tuple[str, ...]:
@@ -235,7 +206,10 @@ def _card_line(group: CheckGroup) -> tuple[str, str, str]:
 def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     """Recommendation of every response that has a better end; why there is none otherwise."""
     if data.surfaces and not any(facts.terms for facts in all_facts):
-        where = {surface_content.title(one, data): one for one in data.surfaces[:MOST_RESPONSES]}
+        where = {
+            surface_content.title(one, data): one
+            for one in data.surfaces[: sentences.MOST_RESPONSES]
+        }
         return tuple(
             sentence(f"{name}: {' '.join(ends)}")
             for name, one in where.items()
@@ -264,10 +238,14 @@ def _linked(words: str, links: Mapping[str, str], folder: str) -> Sentence:
     return Sentence(words, kind="note", links=addresses)
 
 
+def _held(data: ReportData) -> tuple[str, ...]:
+    """Say how many conclusions hold in the other study too; empty without one."""
+    return comparison_content.summary(data.beside, data.labels)[:1] if data.beside else ()
+
+
 def _effects(data: ReportData, all_facts: Sequence[Facts], files: str) -> Iterator[Block]:
     yield EFFECTS
-    yield from map(Sentence, sentences.answer(data, all_facts))
-    yield from map(Sentence, comparison_content.answer_lines(data.beside, data.labels))
+    yield from map(Sentence, (*sentences.answer(data, all_facts), *_held(data)))
     table = tables.verdicts(all_facts, data)
     anchors = {item.title: anchor_of(item) for item in all_facts}
     yield replace(table, links=tuple(anchors[row[0]] for row in table.rows))
@@ -376,7 +354,7 @@ def _checks(
             "be said of the model."
         )
         yield figures["validation"]
-        yield convergence_figures.table(data.validation, data.block)
+        yield tables.validation(data.validation, data.block)
     if data.controls:
         yield Heading("Controls")
         yield Checks.of(data.controls)
@@ -401,7 +379,7 @@ def drawn(figures: Mapping[str, Figure], *kinds: str) -> Iterator[Figure]:
 def _response(
     data: ReportData, item: Facts, figures: Mapping[str, Figure]
 ) -> Iterator[Block | None]:
-    yield Heading(item.title[0].upper() + item.title[1:], 2, anchor_of(item), item.unit)
+    yield Heading(capital(item.title), 2, anchor_of(item), item.unit)
     if item.result is None or not item.terms:
         yield Sentence(f"Not analyzed. {' '.join(item.warnings)}", kind="missing")
         return
@@ -434,7 +412,7 @@ def _expected(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
             "one whose interval lies above the other's; a cell behind the best by less than what "
             "matters may be the best."
         )
-        yield verdicts.table(data, all_facts)
+        yield effect_words.table(data, all_facts)
 
 
 def _beside(data: ReportData) -> Iterator[Block]:
@@ -456,7 +434,7 @@ def _assumptions(
     yield Heading("Assumptions", 2, "assumptions")
     for item, figures in parts:
         if item.result is not None and item.terms:
-            yield Heading(item.title[0].upper() + item.title[1:])
+            yield Heading(capital(item.title))
             yield analysis_content.checks(item.result, f"tests of assumptions {item.name}")
             yield from drawn(figures, "residuals", "spread")
     yield from IF_VIOLATED
@@ -565,4 +543,4 @@ def _warnings(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     over = bool(data.surfaces)  # a table of levels that a surface replaces is not missed
     read = [item for item in all_facts if item.terms or not over]
     pairs = [(item.title, warning) for item in read for warning in item.warnings]
-    return (*dict.fromkeys(data.warnings), *folded(pairs, data))
+    return (*dict.fromkeys(data.warnings), *sentences.folded(pairs, data))

@@ -38,10 +38,9 @@ from study.reporting.content.blocks import (
     titled,
 )
 from study.reporting.content.methods import paragraph
-from study.reporting.content.numbers import MINUS, MISSING, THIN, TIMES
 from study.reporting.content.report_facts import facts
-from study.reporting.content.text import clean
-from study.reporting.figures.registry import Plot, data_alone, make, slug
+from study.reporting.content.text import MINUS, MISSING, THIN, TIMES, capital, clean, slug
+from study.reporting.figures.axes import Plot, data_alone, make
 from study.reporting.output.page import (
     Page,
     Pages,
@@ -201,7 +200,7 @@ def write_answer(
     folder, title = Path(out_dir), clean(name)
     stem = f"{slug(name)}-{stem or slug(kind)}"
     files = data_folder(folder, stem)
-    kicker = kind[0].upper() + kind[1:]
+    kicker = capital(kind)
     page = Page(f"{title}: {kind}", kicker, title, clean(question), list(blocks))
     write_figures(files, page.figures.values(), drawn=False)
     write_tables(files, page.tables.values())

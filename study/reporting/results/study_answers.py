@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
+from study.ground.canonical import Json, plain
 from study.harness.design.factors import settings_of
 from study.harness.design.spec import Design, Factor
 from study.harness.record.record import Record
@@ -236,37 +235,28 @@ class Recommendation:
     confirmed: Confirmed | None = None
     notes: tuple[str, ...] = ()
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> dict[str, Json]:
         """Plain values."""
-        limits = [
-            {"limit": bound.words, "response": bound.response, "unit": bound.unit, "value": value,
-             "low": low, "high": high}
-            for bound, (value, low, high) in zip(self.bounds, self.limited, strict=True)
-        ]  # fmt: skip
+        of_each = zip(self.bounds, self.limited, strict=True)
         run = self.confirmed
-        confirmed: dict[str, object] | None = None
-        if run is not None:
-            values = {n: v if np.isfinite(v) else None for n, v in run.values.items()}
-            confirmed = {"settings": dict(run.settings), "values": values,
-                    "inside_interval": run.predicted, "keeps_limits": run.kept}  # fmt: skip
-        return {
-            "goal": self.goal,
-            "response": self.response,
-            "unit": self.unit,
-            "settings": dict(self.settings),
-            "held": dict(self.held),
-            "units": dict(self.units),
-            "value": self.value,
-            "low": self.low,
-            "high": self.high,
-            "limits": limits,
+        names = ("goal", "response", "unit", "settings", "held", "units", "value", "low", "high")
+        answer: dict[str, object] = {
+            **{name: getattr(self, name) for name in (*names, "notes")},
+            "limits": [
+                {"limit": bound.words, "response": bound.response, "unit": bound.unit}
+                | dict(zip(("value", "low", "high"), predicted, strict=True))
+                for bound, predicted in of_each
+            ],
             "limits_hold": self.assurance or None,
-            "at_end_of_range": list(self.at_end),
-            "over_what_is_not_chosen": None if self.spread is None else vars(self.spread),
-            "rivals": [{"settings": dict(at), "value": value} for at, value in self.rivals],
-            "confirmed": confirmed,
-            "notes": list(self.notes),
-        }
+            "at_end_of_range": self.at_end,
+            "over_what_is_not_chosen": self.spread,
+            "rivals": [{"settings": at, "value": value} for at, value in self.rivals],
+            "confirmed": None if run is None else {
+                "settings": run.settings, "values": run.values,
+                "inside_interval": run.predicted, "keeps_limits": run.kept,
+            },
+        }  # fmt: skip
+        return plain(answer)
 
 
 # All inputs of a study that agree with a measured curve, as they are told.
@@ -305,6 +295,10 @@ class Checked:
     rms: float
     #: Whether it is no more than the limit.
     agrees: bool
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        return {"settings": self.settings, "rms_N": self.rms, "agrees": self.agrees}
 
 
 @dataclass(frozen=True)
@@ -349,28 +343,17 @@ class Inverted:
             )
         return f"the curve does not determine {', '.join(loose)} inside of what was run"
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> dict[str, Json]:
         """Plain values."""
-        return {
+        names = ("sentence", "held", "units", "rows", "q2", "members", "notes")
+        answer: dict[str, object] = {
+            **{name: getattr(self, name) for name in names},
             "inputs": [vars(item) | {"verdict": item.verdict} for item in self.inputs],
-            "combinations": [
-                vars(product) | {"words": product.words} for product in self.combinations
-            ],
-            "sentence": self.sentence,
-            "held": dict(self.held),
-            "units": dict(self.units),
+            "combinations": [vars(item) | {"words": item.words} for item in self.combinations],
             "rms_N": self.rms,
             "limit_N": self.limit,
             "relative_rms": self.relative,
-            "rows": self.rows,
-            "q2": self.q2,
-            "members": [dict(member) for member in self.members],
-            "best_run": None if self.best_run is None else _run_json(self.best_run),
-            "end_runs": [_run_json(run) for run in self.end_runs],
-            "notes": list(self.notes),
+            "best_run": None if self.best_run is None else self.best_run.to_json(),
+            "end_runs": [run.to_json() for run in self.end_runs],
         }
-
-
-def _run_json(run: Checked) -> dict[str, object]:
-    rms = run.rms if np.isfinite(run.rms) else None
-    return {"settings": dict(run.settings), "rms_N": rms, "agrees": run.agrees}
+        return plain(answer)
