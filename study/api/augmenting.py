@@ -22,6 +22,7 @@ from study.api.fitting_surfaces import (
 )
 from study.api.folders import load_design
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, StudyError
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import share_of, words_of
@@ -259,8 +260,10 @@ _SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "ada
 
 
 @dataclass(frozen=True)
-class Augmentation:
+class Augmentation(Keyed):
     """Cells to be run besides those of a design."""
+
+    KEYS = "cells terms efficiency design=table"
 
     #: Level of every factor, by its label.
     cells: tuple[Mapping[str, str], ...]
@@ -271,14 +274,10 @@ class Augmentation:
     before: float
     after: float
 
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study plan --augment --json``."""
-        return {
-            "cells": [dict(cell) for cell in self.cells],
-            "terms": list(self.terms),
-            "efficiency": {"before": self.before, "after": self.after},
-            "design": self.table(),
-        }
+    @property
+    def efficiency(self) -> dict[str, float]:
+        """D-efficiency without and with the further cells."""
+        return {"before": self.before, "after": self.after}
 
     def table(self) -> str:
         """Write the table ``[design]`` with all cells: records of those that are done are kept."""

@@ -39,7 +39,6 @@ from study.laboratory.haptics.haptic_export import (
 from study.laboratory.haptics.tabulated_force import ForceLaw
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement
-from study.laboratory.sensors.requirement import document as requirement_document
 from study.laboratory.shape.boundary import DeformedMesh, SimulatedBody, body_of_mesh, read_body
 from study.laboratory.shape.scan import read_markers, read_scan
 from study.laboratory.shape.shape_deviation import ShapeDeviation, ShapeOptions, judge_shape
@@ -359,21 +358,6 @@ def export(
 SOLUTIONS_A_TEST = 6
 
 
-@dataclass(frozen=True)
-class Required:
-    """What the sensors must be, and the page that says so."""
-
-    requirement: SensorRequirement
-    page: Path
-    #: Where first order does not hold.
-    warnings: tuple[str, ...]
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study require --json``."""
-        document = requirement_document(self.requirement)
-        return {**document, "report": str(self.page), "warnings": list(self.warnings)}
-
-
 def require(
     source: str | Path,
     *,
@@ -381,7 +365,7 @@ def require(
     jobs: int | None = None,
     out: str | Path = REPORTS,
     progress: Callable[[str], None] | None = None,
-) -> Required:
+) -> SensorRequirement:
     """Say how uncertain sensors make constants and force, and what they must be.
 
     Parameters
@@ -400,7 +384,7 @@ def require(
 
     Returns
     -------
-    Required
+    SensorRequirement
         The numbers, and the page that was written.
 
     Raises
@@ -420,7 +404,8 @@ def require(
         time = duration(seconds).replace(THIN, " ")
         progress(f"{tests} simulated tests on {workers} workers, predicted to take {time}")
     sensors = sensor_requirement(file, workers, progress)
-    return Required(sensors, write_requirement(sensors, out), tuple(warnings(sensors)))
+    page = write_requirement(sensors, out)
+    return replace(sensors, report=str(page), warnings=tuple(warnings(sensors)))
 
 
 # The surfaces of a study as functions that need no package.

@@ -8,9 +8,9 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from study.api.folders import (
     results_folder,
 )
 from study.api.manifest import run_changes
+from study.ground.canonical import Keyed, plain
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.overview import Overview, overview
 from study.harness.design.spec import Design
@@ -93,8 +94,16 @@ def seconds_left(runner: Mapping[str, Any] | None) -> float | None:
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(Keyed):
     """A design before it runs."""
+
+    KEYS = (
+        "study=design.name cases=counts predicted_seconds report verdicts warnings blocks fits "
+        "controls memory_MB program_calls commands commands_digest=digest design=overview.to_json"
+    )
+    #: what a study that has run has besides
+    report: ClassVar[None] = None
+    verdicts: ClassVar[tuple[()]] = ()
 
     design: Design
     #: Matrix, exclusions, what each factor can tell.
@@ -138,28 +147,12 @@ class Plan:
             "missing": self.missing,
         }
 
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study plan --json``."""
-        rule, adaptive = self.design.scheme.sequential, dict[str, object]()
-        if rule is not None:
-            adaptive["adaptive"] = asdict(rule) | {"most_seconds": self.most_seconds}
-        return {
-            "study": self.design.name,
-            "cases": self.counts,
-            "predicted_seconds": self.predicted_seconds,
-            "report": None,
-            "verdicts": [],
-            "warnings": list(self.warnings),
-            "blocks": list(self.blocks),
-            "fits": self.fits,
-            "controls": self.controls,
-            "memory_MB": self.memory_MB,
-            "program_calls": self.program_calls,
-            "commands": list(self.commands),
-            "commands_digest": self.digest,
-            "design": self.overview.to_json(),
-            **adaptive,
-        }
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key; of an adaptive design also how it goes on."""
+        rule = self.design.scheme.sequential
+        if rule is None:
+            return super().keyed()
+        return super().keyed() | {"adaptive": {**plain(rule), "most_seconds": self.most_seconds}}
 
 
 def plan(

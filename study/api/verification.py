@@ -23,6 +23,7 @@ from study.api.folders import REPORTS, RESULTS, design_root, finished_manifest, 
 from study.api.opened_study import load as load_study
 from study.api.study import report
 from study.ground.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, StoreError
 from study.harness.design.load import loads
 from study.harness.record.store import Store
@@ -65,8 +66,13 @@ class Difference:
 
 
 @dataclass
-class Verification:
+class Verification(Keyed):
     """What a report was found to hold."""
+
+    KEYS = (
+        "agrees numbers numbers_total=numbers.total rounded tolerance records solved_again=solved "
+        "differences"
+    )
 
     #: Numbers that were compared, by kind: page, tables, figures, curves.
     numbers: Counter[str] = field(default_factory=Counter)
@@ -82,19 +88,6 @@ class Verification:
     def agrees(self) -> bool:
         """Whether nothing differs."""
         return not self.differences
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study verify --json``."""
-        return {
-            "agrees": self.agrees,
-            "numbers": dict(self.numbers),
-            "numbers_total": self.numbers.total(),
-            "rounded": self.rounded,
-            "tolerance": self.tolerance,
-            "records": self.records,
-            "solved_again": self.solved,
-            "differences": [vars(difference) for difference in self.differences],
-        }
 
 
 def verify(

@@ -15,7 +15,7 @@ from study.reporting.content.blocks import Sentence, Table, Verbatim
 from study.reporting.content.numbers import between, general
 
 if TYPE_CHECKING:
-    from study.api.haptics import Required
+    from study.laboratory.sensors.requirement import SensorRequirement
     from study.mechanics.indentation.indentation_modulus import (
         AnalyticCalibration,
         FittedCurve,
@@ -169,13 +169,12 @@ def require(
     output.show(answer, as_json, _requirement, answer.warnings)
 
 
-def _requirement(answer: Required) -> Iterator[Block]:
-    from study.laboratory.sensors import requirement
+def _requirement(answer: SensorRequirement) -> Iterator[Block]:
     from study.reporting.output import haptic_pages
 
-    yield from map(Sentence, requirement.sentences(answer.requirement))
-    yield haptic_pages.errors(answer.requirement)
-    yield Verbatim(f"report: {answer.page}")
+    yield from map(Sentence, answer.sentences())
+    yield haptic_pages.errors(answer)
+    yield Verbatim(f"report: {answer.report}")
 
 
 # Verbs that compare with an instrument: tracking, shape.

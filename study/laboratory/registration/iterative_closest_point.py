@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.ground.arrays import Array, Ints
+from study.ground.canonical import Keyed
 from study.laboratory.registration.closest_point import Closest, TriangleSurface
 from study.laboratory.registration.rigid import (
     BIWEIGHT,
@@ -157,8 +158,15 @@ SCALE_SETTLES = 20
 
 
 @dataclass(frozen=True)
-class Registration:
+class Registration(Keyed):
     """Cloud registered to a surface."""
+
+    KEYS = (
+        "rotation=motion.rotation translation_mm=motion.translation angle_deg=motion.angle_deg "
+        "center_mm=center rotation_uncertainty_deg translation_uncertainty_mm "
+        "residual_rms_mm=rms_mm residual_scale_mm=scale_mm null_space rejected_points=rejected "
+        "points=used steps converged"
+    )
 
     #: Carries the cloud onto the surface.
     motion: RigidMotion
@@ -187,22 +195,20 @@ class Registration:
             np.sqrt(np.einsum("nij,jk,nik->n", slopes, self.covariance, slopes).clip(0))
         )
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values; lengths in mm, angles in deg."""
-        deviations = np.sqrt(np.diag(self.covariance).clip(0))
-        return {
-            **self.motion.to_json(),
-            "center_mm": self.center.tolist(),
-            "rotation_uncertainty_deg": np.degrees(deviations[:3]).tolist(),
-            "translation_uncertainty_mm": deviations[3:].tolist(),
-            "residual_rms_mm": self.rms_mm,
-            "residual_scale_mm": self.scale_mm,
-            "null_space": [str(motion) for motion in self.sliding],
-            "rejected_points": self.rejected,
-            "points": self.used,
-            "steps": self.steps,
-            "converged": self.converged,
-        }
+    @property
+    def rotation_uncertainty_deg(self) -> Array:
+        """Standard uncertainties of the rotation about each axis, shape (3,)."""
+        return np.asarray(np.degrees(np.sqrt(np.diag(self.covariance)[:3].clip(0))))
+
+    @property
+    def translation_uncertainty_mm(self) -> Array:
+        """Standard uncertainties of the translation along each axis, shape (3,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[3:].clip(0)))
+
+    @property
+    def null_space(self) -> list[str]:
+        """Motions that the shape does not fix, in words."""
+        return [str(motion) for motion in self.sliding]
 
 
 def register(

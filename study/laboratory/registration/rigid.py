@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.ground.arrays import Array, Flags, Ints
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, RefusedError
 
 #: Fewest points that fix a rigid motion.
@@ -28,8 +29,10 @@ MIRRORED_SHARE = 0.2
 
 
 @dataclass(frozen=True)
-class RigidMotion:
+class RigidMotion(Keyed):
     """Rotation about the origin, then a translation: ``x -> R x + t``."""
+
+    KEYS = "rotation translation_mm=translation angle_deg"
 
     #: shape (3, 3); proper rotation R.
     rotation: Array
@@ -55,14 +58,6 @@ class RigidMotion:
     def angle_deg(self) -> float:
         """Angle of the rotation, 0 to 180 deg."""
         return float(np.degrees(np.linalg.norm(rotation_vector(self.rotation))))
-
-    def to_json(self) -> dict[str, object]:
-        """Rotation, translation in mm and angle in deg."""
-        return {
-            "rotation": self.rotation.tolist(),
-            "translation_mm": self.translation.tolist(),
-            "angle_deg": self.angle_deg,
-        }
 
 
 def identity() -> RigidMotion:
@@ -294,8 +289,13 @@ LARGEST_UNCERTAINTY = 0.5
 
 
 @dataclass(frozen=True)
-class FittedSphere:
+class FittedSphere(Keyed):
     """Sphere with the uncertainty of its center and radius."""
+
+    KEYS = (
+        "center_mm=center center_uncertainty_mm radius_mm radius_uncertainty_mm scatter_mm points "
+        "outliers coverage"
+    )
 
     #: shape (3,); center, mm.
     center: Array
@@ -320,19 +320,6 @@ class FittedSphere:
     def radius_uncertainty_mm(self) -> float:
         """Standard uncertainty of the radius."""
         return float(np.sqrt(self.covariance[3, 3]))
-
-    def to_json(self) -> dict[str, object]:
-        """Plain values; lengths in mm."""
-        return {
-            "center_mm": self.center.tolist(),
-            "center_uncertainty_mm": self.center_uncertainty_mm.tolist(),
-            "radius_mm": self.radius_mm,
-            "radius_uncertainty_mm": self.radius_uncertainty_mm,
-            "scatter_mm": self.scatter_mm,
-            "points": self.points,
-            "outliers": self.outliers,
-            "coverage": self.coverage,
-        }
 
 
 def fit_sphere(points: Array, where: str = "sphere") -> FittedSphere:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.errors import RefusedError
 from study.harness.execution.local import Loky
 from study.harness.execution.supervisor import Inline
@@ -203,8 +204,10 @@ FEWEST_TESTS = 10
 
 
 @dataclass(frozen=True)
-class Scatter:
+class Scatter(Keyed):
     """How one quantity scatters in the simulated tests."""
+
+    KEYS = "name standard_deviation=in_kpa ratio ratio_standard_error=ratio_error bias"
 
     #: Of a constant, or ``force``; MPa, N or empty.
     name: str
@@ -219,14 +222,21 @@ class Scatter:
     bias: float
 
     @property
+    def in_kpa(self) -> float:
+        """Standard deviation, of a modulus in kPa."""
+        return self.standard_deviation * (1e3 if self.unit == "MPa" else 1.0)
+
+    @property
     def is_linear(self) -> bool:
         """Whether first order holds, for scatter and mean."""
         return abs(self.ratio - 1) <= LINEAR and abs(self.bias) <= SHIFTED
 
 
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(Keyed):
     """All tests with errors so many times as large as given."""
+
+    KEYS = "multiple samples failed linear=is_linear message quantities=scatters"
 
     multiple: float
     #: Tests, and those whose fit has no answer.

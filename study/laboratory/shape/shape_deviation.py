@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.canonical import Json, plain
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, RefusedError
 from study.laboratory.registration.closest_point import TriangleSurface
 from study.laboratory.registration.iterative_closest_point import (
@@ -56,8 +56,10 @@ class Statistics:
 
 
 @dataclass(frozen=True)
-class MarkerDeviation:
+class MarkerDeviation(Keyed):
     """Marked points against the simulation."""
+
+    KEYS = "paired markers=names.__len__ outside mean_mm=mean rms_mm=rms largest_mm=sizes.max"
 
     names: tuple[str, ...]
     #: shape (n, 3); measured less simulated place, mm; nan for a marker outside the simulated body.
@@ -88,8 +90,13 @@ class MarkerDeviation:
 
 
 @dataclass(frozen=True)
-class ShapeDeviation:
-    """Deviation of a simulated body from a scan."""
+class ShapeDeviation(Keyed):
+    """Deviation of a simulated body from a scan; lengths in mm."""
+
+    KEYS = (
+        "name scan outliers registration registration_uncertainty_mm=registration_uncertainty "
+        "deviation_mm=statistics seen markers symmetry notes report"
+    )
 
     name: str
     scan: str
@@ -113,28 +120,6 @@ class ShapeDeviation:
     #: What was mended, and what the figures do not say.
     notes: tuple[str, ...] = ()
     report: str | None = None
-
-    def to_json(self) -> dict[str, Json]:
-        """Document of ``study shape --json``; lengths in mm."""
-        marked = self.markers
-        document: dict[str, Json] = plain({
-            "name": self.name,
-            "scan": self.scan,
-            "outliers": self.outliers,
-            "registration": None if self.registration is None else self.registration.to_json(),
-            "registration_uncertainty_mm": self.registration_uncertainty,
-            "deviation_mm": self.statistics,
-            "seen": self.seen,
-            "markers": marked and {
-                "paired": marked.paired, "markers": len(marked.names), "outside": marked.outside,
-                "mean_mm": marked.mean, "rms_mm": marked.rms,
-                "largest_mm": float(marked.sizes.max()),
-            },
-            "symmetry": self.symmetry,
-            "notes": list(self.notes),
-            "report": self.report,
-        })  # fmt: skip
-        return document
 
 
 @dataclass(frozen=True)

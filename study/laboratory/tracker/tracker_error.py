@@ -6,14 +6,13 @@ of its own, so the line is fitted with errors in both quantities.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.canonical import plain
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
 from study.ground.tabular import read_csv
 from study.ground.units import unit_factor
@@ -214,8 +213,13 @@ class Standard:
 
 
 @dataclass(frozen=True)
-class DistanceResult:
+class DistanceResult(Keyed):
     """Distance of two markers, stage by stage, beside what it should be."""
+
+    KEYS = (
+        "markers stages comparison=comparison.to_json comparison_note drift standard bias_mm "
+        "bias_interval_mm"
+    )
 
     markers: tuple[str, str]
     #: shape (n,); distance in every sample.
@@ -405,15 +409,14 @@ def _bias(
     return bias, (bias - half, bias + half)
 
 
-# What ``study tracking`` found, and its document.
-
-#: JSON of one part of a result.
-Document = Mapping[str, object]
+# What ``study tracking`` says.
 
 
 @dataclass(frozen=True)
-class TrackerAccuracy:
-    """Accuracy of a tracker."""
+class TrackerAccuracy(Keyed):
+    """Accuracy of a tracker; lengths in mm."""
+
+    KEYS = "name samples markers alpha distance displacement reference notes report"
 
     name: str
     question: str
@@ -426,16 +429,6 @@ class TrackerAccuracy:
     reference: ReferenceResult | None
     notes: tuple[str, ...] = ()
     report: str | None = None
-
-    def to_json(self) -> Document:
-        """Document of ``study tracking --json``; lengths in mm."""
-        document: Document = plain({
-            **{k: v for k, v in vars(self).items() if k != "question"},
-            "distance": self.distance and _distance(self.distance),
-            "displacement": self.displacement and asdict(self.displacement),
-            "reference": self.reference and _reference(self.reference),
-        })  # fmt: skip
-        return document
 
 
 def judge_tracker(declared: TrackingFile, root: Path, name: str) -> TrackerAccuracy:
@@ -460,25 +453,3 @@ def judge_tracker(declared: TrackingFile, root: Path, name: str) -> TrackerAccur
         reference=reference,
         notes=recording.table.notes,
     )
-
-
-def _distance(distance: DistanceResult) -> Document:
-    standard, comparison = distance.standard, distance.comparison
-    spheres = [sphere.to_json() for sphere in standard.spheres] if standard else []
-    return {
-        **{k: v for k, v in vars(distance).items() if not k.startswith("sample")},
-        "comparison": None if comparison is None else comparison.to_json(),
-        "standard": standard and {**vars(standard), "spheres": spheres},
-    }
-
-
-def _reference(reference: ReferenceResult) -> Document:
-    return {
-        **{k: v for k, v in vars(reference).items() if k != "fit"},
-        "registration": reference.fit.motion.to_json(),
-        "residuals_mm": reference.fit.residuals,
-        "fiducial_registration_error_mm": reference.fit.rms,
-        "localization_error_mm": reference.fit.localization_error,
-        "scale": reference.fit.scale,
-        "left_out_rms_mm": reference.left_out_rms_mm,
-    }

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, settled
 from study.ground.tabular import CsvTable, read_csv
 from study.ground.units import unit_factor
@@ -55,8 +56,15 @@ class LeverArm:
 
 
 @dataclass(frozen=True)
-class ReferenceResult:
+class ReferenceResult(Keyed):
     """A tracker's poses registered to those of a reference."""
+
+    KEYS = (
+        "marker poses positions_mm scatter_mm target_error_mm left_out_mm distance_error_mean_mm "
+        "distance_error_sd_mm lever_arm registration=fit.motion residuals_mm=fit.residuals "
+        "fiducial_registration_error_mm=fit.rms localization_error_mm=fit.localization_error "
+        "scale=fit.scale left_out_rms_mm"
+    )
 
     marker: str
     #: Labels, in the order of the recording.

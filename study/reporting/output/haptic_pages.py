@@ -12,7 +12,6 @@ import numpy as np
 from study.laboratory.haptics.haptic_export import sentences
 from study.laboratory.haptics.tabulated_force import ForceLaw
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
-from study.laboratory.sensors.requirement import sentences as requirement_sentences
 from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.blocks import Table
 from study.reporting.content.numbers import MISSING, significant
@@ -118,7 +117,7 @@ def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
             lambda _: "Standard uncertainty by each error alone; their squares add up.",
         ),
     }
-    blocks = answer_blocks(requirement_sentences(sensors), plots, tables, warnings(sensors))
+    blocks = answer_blocks(sensors.sentences(), plots, tables, warnings(sensors))
     question = sensors.question or "How accurate must the sensors be?"
     kind = "sensor requirements"
     return write_answer(kind, sensors.name, question, blocks, out_dir, stem="requirement")
