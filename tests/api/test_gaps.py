@@ -102,3 +102,11 @@ def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path: Path) 
     assert "c (gel) has an answer in 0 of 2 cells: it is left out of this analysis" in found.notes
     assert found.effects == reported.effects
     assert found.effect("gel").range == pytest.approx(1.0)
+
+
+def test_a_study_of_imported_runs_says_with_which_option_a_size_is_given(tmp_path: Path) -> None:
+    lines = [f"{m},{n},{ord(m) + 0.1 * n}" for m in "ab" for n in range(3)]
+    (tmp_path / "t.csv").write_text("\n".join(["gel,run,y", *lines]))
+    study = api.import_runs(tmp_path / "t.csv", ["gel"], ["y=N"], results=tmp_path / "results")
+    (sentence,) = (line for line in study.answers if "No smallest difference" in line)
+    assert sentence.endswith("Give one with --practical.")
