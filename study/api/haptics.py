@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from study.api.comparison import why
-from study.api.folders import REPORTS, RESULTS, data_root, finished_manifest, results_folder
+from study.api.folders import (
+    REPORTS,
+    RESULTS,
+    data_root,
+    finished_manifest,
+    loaded_problem,
+    results_folder,
+)
 from study.api.predicting import opened, surfaces_of
 from study.api.solving import solve
-from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_json
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import load
@@ -30,7 +36,7 @@ from study.harness.runner.tasks import default_jobs
 from study.laboratory.haptics.force_surface import surface_function
 from study.laboratory.haptics.haptic_export import (
     TOLERANCE,
-    Wanted,
+    ForceLawSource,
     document,
     files,
     sentences,
@@ -48,7 +54,6 @@ from study.mechanics.material import material as conversions
 from study.mechanics.material.input_file import abaqus_text, febio_text, material_name, remarks
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
-from study.mechanics.setup.setup import Problem
 from study.reporting.content.numbers import THIN, duration
 from study.reporting.figures.registry import slug
 from study.reporting.output.accuracy_page import write_shape, write_tracker
@@ -124,19 +129,6 @@ STANDARD_ERRORS = 2.0
 LARGEST_SHARE = 0.5
 
 
-@dataclass(frozen=True)
-class ForceLawSource:
-    """A problem, and what is known of its constants."""
-
-    #: Of the file, the calibration, or the study and its case.
-    name: str
-    problem: Problem
-    #: Two standard errors of calibrated constants, MPa (exponents plain).
-    half_ranges: Mapping[str, float] = field(default_factory=dict)
-    #: shape (p, p); of calibrated constants, MPa^2.
-    covariance: Array | None = None
-
-
 def source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> ForceLawSource:
     """Read a problem from whatever holds it; its name and content show what that is."""
     if path.suffix == ".json":
@@ -152,7 +144,7 @@ def material_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> t
         case_source = source_of(path, case, test, overrides)
         return case_source.name, case_source.problem.material
     document = _document(path)
-    values, _ = _constants(cast("Mapping[str, Mapping[str, object]]", document["parameters"]))
+    values, _ = _constants(document["parameters"])
     section = _test_of(document, path, test).material
     return str(document["name"]), section.material(values)
 
@@ -167,8 +159,7 @@ def _written(path: Path, overrides: Sequence[str]) -> ForceLawSource:
     if kind == "design":
         mend = "run it and name one: study export results/NAME --case ID"
         raise InputError(Fault(str(path), "is a design of many cases", mend))
-    problem = load.load_problem(path, overrides).problem
-    problem = provenance.located(problem, provenance.folders(path, data_root(path)))
+    problem = loaded_problem(path, overrides).problem
     return ForceLawSource(load.default_name(str(path)), problem.at())
 
 
@@ -176,24 +167,22 @@ def _calibrated(path: Path, number: int) -> ForceLawSource:
     """Test of a finished calibration, with the constants and their covariance."""
     calibration = _document(path)
     tested = _test_of(calibration, path, number)
-    parameters = cast("Mapping[str, Mapping[str, object]]", calibration["parameters"])
-    values, errors = _constants(parameters)
-    rows = cast("Sequence[Sequence[object]]", calibration["correlation"])
-    correlation = np.array([[_float(value) for value in row] for row in rows])
+    values, errors = _constants(calibration["parameters"])
     size = np.array(list(errors.values()))
-    covariance = np.outer(size, size) * correlation
+    # null, where a correlation is not known, becomes NaN
+    covariance = np.outer(size, size) * np.array(calibration["correlation"], dtype=float)
     name = str(calibration["name"])
     return ForceLawSource(
-        f"{name}-test-{number}" if len(cast("list[object]", calibration["tests"])) > 1 else name,
+        f"{name}-test-{number}" if len(calibration["tests"]) > 1 else name,
         tested.at(values),
         _half_ranges(values, errors),
         covariance if np.isfinite(covariance).all() else None,
     )
 
 
-def _test_of(calibration: Mapping[str, object], path: Path, number: int) -> CellProblem:
+def _test_of(calibration: Mapping[str, Any], path: Path, number: int) -> CellProblem:
     """Test of a calibration, counted from 1."""
-    tests = cast("Sequence[Mapping[str, object]]", calibration["tests"])
+    tests = calibration["tests"]
     if not 1 <= number <= len(tests):
         rule = f"there is no test {number} in {path}, which has {len(tests)}"
         raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
@@ -236,7 +225,7 @@ def _float(value: object) -> float:
     return float("nan") if value is None else float(str(value))
 
 
-def _document(path: Path) -> Mapping[str, object]:
+def _document(path: Path) -> Mapping[str, Any]:
     """Document of a calibration that converged."""
     mend = "name the calibration.json that `study calibrate` wrote"
     try:
@@ -334,8 +323,7 @@ def export(
         return export_material(name, material, form, Path(out))
     case_source = source_of(Path(source), case, test, overrides)
     check(case_source.problem.material, None)
-    accuracy = Wanted(tolerance, case_source.half_ranges, case_source.covariance)
-    law = solved_force_law(case_source.name, case_source.problem, accuracy, progress)
+    law = solved_force_law(case_source, tolerance, progress)
     warnings = []
     if law.relative_error > tolerance:
         warnings.append(

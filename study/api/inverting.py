@@ -17,8 +17,6 @@ from study.api.predicting import (
     given,
     joined,
     opened,
-    unknown_factors,
-    with_full_names,
 )
 from study.ground import tabular, units
 from study.ground.curve import Curve
@@ -104,10 +102,10 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     study = opened(path, results)
     numbers, labels = _known(study, dict(at or {}))
     whole = _read(Path(to), columns, in_units, decimal)
-    more = joined(study.design, Store(study.folder), study.manifest)
+    _, more = joined(study.design, Store(study.folder), study.manifest)
     records = [
         record
-        for record in at_levels([*study.records, *more.records], labels)
+        for record in at_levels([*study.records, *more], labels)
         if record.converged and not is_repeat(record.extra) and record.first_prediction()
     ]
     curve, notes = _covered(whole, records, Path(to))
@@ -149,20 +147,17 @@ def _known(
         rule = "has no numeric factor: there is nothing to be found"
         mend = 'write { low = "5 kPa", high = "15 kPa" } and [design] kind = "latin-hypercube"'
         raise InputError(Fault(design.name, rule, mend))
-    at = with_full_names(at, factors)
-    faults = unknown_factors(at, list(factors))
-    for name, factor in factors.items():
-        if factor.span is None and str(at.get(name, "")) not in factor.labels:
-            rule = "is no number: say at which of its levels the test was made"
-            faults.append(Fault(name, rule, f"--at {name}={factor.labels[0]}"))
-    if all(n in at for n in ranges):
-        faults.append(Fault("--at", "holds every number", "leave those out that are asked for"))
     if any(record.block is not None for record in study.records):
         rule = "is a study with measurements: its constants come from fits"
-        faults.append(Fault(design.name, rule, "use study calibrate, or a study of simulations"))
-    if faults:
-        raise InputError(faults)
-    numbers, labels = given(design, at)
+        mend = "use study calibrate, or a study of simulations"
+        raise InputError(Fault(design.name, rule, mend))
+    rule = "is no number: say at which of its levels the test was made"
+    numbers, labels = given(design, at, {
+        n: Fault(n, rule, f"--at {n}={f.labels[0]}") for n, f in factors.items() if f.span is None
+    })  # fmt: skip
+    if len(numbers) == len(ranges):
+        mend = "leave those out that are asked for"
+        raise InputError(Fault("--at", "holds every number", mend))
     return {n: float(values[0]) for n, values in numbers.items()}, labels
 
 
@@ -220,7 +215,7 @@ class _Inversion:
     def runs(self, records: Sequence[Record]) -> Runs:
         """Coded settings of runs."""
         study = self.study
-        design = joined(study.design, Store(study.folder), study.manifest).design
+        design, _ = joined(study.design, Store(study.folder), study.manifest)
         factors = ranges_of(design)
         coded = coded_settings(design, factors, [record.levels for record in records])
         return Runs("force", factors, coded, np.zeros(len(records)))

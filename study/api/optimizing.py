@@ -21,7 +21,6 @@ from study.api.predicting import (
     opened,
     surfaces_of,
     unknown_factors,
-    with_full_names,
 )
 from study.ground import units
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
@@ -271,8 +270,8 @@ def _of_study(
     name = _named(word, list(units_of), f"--{goal}")
     bounds = tuple(_bound(text, units_of) for text in limits_typed)
     factors = {factor.name: factor for factor in design.factors}
-    at = with_full_names(at, factors)
     numbers, labels = given(design, at)
+    at = {**numbers, **labels}
     free = [n for n in factors if design.roles[n] == "choice" and n not in at]
     if not free:
         roles = ", ".join(f"{n}: {role}" for n, role in design.roles.items())

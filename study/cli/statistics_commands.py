@@ -273,9 +273,10 @@ def _show_surfaces(
 ) -> None:
     """Fit a surface and print it."""
     from study import api
-    from study.api.analyzing import AnalysisSource
-    from study.api.fitting_surfaces import table_data, write_surface_page
+    from study.api.analyzing import AnalysisSource, check_taken
+    from study.api.fitting_surfaces import table_data
     from study.reporting.content import surface_content
+    from study.reporting.output.write import write
 
     if source.is_dir() or source.suffix == ".toml":
         raise InputError(Fault("--numeric", "reads a table, one row a run", "name a CSV"))
@@ -304,7 +305,8 @@ def _show_surfaces(
     data = table_data(every, AnalysisSource(source, given))
     page = None
     if (folder := flags["--report"]) is not None:
-        page = write_surface_page(data, folder, listed(flags["--format"]) or ["html"])
+        check_taken(list(data.factors))
+        page = write(data, folder, listed(flags["--format"]) or ["html"])
     if as_json:
         surfaces_document = {"surfaces": [fitted.to_json() for fitted in every]}
         document = surfaces_document if flags["--factors"] else carried[0].to_json()

@@ -9,7 +9,7 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -184,32 +184,34 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What a force law has to keep."""
+class ForceLawSource:
+    """A problem, and what is known of its constants."""
 
-    #: Error bound over the largest force.
-    tolerance: float = TOLERANCE
-    #: How far each constant is moved, MPa (exponents plain); a tenth of it by default.
-    half_ranges: Mapping[str, float] | None = None
+    #: Of the file, the calibration, or the study and its case.
+    name: str
+    problem: Problem
+    #: How far each constant is moved, MPa (exponents plain): two standard errors of calibrated
+    #: ones; a tenth of those that are left out.
+    half_ranges: Mapping[str, float] = field(default_factory=dict)
     #: shape (p, p); of calibrated constants, MPa^2.
     covariance: Array | None = None
 
 
 def solved_force_law(
-    name: str, problem: Problem, accuracy: Wanted, progress: Progress | None = None
+    source: ForceLawSource, tolerance: float = TOLERANCE, progress: Progress | None = None
 ) -> ForceLaw:
     """Force law of a problem, with intervals halved until its error bound is met."""
-    say = progress or (lambda text: None)
+    say, name, problem = progress or (lambda text: None), source.name, source.problem
     intervals = max(problem.test.steps, FEWEST_INTERVALS)
     while True:
         solution = _solved(problem, PARTS * intervals)
         law = tabulated(name, problem, solution.curve)
         say(f"{intervals} intervals: {100 * law.relative_error:.2g} % of the largest force")
-        if law.relative_error <= accuracy.tolerance or 2 * intervals > MOST_INTERVALS:
+        if law.relative_error <= tolerance or 2 * intervals > MOST_INTERVALS:
             break
         intervals *= 2
-    law = replace(law, covariance=accuracy.covariance)
-    return replace(law, ranges=tuple(_ranges(law, problem, solution, accuracy, say)))
+    law = replace(law, covariance=source.covariance)
+    return replace(law, ranges=tuple(_ranges(law, solution, source, say)))
 
 
 def tabulated(name: str, problem: Problem, path: Curve) -> ForceLaw:
@@ -271,15 +273,17 @@ def _with_origin(curve: Curve) -> Curve:
 
 
 def _ranges(
-    law: ForceLaw, problem: Problem, solution: Solution, accuracy: Wanted, say: Progress
+    law: ForceLaw, solution: Solution, source: ForceLawSource, say: Progress
 ) -> list[ConstantRange]:
     """Move every constant alone to both ends of its range, and solve there."""
     ranges = []
     for name, value in law.constants.items():
-        half = (accuracy.half_ranges or {}).get(name, CONSTANT_SHARE * abs(value))
+        half = source.half_ranges.get(name, CONSTANT_SHARE * abs(value))
         ends = (value - half, value + half)
         # NaN, where one end has no answer, stays NaN
-        off = float(np.max([_deviation(law, problem, solution, {name: end}) for end in ends]))
+        off = float(
+            np.max([_deviation(law, source.problem, solution, {name: end}) for end in ends])
+        )
         ranges.append(ConstantRange(name, *ends, off))
         say(f"{name} from {ends[0]:.4g} to {ends[1]:.4g}: {off:.2g} N from first order")
     return ranges
