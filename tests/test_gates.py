@@ -124,7 +124,7 @@ BREACHES = [
     ("mechanics/element/a", "study.mechanics.forward.model", "Inside mechanics"),
     ("statistics/convergence/a", "study.statistics.analysis.anova", "Inside statistics"),
     ("harness/design/a", "study.harness.record.record", "Inside harness"),
-    ("laboratory/registration/a", "study.laboratory.haptics.force_surface", "Inside laboratory"),
+    ("laboratory/registration/a", "study.laboratory.haptics.haptic_export", "Inside laboratory"),
     ("reporting/content/a", "study.reporting.output.page", "Inside reporting"),
     ("harness/design/layouts", "study.harness.design.load", CIRCLE),
     (

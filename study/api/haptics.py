@@ -33,21 +33,26 @@ from study.harness.runner import provenance
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import cases_by_id
 from study.harness.runner.tasks import default_jobs
-from study.laboratory.haptics.force_surface import surface_function
 from study.laboratory.haptics.haptic_export import (
     TOLERANCE,
+    ForceLaw,
     ForceLawSource,
     document,
     files,
     sentences,
     solved_force_law,
+    surface_function,
 )
-from study.laboratory.haptics.tabulated_force import ForceLaw
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement
 from study.laboratory.shape.boundary import DeformedMesh, SimulatedBody, body_of_mesh, read_body
-from study.laboratory.shape.scan import read_markers, read_scan
-from study.laboratory.shape.shape_deviation import ShapeDeviation, ShapeOptions, judge_shape
+from study.laboratory.shape.shape_deviation import (
+    ShapeDeviation,
+    ShapeOptions,
+    judge_shape,
+    read_markers,
+    read_scan,
+)
 from study.laboratory.tracker.tracker_error import TrackerAccuracy, judge_tracker
 from study.laboratory.tracker.tracker_recording import load_tracking
 from study.mechanics.material import material as conversions

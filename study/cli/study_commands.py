@@ -17,11 +17,10 @@ from study.reporting.content.numbers import between, case_counts, general
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
-    from study.api.augmenting import Augmentation
     from study.api.comparison import CaseState
     from study.api.opened_study import Study as OpenedStudy
-    from study.api.planning import Plan
-    from study.api.verification import Verification
+    from study.api.planning import Augmentation, Plan
+    from study.api.study import Verification
     from study.harness.design.overview import CellOverview, Overview
     from study.harness.design.spec import Scheme
     from study.reporting.content.blocks import Block, Document
@@ -526,7 +525,7 @@ def verify(
 
 
 def _verified(verification: Verification) -> Iterator[Block]:
-    from study.api.verification import TOLD
+    from study.api.study import TOLD
 
     counted = ", ".join(
         f"{count} of {kind}" for kind, count in sorted(verification.numbers.items())

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from study.api.comparison import compare
-from study.api.manifest import read_truths
+from study.api.comparison import compare, read_truths
 from study.ground.errors import InputError
 from study.reporting.content import comparison_content
 from study.reporting.results import study_answers

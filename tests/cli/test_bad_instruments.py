@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from study.cli.app import run
-from study.laboratory.registration.closest_point import TriangleSurface
+from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from tests.fem.surfaces import sphere, write
 from tests.registration.bodies import egg, scan
 from tests.shape_validation.test_shape import MOTION, cylinder, problem, write_csv, write_ply

@@ -17,7 +17,7 @@ import pytest
 import study as package
 from study.api import load as open_study
 from study.laboratory.haptics import haptic_export
-from study.laboratory.haptics.tabulated_force import ForceLaw, force_table
+from study.laboratory.haptics.haptic_export import ForceLaw, force_table
 from tests.cli.small import CALIBRATION, DESIGN, PROBLEM, Finished, study
 
 AREA_MM2 = np.pi * 10**2

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.stats import binom
 
 from study.ground.errors import InputError
-from study.laboratory.registration.deming import deming_line, limits_of_agreement
+from study.laboratory.registration.rigid import deming_line, limits_of_agreement
 
 LINES = 600
 

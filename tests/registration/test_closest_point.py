@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.laboratory.registration.closest_point import TriangleSurface, point_triangle
+from study.laboratory.registration.iterative_closest_point import TriangleSurface, point_triangle
 from tests.registration.bodies import ball, box, egg
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t
 
-from study.laboratory.registration.closest_point import TriangleSurface
-from study.laboratory.registration.iterative_closest_point import PATCHES, register
+from study.laboratory.registration.iterative_closest_point import PATCHES, TriangleSurface, register
 from study.laboratory.registration.rigid import RigidMotion, isolated, rotation_vector, turned_about
 from tests.registration.bodies import ball, box, egg, scan
 

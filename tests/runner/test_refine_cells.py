@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from study.api.comparison import manifest_of
 from study.api.converging import measured_cells, refine_within
-from study.api.manifest import manifest_of
 from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
 from study.harness.design.cell import Cell, CellProblem

@@ -14,7 +14,7 @@ import study
 from study.cli.app import run
 from study.ground.arrays import Array
 from study.ground.errors import InputError
-from study.laboratory.registration.closest_point import TriangleSurface
+from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from study.laboratory.registration.rigid import RigidMotion, turned_about
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
 from study.reporting.output.accuracy_page import scan_answers

@@ -14,8 +14,12 @@ import study
 from study import api
 from study.cli.app import run
 from study.ground.errors import InputError
-from study.laboratory.tracker.tracker_recording import load_tracking
-from study.laboratory.tracker.virtual_tracker import STAGES, Errors, write_recording
+from study.laboratory.tracker.tracker_recording import (
+    STAGES,
+    Errors,
+    load_tracking,
+    write_recording,
+)
 
 DESIGN = Path(__file__).parents[2] / "designs" / "tracker.toml"
 

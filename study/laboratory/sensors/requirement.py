@@ -14,14 +14,15 @@ from study.ground.errors import Fault, InputError
 from study.laboratory.sensors.error_propagation import (
     PropagatedQuantity,
     Propagation,
+    Sampling,
     SensorErrorSource,
     Simulation,
     propagate,
+    rows_mm,
     simulate,
     sources_of,
 )
 from study.laboratory.sensors.force_model import RequirementFile, force_model, multiplied
-from study.laboratory.sensors.virtual_test import Sampling, rows_mm
 from study.mechanics.material.material import is_dimensionless
 
 #: Multiples of the given errors that the map of accuracies shows, from a tenth to ten times.

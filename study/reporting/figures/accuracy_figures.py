@@ -8,8 +8,11 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.laboratory.shape.shape_deviation import ShapeDeviation
-from study.laboratory.tracker.tracker_error import DisplacementResult, DistanceResult
-from study.laboratory.tracker.tracker_reference import ReferenceResult
+from study.laboratory.tracker.tracker_error import (
+    DisplacementResult,
+    DistanceResult,
+    ReferenceResult,
+)
 from study.reporting.figures.axes import (
     BAND,
     INK,

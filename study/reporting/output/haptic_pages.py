@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.laboratory.haptics.haptic_export import sentences
-from study.laboratory.haptics.tabulated_force import ForceLaw
+from study.laboratory.haptics.haptic_export import ForceLaw, sentences
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
 from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.blocks import Table
