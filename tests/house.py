@@ -336,14 +336,14 @@ def long_docstrings(root: Path) -> list[str]:
 
 
 def public_names(root: Path) -> set[str]:
-    """Names of ``study.__all__``: the keys of the table of what is loaded on first use."""
+    """Names of ``study.__all__``: the tuple of what is loaded on first use."""
     tree = parsed((root / "study" / "__init__.py").read_text(encoding="utf-8"))
     return {
-        str(key.value)
+        str(name.value)
         for node in tree.body
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict)
-        for key in node.value.keys
-        if isinstance(key, ast.Constant)
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple)
+        for name in node.value.elts
+        if isinstance(name, ast.Constant)
     }
 
 
