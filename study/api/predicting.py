@@ -232,13 +232,6 @@ def _single(factor: Factor, settings: Mapping[str, float], labels: Mapping[str, 
     return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
 
 
-def confirm_claims(study: StudyResult, permission: Permission) -> None:
-    """Run the true model at the extremes of every factor that is said to matter."""
-    for surface in study.surfaces:
-        for settings in surface.unconfirmed:
-            confirm(study, settings, surface.labels, permission)
-
-
 def confirm(
     study: StudyResult,
     settings: Mapping[str, float],

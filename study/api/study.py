@@ -32,7 +32,8 @@ from study.api.folders import (
 from study.api.opened_study import Study, count_cases
 from study.api.opened_study import load as load_study
 from study.api.planning import continued, noted_progress, run_adaptive
-from study.api.predicting import Permission, confirm_claims
+from study.api.predicting import Permission
+from study.api.predicting import confirm as confirm_setting
 from study.ground.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
 from study.ground.canonical import Keyed
 from study.ground.errors import (
@@ -206,7 +207,10 @@ def run(
             _finish(store, work, clock.parts, summary)
             warnings += mixed_meshes(work, store)
     if confirm:
-        confirm_claims(load_study(store.path), Permission(data, allowed, progress))
+        unconfirmed, may = load_study(store.path), Permission(data, allowed, progress)
+        for surface in unconfirmed.surfaces:
+            for settings in surface.unconfirmed:
+                confirm_setting(unconfirmed, settings, surface.labels, may)
         clock.mark("confirming runs")
     with _records_written():
         return report(

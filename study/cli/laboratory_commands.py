@@ -67,7 +67,9 @@ def _moduli(test: IndentationModulus) -> Iterator[Block]:
     yield Table.of(title, [] if test.estimate is None else [test.estimate], of_median)
     columns: dict[str, Callable[[FittedCurve], str]] = {
         "curve": lambda curve: curve.label,
-        "E [kPa]": lambda curve: general(_thousand(curve.found.modulus_MPa), 5),
+        "E [kPa]": lambda curve: general(
+            None if curve.found.modulus_MPa is None else 1e3 * curve.found.modulus_MPa, 5
+        ),
         "95 % interval": lambda curve: _kilo(curve.found.interval_MPa),
     }
     if any(curve.found.contact_mm is not None for curve in test.curves):
@@ -87,10 +89,6 @@ def _moduli(test: IndentationModulus) -> Iterator[Block]:
     )
     if test.estimate is not None:
         yield Verbatim(f"interval: {test.estimate.kind}")
-
-
-def _thousand(value: float | None) -> float | None:
-    return None if value is None else 1e3 * value
 
 
 def _kilo(pair: tuple[float, float] | None) -> str:

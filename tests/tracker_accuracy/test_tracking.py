@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,15 @@ from scipy.stats import binom
 from scipy.stats import f as f_distribution
 
 import study
+from study import api
 from study.cli.app import run
 from study.ground.errors import InputError
+from study.laboratory.tracker.tracker_recording import (
+    STAGES,
+    Errors,
+    load_tracking,
+    write_recording,
+)
 from tests.registration.bodies import cap
 from tests.tracker_accuracy import virtual
 
@@ -126,20 +134,6 @@ def test_samples_are_not_taken_for_independent(tmp_path: Path) -> None:
     assert rest.sd_mm == pytest.approx(virtual.SAMPLE_SD, rel=0.1)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_intervals_of_stage_and_bias_hold_the_truth_in_95_of_100(tmp_path: Path) -> None:
-    held = np.zeros(2)
-    studies = 30
-    for seed in range(studies):
-        found = study.tracking(distance_study(tmp_path, 100 + seed, samples=15)).distance
-        low, high = found.stages[0].interval_mm
-        held[0] += low < 50 < high
-        low, high = found.bias_interval_mm
-        held[1] += low < virtual.TURN_BIAS / 3 < high
-    assert (held >= binom.ppf(5e-4, studies, 0.95)).all(), held
-
-
 def test_a_drift_is_found_and_none_is_not_invented(tmp_path: Path) -> None:
     drifting = study.tracking(distance_study(tmp_path, 4, drift_mm_per_h=20.0)).distance.drift
     assert drifting.interval[0] < 20 < drifting.interval[1]
@@ -170,16 +164,7 @@ def test_the_standard_of_two_spheres_is_their_distance(tmp_path: Path) -> None:
     assert 0.001 < standard.uncertainty_mm < 0.02
 
 
-def test_scale_offset_and_straightness_are_those_put_in(tmp_path: Path) -> None:
-    held = np.zeros(2)
-    for seed in range(40):
-        file = displacement_study(tmp_path, seed, scale=1.004, offset=0.05, sd=0.02)
-        line = study.tracking(file).displacement.line
-        held += [
-            line.scale_interval[0] < 1.004 < line.scale_interval[1],
-            line.offset_interval[0] < 0.05 < line.offset_interval[1],
-        ]
-    assert (held >= binom.ppf(5e-4, 40, 0.95)).all(), held
+def test_the_straightness_is_that_put_in(tmp_path: Path) -> None:
     bowed = displacement_study(tmp_path, 1, scale=1.0, offset=0.0, sd=0.0, bow_mm=0.5)
     found = study.tracking(bowed).displacement
     # a parabola of height h is off its line of least squares by h 4/sqrt(45) RMS when sampled
@@ -316,3 +301,64 @@ def test_a_real_tracker_against_a_laser_tracker(tmp_path: Path, data_dir: Path) 
     assert arm.rms_mm < found.fit.rms
     assert arm.left_out_rms_mm < found.left_out_rms_mm
     assert arm.uncertainty_mm[2] > np.abs(arm.arm_mm[2])
+
+
+# The shipped tracker study, from the generator to the answer.
+
+
+DESIGN = Path(__file__).parents[2] / "designs" / "tracker.toml"
+
+
+def test_two_commands_lead_from_nothing_to_the_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["virtual", str(tmp_path), "--from", str(DESIGN)]) == 0
+    assert "study tracking" in capsys.readouterr().err
+    told = json.loads((tmp_path / "tracker" / "markers.csv.virtual.json").read_text())
+    again = ["tracking", str(DESIGN), "--data", str(tmp_path), "--reports", str(tmp_path)]
+    assert run([*again, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert "Figure missing" not in Path(found["report"]).read_text()
+    distance, displacement = found["distance"], found["displacement"]
+    assert [one["stage"] for one in distance["stages"]] == [name for name, _ in STAGES]
+    # the error term of stages within passes: one visit to each in every pass
+    rows = {row["term"]: row for row in distance["comparison"]["anova"]["rows"]}
+    assert rows["stage"]["df_error"] == (len(STAGES) - 1) * (told["errors"]["passes"] - 1)
+    (effect,) = distance["comparison"]["effects"]
+    assert effect["verdict"] == "matters"
+    assert effect["range"] == pytest.approx(told["errors"]["bias_mm"], abs=0.03)
+    low, high = displacement["line"]["scale_interval"]
+    assert low < told["errors"]["scale"] < high
+
+
+def test_intervals_hold_what_was_put_in_95_times_of_100(tmp_path: Path) -> None:
+    declared, held, studies = load_tracking(DESIGN), np.zeros(4), 20
+    for seed in range(studies):
+        errors = replace(Errors(seed), samples=10)
+        write_recording(declared, tmp_path, errors)
+        found = study.tracking(DESIGN, data=tmp_path)
+        bias, line = found.distance.bias_interval_mm, found.displacement.line
+        home, apart = found.distance.stages[0], 80.0
+        held += [
+            bias[0] < errors.bias_mm / len(STAGES) < bias[1],
+            line.scale_interval[0] < errors.scale < line.scale_interval[1],
+            line.offset_interval[0] < 0 < line.offset_interval[1],
+            home.interval_mm[0] < apart < home.interval_mm[1],
+        ]
+    print(f"held by {held} of {studies} intervals: bias, scale, offset, distance at home")
+    assert (held >= binom.ppf(5e-4, studies, 0.95)).all(), held
+
+
+def test_a_tracker_has_no_specimens(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no design"):
+        api.virtual(tmp_path, DESIGN, blocks=3)
+
+
+def test_a_reference_cannot_be_made_up(tmp_path: Path) -> None:
+    file = tmp_path / "poses.toml"
+    file.write_text(
+        DESIGN.read_text() + '\n[reference]\nfile = "laser.csv"\nmarker = "tip"\n'
+        'stage = "pose"\nposition = ["x", "y", "z"]\n'
+    )
+    with pytest.raises(InputError, match="have no reference"):
+        api.virtual(tmp_path, file)
