@@ -103,8 +103,8 @@ def poses(
 
 
 def two_stops(folder: Path) -> list[str]:
-    rows = [row for row in virtual.stage_rows(1, 1.0, 0.0, 0.01) if row[1] in (0.0, 50.0)]
-    virtual.write(folder / "stage.csv", "stop,commanded,x,y,z", rows)
+    rows = [row for row in virtual.rows_of(virtual.Errors(1)) if row[2] in (0.0, 50.0)]
+    virtual.write(folder / "stage.csv", "time,stop,commanded,x,y,z", rows)
     (folder / "stage.toml").write_text(DISPLACEMENT)
     return tracked(folder, folder / "stage.toml")
 

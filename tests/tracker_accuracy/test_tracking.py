@@ -68,15 +68,17 @@ MARKERS = "time,stage,ax,ay,az,bx,by,bz"
 LASER = "pose,ox,oy,oz,ax,ay,az,bx,by,bz"
 
 
-def distance_study(folder: Path, seed: int, **options: float) -> Path:
-    virtual.write(folder / "markers.csv", MARKERS, virtual.distance_rows(seed, **options))
+def distance_study(folder: Path, seed: int, drift: float = 0.0, **errors: int) -> Path:
+    rows = virtual.rows_of(Errors(seed, **errors), 50.0, drift_mm_per_h=drift)
+    virtual.write(folder / "markers.csv", MARKERS, rows)
     (folder / "distance.toml").write_text(DISTANCE)
     return folder / "distance.toml"
 
 
-def displacement_study(folder: Path, seed: int, **options: float) -> Path:
-    rows = virtual.stage_rows(seed, **options)
-    virtual.write(folder / "stage.csv", "stop,commanded,x,y,z", rows)
+def displacement_study(folder: Path, sd: float, bow_mm: float = 0.0) -> Path:
+    errors = Errors(3, passes=3, samples=3, scale=1.0, stop_sd_mm=sd, sample_sd_mm=0.0)
+    rows = virtual.rows_of(errors, bow_mm=bow_mm)
+    virtual.write(folder / "stage.csv", "time,stop,commanded,x,y,z", rows)
     (folder / "displacement.toml").write_text(DISPLACEMENT)
     return folder / "displacement.toml"
 
@@ -100,7 +102,7 @@ def test_the_command_writes_a_page_and_one_document(
     assert "Figure missing" not in page
     assert not [word for word in ("https:", "src=") if word in page]
     assert page.count("<script") == 1  # the one that sorts tables
-    assert [one["stage"] for one in found["distance"]["stages"]] == list(virtual.STAGES)
+    assert [one["stage"] for one in found["distance"]["stages"]] == [name for name, _ in STAGES]
     data = Path(found["report"].replace(".html", "-data"))
     assert json.loads((data / "numbers.json").read_text())["distance"] == found["distance"]
     for table in data.glob("*.csv"):  # numbers in cells of their own, no values of Python
@@ -113,16 +115,18 @@ def test_the_error_term_is_stage_by_pass(tmp_path: Path) -> None:
     """F of stages within passes, by the sums of squares of a randomized block by hand."""
     file = distance_study(tmp_path, 2)
     found = study.tracking(file).distance
-    rows = virtual.distance_rows(2)
+    rows = virtual.rows_of(Errors(2), 50.0)
     length = np.array([np.linalg.norm(np.subtract(r[5:], r[2:5])) for r in rows])
-    cells = length.reshape(6, 3, 40).mean(axis=2)
-    stage = 6 * ((cells.mean(axis=0) - cells.mean()) ** 2).sum() / 2
+    # of the ten stops of a pass the stages have 1, 4, 1 and 4, with 40 samples each
+    parts = np.split(length.reshape(6, 400), [40, 200, 240], axis=1)
+    cells = np.column_stack([part.mean(axis=1) for part in parts])
+    stage = 6 * ((cells.mean(axis=0) - cells.mean()) ** 2).sum() / 3
     rest = cells - cells.mean(axis=0) - cells.mean(axis=1, keepdims=True) + cells.mean()
-    f = stage / ((rest**2).sum() / 10)
+    f = stage / ((rest**2).sum() / 15)
     row = found.comparison.anova.rows[0]
     assert row.f == pytest.approx(f, rel=1e-9)
-    assert row.p == pytest.approx(f_distribution.sf(f, 2, 10), rel=1e-6)
-    assert found.comparison.effects[0].range == pytest.approx(virtual.TURN_BIAS, abs=0.06)
+    assert row.p == pytest.approx(f_distribution.sf(f, 3, 15), rel=1e-6)
+    assert found.comparison.effects[0].range == pytest.approx(Errors().bias_mm, abs=0.06)
     assert found.comparison.effects[0].verdict == "matters"
 
 
@@ -131,11 +135,12 @@ def test_samples_are_not_taken_for_independent(tmp_path: Path) -> None:
     found = study.tracking(distance_study(tmp_path, 3, passes=4, samples=2000)).distance
     rest = found.stages[0]
     assert rest.independent / rest.samples == pytest.approx(1 / 9, rel=0.3)
-    assert rest.sd_mm == pytest.approx(virtual.SAMPLE_SD, rel=0.1)
+    # of a difference of two markers
+    assert rest.sd_mm == pytest.approx(np.sqrt(2) * Errors().sample_sd_mm, rel=0.1)
 
 
 def test_a_drift_is_found_and_none_is_not_invented(tmp_path: Path) -> None:
-    drifting = study.tracking(distance_study(tmp_path, 4, drift_mm_per_h=20.0)).distance.drift
+    drifting = study.tracking(distance_study(tmp_path, 4, drift=20.0)).distance.drift
     assert drifting.interval[0] < 20 < drifting.interval[1]
     assert drifting.p < 1e-3
     steady = study.tracking(distance_study(tmp_path, 5)).distance.drift
@@ -146,7 +151,7 @@ def test_stages_visited_once_are_not_compared(tmp_path: Path) -> None:
     found = study.tracking(distance_study(tmp_path, 6, passes=1)).distance
     assert found.comparison is None
     assert "visited once" in found.comparison_note
-    assert found.bias_interval_mm is not None  # the three stages are three visits
+    assert found.bias_interval_mm is not None  # the four stages are four visits
     assert all(one.interval_mm is None for one in found.stages)
 
 
@@ -165,19 +170,16 @@ def test_the_standard_of_two_spheres_is_their_distance(tmp_path: Path) -> None:
 
 
 def test_the_straightness_is_that_put_in(tmp_path: Path) -> None:
-    bowed = displacement_study(tmp_path, 1, scale=1.0, offset=0.0, sd=0.0, bow_mm=0.5)
-    found = study.tracking(bowed).displacement
-    # a parabola of height h is off its line of least squares by h 4/sqrt(45) RMS when sampled
-    # densely; eleven stops have 0.96 of that spread
-    told = np.linspace(0, 1, 11)
+    found = study.tracking(displacement_study(tmp_path, sd=0.0, bow_mm=0.5)).displacement
+    # stops lie evenly about the middle of the way: the line of least squares is parallel to it
+    told = np.concatenate([stops for _, stops in STAGES]) / 50
     arc = 0.5 * 4 * told * (1 - told)
     assert found.straightness_rms_mm == pytest.approx(arc.std(), rel=1e-3)
     assert found.repeatability_mm == pytest.approx(0, abs=1e-9)
 
 
 def test_limits_of_agreement_are_mean_and_deviation(tmp_path: Path) -> None:
-    file = displacement_study(tmp_path, 3, scale=1.0, offset=0.0, sd=0.03)
-    found = study.tracking(file).displacement
+    found = study.tracking(displacement_study(tmp_path, sd=0.03)).displacement
     difference = found.measured_mm - found.commanded_mm
     assert found.agreement.bias == pytest.approx(difference.mean())
     assert found.agreement.upper - found.agreement.lower == pytest.approx(
