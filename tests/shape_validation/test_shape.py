@@ -20,6 +20,7 @@ from study.laboratory.shape.boundary import DeformedMesh, surface_of, symmetry_o
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
 from study.mechanics.surface.closed_surface import volume
 from study.reporting.output.accuracy_page import scan_answers
+from tests.fem.surfaces import write
 from tests.registration.bodies import egg, scan
 
 #: Lubricated compression of an incompressible cylinder: stretch 0.8 along, 0.8^-1/2 across.
@@ -72,16 +73,7 @@ def write_csv(path: Path, points: Array, header: str = "x,y,z") -> Path:
 
 
 def write_ply(path: Path, surface: TriangleSurface) -> Path:
-    """Text PLY with faces."""
-    head = (
-        f"ply\nformat ascii 1.0\nelement vertex {len(surface.points)}\nproperty double x\n"
-        f"property double y\nproperty double z\nelement face {len(surface.triangles)}\n"
-        "property list uchar int vertex_indices\nend_header\n"
-    )
-    points = "".join(f"{x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in surface.points)
-    faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in surface.triangles)
-    path.write_text(head + points + faces)
-    return path
+    return Path(write(path, (surface.points, surface.triangles)))
 
 
 def write_cloud(path: Path, points: Array) -> Path:
