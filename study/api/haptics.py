@@ -37,9 +37,7 @@ from study.laboratory.haptics.haptic_export import (
     TOLERANCE,
     ForceLaw,
     ForceLawSource,
-    document,
     files,
-    sentences,
     solved_force_law,
     surface_function,
 )
@@ -341,7 +339,7 @@ def export(
         write_atomic(path, text.encode())
     question = "How does the force follow from displacement and constants?"
     page = write_force_law(law, question, folder, tuple(warnings))
-    return _exported(document(law), sentences(law), (*made, page), warnings, law)
+    return _exported(law.to_json(), law.sentences(), (*made, page), warnings, law)
 
 
 # What the sensors of a test must be for constants as accurate as wanted.
@@ -447,7 +445,7 @@ def export_surface(
         write_atomic(place, text.encode())
     missing = tuple(f"{one.response}: {one.refused}" for one in chosen if one.found is None)
     files = {"files": [str(place) for place in texts], "warnings": list(missing)}
-    content = {"functions": [function.document() for function in made], **files}
+    content = {"functions": [function.to_json() for function in made], **files}
     lines = tuple(sentence for function in made for sentence in function.sentences())
     return Export(content, lines, tuple(texts), missing)
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, ClassVar, TypedDict
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import study
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.mechanics.forward.finite_element import at_steps
@@ -51,28 +52,6 @@ def stem_of(name: str) -> str:
     return f"{'law_' if plain[0].isdigit() else ''}{plain}_force_law"
 
 
-def sentences(law: ForceLaw) -> list[str]:
-    """Say where a law holds, how near it is, and what it does elsewhere."""
-    held, end = law.held_out, law.force.end_mm
-    largest = f"{held.bound_N:.2g} N ({100 * law.relative_error:.2g} % of the largest force)"
-    lines = [
-        f"Tested from 0 to {end:g} mm: within {largest} of the simulation on "
-        f"{held.force_N.size} points solved between its {law.force.values.size} knots.",
-        f"Below 0 mm it is zero and beyond {end:g} mm it goes on straight; no simulation says so, "
-        "and is_tested tells where that is.",
-        f"Its slope is continuous but at first touch, where it begins with "
-        f"{law.force.slopes[0]:.4g} N/mm.",
-    ]
-    if law.limited:
-        places = ", ".join(f"{law.displacement_mm[k]:.4g}" for k in law.limited)
-        lines += [f"It rises where the simulation does: its slope is limited at {places} mm."]
-    elif law.is_monotone:
-        lines += ["It never falls, with the slopes of the simulation."]
-    else:
-        lines += ["The simulated force falls somewhere, and so does the law."]
-    return lines + [_range(constant) for constant in law.ranges]
-
-
 def _range(constant: ConstantRange) -> str:
     factor, unit = (1.0, "") if is_dimensionless(constant.name) else (1e3, " kPa")
     ends = f"{constant.name} from {factor * constant.low:.4g} to {factor * constant.high:.4g}{unit}"
@@ -81,53 +60,10 @@ def _range(constant: ConstantRange) -> str:
     return f"With {ends} alone it is within {constant.largest_N:.2g} N, to first order."
 
 
-def document(law: ForceLaw) -> dict[str, object]:
-    """Document of ``study export --as force-law --json``: plain values, units in the names."""
-    # Units: law mm, N, MPa.
-    uncertainty = law.standard_uncertainty_at(law.displacement_mm)
-    return {
-        "schema": SCHEMA,
-        "kind": "force-law",
-        "name": law.name,
-        "displacement_mm": law.displacement_mm.tolist(),
-        "force_N": law.force.values.tolist(),
-        "stiffness_N_per_mm": law.force.slopes.tolist(),
-        "constants_MPa": dict(law.constants),
-        "force_gradient": {
-            n: ({"value": t.values.tolist(), "slope_per_mm": t.slopes.tolist()})
-            for n, t in law.gradients.items()
-        },
-        "tested_mm": [0.0, law.force.end_mm],
-        "continuation": {"below": "zero", "above": "linear", "simulated": False},
-        "monotone": law.is_monotone,
-        "limited_mm": [float(law.displacement_mm[k]) for k in law.limited],
-        "error_bound": {
-            "force_N": law.held_out.bound_N,
-            "relative": law.relative_error,
-            "at_mm": law.held_out.worst_mm,
-            "points": law.held_out.force_N.size,
-        },
-        "held_out": {
-            "displacement_mm": law.held_out.displacement_mm.tolist(),
-            "force_N": law.held_out.force_N.tolist(),
-            "deviation_N": law.held_out.deviation_N.tolist(),
-        },
-        "constant_ranges": [
-            {**vars(r), "largest_N": r.largest_N if math.isfinite(r.largest_N) else None}
-            for r in law.ranges
-        ],
-        "standard_uncertainty_N": None
-        if uncertainty is None or not np.isfinite(uncertainty).all()
-        else uncertainty.tolist(),
-        "sentences": sentences(law),
-        "version": study.__version__,
-    }
-
-
 def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
     """Text of every file of a law, by its path in a folder; nothing is written."""
     stem = stem_of(law.name)
-    text = json.dumps(document(law), indent=2, allow_nan=False) + "\n"
+    text = json.dumps(law.to_json(), indent=2, allow_nan=False) + "\n"
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     gradients = [f"dF_d{name}" for name in law.gradients]
@@ -138,7 +74,7 @@ def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
     made = {"json": text, "csv": stream.getvalue()}
     made |= {  # a Python module without imports, a C header without includes
         suffix: rendered(
-            f"force_law.{suffix}.j2", law=law, name=law.name, stem=stem, sentences=sentences(law)
+            f"force_law.{suffix}.j2", law=law, name=law.name, stem=stem, sentences=law.sentences()
         )
         for suffix in ("py", "h")
     }
@@ -359,12 +295,14 @@ def is_monotone(chords: Array, slopes: Array) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class TabulatedFunction:
+class TabulatedFunction(Keyed):
     """A function tabulated at evenly spaced displacements from 0, with its slopes.
 
     Between two of them it is the cubic with their values and slopes, so that it is smooth (C1).
     Below 0 it is zero, beyond the last one it goes on straight.
     """
+
+    KEYS = "value=values slope_per_mm=slopes"
 
     step_mm: float
     #: shape (n + 1,); the function and its derivative by the displacement.
@@ -415,8 +353,10 @@ BEYOND_SEEN = 1.5
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOut(Keyed):
     """Points of a path that are kept out of the table made of it, three in each interval."""
+
+    KEYS = "displacement_mm force_N deviation_N"
 
     #: shape (n,); as the finite elements find them.
     displacement_mm: Array
@@ -451,8 +391,17 @@ class ConstantRange:
 
 
 @dataclass(frozen=True)
-class ForceLaw:
+class ForceLaw(Keyed):
     """Force as a function of displacement, and to first order of the constants."""
+
+    KEYS = (
+        "schema kind name displacement_mm force_N=force.values stiffness_N_per_mm=force.slopes "
+        "constants_MPa=constants force_gradient=gradients tested_mm continuation "
+        "monotone=is_monotone limited_mm error_bound held_out constant_ranges=ranges "
+        "standard_uncertainty_N sentences version"
+    )
+    schema, kind, version = SCHEMA, "force-law", study.__version__
+    continuation: ClassVar = {"below": "zero", "above": "linear", "simulated": False}
 
     name: str
     #: N over mm, monotone where the simulation is.
@@ -475,6 +424,30 @@ class ForceLaw:
         return np.asarray(self.force.step_mm * np.arange(self.force.values.size), float)
 
     @property
+    def tested_mm(self) -> tuple[float, float]:
+        """Displacements that were simulated."""
+        return 0.0, self.force.end_mm
+
+    @property
+    def limited_mm(self) -> list[float]:
+        """Displacements at which the slope is smaller than that of the simulation."""
+        return self.displacement_mm[list(self.limited)].tolist()
+
+    @property
+    def error_bound(self) -> dict[str, float]:
+        """Bound of the error, over the largest force too, with the points that tell it."""
+        held = self.held_out
+        return {"force_N": held.bound_N, "relative": self.relative_error, "at_mm": held.worst_mm,
+                "points": held.force_N.size}  # fmt: skip
+
+    @property
+    def standard_uncertainty_N(self) -> Array | None:  # noqa: N802
+        """Standard uncertainty at every knot; None where a covariance is not known."""
+        uncertainty = self.standard_uncertainty_at(self.displacement_mm)
+        is_known = uncertainty is not None and np.isfinite(uncertainty).all()
+        return uncertainty if is_known else None
+
+    @property
     def relative_error(self) -> float:
         """Error bound over the largest force of the table."""
         return self.held_out.bound_N / float(np.abs(self.force.values).max())
@@ -484,6 +457,27 @@ class ForceLaw:
         """Whether the force never falls as the displacement grows."""
         chords = np.diff(self.force.values) / self.force.step_mm
         return bool(np.all(chords >= 0) and np.all(is_monotone(chords, self.force.slopes)))
+
+    def sentences(self) -> list[str]:
+        """Say where a law holds, how near it is, and what it does elsewhere."""
+        held, end = self.held_out, self.force.end_mm
+        largest = f"{held.bound_N:.2g} N ({100 * self.relative_error:.2g} % of the largest force)"
+        lines = [
+            f"Tested from 0 to {end:g} mm: within {largest} of the simulation on "
+            f"{held.force_N.size} points solved between its {self.force.values.size} knots.",
+            f"Below 0 mm it is zero and beyond {end:g} mm it goes on straight; no simulation says "
+            "so, and is_tested tells where that is.",
+            f"Its slope is continuous but at first touch, where it begins with "
+            f"{self.force.slopes[0]:.4g} N/mm.",
+        ]
+        if self.limited:
+            places = ", ".join(f"{self.displacement_mm[k]:.4g}" for k in self.limited)
+            lines += [f"It rises where the simulation does: its slope is limited at {places} mm."]
+        elif self.is_monotone:
+            lines += ["It never falls, with the slopes of the simulation."]
+        else:
+            lines += ["The simulated force falls somewhere, and so does the self."]
+        return lines + [_range(constant) for constant in self.ranges]
 
     def force_at(
         self, displacement_mm: ArrayLike, constants: Mapping[str, float] | None = None
@@ -570,8 +564,14 @@ class Product(TypedDict):
 
 
 @dataclass(frozen=True)
-class SurfaceFunction:
-    """A surface as plain numbers."""
+class SurfaceFunction(Keyed):
+    """A surface as plain numbers, units in their own keys."""
+
+    KEYS = (
+        "schema kind name response=surface.response unit=surface.unit at=surface.labels inputs "
+        "constant parts products error_bound=bound sentences version"
+    )
+    schema, version = SCHEMA, study.__version__
 
     #: Identifier, also the stem of its files.
     name: str
@@ -601,27 +601,14 @@ class SurfaceFunction:
             "settings: the largest half width of its intervals.",
         )
 
-    def document(self) -> dict[str, object]:
-        """Plain values, units in their own keys."""
-        return {
-            "schema": SCHEMA,
-            "kind": "emulator" if self.parts else "quadratic",
-            "name": self.name,
-            "response": self.surface.response,
-            "unit": self.surface.unit,
-            "at": dict(self.surface.labels),
-            "inputs": list(self.inputs),
-            "constant": self.constant,
-            "parts": list(self.parts),
-            "products": list(self.products),
-            "error_bound": self.bound,
-            "sentences": list(self.sentences()),
-            "version": study.__version__,
-        }
+    @property
+    def kind(self) -> str:
+        """What the surface is."""
+        return "emulator" if self.parts else "quadratic"
 
     def files(self, folder: Path) -> dict[Path, str]:
         """Text of its files by their path in a folder."""
-        text = json.dumps(self.document(), indent=1, allow_nan=False) + "\n"
+        text = json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n"
         return {folder / f"{self.name}.json": text, folder / f"{self.name}.py": self.python()}
 
     def python(self) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.laboratory.haptics.haptic_export import ForceLaw, sentences
+from study.laboratory.haptics.haptic_export import ForceLaw
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
 from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.blocks import Table
@@ -62,7 +62,7 @@ def write_force_law(
             ),
         ),
     }
-    blocks = answer_blocks(sentences(law), plots, [constants(law)], warnings)
+    blocks = answer_blocks(law.sentences(), plots, [constants(law)], warnings)
     return write_answer("force law", law.name, question, blocks, out_dir)
 
 
