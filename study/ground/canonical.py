@@ -41,7 +41,8 @@ class Keyed:
 def _at(value: object, path: str) -> object:
     for name in path.split("."):
         value = None if value is None else getattr(value, name)
-    return value() if callable(value) else value
+    is_method = callable(value) and not is_dataclass(value)
+    return value() if is_method else value
 
 
 @overload

@@ -196,6 +196,8 @@ def test_the_lever_arm_put_in_is_found(tmp_path: Path) -> None:
     assert found.fit.rms > 5
     assert found.lever_arm.rms_mm < 0.3
     assert found.lever_arm.left_out_rms_mm < 0.4
+    written = found.to_json()["registration"]["rotation"]
+    assert written == found.fit.motion.rotation.tolist()
 
 
 def test_an_arm_that_the_poses_cannot_show_does_no_harm(tmp_path: Path) -> None:
