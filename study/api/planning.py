@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -131,8 +131,7 @@ class Plan(Keyed):
         "controls memory_MB program_calls commands commands_digest=digest design=overview.to_json"
     )
     #: what a study that has run has besides
-    report: ClassVar[None] = None
-    verdicts: ClassVar[tuple[()]] = ()
+    report, verdicts = None, ()
 
     design: Design
     #: Matrix, exclusions, what each factor can tell.

@@ -41,8 +41,9 @@ class Keyed:
 def _at(value: object, path: str) -> object:
     for name in path.split("."):
         value = None if value is None else getattr(value, name)
-    is_method = callable(value) and not is_dataclass(value)
-    return value() if is_method else value
+    if callable(value) and not is_dataclass(value):
+        return value()
+    return value
 
 
 @overload

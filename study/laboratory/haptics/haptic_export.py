@@ -401,7 +401,11 @@ class ForceLaw(Keyed):
         "standard_uncertainty_N sentences version"
     )
     schema, kind, version = SCHEMA, "force-law", study.__version__
-    continuation: ClassVar = {"below": "zero", "above": "linear", "simulated": False}
+    continuation: ClassVar[Mapping[str, object]] = {
+        "below": "zero",
+        "above": "linear",
+        "simulated": False,
+    }
 
     name: str
     #: N over mm, monotone where the simulation is.
@@ -431,7 +435,7 @@ class ForceLaw(Keyed):
     @property
     def limited_mm(self) -> list[float]:
         """Displacements at which the slope is smaller than that of the simulation."""
-        return self.displacement_mm[list(self.limited)].tolist()
+        return [float(self.displacement_mm[k]) for k in self.limited]
 
     @property
     def error_bound(self) -> dict[str, float]:
