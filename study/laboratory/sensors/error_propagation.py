@@ -17,7 +17,7 @@ from study.ground.canonical import Keyed
 from study.ground.errors import InputError, RefusedError
 from study.harness.execution.local import Loky
 from study.harness.execution.supervisor import Inline
-from study.harness.execution.task import Executor, Task
+from study.harness.execution.task import Executor, Results, Task
 from study.laboratory.sensors.force_model import (
     ForceAccuracy,
     ForceAt,
@@ -270,7 +270,7 @@ def simulate(
     for multiple in multiples:
         for chunk in _chunks(sampling, propagation, multiple):
             key = f"{multiple:g}-{chunk.first}"
-            tasks.append(Task(key, lambda _, chunk=chunk: chunk))
+            tasks.append(Task(key, _payload(chunk)))
             owners[key] = multiple
     changes_at: dict[float, Changes] = {multiple: Changes() for multiple in multiples}
     say = progress or (lambda text: None)
@@ -294,6 +294,10 @@ def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> It
     for first in range(0, sampling.samples, CHUNK):
         last = min(first + CHUNK, sampling.samples)
         yield Chunk(drawn, stream, first, last, propagation.pseudo_inverse, xtol)
+
+
+def _payload(chunk: Chunk) -> Callable[[Results], Chunk]:
+    return lambda _: chunk
 
 
 def _changes(result: Mapping[str, object]) -> Changes:
