@@ -9,43 +9,21 @@ from typing import Any  # noqa: E402
 
 __version__ = "0.1.0"
 
-_LAZY = {
-    "load_design": "study.api",
-    "run": "study.api",
-    "load": "study.api",
-    "solve": "study.api",
-    "calibrate": "study.api",
-    "indentation_modulus": "study.api",
-    "inspect": "study.api",
-    "analyze": "study.api",
-    "converge": "study.api",
-    "report": "study.api",
-    "fit_surface": "study.api",
-    "fit_surfaces": "study.api",
-    "predict": "study.api",
-    "optimize": "study.api",
-    "invert": "study.api",
-    "contrasts": "study.api",
-    "power": "study.api",
-    "export": "study.api",
-    "export_surface": "study.api",
-    "require": "study.api",
-    "anova": "study.api",
-    "mixed_model": "study.api",
-    "ryan_joiner": "study.api",
-    "bartlett": "study.api",
-    "grid_convergence": "study.api",
-    "tracking": "study.api",
-    "shape": "study.api",
-}
-__all__ = [*_LAZY, "__version__"]  # noqa: PLE0604
+#: public names, each loaded on first use, so that ``import study`` stays fast
+_PUBLIC = (
+    "load_design", "run", "load", "solve", "calibrate", "indentation_modulus", "inspect",
+    "analyze", "converge", "report", "fit_surface", "fit_surfaces", "predict", "optimize",
+    "invert", "contrasts", "power", "export", "export_surface", "require", "anova",
+    "mixed_model", "ryan_joiner", "bartlett", "grid_convergence", "tracking", "shape",
+)  # fmt: skip
+__all__ = [*_PUBLIC, "__version__"]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public function on first use, so that ``import study`` stays fast."""
-    if name not in _LAZY:
+    """Load a public function."""
+    if name not in _PUBLIC:
         raise AttributeError(f"module 'study' has no attribute {name!r}")
-    return getattr(importlib.import_module(_LAZY[name]), name)
+    return getattr(importlib.import_module("study.api"), name)
 
 
 def __dir__() -> list[str]:

@@ -338,14 +338,14 @@ def long_docstrings(root: Path) -> list[str]:
 
 
 def public_names(root: Path) -> set[str]:
-    """Names of ``study.__all__``: the keys of the table of what is loaded on first use."""
+    """Names of ``study.__all__``: the tuple of what is loaded on first use."""
     tree = parsed((root / "study" / "__init__.py").read_text(encoding="utf-8"))
     return {
-        str(key.value)
+        str(name.value)
         for node in tree.body
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict)
-        for key in node.value.keys
-        if isinstance(key, ast.Constant)
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple)
+        for name in node.value.elts
+        if isinstance(name, ast.Constant)
     }
 
 
@@ -402,15 +402,23 @@ def unused(root: Path) -> list[str]:
     """Names of functions, classes, methods, fields and variables that no module uses.
 
     Vulture knows names alone, so that one use of a name lets off all that bear it. Templates use
-    names, too; public names and hooks that other packages call are let off.
+    names, too, and the keys that a class declares for its JSON; public names and hooks that other
+    packages call are let off.
     """
     hooks = let_in(root)["hooks"]
     finder = vulture.Vulture(ignore_names=[*public_names(root), *hooks])
     finder.scavenge([root / "study"])
     pages = [path for kind in ("*.j2", "*.html") for path in (root / "study").rglob(kind)]
     templates = {word for path in pages for word in re.findall(r"\w+", path.read_text())}
+    keys = {
+        name
+        for _, tree in trees(root)
+        for node in walked(tree)
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "KEYS"
+        for name in re.findall(r"\w+", ast.unparse(node.value))
+    }
     found = {str(item.name) for item in finder.get_unused_code(min_confidence=60)}
-    return sorted(found - templates)
+    return sorted(found - templates - keys)
 
 
 def poorly_explained(root: Path) -> list[str]:

@@ -125,7 +125,7 @@ BREACHES = [
     ("mechanics/element/a", "study.mechanics.forward.model", "Inside mechanics"),
     ("statistics/convergence/a", "study.statistics.analysis.anova", "Inside statistics"),
     ("harness/design/a", "study.harness.record.record", "Inside harness"),
-    ("laboratory/registration/a", "study.laboratory.haptics.force_surface", "Inside laboratory"),
+    ("laboratory/registration/a", "study.laboratory.haptics.haptic_export", "Inside laboratory"),
     ("reporting/content/a", "study.reporting.output.page", "Inside reporting"),
     ("harness/design/layouts", "study.harness.design.load", CIRCLE),
     (
@@ -307,7 +307,7 @@ def test_rules_see_a_small_helper_with_one_caller(house: Path) -> None:
 def test_rules_see_a_docstring_longer_than_its_function(house: Path) -> None:
     long = '\n\ndef {}(x):\n    """Give x.\n\n    As it is.\n    """\n    return x\n'
     plant(house, "ground/units.py", long.format("same") + "\n\ndef short(x):\n    return x\n")
-    plant(house, "__init__.py", '\n_LAZY = {"solve": "study.api"}\n')
+    plant(house, "__init__.py", '\n_PUBLIC = ("solve",)\n')
     plant(house, "api.py", long.format("solve"))
     assert rules.long_docstrings(house) == ["study/ground/units.py: same"]
 

@@ -262,7 +262,7 @@ def test_every_other_verb_a_users_function_and_programs(hostile: Hostile, tmp_pa
     (folder / "bowl.csv").write_text("\n".join(["x,y,f", *rows]))
     (folder / "plates.toml").write_text(PLATES)
     (folder / "tracker.toml").write_text(DISTANCE)
-    virtual.write(folder / "markers.csv", MARKERS, virtual.distance_rows(1))
+    virtual.write(folder / "markers.csv", MARKERS, virtual.rows_of(virtual.Errors(1), 50.0))
     write_csv(folder / "scan.csv", cylinder(11.2, 9.0, 400, 1))
     (folder / "m.csv").write_text("displacement_mm,force_N\n1,.2\n2,.5\n3,.9\n")
     small = ("small.toml", "--data", "data")

@@ -512,11 +512,23 @@ _FEWEST = 5
 
 def effects_by_depth(study: StudyResult) -> tuple[DepthEffect, ...]:
     """Largest difference of every main effect over the first part of the test."""
-    depth = _common_depth(study.records)
     of_curves = [r for r in study.design.responses if r.name in CURVE_RESPONSES]
-    if depth is None or not of_curves:
+    reached = [
+        measured.displacement_mm
+        for record in study.records
+        if record.converged
+        for _, measured in _pairs(record)
+    ]
+    ends = [float(places[-1]) for places in reached]
+    # without a displacement that every curve reaches, to 2 %, there is nothing to compare
+    if not of_curves or not ends or max(ends) > 1.02 * min(ends):
         return ()
-    shares = [s for s in SHARES if _points(study.records, s * depth) >= _FEWEST]
+    depth = min(ends)
+    shares = [
+        s
+        for s in SHARES
+        if min(int((at <= s * depth * (1 + 1e-9)).sum()) for at in reached) >= _FEWEST
+    ]
     if len(shares) < 2:
         return ()
     return tuple(
@@ -532,28 +544,6 @@ def _pairs(record: Record) -> Iterator[tuple[Curve, Curve]]:
         if (pair := record.pair(fact["score"])) is not None:
             measured, predicted = pair
             yield predicted, measured
-
-
-def _common_depth(records: Sequence[Record]) -> float | None:
-    """Displacement that every scored curve reaches; None where they differ by more than 2 %."""
-    ends = [
-        float(measured.displacement_mm[-1])
-        for record in records
-        if record.converged
-        for _, measured in _pairs(record)
-    ]
-    if not ends or max(ends) > 1.02 * min(ends):
-        return None
-    return min(ends)
-
-
-def _points(records: Sequence[Record], depth_mm: float) -> int:
-    return min(
-        int((measured.displacement_mm <= depth_mm * (1 + 1e-9)).sum())
-        for record in records
-        if record.converged
-        for _, measured in _pairs(record)
-    )
 
 
 def _effects(study: StudyResult, response: ResponseSpec, depth_mm: float) -> Iterator[DepthEffect]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from study.ground.curve import Curve
+from study.harness.design.diagnostics import flatten
 from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.runner.batch import notes_of
 from study.harness.runner.case_series import stored_convergence
@@ -141,29 +142,19 @@ def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
 def _inputs(design: Design) -> dict[str, str]:
     """List the fixed inputs by dotted key, as they are written."""
     varied = {key for factor in design.factors for lv in factor.levels for key in lv.settings}
-    flat = {
-        key: value
-        for name, section in design.config.items()
-        if name not in _HIDDEN
-        for key, value in _flat(section, name)
-    }
-    return {key: str(value) for key, value in flat.items() if key not in varied}
+    return {key: str(value) for key, value in _written(design).items() if key not in varied}
 
 
-def _flat(value: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from _flat(item, f"{prefix}.{key}")
-    else:
-        yield prefix, value
+def _written(design: Design) -> dict[str, object]:
+    """Give the inputs of a design by dotted key."""
+    return flatten({name: v for name, v in design.config.items() if name not in _HIDDEN})
 
 
 def _assumed(design: Design) -> dict[str, str]:
     """List the inputs that nobody measured, with what was assumed of them."""
-    flat = dict(_flat({k: v for k, v in design.config.items() if k not in _HIDDEN}, ""))
-    out = {}
+    flat, out = _written(design), {}
     for key in design.assumed:
-        values = [str(v) for k, v in flat.items() if k == f".{key}" or k.startswith(f".{key}.")]
+        values = [str(v) for k, v in flat.items() if f"{k}.".startswith(f"{key}.")]
         levels = [
             str(level.settings[key])
             for factor in design.factors
@@ -312,27 +303,24 @@ def _adequacy(fits: Mapping[str, Mapping[str, Any]]) -> Check:
 def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
     vague = [fit for fit in fits.values() if not fit["identifiable"]]
     finding = f"{len(fits) - len(vague)} of {len(fits)} calibrations determine every constant"
-    if not vague:
-        return Check("constants are identifiable", "pass", finding, "each has a meaning of its own")
-    consequence = (
-        "a constant that the data do not determine has no meaning of its own; the force curve and "
-        "the initial shear modulus have"
-    )
-    return Check("constants are identifiable", "caution", finding, consequence)
+    consequence = "each has a meaning of its own"
+    if vague:
+        consequence = (
+            "a constant that the data do not determine has no meaning of its own; the force curve "
+            "and the initial shear modulus have"
+        )
+    outcome = "caution" if vague else "pass"
+    return Check("constants are identifiable", outcome, finding, consequence)
 
 
 def _stability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
     bad = [fit for fit in fits.values() if not fit.get("stable", True)]
     finding = f"{len(fits) - len(bad)} of {len(fits)} calibrations are stable over the range"
-    if not bad:
-        use = "they may be used over the range of their test"
-        return Check("constants are stable", "pass", finding, use)
-    return Check(
-        "constants are stable",
-        "caution",
-        f"{finding}; for example {bad[0].get('stability', 'the first')}",
-        "do not use the unstable ones beyond the test they were fitted to",
-    )
+    use = "they may be used over the range of their test"
+    if bad:
+        finding += f"; for example {bad[0].get('stability', 'the first')}"
+        use = "do not use the unstable ones beyond the test they were fitted to"
+    return Check("constants are stable", "caution" if bad else "pass", finding, use)
 
 
 def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:

@@ -24,8 +24,7 @@ from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.record.folder import own_folder
 from study.harness.runner import provenance
 from study.harness.runner.virtual_specimens import usual_generator, write_tests, write_virtual
-from study.laboratory.tracker.tracker_recording import is_tracking, load_tracking
-from study.laboratory.tracker.virtual_tracker import write_recording
+from study.laboratory.tracker.tracker_recording import is_tracking, load_tracking, write_recording
 from study.mechanics.forward.contact_law import Layer
 from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,40 +97,41 @@ class CostFront:
     answer: str
 
 
-@dataclass(frozen=True)
-class Convergence:
-    """Series of one problem, or of the cells of a design, with the problem of each."""
+class SeriesDocument(Shown, dict[str, object]):
+    """Document of ``study converge``, a dictionary that can be shown."""
 
-    cells: tuple[SeriesJudgement, ...]
-    problems: tuple[ForwardCell, ...]
-    #: What an accuracy costs, for cells without measurements.
-    fronts: tuple[CostFront, ...] | None = None
-    #: Cells of a study that the time budget did not allow.
-    left_out: tuple[CaseJob, ...] | None = None
-    report: Path | None = None
-    is_problem: bool = False
+    def to_frame(self) -> pd.DataFrame:
+        """Return the meshes of all series, one row each."""
+        from study.reporting.figures.convergence_figures import value_points
 
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study converge --json``: that of the one series of a problem."""
-        cells = [cell.to_json() for cell in self.cells]
-        document: dict[str, object] = cells[0] if self.is_problem else {"cells": cells}
-        if self.fronts is not None:
-            document["fronts"] = plain(self.fronts)
-        if self.left_out is not None:
-            document["left_out"] = [
-                {"levels": dict(job.case.levels), "verdict": "left out: the time budget"}
-                for job in self.left_out
-            ]
-        return document if self.report is None else document | {"report": str(self.report)}
+        return value_points(cast("Sequence[Document]", self.get("cells", [self])))
 
-    def written(self, name: str, question: str, reports: Path | None) -> Convergence:
-        """Write the page where a folder is given."""
-        if reports is None:
-            return self
-        pictures, window = meshes(self.cells, self.problems)
-        folder = reports / slug(name)
-        page = write_convergence(name, question, self.to_json(), folder, pictures, window)
-        return replace(self, report=page)
+    def plot(self) -> Drawing:
+        """Draw value against mesh size, a panel a series, with the limit at zero."""
+        from study.reporting.figures.convergence_figures import draw_values
+
+        frame = self.to_frame()
+        return shown(lambda: draw_values(frame), "convergence", "value against mesh size")
+
+    def blocks(self) -> Iterator[Block]:
+        """Every series with its verdict, as ``study converge`` prints them."""
+        return series_blocks(self)
+
+    def paged(
+        self,
+        name: str,
+        question: str,
+        reports: Path | None,
+        cells: Sequence[SeriesJudgement],
+        problems: Sequence[ForwardCell],
+    ) -> Self:
+        """Write the page where a folder is given, and name it."""
+        if reports is not None:
+            pictures, window = meshes(cells, problems)
+            folder = reports / slug(name)
+            page = write_convergence(name, question, self, folder, pictures, window)
+            self["report"] = str(page)
+        return self
 
 
 # The page of a convergence study, with pictures of its meshes.
@@ -234,7 +235,7 @@ def problem_cells(
     reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
-) -> Convergence:
+) -> SeriesDocument:
     """Judge every cell of a design without measurements, and what each accuracy costs."""
     spec = design.converge
     places = provenance.folders(design.source, data_root(design.source))
@@ -245,8 +246,8 @@ def problem_cells(
     budget = Budget(spec.budget_s, memory_MB)
     cells, judged = _judged(problems, spec, formal, labels, budget, solver, progress)
     fronts = cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
-    convergence = Convergence(tuple(judged), tuple(problems), tuple(fronts))
-    return convergence.written(design.name, design.question, reports)
+    found = SeriesDocument(cells=[one.to_json() for one in judged], fronts=plain(fronts))
+    return found.paged(design.name, design.question, reports, judged, problems)
 
 
 def _judged(
@@ -355,7 +356,7 @@ def measured_cells(
     *,
     reports: Path | None = None,
     executor: Executor | None = None,
-) -> Convergence:
+) -> SeriesDocument:
     """Refine every cell of a study in its first block: its calibration, its score, its curve."""
     whole = expand(design, data)
     work = whole.plain()
@@ -378,36 +379,14 @@ def measured_cells(
     with store.lock():
         store.write_json("numerical-cells", {"of": digest(whole.input_hashes), "rows": rows})
     judged = [case_series.judge(design.converge, work.responses) for case_series in series]
-    convergence = Convergence(
-        tuple(judged),
-        tuple(case_series.base.case.problem for case_series in series),
-        left_out=tuple(case_series.base for case_series in every if case_series not in series),
-    )
-    return convergence.written(design.name, design.question, reports)
-
-
-# Refinement series as a notebook shows them: a frame, a table in HTML, a figure.
-
-
-class SeriesDocument(Shown, dict[str, object]):
-    """Document of ``study converge``, a dictionary that can be shown."""
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return the meshes of all series, one row each."""
-        from study.reporting.figures.convergence_figures import value_points
-
-        return value_points(cast("Sequence[Document]", self.get("cells", [self])))
-
-    def plot(self) -> Drawing:
-        """Draw value against mesh size, a panel a series, with the limit at zero."""
-        from study.reporting.figures.convergence_figures import draw_values
-
-        frame = self.to_frame()
-        return shown(lambda: draw_values(frame), "convergence", "value against mesh size")
-
-    def blocks(self) -> Iterator[Block]:
-        """Every series with its verdict, as ``study converge`` prints them."""
-        return series_blocks(self)
+    left_out = [
+        {"levels": dict(case_series.base.case.levels), "verdict": "left out: the time budget"}
+        for case_series in every
+        if case_series not in series
+    ]
+    problems = [case_series.base.case.problem for case_series in series]
+    found = SeriesDocument(cells=[one.to_json() for one in judged], left_out=left_out)
+    return found.paged(design.name, design.question, reports, judged, problems)
 
 
 def converge(
@@ -481,25 +460,20 @@ def converge(
     if isinstance(source, Mapping) or file_kind(source) != "design":
         name = "problem" if isinstance(source, Mapping) else Path(source).stem
         loaded = loaded_problem(source, overrides)
-        convergence = refined(
+        return refined(
             loaded, name, formal_order, tolerance, results=results, reports=reports,
             progress=say, memory_MB=memory_MB,
         )  # fmt: skip
-        return SeriesDocument(convergence.to_json())
-
     design = load(source, overrides)
     if design.is_alone:  # its series are those of its run, which alone may start a program
         return SeriesDocument(stored(source, results))
     workers = jobs or default_jobs()
     if design.measurements is None:
-        every = problem_cells(design, workers, results, say, reports=reports, memory_MB=memory_MB)
-    elif memory_MB is not None:
+        return problem_cells(design, workers, results, say, reports=reports, memory_MB=memory_MB)
+    if memory_MB is not None:
         rule = "is not taken where a design has measurements: its cases run as a study's do"
         raise InputError(Fault("--memory", rule, "leave it out, or use fewer --jobs"))
-    else:
-        root = design_root(design, data)
-        every = measured_cells(design, root, workers, results, say, reports=reports)
-    return SeriesDocument(every.to_json())
+    return measured_cells(design, design_root(design, data), workers, results, say, reports=reports)
 
 
 def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:
@@ -528,7 +502,7 @@ def refined(
     progress: Progress = lambda _: None,
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
-) -> Convergence:
+) -> SeriesDocument:
     """Refine one problem until its meshes are enough, and study the other errors besides."""
     spec, cell = loaded.converge, loaded.problem
     formal = promised(cell.at())
@@ -537,4 +511,4 @@ def refined(
     solver = solve or kept(in_process, store_of(results, name))
     budget = Budget(spec.budget_s, memory_MB)
     _, judged = _judged([cell], spec, [formal], [{}], budget, solver, progress, tolerance or None)
-    return Convergence(tuple(judged), (cell,), is_problem=True).written(name, "", reports)
+    return SeriesDocument(judged[0].to_json()).paged(name, "", reports, judged, [cell])

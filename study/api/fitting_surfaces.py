@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, get_args
+from typing import TYPE_CHECKING, Literal, Protocol, TypedDict, TypeVar, Unpack, get_args
 
 import numpy as np
 
-from study.api.analyzing import AnalysisSource, check_taken, data_of_table
+from study.api.analyzing import AnalysisSource, data_of_table
 from study.ground import tabular
 from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError, RefusedError, StudyError, nearest
@@ -24,7 +24,6 @@ from study.harness.design.factors import settings_of
 from study.harness.design.questions import usual_value
 from study.harness.record.record import is_repeat
 from study.reporting.content.text import count
-from study.reporting.output.write import write
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.surfaces.emulator import (
@@ -261,16 +260,18 @@ MOST_COMBINATIONS = 64
 _EMULATORS = (Emulator, BlockedEmulator)
 
 
+class SurfaceOptions(TypedDict, total=False):
+    """Keywords of :func:`fit_surfaces`, where they are described."""
+
+    surface: Surface
+    block: str | None
+    practical: float | str | None
+    decimal: str
+    announce: Callable[[str], None] | None
+
+
 def fit_surface(
-    source: str | Path,
-    response: str,
-    numeric: Sequence[str],
-    *,
-    surface: Surface = "auto",
-    block: str | None = None,
-    practical: float | str | None = None,
-    decimal: str = ".",
-    announce: Callable[[str], None] | None = None,
+    source: str | Path, response: str, numeric: Sequence[str], **options: Unpack[SurfaceOptions]
 ) -> SurfaceAnalysis:
     """Fit a response over numeric factors, and say what they do.
 
@@ -283,17 +284,9 @@ def fit_surface(
     numeric : sequence of str
         Columns of the factors: ``"time"``, ``"time=80..90"`` for the settings that are coded -1
         and 1 (those of the runs if left out), ``"time log"`` to code the logarithm.
-    surface : {"auto", "quadratic", "emulator", "none"}
-        By itself an emulator for more than five factors, or settings that fill the box.
-    block : str, optional
-        Column of the blocks; a quadratic needs a run of each at every setting, an
-        emulator three blocks.
-    practical : float or str, optional
-        Smallest difference that matters: a number, or "5 % of mean".
-    decimal : {".", ","}
-        Decimal mark of the file.
-    announce : callable, optional
-        Told beforehand what a long fit will cost.
+    **options : optional
+        As for :func:`fit_surfaces`: ``surface``, ``block``, ``practical``, ``decimal``,
+        ``announce``.
 
     Returns
     -------
@@ -307,10 +300,7 @@ def fit_surface(
     RefusedError
         If the runs cannot carry what is asked.
     """
-    alone = fit_surfaces(
-        source, response, numeric, (), surface=surface, block=block, practical=practical,
-        decimal=decimal, announce=announce,
-    )  # fmt: skip
+    alone = fit_surfaces(source, response, numeric, (), **options)
     # without labels there is one, and what keeps it from being fitted is raised
     return next(fitted.found for fitted in alone if fitted.found is not None)
 
@@ -344,9 +334,10 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     factors : sequence of str
         Columns of the factors that are labels.
     surface : {"auto", "quadratic", "emulator", "none"}
-        As of :func:`fit_surface`, at every combination.
+        By itself an emulator for more than five factors, or settings that fill the box.
     block : str, optional
-        Column of the blocks.
+        Column of the blocks; a quadratic needs a run of each at every setting, an emulator three
+        blocks.
     practical : float or str, optional
         Smallest difference that matters: a number, or "5 % of mean" of all runs.
     decimal : {".", ","}
@@ -675,15 +666,7 @@ def _runs_of_records(
     return Runs(response, factors, coded, values, blocks, u)
 
 
-# Write the page of a surface that was fitted to a table.
-
-
-def write_surface_page(
-    data: ReportData, out_dir: str | Path, formats: Sequence[str] = ("html",)
-) -> Path:
-    """Write the page of the surfaces of one response, with the CSV of its tables and figures."""
-    check_taken(list(data.factors))
-    return write(data, out_dir, formats)
+# What the page of a surface that was fitted to a table shows.
 
 
 def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from study.api.comparison import why
-from study.api.folders import REPORTS, RESULTS, data_root, finished_manifest, results_folder
+from study.api.folders import (
+    REPORTS,
+    RESULTS,
+    data_root,
+    finished_manifest,
+    loaded_problem,
+    results_folder,
+)
 from study.api.predicting import opened, surfaces_of
 from study.api.solving import solve
-from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_json
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import load
@@ -27,28 +33,29 @@ from study.harness.runner import provenance
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import cases_by_id
 from study.harness.runner.tasks import default_jobs
-from study.laboratory.haptics.force_surface import surface_function
 from study.laboratory.haptics.haptic_export import (
     TOLERANCE,
-    Wanted,
-    document,
+    ForceLaw,
+    ForceLawSource,
     files,
-    sentences,
     solved_force_law,
+    surface_function,
 )
-from study.laboratory.haptics.tabulated_force import ForceLaw
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement
-from study.laboratory.sensors.requirement import document as requirement_document
 from study.laboratory.shape.boundary import DeformedMesh, SimulatedBody, body_of_mesh, read_body
-from study.laboratory.shape.scan import read_markers, read_scan
-from study.laboratory.shape.shape_deviation import ShapeDeviation, ShapeOptions, judge_shape
+from study.laboratory.shape.shape_deviation import (
+    ShapeDeviation,
+    ShapeOptions,
+    judge_shape,
+    read_markers,
+    read_scan,
+)
 from study.laboratory.tracker.tracker_error import TrackerAccuracy, judge_tracker
 from study.laboratory.tracker.tracker_recording import load_tracking
 from study.mechanics.material import input_file
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
-from study.mechanics.setup.setup import Problem
 from study.reporting.content.text import THIN, duration, slug
 from study.reporting.output.accuracy_page import write_shape, write_tracker
 from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
@@ -123,19 +130,6 @@ STANDARD_ERRORS = 2.0
 LARGEST_SHARE = 0.5
 
 
-@dataclass(frozen=True)
-class ForceLawSource:
-    """A problem, and what is known of its constants."""
-
-    #: Of the file, the calibration, or the study and its case.
-    name: str
-    problem: Problem
-    #: Two standard errors of calibrated constants, MPa (exponents plain).
-    half_ranges: Mapping[str, float] = field(default_factory=dict)
-    #: shape (p, p); of calibrated constants, MPa^2.
-    covariance: Array | None = None
-
-
 def source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> ForceLawSource:
     """Read a problem from whatever holds it; its name and content show what that is."""
     if path.suffix == ".json":
@@ -151,7 +145,7 @@ def material_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> t
         case_source = source_of(path, case, test, overrides)
         return case_source.name, case_source.problem.material
     document = _document(path)
-    values, _ = _constants(cast("Mapping[str, Mapping[str, object]]", document["parameters"]))
+    values, _ = _constants(document["parameters"])
     section = _test_of(document, path, test).material
     return str(document["name"]), section.material(values)
 
@@ -166,8 +160,7 @@ def _written(path: Path, overrides: Sequence[str]) -> ForceLawSource:
     if kind == "design":
         mend = "run it and name one: study export results/NAME --case ID"
         raise InputError(Fault(str(path), "is a design of many cases", mend))
-    problem = load.load_problem(path, overrides).problem
-    problem = provenance.located(problem, provenance.folders(path, data_root(path)))
+    problem = loaded_problem(path, overrides).problem
     return ForceLawSource(load.default_name(str(path)), problem.at())
 
 
@@ -175,24 +168,22 @@ def _calibrated(path: Path, number: int) -> ForceLawSource:
     """Test of a finished calibration, with the constants and their covariance."""
     calibration = _document(path)
     tested = _test_of(calibration, path, number)
-    parameters = cast("Mapping[str, Mapping[str, object]]", calibration["parameters"])
-    values, errors = _constants(parameters)
-    rows = cast("Sequence[Sequence[object]]", calibration["correlation"])
-    correlation = np.array([[_float(value) for value in row] for row in rows])
+    values, errors = _constants(calibration["parameters"])
     size = np.array(list(errors.values()))
-    covariance = np.outer(size, size) * correlation
+    # null, where a correlation is not known, becomes NaN
+    covariance = np.outer(size, size) * np.array(calibration["correlation"], dtype=float)
     name = str(calibration["name"])
     return ForceLawSource(
-        f"{name}-test-{number}" if len(cast("list[object]", calibration["tests"])) > 1 else name,
+        f"{name}-test-{number}" if len(calibration["tests"]) > 1 else name,
         tested.at(values),
         _half_ranges(values, errors),
         covariance if np.isfinite(covariance).all() else None,
     )
 
 
-def _test_of(calibration: Mapping[str, object], path: Path, number: int) -> CellProblem:
+def _test_of(calibration: Mapping[str, Any], path: Path, number: int) -> CellProblem:
     """Test of a calibration, counted from 1."""
-    tests = cast("Sequence[Mapping[str, object]]", calibration["tests"])
+    tests = calibration["tests"]
     if not 1 <= number <= len(tests):
         rule = f"there is no test {number} in {path}, which has {len(tests)}"
         raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
@@ -235,7 +226,7 @@ def _float(value: object) -> float:
     return float("nan") if value is None else float(str(value))
 
 
-def _document(path: Path) -> Mapping[str, object]:
+def _document(path: Path) -> Mapping[str, Any]:
     """Document of a calibration that converged."""
     mend = "name the calibration.json that `study calibrate` wrote"
     try:
@@ -333,8 +324,7 @@ def export(
         return export_material(name, material, form, Path(out))
     case_source = source_of(Path(source), case, test, overrides)
     check(case_source.problem.material, None)
-    accuracy = Wanted(tolerance, case_source.half_ranges, case_source.covariance)
-    law = solved_force_law(case_source.name, case_source.problem, accuracy, progress)
+    law = solved_force_law(case_source, tolerance, progress)
     warnings = []
     if law.relative_error > tolerance:
         warnings.append(
@@ -347,7 +337,7 @@ def export(
         write_atomic(path, text.encode())
     question = "How does the force follow from displacement and constants?"
     page = write_force_law(law, question, folder, tuple(warnings))
-    return _exported(document(law), sentences(law), (*made, page), warnings, law)
+    return _exported(law.to_json(), law.sentences(), (*made, page), warnings, law)
 
 
 # What the sensors of a test must be for constants as accurate as wanted.
@@ -357,21 +347,6 @@ def export(
 SOLUTIONS_A_TEST = 6
 
 
-@dataclass(frozen=True)
-class Required:
-    """What the sensors must be, and the page that says so."""
-
-    requirement: SensorRequirement
-    page: Path
-    #: Where first order does not hold.
-    warnings: tuple[str, ...]
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study require --json``."""
-        document = requirement_document(self.requirement)
-        return {**document, "report": str(self.page), "warnings": list(self.warnings)}
-
-
 def require(
     source: str | Path,
     *,
@@ -379,7 +354,7 @@ def require(
     jobs: int | None = None,
     out: str | Path = REPORTS,
     progress: Callable[[str], None] | None = None,
-) -> Required:
+) -> SensorRequirement:
     """Say how uncertain sensors make constants and force, and what they must be.
 
     Parameters
@@ -398,7 +373,7 @@ def require(
 
     Returns
     -------
-    Required
+    SensorRequirement
         The numbers, and the page that was written.
 
     Raises
@@ -418,7 +393,8 @@ def require(
         time = duration(seconds).replace(THIN, " ")
         progress(f"{tests} simulated tests on {workers} workers, predicted to take {time}")
     sensors = sensor_requirement(file, workers, progress)
-    return Required(sensors, write_requirement(sensors, out), tuple(warnings(sensors)))
+    page = write_requirement(sensors, out)
+    return replace(sensors, report=str(page), warnings=tuple(warnings(sensors)))
 
 
 # The surfaces of a study as functions that need no package.
@@ -467,7 +443,7 @@ def export_surface(
         write_atomic(place, text.encode())
     missing = tuple(f"{one.response}: {one.refused}" for one in chosen if one.found is None)
     files = {"files": [str(place) for place in texts], "warnings": list(missing)}
-    content = {"functions": [function.document() for function in made], **files}
+    content = {"functions": [function.to_json() for function in made], **files}
     lines = tuple(sentence for function in made for sentence in function.sentences())
     return Export(content, lines, tuple(texts), missing)
 

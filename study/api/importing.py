@@ -15,6 +15,7 @@ from study.api.opened_study import load as load_study
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import CsvTable, label_fault, read_csv
+from study.ground.units import listed
 from study.harness.design.factors import level_label
 from study.harness.design.forward_section import TAKEN
 from study.harness.design.load import default_name, dump, from_tables, loads
@@ -57,14 +58,14 @@ def import_runs(
     surfaces, which predict, optimize and invert read, in place of tables of levels. The column
     ``failed`` holds a status, a reason, or nothing (also 0, no, false, ok) for runs with an answer.
     """
-    columns, asked = _listed(factors), _listed(numeric)
+    columns, asked = listed(factors), listed(numeric)
     units = _units(responses)
     needed = [*columns, *units, *(c for c in (failed, block) if c is not None)]
     table = read_csv(Path(path), required=needed, numbers=(), decimal=decimal)
     ranges = [settings_run(item, table) for item in asked]
     _check(table, columns, units, ranges)
     rows = _rows(table, columns, units, failed, block, ranges)
-    sizes = {k: size for k, size in _units(practical).items() if k}
+    sizes = _units(practical)
     if unknown := [k for k in sizes if k not in units]:
         rule = f"{unknown[0]!r} is no response"
         raise InputError(Fault("--practical", rule, nearest(unknown[0], units)))
@@ -100,16 +101,9 @@ def import_runs(
     return load_study(store.path)
 
 
-def _listed(columns: str | Sequence[str]) -> tuple[str, ...]:
-    """Names of columns, of a sequence or of a text with commas."""
-    given = columns.split(",") if isinstance(columns, str) else columns
-    return tuple(column.strip() for column in given if column.strip())
-
-
 def _units(responses: str | Sequence[str]) -> dict[str, str]:
     """Read the names of responses, each with its unit, which may be left out."""
-    written = responses.split(",") if isinstance(responses, str) else responses
-    pairs = (one.partition("=") for one in written)
+    pairs = (one.partition("=") for one in listed(responses))
     return {name.strip(): unit.strip() for name, _, unit in pairs}
 
 

@@ -183,10 +183,10 @@ def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bo
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
     analyses = _analyses(design, records, numerical)
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused not in ("", SEE_SURFACE)]
-    more = joined(design, store, manifest)
-    fitted = surfaces(more.design, [*records, *more.records], numerical)
-    if more.records:
-        warnings.append(f"{len(more.records)} confirming runs joined those of the surfaces")
+    ranged, more = joined(design, store, manifest)
+    fitted = surfaces(ranged, [*records, *more], numerical)
+    if more:
+        warnings.append(f"{len(more)} confirming runs joined those of the surfaces")
     warnings += [
         f"{surface_fit.response}: {surface_fit.refused}"
         for surface_fit in fitted

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -74,7 +74,10 @@ def predict(
     """
     study = opened(path, results)
     surfaces = surfaces_of(study, response)
-    numbers, labels = given(study.design, at, [factor.name for factor in study.design.factors])
+    numbers, labels = given(study.design, at, {
+        factor.name: Fault(factor.name, "has no setting", "give every factor one")
+        for factor in study.design.factors
+    })  # fmt: skip
     here = [fitted for fitted in surfaces if dict(fitted.labels) == labels]
     faults = [
         Fault("predict", f"{one.response} has no surface: {one.refused}",
@@ -96,14 +99,19 @@ def opened(path: str | Path | StudyResult, results: str | Path) -> StudyResult:
 
 
 def given(
-    design: Design, at: Mapping[str, Setting], needed: Iterable[str] = ()
+    design: Design, at: Mapping[str, Setting], needed: Mapping[str, Fault] | None = None
 ) -> tuple[dict[str, Array], dict[str, str]]:
-    """Read settings of ranges in their units, and labels of the others; all faults at once."""
+    """Read settings of ranges in their units, and labels of the others; all faults at once.
+
+    ``speed`` names ``parameters.speed`` where no factor is called so. The settings that are needed
+    come with what is wrong where they are missing.
+    """
     factors = {factor.name: factor for factor in design.factors}
-    at = with_full_names(at, factors)
+    full = {n: f"parameters.{n}" for n in at if n not in factors}
+    at = {full[n] if full.get(n) in factors else n: setting for n, setting in at.items()}
     labels = {n: str(at[n]) for n, f in factors.items() if f.span is None and n in at}
     faults = unknown_factors(at, list(factors))
-    faults += [Fault(n, "has no setting", "give every factor one") for n in needed if n not in at]
+    faults += [fault for n, fault in (needed or {}).items() if n not in at]
     faults += [
         Fault(n, f"has no level {label!r}", nearest(label, factors[n].labels))
         for n, label in labels.items()
@@ -125,12 +133,6 @@ def surfaces_of(study: StudyResult, response: str | None = None) -> tuple[Fitted
     if response is not None and response not in names:
         raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
     return tuple(fitted for fitted in study.surfaces if response in (None, fitted.response))
-
-
-def with_full_names(at: Mapping[str, Setting], factors: Collection[str]) -> dict[str, Setting]:
-    """Key settings by factor; ``speed`` names ``parameters.speed`` where no factor is called so."""
-    full = {n: f"parameters.{n}" for n in at if n not in factors}
-    return {full[n] if full.get(n) in factors else n: setting for n, setting in at.items()}
 
 
 def unknown_factors(at: Iterable[str], factors: Sequence[str]) -> list[Fault]:
@@ -158,15 +160,6 @@ CONFIRMED = "confirmed"
 
 
 @dataclass(frozen=True)
-class Joined:
-    """Runs that were added to those of a design."""
-
-    #: The design, whose ranges know the settings of these runs, too; its cells are its own.
-    design: Design
-    records: tuple[Record, ...]
-
-
-@dataclass(frozen=True)
 class Permission:
     """What a run of the true model may use."""
 
@@ -176,8 +169,13 @@ class Permission:
     progress: Callable[[Progress], None] | None = None
 
 
-def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> Joined:
-    """Find the runs that joined a study's surfaces: those of this design and this code."""
+def joined(
+    design: Design, store: Store, manifest: Mapping[str, object]
+) -> tuple[Design, tuple[Record, ...]]:
+    """Find the runs that joined a study's surfaces: those of this design and this code.
+
+    The ranges of the design that is returned know their settings, too; its cells are its own.
+    """
     rows = store.read_rows(CONFIRMED, ConfirmedRow)
     rows_of_study = [row for row in rows if row["of"] == _identity(manifest)]
     records_stored = store.records(
@@ -186,7 +184,7 @@ def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> Join
     records = tuple(record for record in records_stored if _is_of(record, design))
     cells = [record.levels for record in records]
     factors = tuple(_with_levels(f, [cell[f.name] for cell in cells]) for f in design.factors)
-    return Joined(replace(design, factors=factors) if cells else design, records)
+    return replace(design, factors=factors) if cells else design, records
 
 
 def _is_of(record: Record, design: Design) -> bool:
@@ -233,13 +231,6 @@ def _single(factor: Factor, settings: Mapping[str, float], labels: Mapping[str, 
     numeric = NumericFactor(factor.name, span.low, span.high, span.log)
     share = 0.5 * (float(numeric.coded(np.array(settings[factor.name]))) + 1.0)
     return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
-
-
-def confirm_claims(study: StudyResult, permission: Permission) -> None:
-    """Run the true model at the extremes of every factor that is said to matter."""
-    for surface in study.surfaces:
-        for settings in surface.unconfirmed:
-            confirm(study, settings, surface.labels, permission)
 
 
 def confirm(

@@ -17,7 +17,6 @@ import typer
 from typer.main import get_command
 
 from study.cli import (
-    converge_commands,
     laboratory_commands,
     output,
     single_commands,
@@ -176,7 +175,7 @@ GROUPS: dict[str, dict[Callable[..., None], str]] = {
     "Materials and mechanics": {
         single_commands.solve: "study solve problem.toml",
         single_commands.calibrate: "study calibrate calibration.toml",
-        converge_commands.converge: "study converge --sizes 1,2,4 --values 0.9705,0.9685,0.9618",
+        single_commands.converge: "study converge --sizes 1,2,4 --values 0.9705,0.9685,0.9618",
         laboratory_commands.export: "study export problem.toml --as abaqus",
     },
     "Laboratory": {

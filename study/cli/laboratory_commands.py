@@ -15,7 +15,7 @@ from study.reporting.content.blocks import Sentence, Table, Verbatim
 from study.reporting.content.text import between, general
 
 if TYPE_CHECKING:
-    from study.api.haptics import Required
+    from study.laboratory.sensors.requirement import SensorRequirement
     from study.mechanics.indentation.indentation_modulus import (
         AnalyticCalibration,
         FittedCurve,
@@ -67,7 +67,9 @@ def _moduli(test: IndentationModulus) -> Iterator[Block]:
     yield Table.of(title, [] if test.estimate is None else [test.estimate], of_median)
     columns: dict[str, Callable[[FittedCurve], str]] = {
         "curve": lambda curve: curve.label,
-        "E [kPa]": lambda curve: general(_thousand(curve.found.modulus_MPa), 5),
+        "E [kPa]": lambda curve: general(
+            None if curve.found.modulus_MPa is None else 1e3 * curve.found.modulus_MPa, 5
+        ),
         "95 % interval": lambda curve: _kilo(curve.found.interval_MPa),
     }
     if any(curve.found.contact_mm is not None for curve in test.curves):
@@ -87,10 +89,6 @@ def _moduli(test: IndentationModulus) -> Iterator[Block]:
     )
     if test.estimate is not None:
         yield Verbatim(f"interval: {test.estimate.kind}")
-
-
-def _thousand(value: float | None) -> float | None:
-    return None if value is None else 1e3 * value
 
 
 def _kilo(pair: tuple[float, float] | None) -> str:
@@ -169,13 +167,12 @@ def require(
     output.show(answer, as_json, _requirement, answer.warnings)
 
 
-def _requirement(answer: Required) -> Iterator[Block]:
-    from study.laboratory.sensors import requirement
+def _requirement(answer: SensorRequirement) -> Iterator[Block]:
     from study.reporting.output import haptic_pages
 
-    yield from map(Sentence, requirement.sentences(answer.requirement))
-    yield haptic_pages.errors(answer.requirement)
-    yield Verbatim(f"report: {answer.page}")
+    yield from map(Sentence, answer.sentences())
+    yield haptic_pages.errors(answer)
+    yield Verbatim(f"report: {answer.report}")
 
 
 # Verbs that compare with an instrument: tracking, shape.

@@ -20,10 +20,10 @@ from study.cli.study_commands import (
     Results,
     Set,
     Study,
-    names,
     settings,
 )
 from study.ground.errors import Fault, InputError
+from study.ground.units import listed
 from study.reporting.content.blocks import Sentence, Table
 from study.reporting.content.text import interval, p_value, significant
 from study.reporting.output.terminal import say
@@ -189,10 +189,10 @@ def analyze(
         rule = "is read with an analysis of variance of labeled factors alone"
         raise InputError(Fault("--sheet", rule, "save the sheet as CSV"))
     if summary:
-        _show_moments(source, names(summary), flags | {"--numeric": numeric}, alpha, as_json)
+        _show_moments(source, listed(summary), flags | {"--numeric": numeric}, alpha, as_json)
         return
     if numeric and surface != "none":
-        _show_surfaces(source, names(numeric), surface, flags, as_json)
+        _show_surfaces(source, listed(numeric), surface, flags, as_json)
         return
     if error == "reml" or (flags["--covariates"] and not (error or flags["--block"])):
         _show_mixed(source, flags, alpha, contrast or (), results, as_json)
@@ -205,7 +205,7 @@ def analyze(
         raise InputError(faults)
     options = _options(flags, alpha)
     analysis = api.analyze(
-        source, response, [*names(factors), *names(numeric)], results=results, decimal=decimal,
+        source, response, [*listed(factors), *listed(numeric)], results=results, decimal=decimal,
         sheet=sheet, **options,
     )  # fmt: skip
     if contrast:
@@ -225,7 +225,7 @@ def _show(
     reference, page = flags["--reference"], None
     compared = None if reference is None else analyzing.against_reference(analysis, reference)
     if report is not None:
-        formats = tuple(names(flags["--format"])) or ("html",)
+        formats = tuple(listed(flags["--format"])) or ("html",)
         page = analyzing.write_page(
             analysis, report, source=asked, reference=reference, formats=formats
         )
@@ -273,9 +273,10 @@ def _show_surfaces(
 ) -> None:
     """Fit a surface and print it."""
     from study import api
-    from study.api.analyzing import AnalysisSource
-    from study.api.fitting_surfaces import table_data, write_surface_page
+    from study.api.analyzing import AnalysisSource, check_taken
+    from study.api.fitting_surfaces import table_data
     from study.reporting.content import surface_content
+    from study.reporting.output.write import write
 
     if source.is_dir() or source.suffix == ".toml":
         raise InputError(Fault("--numeric", "reads a table, one row a run", "name a CSV"))
@@ -287,7 +288,7 @@ def _show_surfaces(
         source,
         flags["--response"],
         numeric,
-        names(flags["--factors"]),
+        listed(flags["--factors"]),
         surface=cast("SurfaceKind", surface),
         block=flags["--block"],
         practical=flags["--practical"],
@@ -304,7 +305,8 @@ def _show_surfaces(
     data = table_data(every, AnalysisSource(source, given))
     page = None
     if (folder := flags["--report"]) is not None:
-        page = write_surface_page(data, folder, names(flags["--format"]) or ["html"])
+        check_taken(list(data.factors))
+        page = write(data, folder, listed(flags["--format"]) or ["html"])
     if as_json:
         surfaces_document = {"surfaces": [fitted.to_json() for fitted in every]}
         document = surfaces_document if flags["--factors"] else carried[0].to_json()
@@ -346,11 +348,11 @@ def _show_mixed(
     refuse_useless(flags, _OF_MIXED, "a mixed model")
     options = cast("MixedOptions", _given({
         "contrasts": contrasts, "alpha": alpha, "model": _model(flags["--model"]),
-        "random": names(flags["--random"]), "covariates": names(flags["--covariates"]),
-        "block": names(flags["--block"]), "practical": flags["--practical"],
+        "random": listed(flags["--random"]), "covariates": listed(flags["--covariates"]),
+        "block": listed(flags["--block"]), "practical": flags["--practical"],
     }))  # fmt: skip
     model = fit_mixed_model(
-        source, flags["--response"], names(flags["--factors"]), options, results=results,
+        source, flags["--response"], listed(flags["--factors"]), options, results=results,
         decimal=flags["--decimal"] or ".",
     )  # fmt: skip
     alpha = options.get("alpha", 0.05)
@@ -372,7 +374,7 @@ def _show_moments(
     from study.api.analyzing import analyze_summary
 
     groups = analyze_summary(
-        source, names(flags["--factors"]), columns, practical=flags["--practical"],
+        source, listed(flags["--factors"]), columns, practical=flags["--practical"],
         alpha=0.05 if alpha is None else alpha, decimal=flags["--decimal"] or ".",
     )  # fmt: skip
     output.show(groups, as_json, _summaries)
@@ -409,9 +411,9 @@ def _summaries(groups: SummaryAnalysis) -> Iterator[Block]:
 
 def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
     """Options of the analysis that were given on the command line."""
-    blocks = names(flags["--block"])
+    blocks = listed(flags["--block"])
     given = _given({
-        "unit": flags["--unit"], "whole_plot": names(flags["--whole-plot"]),
+        "unit": flags["--unit"], "whole_plot": listed(flags["--whole-plot"]),
         "replicates": flags["--replicates"], "copies": flags["--copies"],
         "error": flags["--error"], "type": flags["--type"], "model": _model(flags["--model"]),
         "practical": flags["--practical"], "transform": flags["--transform"], "alpha": alpha,
@@ -437,13 +439,14 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
     if report is not None and formats:
         from study.reporting.output.write import checked_formats
 
-        checked_formats(names(formats))
+        checked_formats(listed(formats))
     if report is not None and report.exists() and not report.is_dir():
         raise InputError(Fault("--report", f"{report} is a file", "name a folder"))
 
 
 At = Annotated[
-    str, typer.Option("--at", help="Settings that are held: thickness='3 mm',plates=bonded.")
+    list[str] | None,
+    typer.Option("--at", help="Settings that are held: thickness='3 mm',plates=bonded."),
 ]
 Confirm = Annotated[
     bool, typer.Option(help="Run the true model there; the run joins the study's surfaces.")
@@ -464,7 +467,7 @@ def optimize(
         list[str] | None,
         typer.Option(help="Limit of another response: 'stiffness >= 0.3 N/mm'; repeatable."),
     ] = None,
-    at: At = "",
+    at: At = None,
     numeric: Numeric = "",
     surface: Surface = "auto",
     decimal: Decimal = ".",
@@ -480,7 +483,7 @@ def optimize(
 
     recommendations = api.optimize(
         path, minimize=minimize, maximize=maximize, subject_to=subject_to or (),
-        at=settings(at) if at else {}, numeric=names(numeric),
+        at=settings(at or ()), numeric=listed(numeric),
         surface=cast("SurfaceKind", surface), decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
@@ -498,7 +501,7 @@ def optimize(
 def invert(
     path: Study,
     to: Annotated[Path, typer.Option(help="CSV of the measured curve, one row a point.")],
-    at: At = "",
+    at: At = None,
     columns: Annotated[
         str, typer.Option(help="Columns of displacement and force.")
     ] = "displacement_mm,force_N",
@@ -518,8 +521,8 @@ def invert(
     from study.reporting.content import surface_content
 
     answer = api.invert(
-        path, to, at=settings(at) if at else {}, columns=names(columns),
-        in_units=names(units), within=within, decimal=decimal, results=results,
+        path, to, at=settings(at or ()), columns=listed(columns),
+        in_units=listed(units), within=within, decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
     output.show(answer, as_json, surface_content.inversion_blocks, answer.notes)
@@ -541,7 +544,7 @@ def _model(text: str | None) -> str | int | list[str] | None:
         return text
     if text.isdigit():
         return int(text)
-    return names(text)
+    return listed(text)
 
 
 # The verb that plans the number of specimens.

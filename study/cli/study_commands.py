@@ -11,16 +11,16 @@ import typer
 
 from study.cli import output
 from study.ground.errors import Fault, InputError
+from study.ground.units import listed
 from study.reporting.content.blocks import Sentence, Table, Verbatim
 from study.reporting.content.text import between, case_counts, general
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
-    from study.api.augmenting import Augmentation
     from study.api.comparison import CaseState
     from study.api.opened_study import Study as OpenedStudy
-    from study.api.planning import Plan
-    from study.api.verification import Verification
+    from study.api.planning import Augmentation, Plan
+    from study.api.study import Verification
     from study.harness.design.overview import CellOverview, Overview
     from study.harness.design.spec import Scheme
     from study.reporting.content.blocks import Block, Document
@@ -56,15 +56,10 @@ RESULTS = Path("results")
 REPORTS = Path("reports")
 
 
-def names(text: str | None) -> list[str]:
-    """Read names with commas between them."""
-    return [name.strip() for name in (text or "").split(",") if name.strip()]
-
-
-def settings(text: str) -> dict[str, str]:
-    """Read ``thickness=3 mm,C10=5 kPa``."""
+def settings(texts: Sequence[str]) -> dict[str, str]:
+    """Read ``thickness=3 mm,C10=5 kPa``; the option may be repeated."""
     settings_typed: dict[str, str] = {}
-    for part in text.split(","):
+    for part in (part for text in texts for part in text.split(",")):
         name, equals, value = (piece.strip(" \"'") for piece in part.partition("="))
         if not equals or not name or not value or name in settings_typed:
             rule = f"cannot read {part.strip()!r}"
@@ -113,9 +108,7 @@ def plan(
         typer.echo(f"{len(sheet)} trials in random order: {run_sheet}", err=True)
     further = None
     if augment is not None:
-        chosen_terms = (
-            int(terms) if terms.isdigit() else [term.strip() for term in terms.split(",")]
-        )
+        chosen_terms = int(terms) if terms.isdigit() else listed(terms)
         further = api.augment(load(design, settings or ()), augment, terms=chosen_terms)
     planned = api.plan(design, data=data, results=results, overrides=settings or (), jobs=jobs)
     typed = {"--data": data, "--jobs": jobs, "-s": settings, **_folders(results, REPORTS)}
@@ -341,9 +334,8 @@ def report(
     """Write the report again from stored records, in seconds."""
     from study import api
 
-    chosen_formats = tuple(part.strip() for part in formats.split(",") if part.strip())
     written_study = api.report(
-        path, reports=reports, results=results, formats=chosen_formats, beside=beside
+        path, reports=reports, results=results, formats=listed(formats), beside=beside
     )
     _finish(written_study, as_json, _folders(written_study.folder.parent, reports))
 
@@ -428,7 +420,9 @@ def _case(state: CaseState) -> Iterator[Block]:
 
 def predict(
     path: Study,
-    at: Annotated[str, typer.Option(help="Setting of every factor: thickness='3 mm',C10='5 kPa'.")],
+    at: Annotated[
+        list[str], typer.Option(help="Setting of every factor: thickness='3 mm',C10='5 kPa'.")
+    ],
     response: Annotated[str | None, typer.Option(help="One response; all by default.")] = None,
     results: Results = RESULTS,
     as_json: Json = False,
@@ -531,7 +525,7 @@ def verify(
 
 
 def _verified(verification: Verification) -> Iterator[Block]:
-    from study.api.verification import TOLD
+    from study.api.study import TOLD
 
     counted = ", ".join(
         f"{count} of {kind}" for kind, count in sorted(verification.numbers.items())

@@ -21,8 +21,33 @@ class Dataclass(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Field[object]]]
 
 
+class Keyed:
+    """A result whose JSON document has declared keys, in place of all of its fields."""
+
+    #: the keys in their order: each a field or property, or ``key=path`` to one of a part, which
+    #: is null where the part is None; what the path ends at is called where it is a method
+    KEYS: ClassVar[str]
+
+    def to_json(self) -> dict[str, Json]:
+        """Document of plain values; a number that is not finite is null."""
+        return plain(self)
+
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key."""
+        pairs = (key.partition("=") for key in self.KEYS.split())
+        return {key: _at(self, path or key) for key, _, path in pairs}
+
+
+def _at(value: object, path: str) -> object:
+    for name in path.split("."):
+        value = None if value is None else getattr(value, name)
+    if callable(value) and not is_dataclass(value):
+        return value()
+    return value
+
+
 @overload
-def plain(value: Mapping[str, object] | Dataclass) -> dict[str, Json]: ...
+def plain(value: Mapping[str, object] | Dataclass | Keyed) -> dict[str, Json]: ...
 
 
 @overload
@@ -35,6 +60,8 @@ def plain(value: object) -> Json:
 
 
 def _plain(value: object) -> Json:
+    if isinstance(value, Keyed):
+        value = value.keyed()
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):

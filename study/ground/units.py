@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from decimal import Decimal
@@ -270,3 +270,9 @@ def _mend(dimension: str, value: object = None, unit: str | None = None) -> str:
 
 def _fault(rule: str, mend: str) -> UnitError:
     return UnitError(Fault("value", rule, mend))
+
+
+def listed(names: str | Sequence[str] | None) -> list[str]:
+    """Names without the blanks around them, of a sequence or of a text with commas."""
+    each = names.split(",") if isinstance(names, str) else names or ()
+    return [name.strip() for name in each if name.strip()]

@@ -1,21 +1,26 @@
-"""Two studies beside each other: what was changed, what holds, what only one of them has."""
+"""Two studies beside each other, cells that must agree, tests that are one family."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from statsmodels.stats.multitest import multipletests
 
-from study.api.comparison import compare
-from study.api.manifest import read_truths
+from study import api
+from study.api import assemble
+from study.api.comparison import compare, read_truths
 from study.ground.errors import InputError
+from study.harness.design.load import load
 from study.reporting.content import comparison_content
 from study.reporting.results import study_answers
 from study.reporting.results.study_answers import Beside, Conclusion, document
 from study.reporting.results.study_result import StudyResult
 from tests.api.made import made
+from tests.conftest import ROOT
 
 
 def row(beside: Beside, term: str) -> Conclusion:
@@ -169,3 +174,72 @@ def test_the_document_is_plain_json(tmp_path: Path) -> None:
     assert set(first["found"][0]) >= {
         "verdict", "effect", "ci95", "p", "u_num", "effect_over_u_num", "practical", "best",
     }  # fmt: skip
+
+
+# Cells that must agree: how far they may differ.
+
+
+@pytest.mark.parametrize(
+    ("difference", "u_steps", "outcome"),
+    [
+        (0.0, None, "pass"),
+        (5e-6, None, "pass"),
+        (5e-5, None, "fail"),
+        # both curves say that their interpolation between load steps may be off by this much
+        (5e-5, 3e-5, "pass"),
+        (5e-5, 1e-5, "fail"),
+    ],
+)
+def test_they_may_differ_by_solver_and_interpolation(
+    monkeypatch: pytest.MonkeyPatch, difference: float, u_steps: float | None, outcome: str
+) -> None:
+    cells = [SimpleNamespace(levels={"space": space}) for space in ("axisymmetric", "3d")]
+    monkeypatch.setattr(assemble, "equivalent_groups", lambda _: [cells])
+
+    def record(space: str, value: float) -> Any:
+        response = {"value": value, "unit": "N", "u_steps": u_steps}
+        return SimpleNamespace(
+            levels={"space": space}, block="1", converged=True,
+            responses={"rms_force_error": response}, value=lambda _: value,
+        )  # fmt: skip
+
+    records = (record("axisymmetric", 1.0), record("3d", 1.0 + difference))
+    (check,) = assemble._controls(SimpleNamespace(), records)  # type: ignore[arg-type]
+    assert check.outcome == outcome
+
+
+# Families of tests, through the study that declares them.
+
+
+RANGES = str(ROOT / "designs" / "ecoflex-range.toml")
+
+
+def p_of(folder: Path, data_dir: Path, *overrides: str) -> list[dict[str, object]]:
+    found = api.run(RANGES, data=data_dir, results=folder, jobs=1, overrides=list(overrides))
+    return found.verdicts
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_all_responses_of_a_study_are_one_family(tmp_path: Path, data_dir: Path) -> None:
+    if not (data_dir / "ecoflex_compression").is_dir():
+        pytest.skip("the Ecoflex measurements are not in the data folder (set STUDY_DATA)")
+    rows = p_of(tmp_path, data_dir, 'analysis.family="study"')
+    expected = multipletests([row["p"] for row in rows], method="holm")[1]
+    assert [row["p_holm"] for row in rows] == pytest.approx(expected)
+    primary = p_of(tmp_path, data_dir, 'analysis.primary=["material"]')
+    for row in primary:
+        assert row["p_holm"] == (row["p"] if row["factor"] == "material" else None)
+
+
+@pytest.mark.parametrize(
+    ("override", "rule"),
+    [
+        ('analysis.family="world"', "world"),
+        ('analysis.primary=["plates"]', "no factor 'plates'"),
+        ('analysis.primary=["material","range","material:range","a"]', "at most 3"),
+    ],
+)
+def test_a_wrong_family_is_named(override: str, rule: str) -> None:
+    with pytest.raises(InputError, match=rule):
+        load(RANGES, overrides=[override])

@@ -1,7 +1,8 @@
-"""What becomes of a finished study when its design, data, code or libraries change."""
+"""What becomes of a finished study and its report when design, data, code or libraries change."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from study.ground.errors import InputError, RefusedError
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.batch import Progress
+from study.reporting.output import write
 from tests.cli.small import DESIGN, study, write_files
 
 
@@ -194,3 +196,107 @@ def test_memory_is_an_amount_with_its_unit(home: Path) -> None:
         answer = study("run", "small.toml", "--data", "data", f"--memory={text}")
         assert answer.code == 2
         assert "memory" in answer.err
+
+
+# A report that would be the same again is not made again.
+
+
+@pytest.fixture
+def reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a study that was run and reported."""
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    again()
+    return tmp_path
+
+
+def again() -> Path:
+    """Run the study; everything is there but the first time."""
+    found = api.run("small.toml", data="data", jobs=1)
+    assert found.report is not None
+    assert not [said for said in found.warnings if "could not be written" in said]
+    return Path(found.report)
+
+
+def state(reported: Path) -> dict[str, tuple[int, bytes]]:
+    """Inode and bytes of every file of the report; files are replaced whole."""
+    files = [path for path in (reported / "reports").rglob("*") if path.is_file()]
+    return {path.name: (path.stat().st_ino, path.read_bytes()) for path in files}
+
+
+def content(reported: Path) -> dict[str, bytes]:
+    """Bytes of the files that a reader opens."""
+    return {name: kept for name, (_, kept) in state(reported).items() if name != write.NAME}
+
+
+def test_a_run_with_nothing_to_do_leaves_the_report_as_it_is(reported: Path) -> None:
+    before = state(reported)
+    main = again()
+    assert main == Path("reports/small/small-data/cases.csv")
+    assert state(reported) == before
+    (reported / "results/small/index.json").unlink()  # says nothing that the records do not say
+    assert api.report("small").report == main
+    assert state(reported) == before
+
+
+def _deleted(reported: Path) -> None:
+    (reported / "reports/small/small-data/numbers.json").unlink()
+
+
+def _altered(reported: Path) -> None:
+    path = reported / "reports/small/small-data/cases.csv"
+    path.write_text(path.read_text().replace("neo-hookean", "neo-Hookean", 1))
+
+
+def _note_lost(reported: Path) -> None:
+    (reported / "reports/small/small-data" / write.NAME).write_text("[")
+
+
+@pytest.mark.parametrize("spoil", [_deleted, _altered, _note_lost])
+def test_a_report_that_was_touched_is_made_again(
+    reported: Path, spoil: Callable[[Path], None]
+) -> None:
+    before = content(reported)
+    spoil(reported)
+    again()
+    assert content(reported) == before
+
+
+def test_a_changed_record_makes_it_again(reported: Path) -> None:
+    """One record is lost and solved again: its seconds differ, so the table does."""
+    before = state(reported)
+    case = next((reported / "results/small/cases").iterdir())
+    (case / "record.json").write_text("{}")
+    again()
+    after = state(reported)
+    assert after["cases.csv"][0] != before["cases.csv"][0]
+
+
+def test_changed_code_and_another_format_make_it_again(
+    reported: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = state(reported)
+    with monkeypatch.context() as other:
+        other.setattr("study.api.study.versions", lambda: {"study": "another"})
+        again()
+    after = state(reported)
+    assert after["cases.csv"][0] != before["cases.csv"][0]
+    assert content(reported).keys() == {name for name in before if name != write.NAME}
+    page = api.report("small", formats=["html"]).report
+    assert page == Path("reports/small/small.html")
+    assert page.is_file()
+    written = page.stat().st_ino
+    assert api.report("small", formats=["html"]).report == page
+    assert page.stat().st_ino == written
+
+
+def test_every_source_and_every_stored_byte_is_looked_at(reported: Path) -> None:
+    results = reported / "results/small"
+    name = write.made_of(results, ["html"], {"study": "1"})
+    assert name == write.made_of(results, ["html"], {"study": "1"})
+    others = {write.made_of(results, ["csv"], {"study": "1"})}
+    others.add(write.made_of(results, ["html"], {"study": "2"}))
+    record = next(results.glob("cases/*/record.json"))
+    record.write_bytes(record.read_bytes() + b" ")
+    others.add(write.made_of(results, ["html"], {"study": "1"}))
+    assert len(others | {name}) == 4

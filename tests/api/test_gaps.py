@@ -1,8 +1,9 @@
-"""Levels that failed in part of their cells leave the others comparable."""
+"""Levels that failed in part of their cells, and what an effect is held against."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 
@@ -13,7 +14,15 @@ import pytest
 from study import api
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
-from study.harness.runner.record_analysis import without_gaps
+from study.harness.design.study_file import Practical
+from study.harness.design.study_file import ResponseSpec as Response
+from study.harness.record.record import Record, table
+from study.harness.runner.case_series import half_width
+from study.harness.runner.record_analysis import analyze_records, without_gaps
+from study.harness.runner.study_uncertainty import numerical_bound
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds
+from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
 Lost = Callable[[dict[str, str], int], bool]
@@ -102,3 +111,253 @@ def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path: Path) 
     assert "c (gel) has an answer in 0 of 2 cells: it is left out of this analysis" in found.notes
     assert found.effects == reported.effects
     assert found.effect("gel").range == pytest.approx(1.0)
+
+
+def test_a_study_of_imported_runs_says_with_which_option_a_size_is_given(tmp_path: Path) -> None:
+    lines = [f"{m},{n},{ord(m) + 0.1 * n}" for m in "ab" for n in range(3)]
+    (tmp_path / "t.csv").write_text("\n".join(["gel,run,y", *lines]))
+    study = api.import_runs(tmp_path / "t.csv", ["gel"], ["y=N"], results=tmp_path / "results")
+    (sentence,) = (line for line in study.answers if "No smallest difference" in line)
+    assert sentence.endswith("Give one with --practical.")
+
+
+# What an effect of a study whose meshes are a factor is held against: known truths.
+
+
+NAME = "relative_rms_force_error"
+#: sizes of the three meshes, by space: ratio 2 in one, 1.5 in the other
+SIZES = {
+    "axisymmetric": {"coarse": 0.4, "medium": 0.2, "fine": 0.1},
+    "3d": {"coarse": 0.45, "medium": 0.3, "fine": 0.2},
+}
+TRUE = {"neo-hookean": 9.0, "reduced-polynomial-2": 5.0, "mooney-rivlin": 8.0, "ogden-1": 8.5}
+ORDER = 2.0
+PRACTICAL = Practical(1.0, "pp", False)
+Levels = Mapping[str, str]
+
+
+def records_of(
+    design: Design, error: Callable[[Levels], float], transform: str = "none"
+) -> list[Record]:
+    """Records of a true value by the material, plus ``error(levels) (h / h_fine)**2``."""
+    found = []
+    factors = {f.name: [level.label for level in f.levels] for f in design.factors}
+    for labels in product(*factors.values()):
+        levels = dict(zip(factors, labels, strict=True))
+        sizes = SIZES[levels["model.space"]]
+        size = sizes[levels["model.mesh"]]
+        for k in range(5):
+            y = TRUE[levels["material"]] + 0.2 * k + 0.003 * math.sin(17 * len(found))
+            y += error(levels) * (size / sizes["fine"]) ** ORDER
+            value = math.exp(y) if transform == "log" else y
+            found.append(
+                Record(
+                    f"c{len(found)}", "cone", levels, f"S{k}",
+                    responses={NAME: {"value": value, "unit": "%"}},
+                    mesh={"mesh_size_mm": size}, input_hash=f"h{len(found)}",
+                )
+            )  # fmt: skip
+    return found
+
+
+def columns_of(records: Sequence[Record]) -> list[NumericalUncertainty]:
+    """What refinement stores of the first block: every column with its own uncertainty."""
+    found: dict[tuple[tuple[str, str], ...], list[tuple[float, float]]] = {}
+    for r in records:
+        if r.block == "S0" and r.converged:
+            key = tuple((k, v) for k, v in r.levels.items() if k != "model.mesh")
+            found.setdefault(key, []).append((r.mesh["mesh_size_mm"], r.response(NAME)))
+    rows = []
+    for levels, pairs in found.items():
+        sizes, values = zip(*sorted(pairs, reverse=True), strict=True)
+        if len(values) < 3:
+            rows.append(
+                NumericalUncertainty(dict(levels), NAME, None, None, "%", "not available", "")
+            )
+            continue
+        behaviour, u = half_width(values, sizes, ORDER, "finest")
+        rows.append(
+            NumericalUncertainty(
+                dict(levels), NAME, values[-1], u, "%", behaviour, "", sizes, values, ORDER, "known"
+            )
+        )
+    return rows
+
+
+def analyzed(
+    design: Design, records: Sequence[Record], transform: str = "none"
+) -> tuple[AnalysisResult, list[NumericalUncertainty]]:
+    response = Response(NAME, unit="%", transform=transform)
+    numerical = columns_of(records)
+    return analyze_records(design, records, response, numerical), numerical
+
+
+def u_of(result: AnalysisResult, term: str) -> float:
+    u = result.effect(term).u_num
+    assert u is not None
+    return u
+
+
+def test_an_error_that_the_materials_share_is_none_of_their_difference(design: Design) -> None:
+    """The columns are off by percentage points, the difference of the materials by nothing."""
+    records = records_of(design, lambda levels: 2.0)
+    result, numerical = analyzed(design, records)
+    assert max(row.u_num or 0 for row in numerical) > 2.0
+    # a tenth of the sum of the columns' own bounds, 1.25 x 2.0 on either side, is never fallen
+    # below; the difference's own series would leave 0.02 (scatter between cells of 0.003)
+    assert u_of(result, "material") == pytest.approx(0.5, rel=0.05)
+    assert result.effect("material").range == pytest.approx(4.0, abs=0.01)
+    assert result.effect("material").resolved == "resolved"
+
+
+def test_an_error_of_one_material_is_covered_but_not_tenfold(design: Design) -> None:
+    """Error d h^2 of one material: 1.25 d at the finest mesh, and the way there from the mean."""
+    d = 0.3
+    records = records_of(design, lambda levels: d * (levels["material"] == "neo-hookean"))
+    result, _ = analyzed(design, records)
+    # h/h_fine squared is 16, 4, 1 in one space and 5.0625, 2.25, 1 in the other
+    mean = d * (16 + 4 + 1 + 5.0625 + 2.25 + 1) / 6
+    effect = result.effect("material")
+    assert effect.range == pytest.approx(4.0 + mean, abs=0.02)
+    error = (effect.range or 0) - 4.0
+    assert error < u_of(result, "material") < 4 * error
+
+
+def test_a_factor_is_judged_at_each_kind_of_element_with_the_bound_of_its_own_series(
+    design: Design,
+) -> None:
+    """Linear elements with an error of slow, crooked decay; quadratic ones have almost none."""
+    crooked = {"coarse": 2.0, "medium": 0.6, "fine": -0.5}
+    records = records_of(design, lambda levels: 0.0)
+    for record in records:
+        levels = record.levels
+        if (levels["material"], levels["model.element_order"]) == ("neo-hookean", "linear"):
+            record.responses[NAME]["value"] += crooked[levels["model.mesh"]]
+    result = analyze_records(
+        design, records, Response(NAME, unit="%", practical=PRACTICAL), columns_of(records)
+    )
+    effect = result.effect("material")
+    by_order: dict[str, list[float]] = {"linear": [], "quadratic": []}
+    for simple in effect.simple_effects:
+        assert dict(simple.at)["model.mesh"] == "fine"  # the limit is asked for
+        if "neo-hookean" in (simple.first, simple.second):
+            assert simple.u is not None
+            by_order[dict(simple.at)["model.element_order"]].append(simple.u)
+    # no order, so thrice the range of the three meshes would bound it, were it not for the sum
+    # of the cells' own bounds
+    assert min(by_order["linear"]) > 2.5
+    assert max(by_order["quadratic"]) < 0.1
+    # the quadratic elements show what the linear ones cannot resolve
+    assert effect.verdict == "matters"
+    pairs = {e.verdict for e in effect.simple_effects
+             if {e.first, e.second} == {"neo-hookean", "mooney-rivlin"}
+             and dict(e.at)["model.element_order"] == "linear"}  # fmt: skip
+    assert pairs == {"not resolved by the mesh"}
+
+
+def test_an_error_of_one_space_counts_for_the_space_alone(design: Design) -> None:
+    records = records_of(design, lambda levels: 1.0 * (levels["model.space"] == "3d"))
+    result, _ = analyzed(design, records)
+    off = (5.0625 + 2.25 + 1) / 3
+    assert result.effect("model.space").range == pytest.approx(off, abs=0.01)
+    # no space truly differs from the other: the effect must not count as resolved
+    assert u_of(result, "model.space") > off
+    assert result.effect("model.space").resolved == "not resolved"
+    # a tenth of the bounds of the columns in 3D, half the cells on either side
+    assert u_of(result, "material") < 0.15
+
+
+def test_an_error_of_one_combination_counts_for_the_interaction(design: Design) -> None:
+    def error(levels: Levels) -> float:
+        return 0.5 * ((levels["material"], levels["model.space"]) == ("mooney-rivlin", "3d"))
+
+    result, _ = analyzed(design, records_of(design, error))
+    interaction = result.effect("material:model.space")
+    assert (interaction.range or 0) < u_of(result, "material:model.space")
+
+
+def test_the_mesh_itself_has_no_uncertainty(design: Design) -> None:
+    result, _ = analyzed(design, records_of(design, lambda levels: 2.0))
+    for effect in result.effects:
+        assert (effect.u_num == 0) == ("model.mesh" in effect.term)
+    assert result.detection.u_num_by_term
+
+
+def test_a_log_response_is_followed_on_the_log(design: Design) -> None:
+    own = records_of(design, lambda levels: 0.3 * (levels["material"] == "neo-hookean"))
+    plain, _ = analyzed(design, own)
+    same = records_of(design, lambda levels: 0.3 * (levels["material"] == "neo-hookean"), "log")
+    log, _ = analyzed(design, same, "log")
+    # exp(y) on the log is y: the same effect, and the same times its uncertainty
+    for term in ("material", "model.space"):
+        mine, other = log.effect(term), plain.effect(term)
+        assert math.log(mine.range or 1) == pytest.approx(other.range)
+        assert mine.effect_over_u_num == pytest.approx(other.effect_over_u_num)
+
+
+def test_a_material_without_a_whole_column_inherits_the_bound_of_the_others(
+    design: Design,
+) -> None:
+    # every combination of two levels has an answer, but no column of ogden-1 has three meshes
+    lost = {("ogden-1", "linear", "fine"), ("ogden-1", "quadratic", "coarse")}
+    names = ("material", "model.element_order", "model.mesh")
+    records = [
+        r
+        for r in records_of(design, lambda levels: 2.0)
+        if tuple(r.levels[name] for name in names) not in lost
+    ]
+    result, _ = analyzed(design, records)
+    # the other columns share one error of 2.0 at the finest mesh: what scatters is 0.003, and a
+    # fifth of their mean bound of 1.25 x 2.0 is added in each of four discretizations
+    own = [
+        e.u for e in result.effect("material").simple_effects if "ogden-1" in (e.first, e.second)
+    ]
+    assert own
+    assert all(0.5 <= (u or 0) < 0.7 for u in own)
+
+
+def test_a_material_without_the_finest_mesh_is_left_out(design: Design) -> None:
+    records = [
+        r
+        for r in records_of(design, lambda levels: 2.0)
+        if (r.levels["material"], r.levels["model.mesh"]) != ("ogden-1", "fine")
+    ]
+    result, _ = analyzed(design, records)
+    assert any("ogden-1 (material) has an answer in 8 of 12" in w for w in result.notes)
+    assert result.effect("material").range == pytest.approx(4.0, abs=0.05)
+    assert u_of(result, "material") == pytest.approx(0.5, rel=0.05)
+
+
+def test_an_error_of_coarse_meshes_alone_is_no_effect_of_a_material(design: Design) -> None:
+    """The mesh error of ogden-1 is half as large again, and it has no answer on the finest."""
+    records = [
+        r
+        for r in records_of(design, lambda levels: 3.0 if levels["material"] == "ogden-1" else 2.0)
+        if (r.levels["material"], r.levels["model.mesh"]) != ("ogden-1", "fine")
+    ]
+    result, _ = analyzed(design, records)
+    assert result.effect("material").range == pytest.approx(4.0, abs=0.05)
+
+
+def bound_of(
+    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
+) -> NumericalBound | None:
+    return numerical_bound(design, numerical, records, table(list(records)), NAME, "none")
+
+
+def test_where_nothing_was_refined_nothing_is_known(design: Design) -> None:
+    records = records_of(design, lambda levels: 2.0)
+    assert bound_of(design, records, []) is None
+
+
+def test_meshes_that_one_column_orders_in_another_way_are_no_series(design: Design) -> None:
+    """The columns refined in the first block are the series then."""
+    records = records_of(design, lambda levels: 2.0)
+    rows = columns_of(records)
+    first = records[0]
+    upset = [Record(first.case_id, "cone", first.levels, first.block, responses=first.responses,
+                    mesh={"mesh_size_mm": 0.05}), *records[5:]]  # fmt: skip
+    for some, only in ((records, {"model.mesh": "fine"}), (upset, {})):
+        found = bound_of(design, some, rows)
+        assert isinstance(found, SeriesBounds)
+        assert found.only == only

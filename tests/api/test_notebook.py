@@ -1,4 +1,4 @@
-"""What Python users hold: tables of a file as input, paths as text, results that are shown."""
+"""What Python users hold and type: tables of a file, paths as text, results that are shown."""
 
 from __future__ import annotations
 
@@ -10,10 +10,16 @@ import numpy as np
 import pytest
 
 import study
+from study.cli.study_commands import settings
 from study.ground.errors import InputError
-from study.harness.design import load
-from study.harness.design.load import load_problem
-from tests.cli.small import write_files
+from study.harness.design.load import (
+    file_kind,
+    from_tables,
+    load,
+    load_problem,
+    loads_problem,
+)
+from tests.cli.small import DESIGN, write_files
 
 PROBLEM = {
     "specimen": {"shape": "cylinder", "radius": 10, "height": "1 cm"},
@@ -39,7 +45,7 @@ def test_a_problem_is_given_by_the_keys_of_its_file() -> None:
     assert study.solve(texts).curve.force_N.tolist() == found.curve.force_N.tolist()
     numpy = {**PROBLEM, "material": {**PROBLEM["material"], "C10": np.float64(0.01)}}
     assert study.solve(numpy).curve.force_N.tolist() == found.curve.force_N.tolist()
-    resolved = load.loads_problem(load.from_tables(PROBLEM)).problem.document()
+    resolved = loads_problem(from_tables(PROBLEM)).problem.document()
     assert study.solve(resolved).curve.force_N.tolist() == found.curve.force_N.tolist()
     twice = study.solve(PROBLEM, overrides=['material.C10="20 kPa"'])
     assert twice.curve.force_N == pytest.approx(2 * np.array(FORCE), rel=1e-9)
@@ -196,3 +202,62 @@ def test_a_hostile_name_is_escaped_in_a_notebook(home: Path) -> None:
 
 def test_dir_lists_what_is_public() -> None:
     assert set(dir(study)) == set(study.__all__)
+
+
+# What users type: the key ``kind`` of a file, settings of an option that is repeated.
+
+
+PROBLEM_FILE = """
+schema = 1
+kind = "problem"
+[specimen]
+shape = "cylinder"
+radius = "10 mm"
+height = "10 mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+displacement = "1 mm"
+[material]
+model = "neo-hookean"
+C10 = "10 kPa"
+incompressible = true
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "file.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_declared_kind_changes_nothing_of_what_is_read(tmp_path: Path) -> None:
+    plain = load(written(tmp_path, DESIGN))
+    declared = load(written(tmp_path, f'kind = "study"\n{DESIGN}'))
+    assert declared.config == plain.config
+    problem = written(tmp_path, PROBLEM_FILE)
+    assert file_kind(problem) == "problem"
+    assert load_problem(problem).problem.height_mm == 10.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (PROBLEM_FILE.replace('"problem"', '"studdy"'), "did you mean 'study'"),
+        (
+            PROBLEM_FILE.replace('kind = "problem"', 'kind = "calibration"'),
+            "is a calibration",
+        ),
+        (f'kind = "problem"\n{DESIGN}', "is 'problem', and the tables are those of a design"),
+    ],
+)
+def test_a_wrong_kind_gets_the_right_word(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_problem(written(tmp_path, text))
+    assert said in str(caught.value)
+
+
+def test_settings_of_a_repeated_option_all_hold() -> None:
+    assert settings(["a=1,b=2 mm", "c=3"]) == {"a": "1", "b": "2 mm", "c": "3"}
+    with pytest.raises(InputError, match="each once"):
+        settings(["a=1", "a=2"])

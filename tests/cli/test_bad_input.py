@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.laboratory.registration.closest_point import TriangleSurface
+from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from tests.cli import test_analytic, test_confirming_runs, test_layouts, test_single
 from tests.cli import test_numeric_factors as ranges
 from tests.cli import test_simulated_responses as alone
@@ -450,8 +450,8 @@ def poses(
 
 
 def two_stops(folder: Path) -> list[str]:
-    rows = [row for row in virtual.stage_rows(1, 1.0, 0.0, 0.01) if row[1] in (0.0, 50.0)]
-    virtual.write(folder / "stage.csv", "stop,commanded,x,y,z", rows)
+    rows = [row for row in virtual.rows_of(virtual.Errors(1)) if row[2] in (0.0, 50.0)]
+    virtual.write(folder / "stage.csv", "time,stop,commanded,x,y,z", rows)
     (folder / "stage.toml").write_text(DISPLACEMENT)
     return tracked(folder, folder / "stage.toml")
 

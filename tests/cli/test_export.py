@@ -18,7 +18,7 @@ import pytest
 import study as package
 from study.api import load as open_study
 from study.laboratory.haptics import haptic_export
-from study.laboratory.haptics.tabulated_force import ForceLaw
+from study.laboratory.haptics.haptic_export import ForceLaw
 from tests.cli.small import PROBLEM, Finished, refusal, success
 from tests.cli.test_numeric_factors import DESIGN, _force
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from scipy.stats import qmc
 
-from study.api import inverting
+from study.api import optimizing
 from study.statistics.surfaces import surface_inversion, surface_optimum
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_inversion import agreeing
@@ -227,8 +227,8 @@ def test_an_inversion_that_has_not_settled_says_so(monkeypatch: pytest.MonkeyPat
         assert "nearest to the measured one: the search has not converged" in answer.err
     # a true model that no emulator of these runs comes near
     with monkeypatch.context() as patch:
-        force = inverting._force
-        patch.setattr(inverting, "_force", lambda record, curve: 1.2 * force(record, curve))
+        force = optimizing._force
+        patch.setattr(optimizing, "_force", lambda record, curve: 1.2 * force(record, curve))
         answer = study(*asked, "--json")
     assert answer.code == 1, answer.err
     (note,) = [one for one in answer.json["notes"] if one.startswith("after 4 runs")]

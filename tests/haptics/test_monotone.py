@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from study.laboratory.haptics.tabulated_force import is_monotone, monotone_slopes
+from study.laboratory.haptics.haptic_export import is_monotone, monotone_slopes
 
 
 def falls(knots: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:

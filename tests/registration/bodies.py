@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from study.ground.arrays import Array
-from study.laboratory.registration.closest_point import TriangleSurface
+from study.laboratory.registration.iterative_closest_point import TriangleSurface
 
 
 def directions(n: int) -> Array:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from study.api.comparison import manifest_of
 from study.api.converging import measured_cells, refine_within
-from study.api.manifest import manifest_of
 from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
 from study.harness.design.cell import Cell, CellProblem
@@ -33,8 +33,9 @@ ERROR = 1e-3
 
 def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    made = measured_cells(design, one_mix, 2, results, lambda _: None, executor=fake())
-    found: dict[str, Any] = made.to_json()
+    found: dict[str, Any] = measured_cells(
+        design, one_mix, 2, results, lambda _: None, executor=fake()
+    )
     cells = {tuple(c["levels"].values()): c for c in found["cells"]}
     assert len(cells) == 4
     bonded = cells["neo-hookean", "bonded"]
@@ -61,7 +62,7 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
 def test_a_time_budget_leaves_cells_out(one_mix: Path, tmp_path: Path) -> None:
     design = loads(DESIGN + '[converge]\nbudget = "1 ms"\n', "small.toml")
     found = measured_cells(design, one_mix, 1, tmp_path, lambda _: None, executor=fake())
-    assert (found.cells, len(found.left_out or ())) == ((), 4)
+    assert (found["cells"], len(found["left_out"])) == ([], 4)
 
 
 def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) -> None:

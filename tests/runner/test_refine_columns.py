@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from study.api.analyzing import analyze
-from study.api.manifest import manifest_of
+from study.api.comparison import manifest_of
 from study.api.opened_study import load as open_study
 from study.api.study import report
 from study.harness.design.load import loads

@@ -12,12 +12,15 @@ import pytest
 
 import study
 from study.cli.app import run
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Ints
 from study.ground.errors import InputError
-from study.laboratory.registration.closest_point import TriangleSurface
+from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from study.laboratory.registration.rigid import RigidMotion, turned_about
+from study.laboratory.shape.boundary import DeformedMesh, surface_of, symmetry_of
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
+from study.mechanics.surface.closed_surface import volume
 from study.reporting.output.accuracy_page import scan_answers
+from tests.fem.surfaces import write
 from tests.registration.bodies import egg, scan
 
 #: Lubricated compression of an incompressible cylinder: stretch 0.8 along, 0.8^-1/2 across.
@@ -70,16 +73,7 @@ def write_csv(path: Path, points: Array, header: str = "x,y,z") -> Path:
 
 
 def write_ply(path: Path, surface: TriangleSurface) -> Path:
-    """Text PLY with faces."""
-    head = (
-        f"ply\nformat ascii 1.0\nelement vertex {len(surface.points)}\nproperty double x\n"
-        f"property double y\nproperty double z\nelement face {len(surface.triangles)}\n"
-        "property list uchar int vertex_indices\nend_header\n"
-    )
-    points = "".join(f"{x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in surface.points)
-    faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in surface.triangles)
-    path.write_text(head + points + faces)
-    return path
+    return Path(write(path, (surface.points, surface.triangles)))
 
 
 def write_cloud(path: Path, points: Array) -> Path:
@@ -310,3 +304,68 @@ def test_points_without_weight_are_set_aside_and_counted(tmp_path: Path) -> None
     assert found.statistics.largest_set_aside > 1
     said = " ".join(scan_answers(found))
     assert "without weight in the registration" in said
+
+
+# Surfaces of meshes of every kind of cell: closed, outward, of the right volume.
+
+
+#: Half a unit cube's nodes along an axis for the quadratic cell: corners, then middles.
+CUBE = np.array(
+    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
+    dtype=float,
+)
+
+
+def box_mesh(n: int, low: Array, high: Array) -> tuple[Array, Ints]:
+    """Hexahedra of a box."""
+    grid = [np.linspace(a, b, n + 1) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange((n + 1) ** 3).reshape(n + 1, n + 1, n + 1)
+    corner = CUBE.astype(int)
+    cells = [
+        [number[i + a, j + b, k + c] for a, b, c in corner]
+        for i in range(n) for j in range(n) for k in range(n)
+    ]  # fmt: skip
+    return points, np.array(cells)
+
+
+def six_tetrahedra(cells: Ints) -> Ints:
+    """Split hexahedra along their diagonal 0-6."""
+    ways = [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)]
+    return np.concatenate([cells[:, list(way)] for way in ways])
+
+
+@pytest.mark.parametrize("kind", ["hexahedron", "tetra"])
+def test_a_whole_box_has_its_volume(kind: str) -> None:
+    points, cells = box_mesh(3, np.array([-2.0, -1, 0]), np.array([2.0, 1, 3]))
+    cells = cells if kind == "hexahedron" else six_tetrahedra(cells)
+    mesh = DeformedMesh(points, 0.1 * points, kind, cells)
+    found = surface_of(mesh)
+    assert str(symmetry_of(mesh)) == "whole body"
+    assert volume(found.points, found.triangles) == pytest.approx(24)
+    assert volume(found.points + found.displacement, found.triangles) == pytest.approx(24 * 1.1**3)
+
+
+def test_a_quarter_of_an_upper_half_becomes_the_whole() -> None:
+    points, cells = box_mesh(2, np.array([0.0, 0, 5]), np.array([2.0, 3, 10]))
+    stretch = np.array([0.1, 0.1, -0.2])
+    mesh = DeformedMesh(points, (points - [0, 0, 5]) * stretch, "hexahedron", cells)
+    found = surface_of(mesh)
+    assert symmetry_of(mesh).mirrored == (True, True, True)
+    assert volume(found.points, found.triangles) == pytest.approx(4 * 6 * 10)
+    assert found.displacement[found.points[:, 2] == 0.0, 2] == pytest.approx(1.0)
+
+
+def test_a_section_becomes_a_ring_of_the_right_volume() -> None:
+    points = np.array([[1.0, 0, 0], [3, 0, 0], [3, 2, 0], [1, 2, 0]])
+    mesh = DeformedMesh(points, np.zeros_like(points), "quad", np.array([[0, 1, 2, 3]]))
+    found = surface_of(mesh)
+    # a polygon of 180 sides has sin(2 deg) / (2 deg) of its circle's area
+    share = np.sin(np.radians(2)) / np.radians(2)
+    assert volume(found.points, found.triangles) == pytest.approx(16 * np.pi * share)
+
+
+def test_unknown_cells_are_refused() -> None:
+    mesh = DeformedMesh(np.eye(3), np.zeros((3, 3)), "wedge", np.zeros((1, 6), dtype=np.int64))
+    with pytest.raises(InputError, match="cells of type 'wedge'"):
+        surface_of(mesh)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,15 @@ from scipy.stats import binom
 from scipy.stats import f as f_distribution
 
 import study
+from study import api
 from study.cli.app import run
 from study.ground.errors import InputError
+from study.laboratory.tracker.tracker_recording import (
+    STAGES,
+    Errors,
+    load_tracking,
+    write_recording,
+)
 from tests.registration.bodies import cap
 from tests.tracker_accuracy import virtual
 
@@ -60,15 +68,17 @@ MARKERS = "time,stage,ax,ay,az,bx,by,bz"
 LASER = "pose,ox,oy,oz,ax,ay,az,bx,by,bz"
 
 
-def distance_study(folder: Path, seed: int, **options: float) -> Path:
-    virtual.write(folder / "markers.csv", MARKERS, virtual.distance_rows(seed, **options))
+def distance_study(folder: Path, seed: int, drift: float = 0.0, **errors: int) -> Path:
+    rows = virtual.rows_of(Errors(seed, **errors), 50.0, drift_mm_per_h=drift)
+    virtual.write(folder / "markers.csv", MARKERS, rows)
     (folder / "distance.toml").write_text(DISTANCE)
     return folder / "distance.toml"
 
 
-def displacement_study(folder: Path, seed: int, **options: float) -> Path:
-    rows = virtual.stage_rows(seed, **options)
-    virtual.write(folder / "stage.csv", "stop,commanded,x,y,z", rows)
+def displacement_study(folder: Path, sd: float, bow_mm: float = 0.0) -> Path:
+    errors = Errors(3, passes=3, samples=3, scale=1.0, stop_sd_mm=sd, sample_sd_mm=0.0)
+    rows = virtual.rows_of(errors, bow_mm=bow_mm)
+    virtual.write(folder / "stage.csv", "time,stop,commanded,x,y,z", rows)
     (folder / "displacement.toml").write_text(DISPLACEMENT)
     return folder / "displacement.toml"
 
@@ -92,7 +102,7 @@ def test_the_command_writes_a_page_and_one_document(
     assert "Figure missing" not in page
     assert not [word for word in ("https:", "src=") if word in page]
     assert page.count("<script") == 1  # the one that sorts tables
-    assert [one["stage"] for one in found["distance"]["stages"]] == list(virtual.STAGES)
+    assert [one["stage"] for one in found["distance"]["stages"]] == [name for name, _ in STAGES]
     data = Path(found["report"].replace(".html", "-data"))
     assert json.loads((data / "numbers.json").read_text())["distance"] == found["distance"]
     for table in data.glob("*.csv"):  # numbers in cells of their own, no values of Python
@@ -105,16 +115,18 @@ def test_the_error_term_is_stage_by_pass(tmp_path: Path) -> None:
     """F of stages within passes, by the sums of squares of a randomized block by hand."""
     file = distance_study(tmp_path, 2)
     found = study.tracking(file).distance
-    rows = virtual.distance_rows(2)
+    rows = virtual.rows_of(Errors(2), 50.0)
     length = np.array([np.linalg.norm(np.subtract(r[5:], r[2:5])) for r in rows])
-    cells = length.reshape(6, 3, 40).mean(axis=2)
-    stage = 6 * ((cells.mean(axis=0) - cells.mean()) ** 2).sum() / 2
+    # of the ten stops of a pass the stages have 1, 4, 1 and 4, with 40 samples each
+    parts = np.split(length.reshape(6, 400), [40, 200, 240], axis=1)
+    cells = np.column_stack([part.mean(axis=1) for part in parts])
+    stage = 6 * ((cells.mean(axis=0) - cells.mean()) ** 2).sum() / 3
     rest = cells - cells.mean(axis=0) - cells.mean(axis=1, keepdims=True) + cells.mean()
-    f = stage / ((rest**2).sum() / 10)
+    f = stage / ((rest**2).sum() / 15)
     row = found.comparison.anova.rows[0]
     assert row.f == pytest.approx(f, rel=1e-9)
-    assert row.p == pytest.approx(f_distribution.sf(f, 2, 10), rel=1e-6)
-    assert found.comparison.effects[0].range == pytest.approx(virtual.TURN_BIAS, abs=0.06)
+    assert row.p == pytest.approx(f_distribution.sf(f, 3, 15), rel=1e-6)
+    assert found.comparison.effects[0].range == pytest.approx(Errors().bias_mm, abs=0.06)
     assert found.comparison.effects[0].verdict == "matters"
 
 
@@ -123,25 +135,12 @@ def test_samples_are_not_taken_for_independent(tmp_path: Path) -> None:
     found = study.tracking(distance_study(tmp_path, 3, passes=4, samples=2000)).distance
     rest = found.stages[0]
     assert rest.independent / rest.samples == pytest.approx(1 / 9, rel=0.3)
-    assert rest.sd_mm == pytest.approx(virtual.SAMPLE_SD, rel=0.1)
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-def test_intervals_of_stage_and_bias_hold_the_truth_in_95_of_100(tmp_path: Path) -> None:
-    held = np.zeros(2)
-    studies = 30
-    for seed in range(studies):
-        found = study.tracking(distance_study(tmp_path, 100 + seed, samples=15)).distance
-        low, high = found.stages[0].interval_mm
-        held[0] += low < 50 < high
-        low, high = found.bias_interval_mm
-        held[1] += low < virtual.TURN_BIAS / 3 < high
-    assert (held >= binom.ppf(5e-4, studies, 0.95)).all(), held
+    # of a difference of two markers
+    assert rest.sd_mm == pytest.approx(np.sqrt(2) * Errors().sample_sd_mm, rel=0.1)
 
 
 def test_a_drift_is_found_and_none_is_not_invented(tmp_path: Path) -> None:
-    drifting = study.tracking(distance_study(tmp_path, 4, drift_mm_per_h=20.0)).distance.drift
+    drifting = study.tracking(distance_study(tmp_path, 4, drift=20.0)).distance.drift
     assert drifting.interval[0] < 20 < drifting.interval[1]
     assert drifting.p < 1e-3
     steady = study.tracking(distance_study(tmp_path, 5)).distance.drift
@@ -152,7 +151,7 @@ def test_stages_visited_once_are_not_compared(tmp_path: Path) -> None:
     found = study.tracking(distance_study(tmp_path, 6, passes=1)).distance
     assert found.comparison is None
     assert "visited once" in found.comparison_note
-    assert found.bias_interval_mm is not None  # the three stages are three visits
+    assert found.bias_interval_mm is not None  # the four stages are four visits
     assert all(one.interval_mm is None for one in found.stages)
 
 
@@ -170,29 +169,17 @@ def test_the_standard_of_two_spheres_is_their_distance(tmp_path: Path) -> None:
     assert 0.001 < standard.uncertainty_mm < 0.02
 
 
-def test_scale_offset_and_straightness_are_those_put_in(tmp_path: Path) -> None:
-    held = np.zeros(2)
-    for seed in range(40):
-        file = displacement_study(tmp_path, seed, scale=1.004, offset=0.05, sd=0.02)
-        line = study.tracking(file).displacement.line
-        held += [
-            line.scale_interval[0] < 1.004 < line.scale_interval[1],
-            line.offset_interval[0] < 0.05 < line.offset_interval[1],
-        ]
-    assert (held >= binom.ppf(5e-4, 40, 0.95)).all(), held
-    bowed = displacement_study(tmp_path, 1, scale=1.0, offset=0.0, sd=0.0, bow_mm=0.5)
-    found = study.tracking(bowed).displacement
-    # a parabola of height h is off its line of least squares by h 4/sqrt(45) RMS when sampled
-    # densely; eleven stops have 0.96 of that spread
-    told = np.linspace(0, 1, 11)
+def test_the_straightness_is_that_put_in(tmp_path: Path) -> None:
+    found = study.tracking(displacement_study(tmp_path, sd=0.0, bow_mm=0.5)).displacement
+    # stops lie evenly about the middle of the way: the line of least squares is parallel to it
+    told = np.concatenate([stops for _, stops in STAGES]) / 50
     arc = 0.5 * 4 * told * (1 - told)
     assert found.straightness_rms_mm == pytest.approx(arc.std(), rel=1e-3)
     assert found.repeatability_mm == pytest.approx(0, abs=1e-9)
 
 
 def test_limits_of_agreement_are_mean_and_deviation(tmp_path: Path) -> None:
-    file = displacement_study(tmp_path, 3, scale=1.0, offset=0.0, sd=0.03)
-    found = study.tracking(file).displacement
+    found = study.tracking(displacement_study(tmp_path, sd=0.03)).displacement
     difference = found.measured_mm - found.commanded_mm
     assert found.agreement.bias == pytest.approx(difference.mean())
     assert found.agreement.upper - found.agreement.lower == pytest.approx(
@@ -209,6 +196,8 @@ def test_the_lever_arm_put_in_is_found(tmp_path: Path) -> None:
     assert found.fit.rms > 5
     assert found.lever_arm.rms_mm < 0.3
     assert found.lever_arm.left_out_rms_mm < 0.4
+    written = found.to_json()["registration"]["rotation"]
+    assert written == found.fit.motion.rotation.tolist()
 
 
 def test_an_arm_that_the_poses_cannot_show_does_no_harm(tmp_path: Path) -> None:
@@ -316,3 +305,64 @@ def test_a_real_tracker_against_a_laser_tracker(tmp_path: Path, data_dir: Path) 
     assert arm.rms_mm < found.fit.rms
     assert arm.left_out_rms_mm < found.left_out_rms_mm
     assert arm.uncertainty_mm[2] > np.abs(arm.arm_mm[2])
+
+
+# The shipped tracker study, from the generator to the answer.
+
+
+DESIGN = Path(__file__).parents[2] / "designs" / "tracker.toml"
+
+
+def test_two_commands_lead_from_nothing_to_the_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["virtual", str(tmp_path), "--from", str(DESIGN)]) == 0
+    assert "study tracking" in capsys.readouterr().err
+    told = json.loads((tmp_path / "tracker" / "markers.csv.virtual.json").read_text())
+    again = ["tracking", str(DESIGN), "--data", str(tmp_path), "--reports", str(tmp_path)]
+    assert run([*again, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert "Figure missing" not in Path(found["report"]).read_text()
+    distance, displacement = found["distance"], found["displacement"]
+    assert [one["stage"] for one in distance["stages"]] == [name for name, _ in STAGES]
+    # the error term of stages within passes: one visit to each in every pass
+    rows = {row["term"]: row for row in distance["comparison"]["anova"]["rows"]}
+    assert rows["stage"]["df_error"] == (len(STAGES) - 1) * (told["errors"]["passes"] - 1)
+    (effect,) = distance["comparison"]["effects"]
+    assert effect["verdict"] == "matters"
+    assert effect["range"] == pytest.approx(told["errors"]["bias_mm"], abs=0.03)
+    low, high = displacement["line"]["scale_interval"]
+    assert low < told["errors"]["scale"] < high
+
+
+def test_intervals_hold_what_was_put_in_95_times_of_100(tmp_path: Path) -> None:
+    declared, held, studies = load_tracking(DESIGN), np.zeros(4), 20
+    for seed in range(studies):
+        errors = replace(Errors(seed), samples=10)
+        write_recording(declared, tmp_path, errors)
+        found = study.tracking(DESIGN, data=tmp_path)
+        bias, line = found.distance.bias_interval_mm, found.displacement.line
+        home, apart = found.distance.stages[0], 80.0
+        held += [
+            bias[0] < errors.bias_mm / len(STAGES) < bias[1],
+            line.scale_interval[0] < errors.scale < line.scale_interval[1],
+            line.offset_interval[0] < 0 < line.offset_interval[1],
+            home.interval_mm[0] < apart < home.interval_mm[1],
+        ]
+    print(f"held by {held} of {studies} intervals: bias, scale, offset, distance at home")
+    assert (held >= binom.ppf(5e-4, studies, 0.95)).all(), held
+
+
+def test_a_tracker_has_no_specimens(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no design"):
+        api.virtual(tmp_path, DESIGN, blocks=3)
+
+
+def test_a_reference_cannot_be_made_up(tmp_path: Path) -> None:
+    file = tmp_path / "poses.toml"
+    file.write_text(
+        DESIGN.read_text() + '\n[reference]\nfile = "laser.csv"\nmarker = "tip"\n'
+        'stage = "pose"\nposition = ["x", "y", "z"]\n'
+    )
+    with pytest.raises(InputError, match="have no reference"):
+        api.virtual(tmp_path, file)

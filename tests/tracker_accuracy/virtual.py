@@ -8,13 +8,7 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.laboratory.registration.rigid import turned_about
-
-#: What is put into the distance of stage "turn", mm.
-TURN_BIAS = 0.30
-#: Standard deviation of a visit's own error and of a sample's within it, mm.
-VISIT_SD = 0.02
-SAMPLE_SD = 0.05
-STAGES = ("rest", "advance", "turn")
+from study.laboratory.tracker.tracker_recording import Errors, recorded
 
 
 def write(path: Path, header: str, rows: Array | list[list[object]]) -> Path:
@@ -24,50 +18,20 @@ def write(path: Path, header: str, rows: Array | list[list[object]]) -> Path:
     return path
 
 
-def distance_rows(
-    seed: int, passes: int = 6, drift_mm_per_h: float = 0.0, samples: int = 40
-) -> list[list[object]]:
-    """Rows ``time, stage, ax, ay, az, bx, by, bz`` of two markers 50 mm apart.
+def rows_of(errors: Errors, apart_mm: float | None = None, **changes: float) -> list[list[object]]:
+    """Rows of the shipped generator, ``time, stage, ..``, of two markers so far apart, or of one.
 
-    Samples of a visit have a common error and a serial correlation of 0.8.
+    A single marker has its commanded position besides. Changes are a drift of the second marker,
+    ``drift_mm_per_h``, and how far the middle of the way lies sideways, ``bow_mm``.
     """
-    rng = np.random.default_rng(seed)
+    axis, side = np.array([2.0, -1.0, 2.0]) / 3, np.array([1.0, 2.0, 0.0]) / np.sqrt(5)
     rows: list[list[object]] = []
-    time = 0.0
-    for _ in range(passes):
-        for stage in STAGES:
-            own = VISIT_SD * rng.standard_normal() + (TURN_BIAS if stage == "turn" else 0.0)
-            noise = 0.0
-            place = rng.uniform(-100, 100, 3)
-            direction = rng.standard_normal(3)
-            direction /= np.linalg.norm(direction)
-            for _ in range(samples):
-                noise = 0.8 * noise + 0.6 * SAMPLE_SD * rng.standard_normal()
-                length = 50 + own + noise + drift_mm_per_h * time / 3600
-                other = place + length * direction
-                rows.append([round(time, 3), stage, *place.tolist(), *other.tolist()])
-                time += 0.05
-    return rows
-
-
-def stage_rows(
-    seed: int, scale: float, offset: float, sd: float, bow_mm: float = 0.0
-) -> list[list[object]]:
-    """Rows ``stage, commanded, x, y, z``: a stage that goes to ten stops and home, three times.
-
-    Home is the stop at 0. ``offset`` is added to every other stop, ``bow_mm`` sideways in the
-    middle.
-    """
-    rng = np.random.default_rng(seed)
-    axis = np.array([2.0, -1.0, 2.0]) / 3
-    side = np.array([1.0, 2.0, 0.0]) / np.sqrt(5)
-    rows: list[list[object]] = []
-    for number in range(3):
-        for k, told in enumerate(np.linspace(0, 50, 11)):
-            true = scale * told + (offset if told else 0.0) + sd * rng.standard_normal()
-            sideways = bow_mm * 4 * told / 50 * (1 - told / 50)
-            place = np.array([300.0, -20, 900]) + true * axis + sideways * side
-            rows += [[f"{number}-{k}", told, *place.tolist()] for _ in range(3)]
+    for sample in recorded(errors, 1 if apart_mm is None else 2, apart_mm or 0.0):
+        share = sample.commanded_mm / 50
+        places = sample.places_mm + 4 * changes.get("bow_mm", 0.0) * share * (1 - share) * side
+        places[1:] += changes.get("drift_mm_per_h", 0.0) * sample.time_s / 3600 * axis
+        told = [sample.commanded_mm] if apart_mm is None else []
+        rows.append([round(sample.time_s, 3), sample.stage, *told, *places.ravel().tolist()])
     return rows
 
 

@@ -283,6 +283,8 @@ _VERBS = {
     "single measured test": "for `study calibrate` write the test as [[tests]], with "
     "test = { ... } and [tests.measurements]; for `study run` add [factors] and [[response]]",
 }
+#: kinds by what the key ``kind`` of a file calls them
+_DECLARED = {"study": "design", "problem": "problem", "calibration": "calibration"}
 _SIMULATED = frozenset({"schema", "study", "specimen", "test", "material", "model", "converge"})
 
 
@@ -360,6 +362,16 @@ def default_name(source: str) -> str:
 
 
 def _kind(tables: Table) -> str:
+    """Kind that the key ``kind`` declares; without it the tables decide."""
+    if "kind" not in tables:
+        return _shape(tables)
+    if (declared := str(tables["kind"])) not in _DECLARED:
+        raise InputError(Fault("kind", f"no kind {declared!r}", nearest(declared, _DECLARED)))
+    return _DECLARED[declared]
+
+
+def _shape(tables: Table) -> str:
+    """Kind whose tables a file has."""
     if "factors" in tables or "response" in tables:
         return "tracker study" if "recording" in tables else "design"
     if "tests" in tables:
@@ -378,9 +390,13 @@ def _opened(
     expected, actual, faults = _KINDS[kind], _kind(tables), Faults()
     # of a design that is begun all faults are listed; a whole problem is none
     is_whole = {"test", "material"} <= tables.keys() <= _SIMULATED
-    begun = expected == "design" and actual == "problem" and not is_whole
+    declared = tables.pop("kind", None)
+    begun = expected == "design" and actual == "problem" and not is_whole and declared is None
     if actual != expected and not begun:
         raise InputError(Fault(source, f"is a {actual}, not a {expected}", _VERBS[actual]))
+    if declared is not None and (looks := _shape(tables)) not in (actual, "problem"):
+        rule = f"is {declared!r}, and the tables are those of a {looks}"
+        raise InputError(Fault(f"{source}: kind", rule, _VERBS[looks]))
     return text, tables, read_table(kind, tables, "", faults), faults
 
 

@@ -1,4 +1,4 @@
-"""A force law as JSON, CSV, a Python module and a C header."""
+"""A force law, or a surface over ranges, as JSON, CSV, a Python module and a C header."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, TypedDict
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from numpy.typing import ArrayLike, NDArray
 
 import study
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.laboratory.haptics.tabulated_force import (
-    ConstantRange,
-    ForceLaw,
-    HeldOut,
-    force_table,
-    gradient_table,
-)
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.setup import Problem
+from study.statistics.surfaces.emulator import BlockedEmulator, Emulator
+from study.statistics.surfaces.quadratic import QuadraticSurface
+from study.statistics.surfaces.surface_factors import box_points
+from study.statistics.surfaces.surface_profile import FittedSurface
 
 if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
@@ -52,28 +52,6 @@ def stem_of(name: str) -> str:
     return f"{'law_' if plain[0].isdigit() else ''}{plain}_force_law"
 
 
-def sentences(law: ForceLaw) -> list[str]:
-    """Say where a law holds, how near it is, and what it does elsewhere."""
-    held, end = law.held_out, law.force.end_mm
-    largest = f"{held.bound_N:.2g} N ({100 * law.relative_error:.2g} % of the largest force)"
-    lines = [
-        f"Tested from 0 to {end:g} mm: within {largest} of the simulation on "
-        f"{held.force_N.size} points solved between its {law.force.values.size} knots.",
-        f"Below 0 mm it is zero and beyond {end:g} mm it goes on straight; no simulation says so, "
-        "and is_tested tells where that is.",
-        f"Its slope is continuous but at first touch, where it begins with "
-        f"{law.force.slopes[0]:.4g} N/mm.",
-    ]
-    if law.limited:
-        places = ", ".join(f"{law.displacement_mm[k]:.4g}" for k in law.limited)
-        lines += [f"It rises where the simulation does: its slope is limited at {places} mm."]
-    elif law.is_monotone:
-        lines += ["It never falls, with the slopes of the simulation."]
-    else:
-        lines += ["The simulated force falls somewhere, and so does the law."]
-    return lines + [_range(constant) for constant in law.ranges]
-
-
 def _range(constant: ConstantRange) -> str:
     factor, unit = (1.0, "") if is_dimensionless(constant.name) else (1e3, " kPa")
     ends = f"{constant.name} from {factor * constant.low:.4g} to {factor * constant.high:.4g}{unit}"
@@ -82,53 +60,10 @@ def _range(constant: ConstantRange) -> str:
     return f"With {ends} alone it is within {constant.largest_N:.2g} N, to first order."
 
 
-def document(law: ForceLaw) -> dict[str, object]:
-    """Document of ``study export --as force-law --json``: plain values, units in the names."""
-    # Units: law mm, N, MPa.
-    uncertainty = law.standard_uncertainty_at(law.displacement_mm)
-    return {
-        "schema": SCHEMA,
-        "kind": "force-law",
-        "name": law.name,
-        "displacement_mm": law.displacement_mm.tolist(),
-        "force_N": law.force.values.tolist(),
-        "stiffness_N_per_mm": law.force.slopes.tolist(),
-        "constants_MPa": dict(law.constants),
-        "force_gradient": {
-            n: ({"value": t.values.tolist(), "slope_per_mm": t.slopes.tolist()})
-            for n, t in law.gradients.items()
-        },
-        "tested_mm": [0.0, law.force.end_mm],
-        "continuation": {"below": "zero", "above": "linear", "simulated": False},
-        "monotone": law.is_monotone,
-        "limited_mm": [float(law.displacement_mm[k]) for k in law.limited],
-        "error_bound": {
-            "force_N": law.held_out.bound_N,
-            "relative": law.relative_error,
-            "at_mm": law.held_out.worst_mm,
-            "points": law.held_out.force_N.size,
-        },
-        "held_out": {
-            "displacement_mm": law.held_out.displacement_mm.tolist(),
-            "force_N": law.held_out.force_N.tolist(),
-            "deviation_N": law.held_out.deviation_N.tolist(),
-        },
-        "constant_ranges": [
-            {**vars(r), "largest_N": r.largest_N if math.isfinite(r.largest_N) else None}
-            for r in law.ranges
-        ],
-        "standard_uncertainty_N": None
-        if uncertainty is None or not np.isfinite(uncertainty).all()
-        else uncertainty.tolist(),
-        "sentences": sentences(law),
-        "version": study.__version__,
-    }
-
-
 def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
     """Text of every file of a law, by its path in a folder; nothing is written."""
     stem = stem_of(law.name)
-    text = json.dumps(document(law), indent=2, allow_nan=False) + "\n"
+    text = json.dumps(law.to_json(), indent=2, allow_nan=False) + "\n"
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     gradients = [f"dF_d{name}" for name in law.gradients]
@@ -139,7 +74,7 @@ def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
     made = {"json": text, "csv": stream.getvalue()}
     made |= {  # a Python module without imports, a C header without includes
         suffix: rendered(
-            f"force_law.{suffix}.j2", law=law, name=law.name, stem=stem, sentences=sentences(law)
+            f"force_law.{suffix}.j2", law=law, name=law.name, stem=stem, sentences=law.sentences()
         )
         for suffix in ("py", "h")
     }
@@ -184,32 +119,34 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What a force law has to keep."""
+class ForceLawSource:
+    """A problem, and what is known of its constants."""
 
-    #: Error bound over the largest force.
-    tolerance: float = TOLERANCE
-    #: How far each constant is moved, MPa (exponents plain); a tenth of it by default.
-    half_ranges: Mapping[str, float] | None = None
+    #: Of the file, the calibration, or the study and its case.
+    name: str
+    problem: Problem
+    #: How far each constant is moved, MPa (exponents plain): two standard errors of calibrated
+    #: ones; a tenth of those that are left out.
+    half_ranges: Mapping[str, float] = field(default_factory=dict)
     #: shape (p, p); of calibrated constants, MPa^2.
     covariance: Array | None = None
 
 
 def solved_force_law(
-    name: str, problem: Problem, accuracy: Wanted, progress: Progress | None = None
+    source: ForceLawSource, tolerance: float = TOLERANCE, progress: Progress | None = None
 ) -> ForceLaw:
     """Force law of a problem, with intervals halved until its error bound is met."""
-    say = progress or (lambda text: None)
+    say, name, problem = progress or (lambda text: None), source.name, source.problem
     intervals = max(problem.test.steps, FEWEST_INTERVALS)
     while True:
         solution = _solved(problem, PARTS * intervals)
         law = tabulated(name, problem, solution.curve)
         say(f"{intervals} intervals: {100 * law.relative_error:.2g} % of the largest force")
-        if law.relative_error <= accuracy.tolerance or 2 * intervals > MOST_INTERVALS:
+        if law.relative_error <= tolerance or 2 * intervals > MOST_INTERVALS:
             break
         intervals *= 2
-    law = replace(law, covariance=accuracy.covariance)
-    return replace(law, ranges=tuple(_ranges(law, problem, solution, accuracy, say)))
+    law = replace(law, covariance=source.covariance)
+    return replace(law, ranges=tuple(_ranges(law, solution, source, say)))
 
 
 def tabulated(name: str, problem: Problem, path: Curve) -> ForceLaw:
@@ -271,15 +208,17 @@ def _with_origin(curve: Curve) -> Curve:
 
 
 def _ranges(
-    law: ForceLaw, problem: Problem, solution: Solution, accuracy: Wanted, say: Progress
+    law: ForceLaw, solution: Solution, source: ForceLawSource, say: Progress
 ) -> list[ConstantRange]:
     """Move every constant alone to both ends of its range, and solve there."""
     ranges = []
     for name, value in law.constants.items():
-        half = (accuracy.half_ranges or {}).get(name, CONSTANT_SHARE * abs(value))
+        half = source.half_ranges.get(name, CONSTANT_SHARE * abs(value))
         ends = (value - half, value + half)
         # NaN, where one end has no answer, stays NaN
-        off = float(np.max([_deviation(law, problem, solution, {name: end}) for end in ends]))
+        off = float(
+            np.max([_deviation(law, source.problem, solution, {name: end}) for end in ends])
+        )
         ranges.append(ConstantRange(name, *ends, off))
         say(f"{name} from {ends[0]:.4g} to {ends[1]:.4g}: {off:.2g} N from first order")
     return ranges
@@ -295,3 +234,446 @@ def _deviation(
     except InputError:
         return float("nan")
     return float(np.abs(law.force_at(curve.displacement_mm, constants) - curve.force_N).max())
+
+
+# The law: the force of a simulated test as a smooth function of displacement and constants.
+
+
+# Slopes of a monotone cubic Hermite interpolant (Fritsch and Carlson 1980, SIAM J. Numer. Anal.
+# 17, 238-246).
+
+#: Slopes up to this multiple of that of the chord make a monotone cubic, whatever the other one is
+#: below it (Fritsch and Carlson 1980, section 4).
+STEEPEST = 3.0
+
+
+def monotone_slopes(knots: Array, values: Array, slopes: Array) -> Array:
+    """Slopes limited only in intervals where the interpolant would leave its monotone data.
+
+    Data count as monotone in an interval where the slopes at both its ends have the sign of the
+    chord: there the simulation rises, or falls, all the way as far as anybody knows.
+
+    Shapes: knots, values, slopes (n,); returns (n,).
+
+    Examples
+    --------
+    >>> d = np.array([0.0, 1.0, 2.0])
+    >>> monotone_slopes(d, d**2, 2 * d)
+    array([0., 2., 4.])
+    >>> monotone_slopes(d, np.array([0.0, 1.0, 1.1]), np.array([1.0, 4.0, 0.1]))
+    array([1. , 0.3, 0.1])
+    """
+    limited = slopes.astype(float)
+    chords = np.diff(values) / np.diff(knots)
+    sign = np.sign(chords)
+    rising = np.asarray((sign * limited[:-1] >= 0) & (sign * limited[1:] >= 0))
+    # an interval that is limited may take its neighbor's slope away; each is limited once at most
+    for _ in range(chords.size):
+        outside = np.flatnonzero(rising & ~is_monotone(chords, limited))
+        if not outside.size:
+            break
+        for k in outside:
+            chord = chords[k]
+            limited[k : k + 2] = np.asarray(
+                np.sign(chord) * np.minimum(np.abs(limited[k : k + 2]), STEEPEST * abs(chord))
+            )
+    return limited
+
+
+def is_monotone(chords: Array, slopes: Array) -> NDArray[np.bool_]:
+    """Whether the cubic of every interval is monotone."""
+    # Shapes: chords (n - 1,); slopes (n,); returns (n - 1,).
+    flat = chords == 0
+    safe = np.where(flat, 1.0, chords)
+    a, b = slopes[:-1] / safe, slopes[1:] / safe
+    sums = a + b - 2
+    # the minimum of the derivative inside the interval, where it has one
+    lowest = a - (2 * a + b - 3) ** 2 / (3 * np.where(sums > 0, sums, 1.0))
+    inside = (sums <= 0) | (2 * a + b <= 3) | (a + 2 * b <= 3) | (lowest >= 0)
+    still = (slopes[:-1] == 0) & (slopes[1:] == 0)
+    return np.asarray(np.where(flat, still, (a >= 0) & (b >= 0) & inside))
+
+
+@dataclass(frozen=True)
+class TabulatedFunction(Keyed):
+    """A function tabulated at evenly spaced displacements from 0, with its slopes.
+
+    Between two of them it is the cubic with their values and slopes, so that it is smooth (C1).
+    Below 0 it is zero, beyond the last one it goes on straight.
+    """
+
+    KEYS = "value=values slope_per_mm=slopes"
+
+    step_mm: float
+    #: shape (n + 1,); the function and its derivative by the displacement.
+    values: Array
+    slopes: Array
+
+    @property
+    def end_mm(self) -> float:
+        """Last displacement."""
+        return self.step_mm * (self.values.size - 1)
+
+    @cached_property
+    def coefficients(self) -> Array:
+        """Coefficients by the share t of an interval, 1, t, t^2, t^3; shape (n, 4)."""
+        first, last = self.values[:-1], self.values[1:]
+        start, end = self.step_mm * self.slopes[:-1], self.step_mm * self.slopes[1:]
+        rise = last - first
+        return np.stack([first, start, 3 * rise - 2 * start - end, start + end - 2 * rise], axis=1)
+
+    def at(self, displacement_mm: ArrayLike) -> Array:
+        """Values at displacements of any shape."""
+        d = np.asarray(displacement_mm, dtype=float)
+        k, t, beyond = self._place(d)
+        c = self.coefficients[k]
+        inside = c[..., 0] + t * (c[..., 1] + t * (c[..., 2] + t * c[..., 3]))
+        return np.asarray(np.where(d < 0, 0.0, inside + self.slopes[-1] * beyond))
+
+    def slope_at(self, displacement_mm: ArrayLike) -> Array:
+        """Differentiate by the displacement, per mm."""
+        d = np.asarray(displacement_mm, dtype=float)
+        k, t, _ = self._place(d)
+        c = self.coefficients[k]
+        inside = (c[..., 1] + t * (2 * c[..., 2] + 3 * t * c[..., 3])) / self.step_mm
+        return np.asarray(np.where(d < 0, 0.0, inside))
+
+    def _place(self, d: Array) -> tuple[NDArray[np.int64], Array, Array]:
+        """Interval of every displacement, its share of that interval, and how far it is beyond."""
+        within = np.clip(d, 0.0, self.end_mm)
+        steps = within / self.step_mm
+        k = np.minimum(steps.astype(np.int64), self.values.size - 2)
+        return k, steps - k, np.maximum(d - self.end_mm, 0.0)
+
+
+#: Error bound over the largest deviation that is seen: contact that closes point by point makes no
+#: smooth function. Of six laws of punches, spheres and cones the largest deviation on a path of
+#: four times as many points was .9 to 1.2 times the largest that is seen here
+BEYOND_SEEN = 1.5
+
+
+@dataclass(frozen=True)
+class HeldOut(Keyed):
+    """Points of a path that are kept out of the table made of it, three in each interval."""
+
+    KEYS = "displacement_mm force_N deviation_N"
+
+    #: shape (n,); as the finite elements find them.
+    displacement_mm: Array
+    force_N: Array
+    #: shape (n,); force of the law less that of the finite elements.
+    deviation_N: Array
+    #: Largest deviation from the interpolated path, between its points too.
+    largest_between_N: float
+
+    @property
+    def bound_N(self) -> float:  # noqa: N802
+        """Bound of the deviation, between these points too."""
+        seen = float(np.abs(self.deviation_N).max())
+        return BEYOND_SEEN * max(seen, self.largest_between_N)
+
+    @property
+    def worst_mm(self) -> float:
+        """Displacement of the largest deviation at a point."""
+        return float(self.displacement_mm[int(np.argmax(np.abs(self.deviation_N)))])
+
+
+@dataclass(frozen=True)
+class ConstantRange:
+    """What first order leaves out where one constant is not that of the table."""
+
+    name: str
+    #: Its values that were solved, MPa (exponents plain).
+    low: float
+    high: float
+    #: Largest deviation of the law from the finite elements there; NaN where they have no answer.
+    largest_N: float
+
+
+@dataclass(frozen=True)
+class ForceLaw(Keyed):
+    """Force as a function of displacement, and to first order of the constants."""
+
+    KEYS = (
+        "schema kind name displacement_mm force_N=force.values stiffness_N_per_mm=force.slopes "
+        "constants_MPa=constants force_gradient=gradients tested_mm continuation "
+        "monotone=is_monotone limited_mm error_bound held_out constant_ranges=ranges "
+        "standard_uncertainty_N sentences version"
+    )
+    schema, kind, version = SCHEMA, "force-law", study.__version__
+    continuation: ClassVar[Mapping[str, object]] = {
+        "below": "zero",
+        "above": "linear",
+        "simulated": False,
+    }
+
+    name: str
+    #: N over mm, monotone where the simulation is.
+    force: TabulatedFunction
+    #: dF/dconstant, N per MPa (N for a plain exponent).
+    gradients: Mapping[str, TabulatedFunction]
+    #: Those of the table, MPa (exponents plain).
+    constants: Mapping[str, float]
+    #: Knots at which the slope is smaller than that of the simulation.
+    limited: tuple[int, ...]
+    held_out: HeldOut
+    #: How far the constants may move.
+    ranges: tuple[ConstantRange, ...] = ()
+    #: shape (p, p); of the constants in their order, where they were calibrated, MPa^2.
+    covariance: Array | None = field(default=None, repr=False)
+
+    @property
+    def displacement_mm(self) -> Array:
+        """Knots, shape (n + 1,)."""
+        return np.asarray(self.force.step_mm * np.arange(self.force.values.size), float)
+
+    @property
+    def tested_mm(self) -> tuple[float, float]:
+        """Displacements that were simulated."""
+        return 0.0, self.force.end_mm
+
+    @property
+    def limited_mm(self) -> list[float]:
+        """Displacements at which the slope is smaller than that of the simulation."""
+        return [float(self.displacement_mm[k]) for k in self.limited]
+
+    @property
+    def error_bound(self) -> dict[str, float]:
+        """Bound of the error, over the largest force too, with the points that tell it."""
+        held = self.held_out
+        return {"force_N": held.bound_N, "relative": self.relative_error, "at_mm": held.worst_mm,
+                "points": held.force_N.size}  # fmt: skip
+
+    @property
+    def standard_uncertainty_N(self) -> Array | None:  # noqa: N802
+        """Standard uncertainty at every knot; None where a covariance is not known."""
+        uncertainty = self.standard_uncertainty_at(self.displacement_mm)
+        is_known = uncertainty is not None and np.isfinite(uncertainty).all()
+        return uncertainty if is_known else None
+
+    @property
+    def relative_error(self) -> float:
+        """Error bound over the largest force of the table."""
+        return self.held_out.bound_N / float(np.abs(self.force.values).max())
+
+    @property
+    def is_monotone(self) -> bool:
+        """Whether the force never falls as the displacement grows."""
+        chords = np.diff(self.force.values) / self.force.step_mm
+        return bool(np.all(chords >= 0) and np.all(is_monotone(chords, self.force.slopes)))
+
+    def sentences(self) -> list[str]:
+        """Say where a law holds, how near it is, and what it does elsewhere."""
+        held, end = self.held_out, self.force.end_mm
+        largest = f"{held.bound_N:.2g} N ({100 * self.relative_error:.2g} % of the largest force)"
+        lines = [
+            f"Tested from 0 to {end:g} mm: within {largest} of the simulation on "
+            f"{held.force_N.size} points solved between its {self.force.values.size} knots.",
+            f"Below 0 mm it is zero and beyond {end:g} mm it goes on straight; no simulation says "
+            "so, and is_tested tells where that is.",
+            f"Its slope is continuous but at first touch, where it begins with "
+            f"{self.force.slopes[0]:.4g} N/mm.",
+        ]
+        if self.limited:
+            places = ", ".join(f"{self.displacement_mm[k]:.4g}" for k in self.limited)
+            lines += [f"It rises where the simulation does: its slope is limited at {places} mm."]
+        elif self.is_monotone:
+            lines += ["It never falls, with the slopes of the simulation."]
+        else:
+            lines += ["The simulated force falls somewhere, and so does the self."]
+        return lines + [_range(constant) for constant in self.ranges]
+
+    def force_at(
+        self, displacement_mm: ArrayLike, constants: Mapping[str, float] | None = None
+    ) -> Array:
+        """Force in N, of the shape of the displacements. Units: constants MPa."""
+        force = self.force.at(displacement_mm)
+        for name, value in (constants or {}).items():
+            change = value - self.constants[name]
+            force = force + change * self.gradients[name].at(displacement_mm)
+        return np.asarray(force)
+
+    def stiffness_at(self, displacement_mm: ArrayLike) -> Array:
+        """dF/dd in N/mm, of the shape of the displacements."""
+        return self.force.slope_at(displacement_mm)
+
+    def is_tested(self, displacement_mm: ArrayLike) -> NDArray[np.bool_]:
+        """Whether displacements lie in the simulated range; outside, the law only continues."""
+        d = np.asarray(displacement_mm, dtype=float)
+        return np.asarray((d >= 0) & (d <= self.force.end_mm))
+
+    def standard_uncertainty_at(self, displacement_mm: ArrayLike) -> Array | None:
+        """Return the standard uncertainty in N that a calibration leaves; None without one."""
+        if self.covariance is None:
+            return None
+        rows = [self.gradients[name].at(displacement_mm) for name in self.constants]
+        gradient = np.stack(rows, axis=-1)
+        square = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
+        return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+
+
+def force_table(step_mm: float, force_N: Array, stiffness_N_per_mm: Array) -> TabulatedFunction:  # noqa: N803
+    """Tabulate a force, its slopes limited where it would not be monotone."""
+    # Shapes: force_N, stiffness_N_per_mm (n + 1,).
+    # at first touch it is an estimate from the work, which must not pull
+    limit = max if force_N[1] >= 0 else min
+    slopes = np.r_[limit(float(stiffness_N_per_mm[0]), 0.0), stiffness_N_per_mm[1:]]
+    knots = np.asarray(step_mm * np.arange(force_N.size), float)
+    return TabulatedFunction(step_mm, force_N, monotone_slopes(knots, force_N, slopes))
+
+
+def gradient_table(step_mm: float, gradient: Array) -> TabulatedFunction:
+    """Tabulate a derivative by a constant; its slopes are those of the spline through it."""
+    # Shapes: gradient (n + 1,).
+    from scipy.interpolate import CubicSpline
+
+    knots = step_mm * np.arange(gradient.size)
+    if gradient.size < 4:  # as many as a cubic has coefficients
+        return TabulatedFunction(step_mm, gradient, np.gradient(gradient, knots))
+    return TabulatedFunction(step_mm, gradient, np.asarray(CubicSpline(knots, gradient)(knots, 1)))
+
+
+# A surface over ranges as a function that needs no package: JSON and a Python module.
+
+
+#: points of the box at which the error bound is looked for
+ASKED = 4096
+
+
+class Input(TypedDict):
+    """An argument of the function: ends of its range in its unit."""
+
+    name: str
+    argument: str
+    low: float
+    high: float
+    unit: str
+    log: bool
+
+
+class SurfacePart(TypedDict):
+    """A sum of weights times correlations with points of the unit box."""
+
+    kernel: str
+    lengths: list[float]
+    points: list[list[float]]
+    weights: list[float]
+
+
+class Product(TypedDict):
+    """A coefficient times a product of coded inputs, which are -1 to 1 over their ranges."""
+
+    inputs: list[int]
+    coefficient: float
+
+
+@dataclass(frozen=True)
+class SurfaceFunction(Keyed):
+    """A surface as plain numbers, units in their own keys."""
+
+    KEYS = (
+        "schema kind name response=surface.response unit=surface.unit at=surface.labels inputs "
+        "constant parts products error_bound=bound sentences version"
+    )
+    schema, version = SCHEMA, study.__version__
+
+    #: Identifier, also the stem of its files.
+    name: str
+    surface: FittedSurface
+    inputs: tuple[Input, ...]
+    #: What is added to all sums, in the response's unit.
+    constant: float
+    #: Of an emulator, one a block.
+    parts: tuple[SurfacePart, ...]
+    products: tuple[Product, ...]
+    #: Largest half width of the 95 % intervals in the ranges, in the response's unit.
+    bound: float
+
+    def sentences(self) -> tuple[str, ...]:
+        """Say what it is, where it holds and how well."""
+        fit = self.surface
+        at = ", ".join(f"{name} = {label}" for name, label in fit.labels.items())
+        what = f"{fit.response}{f' in {fit.unit}' if fit.unit else ''}{f' at {at}' if at else ''}"
+        ranges = "; ".join(
+            f"{i['argument']} ({i['name']}) {i['low']:g} to {i['high']:g} {i['unit']}".strip()
+            for i in self.inputs
+        )
+        return (
+            f"{what}, from {0 if fit.found is None else fit.found.runs.response.size} runs.",
+            f"Ranges: {ranges}. Outside of them it raises ValueError: nothing was run there.",
+            f"It is within {self.bound:.3g} {fit.unit} of the simulation at about 95 % of the "
+            "settings: the largest half width of its intervals.",
+        )
+
+    @property
+    def kind(self) -> str:
+        """What the surface is."""
+        return "emulator" if self.parts else "quadratic"
+
+    def files(self, folder: Path) -> dict[Path, str]:
+        """Text of its files by their path in a folder."""
+        text = json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n"
+        return {folder / f"{self.name}.json": text, folder / f"{self.name}.py": self.python()}
+
+    def python(self) -> str:
+        """Python module that imports nothing but math."""
+        return rendered("surface.py.j2", f=self, said=self.sentences())
+
+
+def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
+    """Make the function of a surface."""
+    if fitted.found is None:
+        raise ValueError(fitted.refused)
+    model, runs = fitted.found.model, fitted.found.runs
+    arguments = _arguments(runs.names)
+    inputs = tuple(
+        Input(
+            name=f.name, argument=arguments[f.name], low=f.low, high=f.high,
+            unit=fitted.units.get(f.name, ""), log=f.log,
+        )
+        for f in runs.factors
+    )  # fmt: skip
+    name = _identifier(" ".join((study_name, fitted.response, *fitted.labels.values())))
+    _, half = model.predict(box_points(len(inputs), ASKED))
+    bound = float(np.max(half))
+    if isinstance(model, QuadraticSurface):
+        polynomial = model.polynomial
+        products = tuple(
+            Product(inputs=list(t.factors), coefficient=float(c))
+            for t, c in zip(polynomial.terms, polynomial.coefficients, strict=True)
+        )
+        return SurfaceFunction(name, fitted, inputs, 0.0, (), products, bound)
+    each = model.each if isinstance(model, BlockedEmulator) else (model,)
+    made = [_part(emulator, len(each)) for emulator in each]
+    constant = sum(level for level, _ in made)
+    return SurfaceFunction(name, fitted, inputs, constant, tuple(p for _, p in made), (), bound)
+
+
+def _part(emulator: Emulator, blocks: int) -> tuple[float, SurfacePart]:
+    """Level and weights of a process, over the number of blocks."""
+    process = emulator.process
+    kernel = process.found.kernel
+    levels, weights = process.solved
+    combination = emulator.combination or 0
+    if kernel.categories is not None:
+        weights = weights * kernel.categories.matrix[combination, kernel.combination(process.x)]
+    scale = emulator.scale / blocks
+    part = SurfacePart(
+        kernel=kernel.family,
+        lengths=kernel.lengths.tolist(),
+        points=kernel.numbers(process.x).tolist(),
+        weights=(scale * process.found.variance * weights).tolist(),
+    )
+    return emulator.centre / blocks + scale * float(levels[combination]), part
+
+
+def _arguments(names: tuple[str, ...]) -> dict[str, str]:
+    """Last parts of dotted keys where these differ, else the whole keys."""
+    last = [name.rpartition(".")[2] for name in names]
+    chosen = last if len(set(last)) == len(last) else list(names)
+    return {name: _identifier(word) for name, word in zip(names, chosen, strict=True)}
+
+
+def _identifier(text: str) -> str:
+    plain = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "x"
+    return f"x_{plain}" if plain[0].isdigit() else plain

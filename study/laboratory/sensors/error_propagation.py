@@ -8,23 +8,28 @@ show whether first order holds.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.errors import RefusedError
+from study.ground.canonical import Keyed
+from study.ground.errors import InputError, RefusedError
 from study.harness.execution.local import Loky
 from study.harness.execution.supervisor import Inline
 from study.harness.execution.task import Executor, Results, Task
 from study.laboratory.sensors.force_model import (
     ForceAccuracy,
     ForceAt,
+    ForceModel,
     PositionAccuracy,
+    force_model,
     multiplied,
 )
-from study.laboratory.sensors.virtual_test import Changes, Chunk, Sampling, perform
 from study.mechanics.calibration.covariance import scaled_inverse
+from study.mechanics.calibration.levenberg_marquardt import Status, levenberg_marquardt
+from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.setup.setup import Problem
 
 # First-order propagation of sensor errors through a least-squares fit (JCGM 100:2008, 5): a row
 # at displacement d differs by zero + scale_F F + noise_F - F' (offset + scale_d d + noise_d); all
@@ -203,8 +208,10 @@ FEWEST_TESTS = 10
 
 
 @dataclass(frozen=True)
-class Scatter:
+class Scatter(Keyed):
     """How one quantity scatters in the simulated tests."""
+
+    KEYS = "name standard_deviation=in_kpa ratio ratio_standard_error=ratio_error bias"
 
     #: Of a constant, or ``force``; MPa, N or empty.
     name: str
@@ -219,14 +226,21 @@ class Scatter:
     bias: float
 
     @property
+    def in_kpa(self) -> float:
+        """Standard deviation, of a modulus in kPa."""
+        return self.standard_deviation * (1e3 if self.unit == "MPa" else 1.0)
+
+    @property
     def is_linear(self) -> bool:
         """Whether first order holds, for scatter and mean."""
         return abs(self.ratio - 1) <= LINEAR and abs(self.bias) <= SHIFTED
 
 
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(Keyed):
     """All tests with errors so many times as large as given."""
+
+    KEYS = "multiple samples failed linear=is_linear message quantities=scatters"
 
     multiple: float
     #: Tests, and those whose fit has no answer.
@@ -339,3 +353,154 @@ def _without_each(values: Array) -> Array:
     n, centered = values.size, values - values.mean()
     squares = np.sum(centered**2) - centered**2 - centered**2 / (n - 1)
     return np.asarray(np.sqrt(np.maximum(squares, 0.0) / (n - 2)))
+
+
+# Virtual tests: measured with drawn sensor errors, and fitted anew (JCGM 101:2008).
+
+
+#: Standard deviations of the noise that the simulated curve reaches beyond the test.
+REACH = 5.0
+#: Promised relative change of the sum of squares at which a fit has converged.
+FTOL = 1e-9
+#: Relative offset at which it has converged: what is left is a thousandth of a standard error by
+#: noise (Bates and Watts 1981).
+GTOL = 1e-3
+#: Decrease of the sum of squares that is not worth the way along a kink.
+EDGE = 1e-3
+#: Evaluations of a fit, which usually takes three to six from the assumed constants.
+MOST_EVALUATIONS = 30
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """What a Monte Carlo simulation draws."""
+
+    #: Both tests, with the assumed constants.
+    fitted: Problem
+    predicted: Problem
+    position: PositionAccuracy
+    force: ForceAccuracy
+    points: int
+    #: Number of tests; the stream of random numbers.
+    samples: int
+    seed: int
+
+    @property
+    def depth_mm(self) -> float:
+        """Displacement of the fitted test."""
+        return self.fitted.test.depth_mm
+
+    @property
+    def farthest_mm(self) -> float:
+        """Largest displacement that a tracker may tell."""
+        error = self.position
+        beyond = np.hypot(np.hypot(error.offset_mm, error.noise_mm), error.scale * self.depth_mm)
+        return self.depth_mm + REACH * float(beyond)
+
+
+def rows_mm(depth_mm: float, points: int) -> Array:
+    """Displacements of the rows of a test, even, the last one at its depth."""
+    # Shapes: returns (points,), mm.
+    return np.asarray(depth_mm * np.arange(1, points + 1) / points)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Part of a simulation that one worker does."""
+
+    #: With the errors of this simulation.
+    sampling: Sampling
+    #: Begins the seed of every test.
+    stream: tuple[int, ...]
+    #: Numbers of its tests, the last one excluded.
+    first: int
+    last: int
+    #: shape (p, n); change of the constants by that of every row, to first order.
+    pseudo_inverse: Array
+    #: Full step over the constants at which a fit has converged.
+    xtol: float
+
+
+@dataclass
+class Changes:
+    """Changes of the constants in the tests of a chunk that have an answer."""
+
+    #: A row for every test: of the nonlinear fit, and to first order.
+    fitted: list[list[float]] = field(default_factory=list)
+    linear: list[list[float]] = field(default_factory=list)
+    force_N: list[float] = field(default_factory=list)
+    #: Why the other tests have no answer.
+    messages: list[str] = field(default_factory=list)
+
+    def add(self, more: Changes) -> None:
+        """Take in the tests of another chunk."""
+        self.fitted += more.fitted
+        self.linear += more.linear
+        self.force_N += more.force_N
+        self.messages += more.messages
+
+
+def perform(chunk: Chunk) -> dict[str, object]:
+    """Measure and fit the tests of one chunk (in a worker)."""
+    sampling, changes = chunk.sampling, Changes()
+    test = _Test(sampling, chunk.pseudo_inverse, chunk.xtol)
+    depth = np.array([sampling.predicted.test.depth_mm])
+    predicted = force_model(sampling.predicted, float(depth[0]))
+    for k in range(chunk.first, chunk.last):
+        try:
+            values, linear = test.measured(np.random.default_rng([*chunk.stream, k]))
+            force = predicted(values, depth).force_N[0]
+        except (EvaluationFailed, InputError) as error:
+            changes.messages.append(str(error))
+            continue
+        changes.fitted.append((values - test.values).tolist())
+        changes.linear.append(linear.tolist())
+        changes.force_N.append(float(force))
+    return {"status": "done", **asdict(changes)}
+
+
+class _Test:
+    """One test at its rows, to be measured with errors and fitted as often as asked."""
+
+    def __init__(self, sampling: Sampling, pseudo_inverse: Array, xtol: float) -> None:
+        self.model: ForceModel = force_model(sampling.fitted, sampling.farthest_mm)
+        self.rows = rows_mm(sampling.depth_mm, sampling.points)
+        self.position, self.force = sampling.position, sampling.force
+        self.pseudo_inverse, self.xtol = pseudo_inverse, xtol
+        self.values = self.model.problem.material.values
+        self.true = self.model(self.values, self.rows)
+
+    def measured(self, random: np.random.Generator) -> tuple[Array, Array]:
+        """Constants of the fit to one measured test, and their change to first order."""
+        n, p, f = self.rows.size, self.position, self.force
+        moved = p.offset_mm * random.standard_normal() + self.rows * (
+            p.scale * random.standard_normal()
+        )
+        moved = moved + p.noise_mm * random.standard_normal(n)
+        off = f.zero_N * random.standard_normal() + self.true.force_N * (
+            f.scale * random.standard_normal()
+        )
+        off = off + f.noise_N * random.standard_normal(n)
+        linear = self.pseudo_inverse @ (off - self.true.stiffness_N_per_mm * moved)
+        return self._fit(self.rows + moved, self.true.force_N + off), linear
+
+    def _fit(self, displacement_mm: Array, force_N: Array) -> Array:  # noqa: N803
+        """Constants that fit measured rows best, each with the same weight."""
+
+        def residual(values: Array) -> tuple[Array, Array]:
+            at = self.model(values, displacement_mm)
+            return at.force_N - force_N, at.jacobian
+
+        fit = levenberg_marquardt(
+            residual,
+            self.values,
+            ftol=FTOL,
+            xtol=self.xtol,
+            gtol=GTOL,
+            edge=EDGE,
+            max_evaluations=MOST_EVALUATIONS,
+        )
+        # a lowest point at which contact sets in is as good a constant as another
+        if not (fit.converged or fit.status is Status.at_kink):
+            raise EvaluationFailed(fit.status.sentence)
+        return fit.x

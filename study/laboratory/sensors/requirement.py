@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
 from study.laboratory.sensors.error_propagation import (
     PropagatedQuantity,
     Propagation,
+    Sampling,
     SensorErrorSource,
     Simulation,
     propagate,
+    rows_mm,
     simulate,
     sources_of,
 )
 from study.laboratory.sensors.force_model import RequirementFile, force_model, multiplied
-from study.laboratory.sensors.virtual_test import Sampling, rows_mm
 from study.mechanics.material.material import is_dimensionless
 
 #: Multiples of the given errors that the map of accuracies shows, from a tenth to ten times.
@@ -28,8 +30,13 @@ MULTIPLES = np.logspace(-1, 1, 61)
 
 
 @dataclass(frozen=True)
-class SensorRequirement:
+class SensorRequirement(Keyed):
     """Uncertainty of constants and force by sensors, and what a wanted accuracy needs."""
+
+    KEYS = (
+        "name accuracy coverage met=is_met needed_multiple quantities=each_quantity required "
+        "monte_carlo=simulations sentences report warnings"
+    )
 
     name: str
     question: str
@@ -44,6 +51,10 @@ class SensorRequirement:
     simulations: tuple[Simulation, ...]
     #: What is wrong with the simulated force, if anything.
     notes: tuple[str, ...] = ()
+    #: Page of it, where one was written.
+    report: str | None = None
+    #: Where first order does not hold.
+    warnings: tuple[str, ...] = ()
 
     @property
     def standard(self) -> float:
@@ -71,6 +82,48 @@ class SensorRequirement:
         alone = min(constant.allowed_alone(standard)[source] for constant in constants)
         jointly = [constant.allowed_beside(standard)[source] for constant in constants]
         return float(alone), float(np.min(jointly))
+
+    @property
+    def each_quantity(self) -> list[dict[str, object]]:
+        """Constants in kPa (exponents plain) and force: value, uncertainty, part of each error."""
+        names = [f"{source.sensor}.{source.name}" for source in self.propagation.sources]
+        return [
+            {
+                "name": q.name,
+                "unit": "kPa" if q.unit == "MPa" else q.unit,
+                "value": q.value * (1e3 if q.unit == "MPa" else 1.0),
+                "relative_standard_uncertainty": q.relative,
+                "relative_expanded_uncertainty": self.coverage * q.relative,
+                "parts": dict(zip(names, q.parts.tolist(), strict=True)),
+            }
+            for q in self.quantities
+        ]
+
+    @property
+    def required(self) -> list[dict[str, object]]:
+        """Largest errors of every source; infinite for any, NaN for none."""
+        keys = ("allowed_alone", "allowed_beside_the_others")
+        return [
+            {"sensor": source.sensor, "error": source.name, "unit": source.unit or "1",
+             "given": source.given, **dict(zip(keys, self.allowed(k), strict=True))}
+            for k, source in enumerate(self.propagation.sources)
+        ]  # fmt: skip
+
+    def sentences(self) -> list[str]:
+        """Say what is known how well, what it needs, and where first order holds."""
+        worst, k = self.propagation.worst, self.coverage
+        times = f"{self.needed_multiple:.3g} times as large"
+        needed = (
+            f"is met; all errors could be {times}" if self.is_met else f"needs all errors {times}"
+        )
+        force = self.propagation.force.relative
+        return [
+            f"{worst.name} is known to {percent(k * worst.relative)} (k = {k:g}), the force that "
+            f"is predicted to {percent(k * force)}.",
+            f"{percent(self.accuracy)} for every constant {needed}.",
+            _largest_part(self),
+            *map(_linear, self.simulations),
+        ]
 
     def worst_at(self, position: Array, force: Array) -> Array:
         """Largest expanded relative uncertainty of a constant at multiples of both errors."""
@@ -120,22 +173,6 @@ def _check_reach(file: RequirementFile, sampling: Sampling) -> None:
             raise InputError(Fault("position", rule, mend))
 
 
-def sentences(sensors: SensorRequirement) -> list[str]:
-    """Say what is known how well, what it needs, and where first order holds."""
-    worst, k = sensors.propagation.worst, sensors.coverage
-    times = f"{sensors.needed_multiple:.3g} times as large"
-    needed = (
-        f"is met; all errors could be {times}" if sensors.is_met else f"needs all errors {times}"
-    )
-    lines = [
-        f"{worst.name} is known to {percent(k * worst.relative)} (k = {k:g}), the force that is "
-        f"predicted to {percent(k * sensors.propagation.force.relative)}.",
-        f"{percent(sensors.accuracy)} for every constant {needed}.",
-        _largest_part(sensors),
-    ]
-    return [*lines, *(_linear(simulation) for simulation in sensors.simulations)]
-
-
 def _largest_part(sensors: SensorRequirement) -> str:
     worst = sensors.propagation.worst
     shares = worst.parts**2 / worst.relative**2
@@ -179,74 +216,3 @@ def size(source: SensorErrorSource, value: float) -> str:
     if math.isnan(value):
         return "none"
     return f"{value:.3g} {source.unit}" if source.unit else percent(value)
-
-
-def document(sensors: SensorRequirement) -> dict[str, object]:
-    """Document of ``study require --json``: constants in kPa, exponents plain."""
-    sources = sensors.propagation.sources
-    return {
-        "name": sensors.name,
-        "accuracy": sensors.accuracy,
-        "coverage": sensors.coverage,
-        "met": sensors.is_met,
-        "needed_multiple": sensors.needed_multiple,
-        "quantities": [
-            _quantity(quantity, sources, sensors.coverage) for quantity in sensors.quantities
-        ],
-        "required": [
-            {
-                "sensor": source.sensor,
-                "error": source.name,
-                "unit": source.unit or "1",
-                "given": source.given,
-                "allowed_alone": _finite(alone),
-                "allowed_beside_the_others": _finite(jointly),
-            }
-            for k, source in enumerate(sources)
-            for alone, jointly in [sensors.allowed(k)]
-        ],
-        "monte_carlo": [_simulation(simulation) for simulation in sensors.simulations],
-        "sentences": sentences(sensors),
-    }
-
-
-def _quantity(
-    quantity: PropagatedQuantity, sources: Sequence[SensorErrorSource], coverage: float
-) -> dict[str, object]:
-    factor = 1e3 if quantity.unit == "MPa" else 1.0
-    return {
-        "name": quantity.name,
-        "unit": "kPa" if quantity.unit == "MPa" else quantity.unit,
-        "value": factor * quantity.value,
-        "relative_standard_uncertainty": quantity.relative,
-        "relative_expanded_uncertainty": coverage * quantity.relative,
-        "parts": {
-            f"{source.sensor}.{source.name}": float(part)
-            for source, part in zip(sources, quantity.parts, strict=True)
-        },
-    }
-
-
-def _simulation(simulation: Simulation) -> dict[str, object]:
-    return {
-        "multiple": simulation.multiple,
-        "samples": simulation.samples,
-        "failed": simulation.failed,
-        "linear": simulation.is_linear,
-        "message": simulation.message,
-        "quantities": [
-            {
-                "name": s.name,
-                "standard_deviation": s.standard_deviation * (1e3 if s.unit == "MPa" else 1.0),
-                "ratio": s.ratio,
-                "ratio_standard_error": s.ratio_error,
-                "bias": s.bias,
-            }
-            for s in simulation.scatters
-        ],
-    }
-
-
-def _finite(value: float) -> float | None:
-    """Return a number, or None for any (infinite) and for none (NaN)."""
-    return value if math.isfinite(value) else None

@@ -17,7 +17,7 @@ from study.ground.arrays import Array, Flags, Ints
 from study.ground.bounded_file import Unpacker, open_regular
 from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
-from study.laboratory.registration.closest_point import TriangleSurface
+from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from study.mechanics.mesh.structured import MIDDLES
 from study.mechanics.surface.closed_surface import inspect, joined, read_mesh
 

@@ -120,7 +120,8 @@ def without_size(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if not titles:
         return ""
     here = "" if len(titles) == len(judged) else f" for the {listing(titles)}"
-    mend = "with --practical" if data.is_table else 'as practical = ".." in its [[response]]'
+    elsewhere = data.is_table or any("made elsewhere" in note for note in data.data_notes)
+    mend = "with --practical" if elsewhere else 'as practical = ".." in its [[response]]'
     return (
         f"No smallest difference that matters was given{here}, so no factor has a verdict"
         f"{here and ' there'}: a small p says that an effect is there, not that it is large enough "

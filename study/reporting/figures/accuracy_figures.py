@@ -10,8 +10,11 @@ from matplotlib.figure import Figure as Canvas
 
 from study.ground.arrays import Array
 from study.laboratory.shape.shape_deviation import ShapeDeviation
-from study.laboratory.tracker.tracker_error import DisplacementResult, DistanceResult
-from study.laboratory.tracker.tracker_reference import ReferenceResult
+from study.laboratory.tracker.tracker_error import (
+    DisplacementResult,
+    DistanceResult,
+    ReferenceResult,
+)
 from study.reporting.figures import axes as style
 
 #: Points that the CSV beside the page and the figures hold at most.

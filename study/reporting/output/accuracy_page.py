@@ -13,10 +13,11 @@ from study.laboratory.shape.shape_deviation import MarkerDeviation, ShapeDeviati
 from study.laboratory.tracker.tracker_error import (
     DisplacementResult,
     DistanceResult,
+    LeverArm,
+    ReferenceResult,
     StageDistance,
     TrackerAccuracy,
 )
-from study.laboratory.tracker.tracker_reference import LeverArm, ReferenceResult
 from study.reporting.content.blocks import Table
 from study.reporting.content.text import (
     MISSING,

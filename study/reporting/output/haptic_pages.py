@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.laboratory.haptics.haptic_export import sentences
-from study.laboratory.haptics.tabulated_force import ForceLaw
+from study.laboratory.haptics.haptic_export import ForceLaw
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
-from study.laboratory.sensors.requirement import sentences as requirement_sentences
 from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.blocks import Table
 from study.reporting.content.text import MISSING, clean, significant
@@ -50,7 +48,7 @@ def write_force_law(
             ),
         ),
     }
-    blocks = answer_blocks(sentences(law), plots, [constants(law)], warnings)
+    blocks = answer_blocks(law.sentences(), plots, [constants(law)], warnings)
     return write_answer("force law", law.name, question, blocks, out_dir)
 
 
@@ -104,7 +102,7 @@ def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
             lambda _: "Standard uncertainty by each error alone; their squares add up.",
         ),
     }
-    blocks = answer_blocks(requirement_sentences(sensors), plots, tables, warnings(sensors))
+    blocks = answer_blocks(sensors.sentences(), plots, tables, warnings(sensors))
     question = sensors.question or "How accurate must the sensors be?"
     kind = "sensor requirements"
     return write_answer(kind, sensors.name, question, blocks, out_dir, stem="requirement")

@@ -20,7 +20,7 @@ import pytest
 
 from study import api
 from study.api.analyzing import AnalysisSource as Source
-from study.api.fitting_surfaces import table_data, write_surface_page
+from study.api.fitting_surfaces import table_data
 from study.api.serving import Folders, StudyServer
 from study.harness.record.store import Store
 from study.reporting.output import write
@@ -140,7 +140,7 @@ def test_the_pages_of_surfaces_and_of_a_tracker(
 ) -> None:
     runs, _ = mixed_table(tmp_path)
     found = api.fit_surfaces(runs, "force", ["tip", "depth"], ["material"], practical=1.0)
-    surface = write_surface_page(table_data(found, Source(runs, {})), tmp_path / "surface")
+    surface = write.write(table_data(found, Source(runs, {})), tmp_path / "surface", ["html"])
     tracked = api.tracking(distance_study(tmp_path, 1), reports=tmp_path / "tracker").report
     assert tracked is not None
     for page in (surface, Path(tracked)):
