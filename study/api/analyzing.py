@@ -27,7 +27,7 @@ from study.harness.runner.response import CURVE_RESPONSES
 from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
 from study.reporting.output.analysis_page import write_analysis
-from study.reporting.output.terminal import Shown
+from study.reporting.output.page import Shown
 from study.reporting.results.study_result import (
     FITTED_CURVE,
     OTHER_SPECIMEN,

@@ -32,7 +32,7 @@ from study.mechanics.measurement import inspection
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 from study.reporting.content.calibration_content import calibration_blocks
 from study.reporting.figures.axes import render, shown
-from study.reporting.output.terminal import Shown
+from study.reporting.output.page import Shown
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -50,7 +50,7 @@ from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.setup.setup import Problem, Tables
 from study.reporting.figures.axes import shown
 from study.reporting.output.convergence_page import series_blocks, write_convergence
-from study.reporting.output.terminal import Shown
+from study.reporting.output.page import Shown
 from study.statistics.analysis.work_precision import (
     CostPoint,
     CostToAccuracy,

@@ -44,7 +44,7 @@ from study.reporting.content.blocks import Sentence, Verbatim
 from study.reporting.content.recommendation import would_change
 from study.reporting.content.report_facts import facts
 from study.reporting.content.text import THIN, case_counts
-from study.reporting.output.terminal import Shown
+from study.reporting.output.page import Shown
 from study.reporting.results.study_result import ResponseAnalysis, StudyResult
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim

@@ -29,7 +29,7 @@ from study.mechanics.setup.setup import Problem, Tables
 from study.mechanics.solver.solution import Solution
 from study.reporting.content.blocks import Table, Verbatim
 from study.reporting.figures.axes import shown
-from study.reporting.output.terminal import Shown
+from study.reporting.output.page import Shown
 
 if TYPE_CHECKING:
     import pandas as pd

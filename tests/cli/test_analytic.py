@@ -12,6 +12,9 @@ from study import api
 from study.ground.errors import InputError
 from tests.cli.small import Answer, study, success
 
+#: files are written into the working folder
+pytestmark = pytest.mark.usefixtures("inside")
+
 TRUTH_KPA = 6.0
 PARABOLOID = 'profile = "paraboloid"'
 
@@ -175,7 +178,6 @@ def test_the_modulus_of_a_simulated_indentation(inside: Path, kind: str) -> None
     assert warned in answer.err
 
 
-@pytest.mark.usefixtures("inside")
 def test_rows_beyond_the_limit_of_depth_are_left_out_and_a_limit_that_is_lifted_is_said() -> None:
     """Forces tripled beyond 0.8 mm change nothing."""
     depth = np.linspace(0.01, 1.0, 100)

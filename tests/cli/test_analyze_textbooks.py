@@ -191,7 +191,7 @@ def test_a_reference_of_a_log_response_gives_ratios(tmp_path: Path, error: str) 
     for pair in found["pairs"]:
         assert pair["difference"] == pytest.approx(np.exp(logs[pair["first"]] - logs["x"]))
         assert 1 < pair["lower"] < pair["difference"] < pair["upper"]
-    printed = success(f"analyze {path} {asked} {error}").out
+    printed = success(f"analyze {path} {asked}").out
     assert "x / " in printed  # simple effects are ratios, too
     assert re.search(r"level +ratio", printed)
 

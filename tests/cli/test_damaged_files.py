@@ -89,14 +89,14 @@ def test_damages_of_a_record(done: Path, step: int) -> None:
     assert not look(path, found[::step], [*READERS, why])
 
 
-NAMES = ["study", "numerical", "index", "runs/run-1", "fits/*"]
+NAMES = ["study", "numerical", "runs/run-1", "fits/*"]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_some_damages_of_other_files(done: Path, name: str) -> None:
     path = sorted(SMALL.glob(f"{name}.json"))[0]
     found = list(damages(content_of(path)))
-    verbs = READERS[:2] if name in ("study", "index") else ()
+    verbs = READERS[:2] if name == "study" else ()
     assert not look(path, found[1 :: len(found) // 3], verbs)
     records()[0].unlink()  # a case that is missing has its fit read
     assert not look(path, found[2 :: len(found) // 2], [RUN])

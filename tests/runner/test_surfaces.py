@@ -95,7 +95,7 @@ def test_the_data_root_comes_first(home: Path) -> None:
     ("name", "said"),
     [
         ("bx.stl", "did you mean 'box.stl'"),
-        ("../box.stl", "must stay below"),
+        ("../box.stl", "must not climb"),
         ("/box.stl", "must be relative"),
         ("link.stl", "through a link"),
     ],

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache, cached_property
+from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from study.harness.record.atomic_files import write_atomic, write_error
 from study.harness.record.folder import own_folder
@@ -15,10 +17,13 @@ from study.reporting.content import methods
 from study.reporting.content.blocks import Block, Figure, Heading, Sentence, Table, flat
 from study.reporting.content.effect_words import VERDICTS
 from study.reporting.content.text import clean, sentence, slug
+from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
+
+    from study.ground.canonical import Dataclass
 
 #: end of the name of the second page
 DETAILS = "-details"
@@ -285,3 +290,26 @@ def _packaged(name: str) -> Markup:
 
     text = (files("study.reporting") / "templates" / name).read_text(encoding="utf-8")
     return Markup(text)  # noqa: S704
+
+
+class Shown(ABC):
+    """A result whose last line in a cell, or at a prompt, is what a terminal shows of it."""
+
+    @classmethod
+    def of(cls, result: Dataclass) -> Self:
+        """Give a result the ways to be shown: a class of these and of its own has its fields."""
+        return cls(**{item.name: getattr(result, item.name) for item in fields(result)})
+
+    @abstractmethod
+    def blocks(self) -> Iterable[Block | None]:
+        """Return what the result says: headings, sentences, tables and figures."""
+
+    def _repr_html_(self) -> str:
+        """Blocks in HTML."""
+        return fragment(self.blocks())
+
+    def __repr__(self) -> str:
+        """Blocks in text."""
+        text = StringIO()
+        say(self.blocks(), text)
+        return text.getvalue().strip()

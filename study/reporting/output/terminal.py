@@ -1,16 +1,11 @@
-"""Blocks as text on a terminal, and what Python returns at a prompt and in a notebook."""
+"""Blocks as text on a terminal."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import fields
-from io import StringIO
-from typing import TYPE_CHECKING, Self, TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from study.ground.canonical import Dataclass
 from study.reporting.content.blocks import Folded, Heading, Points, Sentence, Table, Verbatim
-from study.reporting.output.page import fragment
 
 if TYPE_CHECKING:
     from study.reporting.content.blocks import Block
@@ -74,26 +69,3 @@ def _print_table(block: Table, file: TextIO | None, *, has_title: bool) -> None:
         if block.note and group == last:
             print(_folded_to_width(block.note), file=file)
         print(file=file)
-
-
-class Shown(ABC):
-    """A result whose last line in a cell, or at a prompt, is what a terminal shows of it."""
-
-    @classmethod
-    def of(cls, result: Dataclass) -> Self:
-        """Give a result the ways to be shown: a class of these and of its own has its fields."""
-        return cls(**{item.name: getattr(result, item.name) for item in fields(result)})
-
-    @abstractmethod
-    def blocks(self) -> Iterable[Block | None]:
-        """Return what the result says: headings, sentences, tables and figures."""
-
-    def _repr_html_(self) -> str:
-        """Blocks in HTML."""
-        return fragment(self.blocks())
-
-    def __repr__(self) -> str:
-        """Blocks in text."""
-        text = StringIO()
-        say(self.blocks(), text)
-        return text.getvalue().strip()
