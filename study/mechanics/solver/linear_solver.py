@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,6 +24,9 @@ from numpy.typing import NDArray
 from study.ground.arrays import Array
 from study.ground.compilation import threads_sleep_after_work
 from study.mechanics.element.function_space import Pattern, symmetric_product
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import SuperLU as Factors
 
 
 class SingularMatrixError(ArithmeticError):
@@ -39,9 +42,11 @@ class LinearSolver(Protocol):
 
     def sharpen(self) -> None:
         """Have double precision from the next factorization on."""
+        return
 
     def forget(self) -> None:
         """Go back to the precision it began with."""
+        return
 
     def factorize(self, data: Array) -> None:
         """Factorize the matrix with these entries of the pattern."""
@@ -90,7 +95,7 @@ class SuperLU(LinearSolver):
         full.sort_indices()
         self._source = full.data.astype(np.int64) - 1
         self._matrix = full
-        self._factors: Any = None  # as SciPy gives them, without types
+        self._factors: Factors | None = None
 
     def factorize(self, data: Array) -> None:
         """Factorize with minimum degree on A + A' and a small pivot threshold."""

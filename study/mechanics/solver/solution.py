@@ -323,7 +323,7 @@ class Logbook:
     def equilibria(self, kept: Ints, instability: Instability | None = None) -> Equilibria:
         """Reactions and contact of some steps, given by their places."""
         plate, base, contact = (tuple(self.steps[n].held[k] for n in kept) for k in range(3))
-        return Equilibria(plate, base, contact, instability)  # type: ignore[arg-type]
+        return Equilibria(plate, base, contact, instability)
 
     def balance(self) -> tuple[EnergyBalance, Array]:
         """Energy balance of the steps, and the work done up to each, shape (n,), N mm."""
