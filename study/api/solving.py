@@ -305,7 +305,7 @@ def write_picture(solution: Solution, path: str | Path) -> None:
     if bent is not None and warm is not None and not solution.converged:
         from study.mechanics.solver.equilibrium import mirrored
 
-        mesh, height = warm.system.mesh, warm.system.height_mm
+        mesh, height = warm.system.mesh, warm.system.mesh.height_mm
         mode = bent.mode[: len(points)]
         if points.shape[1] == 3 and warm.system.force_scale > 1:
             whole, moved = mirrored(mesh, moved, (1, 1, 1), height)

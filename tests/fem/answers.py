@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from study.mechanics.element.function_space import pressure_of
 from study.mechanics.material.material import Material
 from study.mechanics.setup.setup import Model
 from tests.fem.known import Body, body, rectangle, solve, unit_cube
@@ -254,7 +253,7 @@ def manufactured(model: Model) -> Iterator[Known]:
     }
     for name, case in fields.items():
         own = replace(model, space="axisymmetric" if case.axisymmetric else "3d")
-        truth = quantities_of(case, _fine(case))
+        truth = case.quantities(_fine(case))
         solved = cache(partial(computed, case, own))
         for k, quantity in enumerate(("mean rise of the top", "mean square of u", "mean of p")):
             # duality: two orders of the gradient for a smooth functional of u and p
@@ -282,43 +281,7 @@ def unit(model: Model, n: int, material: Material) -> Body:
     return body(*mesh, model, material)
 
 
-def quantities_of(case: Manufactured, made: Body) -> tuple[float, float, float]:
-    """Exact values of the three quantities."""
-    basis, face = made.basis(), made.facet_basis(lambda X: X[-1] > 1 - 1e-9)
-    x, dx = np.asarray(basis.global_coordinates()), _measured(case, basis)
-    at, area = np.asarray(face.global_coordinates()), _measured(case, face)
-    square = (case.displacement(x) ** 2).sum(axis=0)
-    return (
-        float((case.displacement(at)[-1] * area).sum() / area.sum()),
-        float((square * dx).sum() / dx.sum()),
-        float((case.pressure(x) * dx).sum() / dx.sum()),
-    )
-
-
 def computed(case: Manufactured, model: Model, n: int) -> tuple[float, float, float]:
-    """The same three of the discrete solution."""
+    """Quantities of the discrete solution."""
     made = unit(model, n, case.material)
-    answer = case.solve(made, steps=4)
-    dim = made.nodes.shape[1]
-    nodal = answer.x[: made.space.n_displacement].reshape(-1, dim)
-    basis, face = made.basis(), made.facet_basis(lambda X: X[-1] > 1 - 1e-9)
-    dx = _measured(case, basis)
-    area = _measured(case, face)
-    rise = np.asarray(face.interpolate(np.ascontiguousarray(nodal[:, -1])))
-    fields = [np.asarray(basis.interpolate(np.ascontiguousarray(nodal[:, i]))) for i in range(dim)]
-    square = sum(f**2 for f in fields)
-    shape, numbers = pressure_of(basis, made.model)
-    p = (shape * answer.x[made.space.n_displacement + numbers][:, None, :]).sum(axis=2)
-    volume = dx.sum()
-    return (
-        float((rise * area).sum() / area.sum()),
-        float((square * dx).sum() / volume),
-        float((p * dx).sum() / volume),
-    )
-
-
-def _measured(case: Manufactured, basis: object) -> Array:
-    dx = np.array(basis.dx)  # type: ignore[attr-defined]
-    if case.axisymmetric:
-        dx = dx * 2 * np.pi * np.asarray(basis.global_coordinates())[0]  # type: ignore[attr-defined]
-    return dx
+    return case.quantities(made, case.solve(made, steps=4).x)

@@ -25,7 +25,9 @@ TIGHT = NewtonSettings(tolerance=1e-11)
 def system_of(material: Material, mesh: Mesh | None = None, **model: object) -> System:
     """Unit cylinder or cube of distorted elements between frictionless plates."""
     if mesh is None:
-        mesh = cube(2) if model.get("space") == "3d" else irregular(grid(1, 1, 3, 3))
+        shape = str(model.get("element_shape", "simplex"))
+        solid = model.get("space") == "3d"
+        mesh = cube(2, shape) if solid else irregular(grid(1, 1, 3, 3, shape))
     problem = compression(Cylinder(1, 1), 0.1, "frictionless", material=material, **model)
     return System.build(problem, mesh, folding=False)
 

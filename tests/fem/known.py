@@ -116,28 +116,27 @@ def solve(
 def load_vector(
     made: Body,
     force: Callable[[Array], Array],
-    volume_source: Callable[[Array], Array] | None = None,
-    traction: Callable[[Array], Array] | None = None,
-    on: Callable[[Array], Array] | None = None,
+    volume_source: Callable[[Array], Array] | None,
+    traction: Callable[[Array], Array],
+    on: Callable[[Array], Array],
 ) -> Array:
     """Loads of a body force (dim, ...), a source of volume and a traction on facets ``on``."""
     out = np.zeros(made.space.n)
-    dim = made.nodes.shape[1]
     basis = made.basis()
-    _add(out, made, basis, force, dim)
+    _add(out, made, basis, force)
     if volume_source is not None:
-        x, dx = np.asarray(basis.global_coordinates()), _measure(made, basis)
+        x, dx = np.asarray(basis.global_coordinates()), measure(made, basis)
         shape, numbers = function_space.pressure_of(basis, made.model)
         local = np.einsum("eqb,eq->eb", np.broadcast_to(shape, (*dx.shape, shape.shape[2])),
                           volume_source(x) * dx)  # fmt: skip
         np.add.at(out, made.space.n_displacement + numbers, local)
-    if traction is not None and on is not None:
-        _add(out, made, made.facet_basis(on), traction, dim)
+    _add(out, made, made.facet_basis(on), traction)
     return out
 
 
-def _add(out: Array, made: Body, basis: Any, force: Callable[[Array], Array], dim: int) -> None:
-    x, dx = np.asarray(basis.global_coordinates()), _measure(made, basis)
+def _add(out: Array, made: Body, basis: Any, force: Callable[[Array], Array]) -> None:
+    x, dx = np.asarray(basis.global_coordinates()), measure(made, basis)
+    dim = made.nodes.shape[1]
     f = force(x)
     for local, field in enumerate(basis.basis):
         value = np.broadcast_to(np.asarray(field[0]), dx.shape)
@@ -145,38 +144,21 @@ def _add(out: Array, made: Body, basis: Any, force: Callable[[Array], Array], di
             np.add.at(out, dim * basis.element_dofs[local] + i, (f[i] * value * dx).sum(axis=1))
 
 
-def _measure(made: Body, basis: Any) -> Array:
+def measure(made: Body, basis: Any) -> Array:
+    """Volume or area of the quadrature points, all around the axis."""
     dx = np.array(basis.dx)
     if made.model.space == "axisymmetric":
         dx = dx * 2 * np.pi * np.asarray(basis.global_coordinates())[0]
     return dx
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Norms of the error: L2 of displacement and pressure, H1 seminorm of displacement."""
-
-    u: float
-    gradient: float
-    pressure: float
-
-
-def errors(
-    made: Body, x: Array, displacement: Callable[[Array], Array],
-    gradient: Callable[[Array], Array], pressure: Callable[[Array], Array],
-) -> Errors:  # fmt: skip
-    basis = made.basis()
-    at, dx, dim = np.asarray(basis.global_coordinates()), _measure(made, basis), made.nodes.shape[1]
-    nodal = x[: made.space.n_displacement].reshape(-1, dim)
-    exact, slope = displacement(at), gradient(at)
-    u = h1 = 0.0
-    for i in range(dim):
-        field = basis.interpolate(np.ascontiguousarray(nodal[:, i]))
-        u += float(((np.asarray(field) - exact[i]) ** 2 * dx).sum())
-        h1 += sum(float(((field.grad[j] - slope[i, j]) ** 2 * dx).sum()) for j in range(dim))
+def pressures(made: Body, basis: Any, x: Array) -> Array:
+    """Pressure at the quadrature points."""
     shape, numbers = function_space.pressure_of(basis, made.model)
-    p = 0.0
-    if numbers.size:
-        found = (shape * x[made.space.n_displacement + numbers][:, None, :]).sum(axis=2)
-        p = float(((found - pressure(at)) ** 2 * dx).sum())
-    return Errors(u**0.5, h1**0.5, p**0.5)
+    return np.asarray((shape * x[made.space.n_displacement + numbers][:, None, :]).sum(axis=2))
+
+
+def interpolated(made: Body, basis: Any, x: Array) -> list[Any]:
+    """Components of the displacement on a basis, with their gradients."""
+    nodal = x[: made.space.n_displacement].reshape(-1, made.nodes.shape[1])
+    return [basis.interpolate(np.ascontiguousarray(column)) for column in nodal.T]

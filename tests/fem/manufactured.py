@@ -14,7 +14,15 @@ import numpy as np
 
 from study.mechanics.material.homogeneous import first_piola
 from study.mechanics.material.material import Material
-from tests.fem.known import Answer, Body, load_vector, solve
+from tests.fem.known import (
+    Answer,
+    Body,
+    interpolated,
+    load_vector,
+    measure,
+    pressures,
+    solve,
+)
 
 Array = np.ndarray
 _STEP = 1e-3
@@ -139,6 +147,35 @@ class Manufactured:
             made, self.body_force, source, self.traction, lambda x: x[top] > 1 - 1e-9
         )
         return solve(made, np.concatenate(held), np.concatenate(values), load, steps=steps)
+
+    def errors(self, made: Body, x: Array) -> tuple[float, float, float]:
+        """Norms of the error: L2 of the displacement, H1 seminorm of it, L2 of the pressure."""
+        basis = made.basis()
+        at, dx = np.asarray(basis.global_coordinates()), measure(made, basis)
+        fields = interpolated(made, basis, x)
+        gap = np.array([np.asarray(f) for f in fields]) - self.displacement(at)
+        slope = np.array([f.grad for f in fields]) - self.gradient(at)
+        squares = [gap**2, slope**2, (pressures(made, basis, x) - self.pressure(at)) ** 2]
+        u, gradient, p = (float(np.sqrt((square * dx).sum())) for square in squares)
+        return u, gradient, p
+
+    def quantities(self, made: Body, x: Array | None = None) -> tuple[float, float, float]:
+        """Mean rise of the top, mean square of u, mean of p: exact, or of unknowns ``x``."""
+        basis, face = made.basis(), made.facet_basis(lambda X: X[-1] > 1 - 1e-9)
+        at = np.asarray(basis.global_coordinates())
+        if x is None:
+            rise = self.displacement(np.asarray(face.global_coordinates()))[-1]
+            u, p = self.displacement(at), self.pressure(at)
+        else:
+            rise = np.asarray(interpolated(made, face, x)[-1])
+            u = np.array([np.asarray(f) for f in interpolated(made, basis, x)])
+            p = pressures(made, basis, x)
+        area, dx = measure(made, face), measure(made, basis)
+        return (
+            float((rise * area).sum() / area.sum()),
+            float(((u**2).sum(axis=0) * dx).sum() / dx.sum()),
+            float((p * dx).sum() / dx.sum()),
+        )
 
     def _held(self, X: Array) -> Array:
         low = X[:, -1] < 1e-12

@@ -65,10 +65,10 @@ def taylor_slopes(
     return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
 
 
-def grid(radius: float, height: float, nr: int, nz: int) -> Mesh:
-    """Square-grid mesh of the whole height, cut along one diagonal."""
+def grid(radius: float, height: float, nr: int, nz: int, shape: str = "simplex") -> Mesh:
+    """Square-grid mesh of the whole height; triangles are halves of its squares."""
     r, z = np.linspace(0, radius, nr + 1), np.linspace(0, height, nz + 1)
-    points, cells = rectangle(r, z, "simplex")
+    points, cells = rectangle(r, z, shape)
     return Mesh(points, cells, False, radius / nr)
 
 
@@ -82,9 +82,9 @@ def irregular(mesh: Mesh, seed: int = 0) -> Mesh:
     return replace(mesh, points=points)
 
 
-def cube(n: int) -> Mesh:
-    """Unit cube of distorted tetrahedra."""
+def cube(n: int, shape: str = "simplex") -> Mesh:
+    """Unit cube of distorted elements."""
     line = np.linspace(0, 1, n + 1)
-    plane, faces = rectangle(line, line, "simplex")
+    plane, faces = rectangle(line, line, shape)
     points, cells = extrude(plane, faces, line)
     return irregular(Mesh(points, cells, False, 1 / n))

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -51,27 +52,34 @@ print(sum(assemble.stats.cache_hits.values()))
 """
 
 
-def ask(folder: Path) -> tuple[int, int]:
-    """Result, and whether it came from the cache."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
-    run = subprocess.run(
-        [sys.executable, "caller.py"], cwd=folder, env=environment, capture_output=True, text=True,
-        check=True,
+def run(folder: Path, *command: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run another process in a folder."""
+    return subprocess.run(
+        [sys.executable, *command], cwd=folder, env={**os.environ, **variables},
+        capture_output=True, text=True, check=True,
     )  # fmt: skip
-    result, hits = run.stdout.split()
+
+
+def result_and_hits(folder: Path) -> tuple[int, int]:
+    """Result of the caller, and whether it came from the cache."""
+    result, hits = run(folder, "caller.py", XDG_CACHE_HOME=str(folder / "cache")).stdout.split()
     return int(result), int(hits)
+
+
+def program(folder: Path, caller: str = CALLER) -> None:
+    """Write a kernel that calls another one, which answers 41."""
+    shutil.copy(study.ground.compilation.__file__, folder / "compiled.py")
+    (folder / "caller.py").write_text(caller)
+    (folder / "callee.py").write_text(CALLEE.format(answer=41))
 
 
 def test_a_change_in_another_file_is_seen(tmp_path: Path) -> None:
     """Numba alone would go on with the old answer: only the callee's file is new."""
-    source = Path(study.ground.compilation.__file__)
-    shutil.copy(source, tmp_path / "compiled.py")
-    (tmp_path / "caller.py").write_text(CALLER)
-    (tmp_path / "callee.py").write_text(CALLEE.format(answer=41))
-    assert ask(tmp_path) == (41, 0)
-    assert ask(tmp_path) == (41, 1)
+    program(tmp_path)
+    assert result_and_hits(tmp_path) == (41, 0)
+    assert result_and_hits(tmp_path) == (41, 1)
     (tmp_path / "callee.py").write_text(CALLEE.format(answer=42))
-    assert ask(tmp_path) == (42, 0)
+    assert result_and_hits(tmp_path) == (42, 0)
 
 
 def test_another_clone_finds_the_kernels_and_a_constant_is_no_other_one(tmp_path: Path) -> None:
@@ -80,16 +88,14 @@ def test_another_clone_finds_the_kernels_and_a_constant_is_no_other_one(tmp_path
     for clone, factor in [("first", 1), ("second", 1), ("third", 2)]:
         folder = tmp_path / clone
         folder.mkdir()
-        shutil.copy(study.ground.compilation.__file__, folder / "compiled.py")
-        (folder / "caller.py").write_text(caller)
-        (folder / "callee.py").write_text(CALLEE.format(answer=41))
+        program(folder, caller)
         (folder / "constant.py").write_text(f"FACTOR = {factor}")
         (folder / "cache").symlink_to(tmp_path)
-    assert ask(tmp_path / "first") == (41, 0)
-    assert ask(tmp_path / "second") == (41, 1)
-    assert ask(tmp_path / "third") == (82, 0)
+    assert result_and_hits(tmp_path / "first") == (41, 0)
+    assert result_and_hits(tmp_path / "second") == (41, 1)
+    assert result_and_hits(tmp_path / "third") == (82, 0)
     (tmp_path / "third" / "constant.py").write_text("FACTOR = 3")
-    assert ask(tmp_path / "third") == (123, 0)
+    assert result_and_hits(tmp_path / "third") == (123, 0)
 
 
 def together(folder: Path, dimensions: str) -> list[str]:
@@ -161,26 +167,14 @@ for index in pathlib.Path(sys.argv[1]).rglob("*.nbi"):
 
 def test_a_cache_that_others_can_write_is_not_read(tmp_path: Path) -> None:
     """Its files are run: a planted one would have the rights of whoever starts a study."""
-    shutil.copy(study.ground.compilation.__file__, tmp_path / "compiled.py")
-    (tmp_path / "caller.py").write_text(CALLER.replace("callee import answer", "callee import *"))
-    (tmp_path / "callee.py").write_text(CALLEE.format(answer=41))
+    program(tmp_path, CALLER.replace("callee import answer", "callee import *"))
     temporary = tmp_path / "temporary"
     temporary.mkdir()
-
-    def ask(**variables: str) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "TMPDIR": str(temporary), **variables}
-        return subprocess.run(
-            [sys.executable, "caller.py"], cwd=tmp_path, env=environment, capture_output=True,
-            text=True, check=True,
-        )  # fmt: skip
-
+    ask = partial(run, tmp_path, "caller.py", TMPDIR=str(temporary))
     cache = tmp_path / "cache"
     assert ask(XDG_CACHE_HOME=str(cache)).stdout == "41 0\n"
     assert (cache / "study").stat().st_mode & 0o777 == 0o700
-    planted = subprocess.run(
-        [sys.executable, "-c", PLANTED, str(cache)], capture_output=True, text=True, check=True
-    )
-    assert len(planted.stdout.split()) == 2
+    assert len(run(tmp_path, "-c", PLANTED, str(cache)).stdout.split()) == 2
     shutil.copytree(cache / "study", tmp_path / "elsewhere")
     (cache / "study").chmod(0o770)
     refused = ask(XDG_CACHE_HOME=str(cache))
@@ -215,12 +209,8 @@ def test_whoever_can_replace_a_folder_can_write_it(tmp_path: Path) -> None:
 
 def digits(cache: Path) -> tuple[str, int]:
     """Hash of the elements' stiffness, and how many kernels came from the cache."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    run = subprocess.run(
-        [sys.executable, "-c", DIGITS], cwd=Path(__file__).parents[2], env=environment,
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    found, hits = run.stdout.split()
+    root = Path(__file__).parents[2]
+    found, hits = run(root, "-c", DIGITS, XDG_CACHE_HOME=str(cache)).stdout.split()
     return found, int(hits)
 
 

@@ -10,14 +10,13 @@ import scipy.sparse as sp
 
 from study.mechanics.contact.collocation import contact_points
 from study.mechanics.contact.contact import ContactPoints, Plate
-from study.mechanics.element.function_space import Pattern, discretize
+from study.mechanics.element.function_space import discretize
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Sphere
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
-from study.mechanics.solver.internal_force import Internal, Tangent
 from study.mechanics.solver.newton import Options
 from tests.fem.problems import GEL, LONG, reached
 
@@ -132,31 +131,6 @@ def test_linear_triangles_of_any_size_reach_their_depth(alpha: float, size: floa
     problem = in_block(material, 4.0, "linear", "fine", "axisymmetric")
     problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
     reached(problem)
-
-
-@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
-def test_uneven_volume_has_the_tangent_of_its_residual(space: str) -> None:
-    problem = in_block(SOFTENING, 1.0, "linear", "coarse", space)
-    pair = discretize(build_mesh(problem.setup), problem.model)
-    x, v = np.random.default_rng(3).normal(size=(2, pair.n))
-    x *= 4e-3  # an element of a quarter of a millimeter keeps its volume
-
-    held = np.zeros(0, dtype=np.int64)
-
-    def at(point: np.ndarray, kappa: float, into: Tangent | None = None) -> np.ndarray:
-        found = Internal.on(pair, evenness=kappa)
-        assert found.evaluate(SOFTENING, point, into) > 0
-        return found.gathered() if into is None else into.product(v)
-
-    def own(point: np.ndarray) -> np.ndarray:
-        return at(point, 1e6) - at(point, 0.0)
-
-    tangent = Tangent.of(Pattern.build(pair.dofs, pair.n, held), pair.dofs)
-    stiff, plain = (at(x, kappa, tangent) for kappa in (1e6, 0.0))
-    # central differences of a residual of about one: h^2 against rounding over h
-    rate = (own(x + 1e-6 * v) - own(x - 1e-6 * v)) / 2e-6
-    np.testing.assert_allclose(stiff - plain, rate, atol=1e-5 * np.abs(rate).max())
-    assert np.abs(rate).max() > 0
 
 
 @pytest.mark.slow

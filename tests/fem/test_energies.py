@@ -254,20 +254,6 @@ def test_linear_elastic_stays_linear_when_bonded(space: str) -> None:
     assert solution.min_j > 0
 
 
-@pytest.mark.parametrize(
-    ("radius", "nu", "expected"),
-    [(1, 0.45, 1.36932), (1, 0.4999, 1.54424), (2, 0.5, 2.95525), (8, 0.49, 9.96100)],
-)
-def test_bonded_disc_of_linear_elasticity(radius: int, nu: float, expected: float) -> None:
-    """V24, Table C: Ea/E at any displacement, because nothing here is nonlinear."""
-    kept: dict[str, Any] = {"incompressible": True} if nu == 0.5 else {"poisson_ratio": nu}
-    material = Material("linear-elastic", {"youngs_modulus": 3.0}, **kept)
-    problem = compression(Cylinder(radius, 1), 0.2, material=material, mesh_size_mm=0.04)
-    solution = solve(problem, gradients=False, options=Options(side_contact=False))
-    found = solution.curve.force_N[-1] / (np.pi * radius**2 * 0.2) / 3.0
-    assert found == pytest.approx(expected, rel=1e-3)
-
-
 def test_ogden_of_silicone_reaches_deep_compression() -> None:
     """Three Ogden energies of the gel's mu0, exponents from -2 to 8, to 40 % with side contact."""
     for constants in (

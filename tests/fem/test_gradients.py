@@ -41,40 +41,6 @@ def test_stiffness_is_the_slope_of_the_curve() -> None:
     np.testing.assert_allclose(k[2:-2], central, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("kind", "space"),
-    [
-        ("compression", "axisymmetric"),
-        ("compression", "3d"),
-        ("indentation", "axisymmetric"),
-        pytest.param("indentation", "3d", marks=LONG),
-    ],
-)
-def test_errors_of_the_rates_are_squared(
-    kind: str, space: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Rates to three digits give derivatives to six: the first-order error is taken off."""
-
-    if kind == "indentation":
-        test = Loading(kind, 1.5, "frictionless", "bonded", steps=2, indenter=Cone(30.0, 1.0))
-    else:
-        test = Loading(kind, 6.0, "bonded", "bonded", steps=2)
-    model = Model(space, "quadratic", mesh="coarse")  # type: ignore[arg-type]
-    problem = Problem(Cylinder(25.0, 50.0), test, MATERIALS[0], model)
-    found = []
-    for tolerance in (1e-3, 1e-11):
-        monkeypatch.setattr(sensitivity, "RATE_TOLERANCE", tolerance)
-        found.append(solve(problem).curve)
-    rough, exact = found
-    assert rough.stiffness_N_per_mm is not None
-    assert exact.stiffness_N_per_mm is not None
-    np.testing.assert_allclose(rough.force_N, exact.force_N, rtol=1e-7)
-    np.testing.assert_allclose(rough.stiffness_N_per_mm, exact.stiffness_N_per_mm, rtol=1e-5)
-    for name, slope in exact.force_gradient.items():
-        atol = 1e-5 * np.abs(slope).max()
-        np.testing.assert_allclose(rough.force_gradient[name], slope, rtol=0, atol=atol)
-
-
 CONFIGURATIONS = {
     "needle": (Cone(30.0, 1.0, 3.0), 3.0, "axisymmetric", "simplex"),
     "rounded punch": (Flat(3.0, 0.3), 2.0, "axisymmetric", "simplex"),

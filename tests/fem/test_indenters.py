@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.mechanics.contact.rigid_surface import Press, profile, profile_height, signed_distance
+from study.mechanics.contact.rigid_surface import Press, profile, signed_distance
 from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
 
 INDENTERS = [Cone(30, 1), Cone(45, 0.5, 2), Flat(3, 0.3), Sphere(5)]
@@ -72,16 +72,6 @@ def test_distances_known_by_hand() -> None:
     cone = profile(Cone(30, 0), far_mm=1e4)
     on_flank = signed_distance(cone, np.array([np.tan(np.radians(30))]), np.array([1.0]))[0]
     np.testing.assert_allclose(on_flank, 0.0, atol=1e-12)
-
-
-def test_height_of_the_undeformed_profile() -> None:
-    rho = np.array([0.0, 0.5, 2.0])
-    np.testing.assert_allclose(
-        profile_height(profile(Cone(45, 0), far_mm=1e4), rho), rho, atol=1e-12
-    )
-    sphere = profile_height(profile(Sphere(5), far_mm=1e4), rho)
-    np.testing.assert_allclose(sphere, 5 - np.sqrt(25 - rho**2), atol=1e-12)
-    assert profile_height(profile(Flat(1), far_mm=1e4), rho)[2] > 1e3
 
 
 @pytest.mark.parametrize("indenter", [Cone(30, 1, 3), Flat(3, 0.3), Flat(3), Sphere(5)])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.mechanics.element.function_space import interpolation
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion
 from study.mechanics.setup.setup import Model, Problem
@@ -61,17 +60,6 @@ def test_a_twisted_layer_has_its_polar_moment():
     assert torque == pytest.approx(2 * GEL.constants["C10"] * polar * angle / 3, rel=0.05)
 
 
-def test_generalized_stiffness_is_symmetric():
-    # Betti: forces by one component of a motion do the work of another that the other way does
-    problem = moved(2.0, FaceMotion(x_mm=0.7, tilt_y_deg=1.0, spread=0.05))
-    plate = PrescribedMotion(problem, solve(problem, gradients=False))
-    stiffness = plate.stiffness(plate.start)
-    size = np.sqrt(np.outer(np.diag(stiffness), np.diag(stiffness)))
-    assert (np.diag(stiffness) > 0).all()
-    np.testing.assert_allclose(stiffness / size, stiffness.T / size, atol=1e-6)
-    assert np.abs(stiffness[0, 1] / size[0, 1]) > 1e-3  # components are coupled: not all zero
-
-
 def test_rates_are_those_of_neighboring_equilibria():
     problem = moved(2.0, FaceMotion(y_mm=0.5, twist_deg=1.0))
     plate = PrescribedMotion(problem, solve(problem, gradients=False))
@@ -90,20 +78,6 @@ def test_the_way_does_not_matter():
     plate = PrescribedMotion(problem, solve(problem, gradients=False))
     found = plate.at(own.motion, plate.start)
     np.testing.assert_allclose(found.displacement, own.displacement, atol=1e-6)
-
-
-def test_places_between_nodes_are_those_of_the_elements():
-    problem = moved(1.0)
-    found = solve(problem, gradients=False)
-    system = found.warm.system
-    places = np.random.default_rng(1).uniform([-9, -9, 1], [9, 9, 19], (40, 3))
-    interpolated = interpolation(system.mesh, problem.model, places)
-    nodes = system.space.nodes
-    field = np.column_stack([nodes[:, 0] * nodes[:, 1], nodes[:, 2] ** 2, 1 + nodes[:, 0]])
-    wanted = np.column_stack([places[:, 0] * places[:, 1], places[:, 2] ** 2, 1 + places[:, 0]])
-    np.testing.assert_allclose(
-        interpolated(field), wanted, atol=1e-9
-    )  # quadratic elements are exact
 
 
 def test_what_is_not_modelled_is_refused():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.mechanics.element.function_space import Pattern, symmetric_product
+from study.mechanics.element.function_space import Pattern
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.setup.setup import Problem
@@ -15,6 +15,7 @@ from study.mechanics.solver import newton
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.linear_solver import (
     KeptFactors,
+    LinearSolver,
     SingularMatrixError,
     SuperLU,
     fgmres,
@@ -52,6 +53,18 @@ def system() -> System:
     return found
 
 
+def factorized(
+    system: System, worth: float, closed: np.ndarray = NOWHERE, name: str = "superlu"
+) -> tuple[LinearSolver, KeptFactors]:
+    """Factors of the system's tangent, worth so many back-substitutions."""
+    solver = make_solver(system.pattern, name)
+    kept = KeptFactors(solver, system.pattern)
+    solver.factorize(system.data)
+    kept.renewed(closed)
+    solver.worth = lambda: worth  # type: ignore[method-assign]
+    return solver, kept
+
+
 def test_a_singular_matrix_is_told() -> None:
     """Two nodes on a spring that nobody holds: their common motion costs nothing."""
     index, upper = np.arange(2), np.array([0, 1, 1], np.int32)
@@ -62,14 +75,6 @@ def test_a_singular_matrix_is_told() -> None:
         solver.factorize(np.array([1.0, -1.0, 1.0]))
     solver.factorize(np.array([1.0, -1.0, 2.0]))  # one of them held by a second spring
     assert solver.solve(np.array([0.0, 1.0])) == pytest.approx([1.0, 1.0])
-
-
-def test_a_product_with_the_upper_triangle_is_that_with_the_matrix(system: System) -> None:
-    v = np.random.default_rng(1).normal(size=system.dofs)
-    pattern, data = system.pattern, system.data
-    found = symmetric_product(pattern.indptr, pattern.indices, data, v)
-    wanted = dense(pattern, data) @ v
-    np.testing.assert_allclose(found, wanted, atol=1e-13 * np.abs(wanted).max())
 
 
 def test_gmres_needs_one_iteration_for_each_distinct_eigenvalue() -> None:
@@ -94,15 +99,10 @@ def test_gmres_gives_up_where_the_budget_cannot_suffice() -> None:
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_an_older_factorization_solves_the_newer_matrix(system: System, name: str) -> None:
-    solver = make_solver(system.pattern, name)
-    kept = KeptFactors(solver, system.pattern)
+    _, kept = factorized(system, 30.0, name=name)
     n, rng = system.dofs, np.random.default_rng(3)
     right, scale = rng.normal(size=n), np.ones(n)
-    assert kept.solve(system.data, right, scale, 1e-6, NOWHERE, 0.01) is None  # nothing factorized
-    solver.factorize(system.data)
-    kept.renewed(NOWHERE)
     newer = system.data * (1 + 0.02 * rng.normal(size=system.data.size))
-    solver.worth = lambda: 30.0  # type: ignore[method-assign]
     x = kept.solve(newer, right, scale, 1e-6, NOWHERE, 0.01)
     assert x is not None
     left = right - dense(system.pattern, newer) @ x
@@ -113,13 +113,9 @@ def test_an_older_factorization_solves_the_newer_matrix(system: System, name: st
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_it_is_dropped_once_a_solve_costs_more_than_the_average(system: System, name: str) -> None:
-    solver = make_solver(system.pattern, name)
-    kept = KeptFactors(solver, system.pattern)
-    solver.factorize(system.data)
-    kept.renewed(np.array([True, False]))
+    _, kept = factorized(system, 10.0, np.array([True, False]), name)
     rng = np.random.default_rng(4)
     right, scale = rng.normal(size=system.dofs), np.ones(system.dofs)
-    solver.worth = lambda: 10.0  # type: ignore[method-assign]
     assert kept.solve(system.data, right, scale, 1e-6, np.array([False, True]), 0.01) is not None
     noise, closed, served = rng.normal(size=system.data.size), np.array([True, False]), 0
     while served < 100:
@@ -131,12 +127,8 @@ def test_it_is_dropped_once_a_solve_costs_more_than_the_average(system: System, 
 
 
 def test_a_solve_foreseen_to_be_slow_is_not_tried_but_later_again(system: System) -> None:
-    solver = make_solver(system.pattern, "superlu")
-    kept = KeptFactors(solver, system.pattern)
-    solver.factorize(system.data)
-    kept.renewed(NOWHERE)
+    solver, kept = factorized(system, 8.0)
     rng, solve, calls = np.random.default_rng(5), solver.solve, []
-    solver.worth = lambda: 8.0  # type: ignore[method-assign]
     solver.solve = lambda b: calls.append(1) or solve(b)  # type: ignore[method-assign,func-returns-value]
     newer = system.data * (1 + 0.5 * rng.normal(size=system.data.size))
     right, scale = rng.normal(size=system.dofs), np.ones(system.dofs)
@@ -151,12 +143,8 @@ def test_a_solve_foreseen_to_be_slow_is_not_tried_but_later_again(system: System
 
 
 def test_many_contact_points_that_changed_sides_ask_for_a_factorization(system: System) -> None:
-    solver = make_solver(system.pattern, "superlu")
-    kept = KeptFactors(solver, system.pattern)
-    solver.factorize(system.data)
     closed = np.zeros(40, bool)
-    kept.renewed(closed)
-    solver.worth = lambda: 20.0  # type: ignore[method-assign]
+    _, kept = factorized(system, 20.0, closed)
     right, scale = np.ones(system.dofs), np.ones(system.dofs)
     few, many = closed.copy(), closed.copy()
     few[:5], many[:6] = True, True

@@ -13,7 +13,7 @@ from study.mechanics.contact.contact import Plate
 from study.mechanics.element.function_space import discretize
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.mesh.structured import half_hexagon, line_about, line_from
+from study.mechanics.mesh.structured import half_hexagon
 from study.mechanics.setup.geometry import Cylinder, Flat
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
@@ -69,19 +69,6 @@ def test_half_hexagon_fills_its_area_with_even_triangles(halvings: int) -> None:
                              return_counts=True)  # fmt: skip
     assert counts.max() == 2
     assert np.unique(used).size == len(points)
-
-
-@pytest.mark.parametrize("length", [1.0, 1.03, 1.07, 0.93])
-def test_lines_start_with_the_size_they_are_given(length: float) -> None:
-    line = line_from(length, lambda s: 0.05 + 0.1 * np.maximum(s - 0.2, 0.0))
-    steps = np.diff(line)
-    assert (steps > 0).all()
-    assert steps[0] == pytest.approx(0.05, rel=0.01)
-    assert line[-1] == length
-    both = line_about(3 * length, lambda s: np.full(s.shape, 0.05), length)
-    assert length in both
-    at = int(np.flatnonzero(both == length)[0])
-    np.testing.assert_allclose(np.diff(both)[at - 1 : at + 1], 0.05, rtol=0.01)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -111,7 +111,7 @@ class _Fitter:
 
         plate = PrescribedMotion(problem, solution)
         interpolated = interpolation(plate.system.mesh, problem.model, markers.rest)
-        height = plate.system.height_mm
+        height = plate.system.mesh.height_mm
         return cls(
             plate, interpolated, markers.moved[label], height, plate.start, markers.layers
         )  # fmt: skip

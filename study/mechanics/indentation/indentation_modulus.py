@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -134,8 +135,32 @@ def fit_modulus(
     if _touching(displacement_mm[used], contact) < MIN_ROWS:
         rule = f"{rows - outside} of {rows} rows in contact are within the limits, {MIN_ROWS} must"
         return CurveModulus("outside", rule, rows, outside)
-    d, f = displacement_mm[used], force_N[used]
-    return _judged(d - contact, f, law, poisson_ratio, (rows, outside), contact, find_contact)
+    depth, force = displacement_mm[used] - contact, force_N[used]
+    shape = law.force(depth)
+    plane_strain = float(shape @ force / (shape @ shape))
+    if plane_strain <= 0:
+        rule = f"the modulus would be {1e3 * plane_strain:.4g} kPa: check sign and contact"
+        return CurveModulus("implausible", rule, rows, outside)
+    # the slope of the force enters the covariance where contact was fitted
+    columns = [shape, -plane_strain * law.stiffness(depth)] if find_contact else [shape]
+    residual = force - plane_strain * shape
+    covariance, correlation, freedom = _covariance(np.column_stack(columns), residual)
+    scale = 1 - poisson_ratio**2
+    value, error = scale * plane_strain, scale * float(np.sqrt(covariance[0, 0]))
+    half = float(stdtrit(freedom, 0.975)) * error
+    return CurveModulus(
+        "fitted",
+        "",
+        rows,
+        outside,
+        modulus_MPa=value,
+        error_MPa=error,
+        interval_MPa=(value - half, value + half),
+        contact_mm=contact if find_contact else None,
+        contact_error_mm=float(np.sqrt(covariance[1, 1])) if find_contact else None,
+        correlation=correlation,
+        relative_rms=float(np.sqrt(residual @ residual / (force @ force))),
+    )
 
 
 def _contact_and_rows(
@@ -182,42 +207,6 @@ def _explained(shapes: Array, force: Array) -> Array:
     """Sum of squares that each of several curves in proportion explains, shape (m,)."""
     size = np.maximum(np.einsum("ij,ij->i", shapes, shapes), 1e-300)
     return np.asarray((shapes @ force) * np.abs(shapes @ force) / size)
-
-
-def _judged(
-    depth: Array,
-    force: Array,
-    law: ContactForceLaw,
-    poisson_ratio: float,
-    rows: tuple[int, int],
-    contact: float,
-    find_contact: bool,
-) -> CurveModulus:
-    """Modulus and interval at a known contact; its slope enters the covariance."""
-    shape = law.force(depth)
-    plane_strain = float(shape @ force / (shape @ shape))
-    if plane_strain <= 0:
-        rule = f"the modulus would be {1e3 * plane_strain:.4g} kPa: check sign and contact"
-        return CurveModulus("implausible", rule, *rows)
-    columns = [shape, -plane_strain * law.stiffness(depth)] if find_contact else [shape]
-    jacobian = np.column_stack(columns)
-    residual = force - plane_strain * shape
-    covariance, correlation, freedom = _covariance(jacobian, residual)
-    scale = 1 - poisson_ratio**2
-    value, error = scale * plane_strain, scale * float(np.sqrt(covariance[0, 0]))
-    half = float(stdtrit(freedom, 0.975)) * error
-    return CurveModulus(
-        "fitted",
-        "",
-        *rows,
-        modulus_MPa=value,
-        error_MPa=error,
-        interval_MPa=(value - half, value + half),
-        contact_mm=contact if find_contact else None,
-        contact_error_mm=float(np.sqrt(covariance[1, 1])) if find_contact else None,
-        correlation=correlation,
-        relative_rms=float(np.sqrt(residual @ residual / (force @ force))),
-    )
 
 
 def _covariance(jacobian: Array, residual: Array) -> tuple[Array, float, float]:
@@ -471,13 +460,29 @@ def indentation_modulus(
     )
     series = test.theory == "dimitriadis"
     validity = limits(test.indenter, test.layer, law, area_mm2=test.area_mm2, is_series=series)
-    fitted = tuple(FittedCurve(c.label, c.groups, _fitted(test, c, law, validity)) for c in curves)
+    fit = partial(
+        fit_modulus,
+        law=law,
+        poisson_ratio=test.layer.poisson_ratio,
+        deepest_mm=test.deepest_mm(validity),
+        find_contact=test.find_contact,
+    )
+    fitted = tuple(
+        FittedCurve(
+            c.label,
+            c.groups,
+            CurveModulus("unreadable", c.fault) if c.fault else fit(c.displacement_mm, c.force_N),
+        )
+        for c in curves
+    )
     moduli: dict[str, list[float]] = {}
     for curve in fitted:
         if curve.found.modulus_MPa is not None:
             unit = curve.label if test.spec.block is None else curve.groups[test.spec.block]
             moduli.setdefault(unit, []).append(curve.found.modulus_MPa)
     units = {unit: float(np.median(values)) for unit, values in moduli.items()}
+    intervals = [curve.found.interval_MPa for curve in fitted if curve.found.interval_MPa]
+    alone = intervals[0] if len(intervals) == 1 else None
     result = IndentationModulus(
         test=number,
         file=str(test.spec.file or test.spec.files),
@@ -489,37 +494,10 @@ def indentation_modulus(
         curves=fitted,
         block=test.spec.block,
         unit_moduli_MPa=units,
-        estimate=_estimate(fitted, units),
+        estimate=median_estimate(list(units.values()), alone) if units else None,
         warnings=tuple(_warnings(test, fitted, validity, law, deepest)),
     )
     return result, notes
-
-
-def _fitted(
-    test: IndentationTest,
-    curve: RecordedCurve,
-    law: ContactForceLaw,
-    validity: Sequence[ValidityLimit],
-) -> CurveModulus:
-    if curve.fault:
-        return CurveModulus("unreadable", curve.fault)
-    return fit_modulus(
-        curve.displacement_mm,
-        curve.force_N,
-        law,
-        poisson_ratio=test.layer.poisson_ratio,
-        deepest_mm=test.deepest_mm(validity),
-        find_contact=test.find_contact,
-    )
-
-
-def _estimate(fitted: Sequence[FittedCurve], units: Mapping[str, float]) -> MedianEstimate | None:
-    if not units:
-        return None
-    intervals = [
-        curve.found.interval_MPa for curve in fitted if curve.found.interval_MPa is not None
-    ]
-    return median_estimate(list(units.values()), intervals[0] if len(intervals) == 1 else None)
 
 
 def _warnings(

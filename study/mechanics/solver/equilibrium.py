@@ -175,8 +175,8 @@ def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, .
     """
     setup, space, mesh = problem.setup, system.space, system.mesh
     critical = buckling_strain(setup.test, setup.specimen)
-    strain = setup.test.depth_mm / system.height_mm
-    if space.dim < 3 or mesh.is_whole or system.small_strain or critical is None:
+    strain = setup.test.depth_mm / system.mesh.height_mm
+    if space.dim < 3 or mesh.is_whole or system.material.small_strain or critical is None:
         return None
     if setup.is_whole or strain < SUSPICIOUS * critical:
         return None
@@ -282,11 +282,6 @@ class Equilibria:
     #: Where the equilibrium becomes unstable; the curve ends before.
     instability: Instability | None = None
 
-    def at_points(self, kept: Ints) -> Equilibria:
-        """Return those of some of the points, given by their places."""
-        plate, base = tuple(self.plate[k] for k in kept), tuple(self.base[k] for k in kept)
-        return Equilibria(plate, base, tuple(self.contact[k] for k in kept), self.instability)
-
     def quantities(self) -> dict[str, Array]:
         """Responses of each point by their names: kPa, mm^2 and N."""
         return {
@@ -336,7 +331,7 @@ def resultants(
     """Add up the forces on the nodes by what moves and by what is below."""
     space, mesh, dim = system.space, system.mesh, system.space.dim
     sector = system.force_scale / (2.0 if mesh.half_height else 1.0)
-    moved = 0.0 if system.small_strain else system.displacements(state.x)
+    moved = 0.0 if system.material.small_strain else system.displacements(state.x)
     places, is_part = space.nodes + moved, dim < 3 or sector > 1
     middle = np.zeros(3)
     if not is_part:
@@ -372,7 +367,7 @@ _MIDDLE = {
 def _stretched_areas(system: System, u: Array) -> Array:
     """Area around every node of the boundary over what it was, shape (n_nodes,); 1 elsewhere."""
     space, dim = system.space, system.space.dim
-    if system.small_strain:
+    if system.material.small_strain:
         return np.ones(len(space.nodes))
     corners = space.facets[:, : _corners(space.facets.shape[1], dim)]
     areas = [facet_areas(x[corners]) for x in (space.nodes, space.nodes + u)]
@@ -410,7 +405,7 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
     held = np.setdiff1d(system.constraints.dofs, system.constraints.pins)
     held = held[(held < space.n_displacement) & (held % dim < dim - 1)]
     force[held // dim, held % dim] = 0.0
-    places = space.nodes + (0.0 if system.small_strain else system.displacements(state.x))
+    places = space.nodes + (0.0 if system.material.small_strain else system.displacements(state.x))
     facets = space.facets[_meets(system)]
     k = _corners(facets.shape[1], dim)
     corners = facets[:, :k]
@@ -454,7 +449,7 @@ def contact_figures(
     """How well the moving surface fits, and what it presses with. Shapes: force (n_nodes, dim)."""
     space, dim, u = system.space, system.space.dim, system.displacements(state.x)
     depth, gap, area, touches = 0.0, 0.0, 0.0, False
-    ratio, moved_by = _stretched_areas(system, u), 0.0 if system.small_strain else u
+    ratio, moved_by = _stretched_areas(system, u), 0.0 if system.material.small_strain else u
     for points, touch in zip(system.contact, assembly.contact, strict=True):
         if isinstance(points, TiedPoints) or points.surface.speed == 0:
             continue

@@ -171,7 +171,7 @@ def follow(
         return part
     mesh = warm.system.mesh
     mode = bent.mode[: len(mesh.points)]
-    whole, shape = mirrored(mesh, mode, bent.parity, warm.system.height_mm)
+    whole, shape = mirrored(mesh, mode, bent.parity, warm.system.mesh.height_mm)
     found = part
     for share in IMPERFECTIONS:
         points = whole.points + share * 2 * specimen.half_width_mm * shape
@@ -285,8 +285,9 @@ def fields(solution: Solution, step: int = -1) -> Fields:
     used = np.unique(cells)  # bubbles belong to no corner and no side
     F = deformation_gradient(space, system.displacements(state.x))
     # the volume that a linear body sees
-    J = np.trace(F) - 2 if system.small_strain else np.linalg.det(np.moveaxis(F, (0, 1), (-2, -1)))
-    stretches, strain = _strains(F, system.small_strain)
+    small = system.material.small_strain
+    J = np.trace(F) - 2 if small else np.linalg.det(np.moveaxis(F, (0, 1), (-2, -1)))
+    stretches, strain = _strains(F, small)
     means = space.weights / space.weights.sum(axis=1, keepdims=True)
 
     def mean(values: Array) -> Array:
@@ -426,7 +427,7 @@ def cauchy_stress(system: System, state: State, F: Array, J: Array) -> Array:
     n_elements, n_quadrature).
     """
     nominal = first_piola(system.material, F)
-    small = system.small_strain
+    small = system.material.small_strain
     stress = nominal if small else np.einsum("ij...,kj...->ik...", nominal, F) / J
     eye = np.eye(3)[:, :, None, None]
     stress = stress - np.trace(stress) / 3 * eye

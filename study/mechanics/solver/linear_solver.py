@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,6 +24,9 @@ from numpy.typing import NDArray
 from study.ground.arrays import Array
 from study.ground.compilation import threads_sleep_after_work
 from study.mechanics.element.function_space import Pattern, symmetric_product
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import SuperLU as Factors
 
 
 class SingularMatrixError(ArithmeticError):
@@ -34,16 +37,16 @@ class LinearSolver(Protocol):
     """What Newton needs of a direct solver."""
 
     name: str
-
-    @property
-    def exact(self) -> bool:
-        """Whether solutions have double precision; otherwise about five digits."""
+    #: Whether solutions have double precision; otherwise about five digits.
+    exact: bool = True
 
     def sharpen(self) -> None:
         """Have double precision from the next factorization on."""
+        return
 
     def forget(self) -> None:
         """Go back to the precision it began with."""
+        return
 
     def factorize(self, data: Array) -> None:
         """Factorize the matrix with these entries of the pattern."""
@@ -56,9 +59,6 @@ class LinearSolver(Protocol):
 
     def negative_pivots(self) -> int | None:
         """Negative eigenvalues of the last factorized matrix (Sylvester); None if not known."""
-
-    def close(self) -> None:
-        """Give the memory back."""
 
 
 def pardiso_available() -> bool:
@@ -80,23 +80,10 @@ def make_solver(
 _PER_LENGTH = 0.1
 
 
-class _Factors(Protocol):
-    """Factors as SciPy gives them, without types."""
-
-    nnz: int
-    perm_r: NDArray[np.int32]
-    perm_c: NDArray[np.int32]
-    U: sp.csc_matrix
-
-    def solve(self, rhs: Array) -> Array:
-        """Back-substitute."""
-
-
-class SuperLU:
+class SuperLU(LinearSolver):
     """SciPy's SuperLU in symmetric mode: always there, many times slower in 3D."""
 
     name = "superlu"
-    exact = True
 
     def __init__(self, pattern: Pattern) -> None:
         n = pattern.free.size
@@ -108,7 +95,7 @@ class SuperLU:
         full.sort_indices()
         self._source = full.data.astype(np.int64) - 1
         self._matrix = full
-        self._factors: _Factors | None = None
+        self._factors: Factors | None = None
 
     def factorize(self, data: Array) -> None:
         """Factorize with minimum degree on A + A' and a small pivot threshold."""
@@ -131,12 +118,6 @@ class SuperLU:
             raise RuntimeError("solve needs a matrix: factorize first")
         return np.asarray(self._factors.solve(np.asarray(right, dtype=np.float64)))
 
-    def sharpen(self) -> None:
-        """Do nothing: there is only double precision."""
-
-    def forget(self) -> None:
-        """Do nothing: there is only double precision."""
-
     def worth(self) -> float:
         """By counts: columns of the factors are as long as their entries over their number."""
         if self._factors is None:
@@ -149,10 +130,6 @@ class SuperLU:
         if factors is None or not np.array_equal(factors.perm_r, factors.perm_c):
             return None
         return int(np.count_nonzero(factors.U.diagonal() < 0))
-
-    def close(self) -> None:
-        """Drop the factors."""
-        self._factors = None
 
 
 #: PARDISO's number for real, symmetric, indefinite matrices
@@ -246,7 +223,7 @@ def _integers(values: NDArray[np.int32]) -> object:
     return values.ctypes.data_as(ctypes.POINTER(ctypes.c_int32))
 
 
-class Pardiso:
+class Pardiso(LinearSolver):
     """Symbolic analysis once, numerical factorization for each matrix.
 
     A solution that does not solve its system (pivots had to be perturbed, as with the zero
@@ -279,17 +256,13 @@ class Pardiso:
         self._set_precision(self._usually_exact)
 
     def _set_precision(self, exact: bool) -> None:
+        self.exact = exact
         entries = np.zeros(self._indices.size, np.float64 if exact else np.float32)
         self._data: NDArray[Any] = entries
         self._iparm[_PRECISION - 1] = 0 if exact else 1
         self._handle[:] = 0
         self._matrix = self._arguments()
         self._analyzed = False
-
-    @property
-    def exact(self) -> bool:
-        """Whether solutions have double precision."""
-        return self._data.dtype == np.float64
 
     def sharpen(self) -> None:
         """Go over to double precision; the next factorization begins with an analysis."""

@@ -235,7 +235,7 @@ class LoadPath:
             system = self.system = system if self.rest is None else system.sagged(self.rest)
         self.state, self.previous = self.rest or system.start(), None  # type: State, State | None
         self.J = system.volume_ratios(self.state.x)
-        self.rule = problem.setup.step_rule(options.steps, system.height_mm)
+        self.rule = problem.setup.step_rule(options.steps, system.mesh.height_mm)
         self.step_mm = self.rule.first_mm
         self.logbook = Logbook(system, problem, self.wanted, options.curve_error)
         self.min_j, self.reason = 1.0, ""
@@ -270,7 +270,7 @@ class LoadPath:
             self._warm_steps if self._follows and self.options.curve_error is not None else ()
         )
         added = [d for d in followed if d < asked[-1]]
-        near = 1e-9 * self.system.height_mm
+        near = 1e-9 * self.system.mesh.height_mm
         others = [d for d in added if min(abs(d - own) for own in asked) > near]
         return sorted([(d, True) for d in asked] + [(d, False) for d in others])
 
@@ -448,7 +448,7 @@ class LoadPath:
         return result, spent
 
     def _at(self, target: float) -> bool:
-        return abs(self.state.displacement_mm - target) < 1e-9 * self.system.height_mm
+        return abs(self.state.displacement_mm - target) < 1e-9 * self.system.mesh.height_mm
 
     def _attempt(self, displacement: float, newton: NewtonSettings) -> NewtonResult:
         guess = self._extrapolated(displacement)
@@ -545,7 +545,7 @@ class LoadPath:
 
     def _from_warm(self, target: float) -> NewtonResult | None:
         """Start from the same step of an earlier solve, moved along its sensitivities."""
-        near = [d for d in self._warm_steps if abs(d - target) < 1e-9 * self.system.height_mm]
+        near = [d for d in self._warm_steps if abs(d - target) < 1e-9 * self.system.mesh.height_mm]
         if self.warm is None or self.system.sticks or not near:
             return None
         step = self._warm_steps[near[0]]
@@ -638,8 +638,6 @@ class MovedPlate:
     displacement: Array
     #: shape (n_nodes, 3, 7); derivatives of the displacements by the motion.
     rates: Array
-    #: Newton iterations since the last one.
-    iterations: int
 
 
 class NoEquilibrium(Exception):
@@ -658,7 +656,7 @@ class PrescribedMotion:
         state, besides = solution.warm.steps[-1].state, problem.test.motion
         others = np.zeros(BESIDES) if besides is None else besides.components()
         motion = np.concatenate([[problem.test.depth_mm], others])
-        self.start = self._described(self._under(motion), motion, state, 0)
+        self.start = self._described(self._under(motion), motion, state)
 
     def at(self, motion: Array, near: MovedPlate) -> MovedPlate:
         """Equilibrium at another motion.
@@ -668,13 +666,6 @@ class PrescribedMotion:
         if not motion[0] > 0:
             raise NoEquilibrium(f"the plate would move by {motion[0]:.3g} mm, off the specimen")
         return self._reached(motion, near, _PRESCRIBED_MOTION_HALVINGS)
-
-    def stiffness(self, at: MovedPlate) -> Array:
-        """Differentiate the forces that do the work of each component, shape (7, 7)."""
-        system = self._under(at.motion)
-        rates = self._rates(system, at.state, system.assemble(at.state))
-        forces = np.column_stack([system.tangent_product(column) for column in rates.T])
-        return np.asarray(self._modes.T @ forces[system.constraints.dofs])
 
     def _reached(self, motion: Array, near: MovedPlate, halvings: int) -> MovedPlate:
         system = self._under(motion)
@@ -686,7 +677,7 @@ class PrescribedMotion:
         if (system.volume_ratios(guess) > 0).all():
             found = solve_step(system, start, self._settings)
             if found.converged:
-                return self._described(system, motion, found.state, found.iterations)
+                return self._described(system, motion, found.state)
         if not halvings:
             raise NoEquilibrium("no equilibrium was found at the plate motion that fits")
         middle = self._reached(0.5 * (motion + near.motion), near, halvings - 1)
@@ -698,9 +689,7 @@ class PrescribedMotion:
         constraints = replace(self.system.constraints, rate=rate)
         return replace(self.system, constraints=constraints, latest=replace(self.system.latest))
 
-    def _described(
-        self, system: System, motion: Array, state: State, iterations: int
-    ) -> MovedPlate:
+    def _described(self, system: System, motion: Array, state: State) -> MovedPlate:
         rates = self._rates(system, state, system.assemble(state))
         shape = (*system.space.nodes.shape, COMPONENTS)
         return MovedPlate(
@@ -708,7 +697,6 @@ class PrescribedMotion:
             state=state,
             displacement=system.displacements(state.x).copy(),
             rates=rates[: system.space.n_displacement].reshape(shape),
-            iterations=iterations,
         )
 
     def _rates(self, system: System, state: State, assembly: Assembly) -> Array:

@@ -161,7 +161,7 @@ def _solved(
         return system.solve(right, scale, min(_LOOSEST, left / size), residuals[-1])
     system.factorize()
     # of a linear body the first solve is the last
-    rough = _AT_LAST * settings.tolerance if system.small_strain else _ROUGH
+    rough = _AT_LAST * settings.tolerance if system.material.small_strain else _ROUGH
     return system.solve_afresh(right, rough)
 
 
@@ -202,10 +202,10 @@ def _measures(system: System, state: State, assembly: Assembly) -> tuple[float, 
     """Force and volume that residuals are compared with."""
     reaction = float(np.linalg.norm(assembly.internal[system.constraints.dofs]))
     # at first touch there is no reaction yet
-    strain = max(abs(state.displacement_mm) / system.height_mm, 1e-12)
+    strain = max(abs(state.displacement_mm) / system.mesh.height_mm, 1e-12)
     mu, volume = system.material.mu0, float(system.space.weights.sum())
     # the cross-section of the whole: both its volume and its height are doubled in a half model
-    area_mm2 = volume * system.force_scale / system.height_mm
+    area_mm2 = volume * system.force_scale / system.mesh.height_mm
     floor = max(1e-6 * mu * area_mm2 * strain, 0.5 * mu * system.touch_mm**2)
     return max(reaction, floor), volume
 
@@ -221,7 +221,7 @@ def _done(system: System, residual: float, assembly: Assembly, settings: NewtonS
     """Whether a state is an equilibrium with its contact settled."""
     if not residual < settings.tolerance:
         return False
-    gap = settings.gap * system.height_mm
+    gap = settings.gap * system.mesh.height_mm
     return all(
         touch.settled() and touch.largest_violation() < gap and touch.largest_pull() < settings.pull
         for touch in assembly.contact

@@ -214,14 +214,13 @@ def step_gradients(
     tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
     rates = linear_rates(system, assembly, loads, tolerance)
     scale = system.force_scale
-    work = scale * _force(assembly, rates, 0), scale * _stiffness(system, assembly, rates, 0)
     axial = 0 if system.constraints.axial is None else loads.start.shape[1] - 1
-    force = work
-    if axial:
-        force = (
-            scale * _force(assembly, rates, axial),
-            scale * _stiffness(system, assembly, rates, axial),
-        )
+
+    def reaction(t: int) -> tuple[float, float]:
+        return scale * _force(assembly, rates, t), scale * _stiffness(system, assembly, rates, t)
+
+    work = reaction(0)
+    force = reaction(axial) if axial else work
     slopes = {n: scale * _slope(rates, loads, j, axial) for j, n in enumerate(solved, start=1)}
     by = {n: _rate(system, rates, j) for j, n in enumerate(solved, start=1)}
     if free is not None:

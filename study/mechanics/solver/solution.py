@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Ints
 from study.ground.curve import Curve, hermite_work
 from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Problem
@@ -52,33 +52,20 @@ LEAST_ENERGY = 0.1
 _none = partial(np.zeros, 0)
 
 
-@dataclass(frozen=True)
-class LoadedState:
-    """A converged state as the energy balance sees it (whole specimen)."""
-
-    displacement_mm: float
-    #: Work per displacement: the force, but of a plate that moves sideways too.
-    force_N: float
-    stiffness_N_per_mm: float
-    #: N mm.
-    stored: StoredEnergy
-
-
-def unexplained_work(before: LoadedState, after: LoadedState) -> float:
-    """Work between two states, interpolated, less the energy stored meanwhile, N mm."""
+def unexplained_work(before: Step, after: Step) -> float:
+    """Work between two steps, interpolated, less the energy stored meanwhile, N mm."""
+    ends = before, after
     work = hermite_work(
-        np.array([before.displacement_mm, after.displacement_mm]),
-        np.array([before.force_N, after.force_N]),
-        np.array([before.stiffness_N_per_mm, after.stiffness_N_per_mm]),
+        np.array([step.state.displacement_mm for step in ends]),
+        np.array([step.gradients.work_N for step in ends]),
+        np.array([step.gradients.work_slope_N_per_mm for step in ends]),
     )
     return float(work[0]) - (after.stored.total - before.stored.total)
 
 
-def jumped(
-    before: LoadedState, after: LoadedState, whole_mm: float, share: float = JUMP_SHARE
-) -> bool:
-    """Whether energy was lost or won between two states."""
-    least = LEAST_ENERGY * abs(after.force_N) * whole_mm
+def jumped(before: Step, after: Step, whole_mm: float, share: float = JUMP_SHARE) -> bool:
+    """Whether energy was lost or won between two steps."""
+    least = LEAST_ENERGY * abs(after.gradients.work_N) * whole_mm
     held = max(after.stored.total, least)
     return abs(unexplained_work(before, after)) > share * held
 
@@ -97,7 +84,7 @@ class EnergyBalance:
     #: Displacements at which the specimen jumped to another equilibrium.
     jumps_mm: tuple[float, ...] = ()
 
-    def at_points(self, kept: NDArray[np.int64]) -> EnergyBalance:
+    def at_points(self, kept: Ints) -> EnergyBalance:
         """Return the balance at some of the displacements, given by their places."""
         return EnergyBalance(
             self.stored_Nmm[kept], self.stabilization_Nmm[kept], self.mismatch[kept], self.jumps_mm
@@ -117,42 +104,35 @@ class EnergyBalance:
 
 
 def balanced(
-    states: list[LoadedState],
+    steps: list[Step],
     jumps_mm: tuple[float, ...],
     whole_mm: float,
     share: float = JUMP_SHARE,
 ) -> tuple[EnergyBalance, Array]:
-    """Energy balance of a run, and the work done up to each state, shape (n,), N mm.
+    """Energy balance of a run, and the work done up to each step, shape (n,), N mm.
 
     The work is what the specimen stores, but where it jumped: there it is interpolated. A jump
     that is known counts however little energy was lost in it: as a missing work it would bend
     the curve of a short interval by more than the whole change of force.
     """
-    if not states:
+    if not steps:
         return EnergyBalance(), _none()
-    total = np.array([state.stored.total for state in states])
-    pairs = list(zip(states[:-1], states[1:], strict=True))
-    missing = np.array([unexplained_work(*pair) for pair in pairs])
-    lost = np.array(
-        [
-            m if _holds(jumps_mm, *pair) or jumped(*pair, whole_mm, share) else 0.0
-            for m, pair in zip(missing, pairs, strict=True)
-        ]
-    )
+    total = np.array([step.stored.total for step in steps])
+    missing, lost = np.zeros((2, len(steps)))
+    for k, (before, after) in enumerate(pairwise(steps), start=1):
+        missing[k] = unexplained_work(before, after)
+        ends_mm = before.state.displacement_mm, after.state.displacement_mm
+        holds_jump = any(ends_mm[0] <= place < ends_mm[1] for place in jumps_mm)
+        if holds_jump or jumped(before, after, whole_mm, share):
+            lost[k] = missing[k]
     largest = float(total.max())
-    mismatch = np.r_[0.0, np.cumsum(missing)] / (largest if largest > 0 else np.inf)
     balance = EnergyBalance(
-        np.array([state.stored.material for state in states]),
-        np.array([state.stored.stabilization for state in states]),
-        mismatch,
+        np.array([step.stored.material for step in steps]),
+        np.array([step.stored.stabilization for step in steps]),
+        np.cumsum(missing) / (largest if largest > 0 else np.inf),
         jumps_mm,
     )
-    return balance, total + np.r_[0.0, np.cumsum(lost)]
-
-
-def _holds(jumps_mm: tuple[float, ...], before: LoadedState, after: LoadedState) -> bool:
-    """Whether one of the jumps lies between two states."""
-    return any(before.displacement_mm <= d < after.displacement_mm for d in jumps_mm)
+    return balance, total + np.cumsum(lost)
 
 
 @dataclass(frozen=True)
@@ -162,7 +142,8 @@ class Step:
     state: State
     #: Force and its derivatives; those of the state are what a later solve is started along.
     gradients: StepGradients
-    loaded: LoadedState
+    #: Of the whole specimen, N mm.
+    stored: StoredEnergy
     #: What holds the specimen above and below, and what touches it.
     held: tuple[Resultant, Resultant, ContactFigures]
     #: Largest force of a pin over that of the test: zero where the loads balance.
@@ -177,15 +158,12 @@ class Step:
     ) -> Step:  # fmt: skip
         """Energy, reactions and contact of a converged state."""
         stored = (system.force_scale * part for part in system.stored_energy(state))
-        loaded = LoadedState(
-            state.displacement_mm, row.work_N, row.work_slope_N_per_mm, StoredEnergy(*stored)
-        )
         forces = nodal_reactions(system, assembly)
         figures = contact_figures(system, state, assembly, forces[0])
         held = (*resultants(system, state, forces, sense), figures)
         pins = np.abs(assembly.residual[system.constraints.pins])
         pinned = float(pins.max()) / abs(row.force_N) if pins.size and row.force_N else 0.0
-        return cls(state, row, loaded, held, pinned, spent)
+        return cls(state, row, StoredEnergy(*stored), held, pinned, spent)
 
 
 @dataclass(frozen=True)
@@ -231,7 +209,7 @@ class Solution:
     solver: str = "none"
     #: shape (n_points, dim)
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    cells: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 4), np.int64))
+    cells: Ints = field(default_factory=lambda: np.zeros((0, 4), np.int64))
     displacement: Array = field(default_factory=lambda: np.zeros((0, 3)))
     warm: Warm | None = None
 
@@ -330,7 +308,7 @@ class Logbook:
 
     def lies_apart(self, before: Step, after: Step) -> bool:
         """Whether energy is missing, or too much, between two states."""
-        return jumped(before.loaded, after.loaded, self._whole_mm, self._share)
+        return jumped(before, after, self._whole_mm, self._share)
 
     def lies_between(self, step: Step) -> bool:
         """Whether a state is on the way between its neighbors.
@@ -342,15 +320,14 @@ class Logbook:
         there = at > 0 and self.lies_apart(self.steps[at - 1], step)
         return not (there and self.lies_apart(step, self.steps[at]))
 
-    def equilibria(self, instability: Instability | None = None) -> Equilibria:
-        """Reactions and contact of every step."""
-        plate, base, contact = (tuple(step.held[k] for step in self.steps) for k in range(3))
-        return Equilibria(plate, base, contact, instability)  # type: ignore[arg-type]
+    def equilibria(self, kept: Ints, instability: Instability | None = None) -> Equilibria:
+        """Reactions and contact of some steps, given by their places."""
+        plate, base, contact = (tuple(self.steps[n].held[k] for n in kept) for k in range(3))
+        return Equilibria(plate, base, contact, instability)
 
     def balance(self) -> tuple[EnergyBalance, Array]:
         """Energy balance of the steps, and the work done up to each, shape (n,), N mm."""
-        states = [step.loaded for step in self.steps]
-        return balanced(states, tuple(self.snaps), self._whole_mm, self._share)
+        return balanced(self.steps, tuple(self.snaps), self._whole_mm, self._share)
 
     def coarse_intervals(self, error: float) -> list[float]:
         """Middles of the intervals that make interpolation worse than ``error``.
@@ -380,7 +357,7 @@ class Logbook:
             {n: np.array([row.force_gradient[n] for row in rows]) for n in self.wanted},
             work_Nmm,
             is_conjugate=self.system.constraints.axial is None,
-            quantities=self.equilibria().quantities(),
+            quantities=self.equilibria(np.arange(len(rows))).quantities(),
         )
 
     def solution(
@@ -416,7 +393,7 @@ class Logbook:
             energy=balance.at_points(kept),
             reached_mm=state.displacement_mm,
             min_j=min_j,
-            equilibria=self.equilibria(instability).at_points(kept),
+            equilibria=self.equilibria(kept, instability),
             newton_iterations=tuple(int(n) for n in np.diff(total)),
             dofs=system.dofs,
             elements=system.space.n_elements,
@@ -487,9 +464,9 @@ class Logbook:
 
     def _cannot_sway(self) -> list[str]:
         """Say that a column went past Euler's load in a model whose axis holds it straight."""
-        setup, height_mm = self.problem.setup, self.system.height_mm
+        setup, height_mm = self.problem.setup, self.system.mesh.height_mm
         critical = buckling_strain(setup.test, setup.specimen)
-        if self.system.space.dim == 3 or self.system.small_strain or critical is None:
+        if self.system.space.dim == 3 or self.system.material.small_strain or critical is None:
             return []
         if not self.reached or self.reached[-1] < critical * height_mm:
             return []

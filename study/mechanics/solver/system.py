@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from study.ground.arrays import Array, Flags
 from study.mechanics.contact.collocation import contact_points, touch_radius
@@ -88,10 +87,6 @@ class Weight:
         axial = np.arange(len(space.nodes)) * dim + dim - 1
         forces[axial] = problem.test.weight_N_mm3 * nodal_volumes(mesh, problem.model)
         return cls(forces)
-
-    def scaled(self, share: float) -> Weight:
-        """Return a share of the weight."""
-        return Weight(share * self.forces)
 
 
 @dataclass
@@ -178,7 +173,7 @@ class System:
 
     def weighing(self, share: float) -> System:
         """Return the same equations with a share of the weight; solver and arrays are shared."""
-        weight = None if self.weight is None else self.weight.scaled(share)
+        weight = None if self.weight is None else Weight(share * self.weight.forces)
         return replace(self, weight=weight, latest=replace(self.latest))
 
     def sagged(self, state: State) -> System:
@@ -199,16 +194,6 @@ class System:
         """Force of the whole specimen over that of the model: 4 of a quarter, 8 if it is halved."""
         is_part = self.space.dim == 3 and not self.mesh.is_whole
         return (4.0 if is_part else 1.0) * (2.0 if self.mesh.half_height else 1.0)
-
-    @property
-    def height_mm(self) -> float:
-        """Height of the specimen."""
-        return self.mesh.height_mm
-
-    @property
-    def small_strain(self) -> bool:
-        """Whether the material is linear: contact then belongs to the reference state."""
-        return self.material.small_strain
 
     @property
     def pattern(self) -> Pattern:
@@ -263,7 +248,7 @@ class System:
         internal = self.internal.gathered()
         if self.weight is not None:
             internal -= self.weight.forces
-        residual, contacts = internal.copy(), self._touching_as(state, state.closed)
+        residual, contacts = internal.copy(), self.touching(state, state.closed)
         for points, touch, blocks in zip(self.contact, contacts, self.blocks, strict=True):
             np.add.at(residual, blocks.dofs.ravel(), points.forces(touch).ravel())
             if tangent:
@@ -278,13 +263,8 @@ class System:
         self._count("assembly", began)
         return Assembly(min_j, internal, residual, contacts)
 
-    def touching(self, state: State) -> list[ContactState]:
-        """Contact at a state as every point itself decides it."""
-        return self._touching_as(state, ())
-
-    def _touching_as(
-        self, state: State, sides: tuple[NDArray[np.bool_], ...]
-    ) -> list[ContactState]:
+    def touching(self, state: State, sides: tuple[Flags, ...] = ()) -> list[ContactState]:
+        """Contact at a state, with imposed active sets or as every point itself decides it."""
         each = zip(
             self.contact,
             self._meetings(state),
