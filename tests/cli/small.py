@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from study.cli.app import run
+from study.ground.arrays import Array
 
 CSV = '[report]\nformat = ["csv"]\n'
 
@@ -55,6 +56,32 @@ height = "{height} mm"
 kind = "compression"
 interface = "{interface}"
 {test}{rest}"""
+
+
+def gauge(material: str, size: str = "") -> str:
+    """Begin a file with a section of uniform strain."""
+    return f'schema = 1\n[specimen]\nshape = "homogeneous"\n{size}[material]\n{material}\n'
+
+
+def recorded(
+    folder: Path, name: str, test: str, columns: dict[str, tuple[str, Array]], more: str = ""
+) -> str:
+    """Write a recording, quantities by name in their units, and return the table of its test."""
+    rows = np.column_stack([values for _, values in columns.values()])
+    head = ",".join(columns)
+    np.savetxt(folder / f"{name}.csv", rows, "%.12g", ",", header=head, comments="")
+    names = ", ".join(f'{quantity} = "{quantity}"' for quantity in columns)
+    units = ", ".join(f'{quantity} = "{unit}"' for quantity, (unit, _) in columns.items())
+    return (
+        f'[[tests]]\ntest = {{ {test} }}\nmeasurements = {{ file = "{name}.csv", '
+        f"columns = {{ {names} }}, units = {{ {units} }}{more} }}\n"
+    )
+
+
+def case_file(folder: Path, *parts: str) -> Path:
+    path = folder / "case.toml"
+    path.write_text("".join(parts), encoding="utf-8")
+    return path
 
 
 DESIGN = pressed(
