@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,20 +20,14 @@ from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 
+from .conftest import compressed
 from .fake_worker import BONDED, solve
 
 SPECIMEN = Cylinder(25.0, 30.0)
 DEPTHS = np.linspace(0.3, 6.0, 60)
 
 
-def config(model: str, interface: str, **more: Any) -> dict[str, Any]:
-    return {
-        "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
-        "test": {"kind": "compression", "interface": interface, "base": None,
-                 "displacement_mm": 6.0, "steps": 10},
-        "material": {"model": model, "constants": {}, "poisson_ratio": 0.4995, **more},
-        "model": {"space": "3d", "element_order": "linear", "mesh": "coarse"},
-    }  # fmt: skip
+config = partial(compressed, space="3d", element_order="linear", mesh="coarse")
 
 
 def calibration_of(document: dict[str, Any]) -> FitProblem:
@@ -210,12 +205,3 @@ def test_higher_constants_start_at_zero(
     names, start = fit_task.start_values(problem, [], given)
     values = dict(zip(names, start, strict=True))
     assert {name: values[name] for name in expected} == pytest.approx(expected)
-
-
-def test_a_force_that_pulls_is_refused_by_name() -> None:
-    from study.ground.errors import InputError
-
-    base = curve("neo-hookean", {"C10": 8e-3})
-    pulling = Curve(base.displacement_mm, -base.force_N)
-    with pytest.raises(InputError, match="sign"):
-        fitted(FitTask(calibration_of(config("neo-hookean", "frictionless")), (pulling,)))
