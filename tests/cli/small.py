@@ -66,12 +66,13 @@ def gauge(material: str, size: str = "") -> str:
 def recorded(
     folder: Path, name: str, test: str, columns: dict[str, tuple[str, Array]], more: str = ""
 ) -> str:
-    """Write a recording, quantities by name in their units, and return the table of its test."""
+    """Write a recording, and return the table of its test: quantities by name, or labels."""
     rows = np.column_stack([values for _, values in columns.values()])
     head = ",".join(columns)
     np.savetxt(folder / f"{name}.csv", rows, "%.12g", ",", header=head, comments="")
-    names = ", ".join(f'{quantity} = "{quantity}"' for quantity in columns)
-    units = ", ".join(f'{quantity} = "{unit}"' for quantity, (unit, _) in columns.items())
+    quantities = {name: unit for name, (unit, _) in columns.items() if unit}
+    names = ", ".join(f'{name} = "{name}"' for name in quantities)
+    units = ", ".join(f'{name} = "{unit}"' for name, unit in quantities.items())
     return (
         f'[[tests]]\ntest = {{ {test} }}\nmeasurements = {{ file = "{name}.csv", '
         f"columns = {{ {names} }}, units = {{ {units} }}{more} }}\n"
