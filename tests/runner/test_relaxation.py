@@ -13,7 +13,7 @@ from study.ground.errors import InputError
 from study.mechanics.material.material import Material
 from study.mechanics.material.relaxation import RelaxationTerm
 from study.mechanics.material.viscoelasticity import relaxing
-from tests.cli.small import case_file, gauge, recorded, study
+from tests.cli.small import CSV, case_file, gauge, recorded, responses, study
 
 SERIES = (RelaxationTerm(0.3, 1.0), RelaxationTerm(0.2, 20.0))
 GEL = Material("neo-hookean", {"C10": 0.02}, poisson_ratio=0.49, relaxation=SERIES)
@@ -155,7 +155,7 @@ def test_the_speed_of_a_test_is_a_factor(tmp_path: Path) -> None:
     speeds = ["1 mm/s", "10 mm/s", "100 mm/s"]
     design.write_text(
         path.read_text() + f'[factors]\n"test.speed" = {speeds}\n"material.C10" = '
-        '["20 kPa", "40 kPa"]\n[[response]]\nname = "peak_force"\npractical = "0.01 N"\n'
+        '["20 kPa", "40 kPa"]\n' + responses(peak_force="0.01 N") + CSV
     )
     answer = study("run", str(design), "--results", str(tmp_path / "r"), "--json")
     assert answer.code == 0, answer.err
