@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +19,8 @@ from study.harness.design.load import loads, loads_problem
 from study.harness.record.store import Store
 from study.harness.runner.judgement import within
 from study.harness.runner.provenance import located
-from study.harness.runner.refinement import clamped_corner, formal_order
-from study.harness.runner.solve_task import SolveResult, SolveTask, kept
+from study.harness.runner.refinement import Budget, clamped_corner, formal_order
+from study.harness.runner.solve_task import SolveResult, SolveTask, kept, solved
 from study.statistics.convergence.grid_convergence import grid_convergence
 from tests.cli.small import pressed
 from tests.fem.surfaces import box, write
@@ -230,6 +231,17 @@ def punched(edge_mm: float = 0.0, **more: str) -> dict[str, Any]:
         "indenter": {"shape": "flat", "radius_mm": 3.0, **rounded},
         **more,
     }
+
+
+def test_one_real_solution_and_a_budget_that_counts_from_its_start() -> None:
+    result = solved(SolveTask.of(loads_problem(PROBLEM, "p.toml").problem, 6.0))
+    assert result.converged
+    assert result.elements > 10
+    assert result.seconds > 0
+    assert result.memory_MB >= result.base_MB > 10
+    spent = Budget(10.0, 1e6, began=time.monotonic() - 8)
+    assert "of 2" in spent.refuses(5.0, None) or "of 1.9" in spent.refuses(5.0, None)
+    assert spent.refuses(1.0, None) == ""
 
 
 @pytest.mark.parametrize(
