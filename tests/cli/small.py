@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from study.cli.app import run
+from study.ground.arrays import Array
 
 CSV = '[report]\nformat = ["csv"]\n'
 
@@ -55,6 +56,33 @@ height = "{height} mm"
 kind = "compression"
 interface = "{interface}"
 {test}{rest}"""
+
+
+def gauge(material: str, size: str = "") -> str:
+    """Begin a file with a section of uniform strain."""
+    return f'schema = 1\n[specimen]\nshape = "homogeneous"\n{size}[material]\n{material}\n'
+
+
+def recorded(
+    folder: Path, name: str, test: str, columns: dict[str, tuple[str, Array]], more: str = ""
+) -> str:
+    """Write a recording, and return the table of its test: quantities by name, or labels."""
+    rows = np.column_stack([values for _, values in columns.values()])
+    head = ",".join(columns)
+    np.savetxt(folder / f"{name}.csv", rows, "%.12g", ",", header=head, comments="")
+    quantities = {name: unit for name, (unit, _) in columns.items() if unit}
+    names = ", ".join(f'{name} = "{name}"' for name in quantities)
+    units = ", ".join(f'{name} = "{unit}"' for name, unit in quantities.items())
+    return (
+        f'[[tests]]\ntest = {{ {test} }}\nmeasurements = {{ file = "{name}.csv", '
+        f"columns = {{ {names} }}, units = {{ {units} }}{more} }}\n"
+    )
+
+
+def case_file(folder: Path, *parts: str) -> Path:
+    path = folder / "case.toml"
+    path.write_text("".join(parts), encoding="utf-8")
+    return path
 
 
 DESIGN = pressed(

@@ -210,7 +210,7 @@ def test_where_a_range_fails_is_named_and_nothing_is_predicted_there() -> None:
     text = LOCKED.format(specimen=STRETCHED.replace("{depth}", 'displacement = "30 mm"'))
     wide = text.replace("specimen.area = {", "material.Jm = {").replace('"50 mm^2"', "0.5")
     design = wide.replace('"150 mm^2"', "8").replace("runs = 12", "runs = 40")
-    Path("formula.toml").write_text(design)
+    Path("formula.toml").write_text(design + CSV)
     answer = study("run", "formula.toml", "--jobs", 1)
     assert answer.code == 1
     said = " ".join(answer.out.split())

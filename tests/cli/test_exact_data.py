@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
@@ -30,10 +29,8 @@ OFF = 0.01
 
 
 def write(path: Path, d: np.ndarray, force: np.ndarray) -> None:
-    with path.open("w", newline="") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(["displacement_mm", "force_N"])
-        rows.writerows(zip(d.tolist(), force.tolist(), strict=True))
+    rows = np.column_stack([d, force])
+    np.savetxt(path, rows, "%.17g", ",", header="displacement_mm,force_N", comments="")
 
 
 def write_specimen(folder: Path, number: int, c10: float) -> None:

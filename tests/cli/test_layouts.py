@@ -18,6 +18,7 @@ from study.mechanics.solver.solution_cost import expected_unknowns
 from tests.cli.small import measured, pressed, refusal, responses, study, success
 from tests.conftest import ROOT
 from tests.fem.surfaces import box, write
+from tests.runner.test_surfaces import DESIGN as SURFACE
 
 BASE = pressed(
     '[material]\nmodel = "neo-hookean"\nC10 = "5 kPa"\npoisson_ratio = 0.45\n'
@@ -176,32 +177,6 @@ def test_each_specimen_meets_each_physical_condition_once(tmp_path: Path) -> Non
     assert sheet["run"].tolist() == list(range(1, 81))
 
 
-SURFACE = (
-    """
-schema = 1
-[specimen]
-shape = "surface"
-file = "box.stl"
-unit = "mm"
-clamp_below = "1 mm"
-{more}
-[test]
-kind = "compression"
-[material]
-model = "neo-hookean"
-bulk_modulus = "10 MPa"
-[model]
-mesh_size = "3 mm"
-[factors]
-"test.interface" = ["frictionless", "bonded"]
-"""
-    + measured("tests.csv").replace("{", "{{").replace("}", "}}")
-    + """block = "specimen"
-range = ["0.1 mm", "0.6 mm"]
-points = 5
-"""
-    + responses(mu0="")
-)
 NEEDLE = Path(__file__).parents[2] / "designs" / "needle-geometry.toml"
 
 
@@ -212,7 +187,8 @@ def surface_design(
     rows = [f"{s},{d:.3f},{0.45 * d:.5f}" for s in "ab" for d in np.linspace(0, 0.7, 15)]
     (folder / "tests.csv").write_text("\n".join(["specimen,d,f", *rows, ""]))
     path = folder / "design.toml"
-    path.write_text(SURFACE.format(more=more))
+    clamped = f'unit = "mm"\nclamp_below = "1 mm"\n{more}'
+    path.write_text(SURFACE.replace('unit = "mm"', clamped, 1))
     return path
 
 

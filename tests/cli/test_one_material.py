@@ -12,27 +12,10 @@ import pytest
 from scipy import stats
 
 from study.ground.arrays import Array
-from tests.cli.small import refusal, success
+from tests.cli.small import case_file, gauge, recorded, refusal, success
 
-HEAD = """
-schema = 1
-[specimen]
-shape = "homogeneous"
-area = "20 mm^2"
-length = "25 mm"
-[material]
-model = "neo-hookean"
-incompressible = true
-"""
-TEST = """
-[[tests]]
-test = {{ kind = "{kind}" }}
-[tests.measurements]
-file = "{file}.csv"
-columns = {{ stretch = "l", stress = "s" }}
-units = {{ stretch = "1", stress = "kPa" }}
-"""
-KINDS = {"tension": "tension", "equibiaxial": "equibiaxial", "planar": "planar"}
+SIZE = 'area = "20 mm^2"\nlength = "25 mm"\n'
+HEAD = gauge('model = "neo-hookean"\nincompressible = true', SIZE)
 DESIGNS = Path(__file__).parents[2] / "designs"
 MU_KPA = 30.0
 NOISE_KPA = 0.4
@@ -50,15 +33,13 @@ def measure(
     stretch = np.linspace(1.05, 1.8, n)
     for kind, value in mu.items():
         s = value * stress(kind, stretch) + NOISE_KPA * rng.normal(size=n) + zero
-        rows = ["l,s", *(f"{a:.8f},{b:.10f}" for a, b in zip(stretch, s, strict=True))]
-        (folder / f"{kind}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+        columns = {"stretch": ("1", stretch), "stress": ("kPa", s)}
+        table = recorded(folder, kind, f'kind = "{kind}"', columns)
+        (folder / f"{kind}.toml").write_text(table)
 
 
-def written(folder: Path, kinds: list[str], name: str = "all") -> Path:
-    path = folder / f"{name}.toml"
-    text = HEAD + "".join(TEST.format(kind=KINDS[kind], file=kind) for kind in kinds)
-    path.write_text(text, encoding="utf-8")
-    return path
+def written(folder: Path, kinds: list[str]) -> Path:
+    return case_file(folder, HEAD, *((folder / f"{kind}.toml").read_text() for kind in kinds))
 
 
 def calibrated(path: Path, *more: object) -> Any:
@@ -145,7 +126,7 @@ def test_wald_statistic_and_power_of_three_separate_calibrations(
 def test_two_tests_of_one_constant_are_welchs_t(tmp_path: Path) -> None:
     kinds = ["tension", "planar"]
     measure(tmp_path, dict.fromkeys(kinds, MU_KPA), np.random.default_rng(3), n=6)
-    alone = [calibrated(written(tmp_path, [kind], kind)) for kind in kinds]
+    alone = [calibrated(written(tmp_path, [kind])) for kind in kinds]
     (name,) = alone[0]["parameters"]
     value = np.array([one["parameters"][name]["value"] for one in alone])
     variance = np.array([one["parameters"][name]["standard_error"] ** 2 for one in alone])
@@ -185,8 +166,9 @@ def test_words_and_refusals(tmp_path: Path) -> None:
     words = success(f"{command} test").out
     for word in ("tension", "planar", "common", "power", "agree: one set of constants"):
         assert word in words
-    alone = refusal(f"calibrate {written(tmp_path, ['planar'], 'p')} {asked} test")
+    alone = refusal(f"calibrate {written(tmp_path, ['planar'])} {asked} test")
     assert "second [[tests]]" in alone.err
+    written(tmp_path, kinds)
     for wrong in ("batch", "test --difference '0 %'", "test --zero '100 %'"):
         refusal(f"{command} {wrong}")
 
@@ -264,9 +246,8 @@ def written_tests(folder: Path, share: Array, stresses: Mapping[str, Array]) -> 
     """Write a CSV of each test, and give the calibration of one Ogden solid to all of them."""
     text = HEAD.replace("neo-hookean", "ogden") + "order = 1\n"
     for kind, s in stresses.items():
-        rows = ["e,s", *(f"{a:.8f},{b:.10f}" for a, b in zip(share, s, strict=True))]
-        (folder / f"{kind}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-        text += TEST.format(kind=kind, file=kind).replace("stretch", "strain").replace('"l"', '"e"')
+        columns = {"strain": ("1", share), "stress": ("kPa", s)}
+        text += recorded(folder, kind, f'kind = "{kind}"', columns)
     return text
 
 
@@ -277,10 +258,7 @@ def ogden_solid(folder: Path, alpha: float, rng: np.random.Generator) -> Path:
         kind: exact + 0.01 * np.abs(exact).max() * rng.normal(size=share.size)
         for kind, exact in ogden_stresses(share, alpha).items()
     }
-    text = written_tests(folder, share, noisy)
-    path = folder / "ogden.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+    return case_file(folder, written_tests(folder, share, noisy))
 
 
 def test_a_test_that_stops_at_a_higher_minimum_is_fitted_from_the_others(tmp_path: Path) -> None:

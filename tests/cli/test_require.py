@@ -136,17 +136,19 @@ def test_errors_of_the_force_alone_are_exactly_linear(tmp_path: Path) -> None:
 
 
 def test_what_is_allowed_is_just_enough(tmp_path: Path) -> None:
-    found = asked(tmp_path)
-    units = {"mm": " mm", "N": " N", "1": ""}
+    found, parts = asked(tmp_path), known_parts()
+    allowed = {}
     for row in found["required"]:
         key = f"{row['sensor']}.{row['error']}"
-        beside = row["allowed_beside_the_others"]
-        value = f'"{beside!r}{units[row["unit"]]}"' if row["unit"] != "1" else repr(beside)
-        again = asked(tmp_path, PLATES, f"{key}={value}")
-        assert named(again, "C10")["relative_expanded_uncertainty"] == pytest.approx(0.05, rel=1e-9)
         # in proportion: alone an error makes 5 % where its part is 2.5 %
-        alone = ERRORS[key] * 0.025 / known_parts()[key]
+        alone = ERRORS[key] * 0.025 / parts[key]
         assert row["allowed_alone"] == pytest.approx(alone, rel=1e-9)
+        others = sum(part**2 for name, part in parts.items() if name != key)
+        allowed[key] = row["allowed_beside_the_others"]
+        beside = ERRORS[key] * np.sqrt(0.025**2 - others) / parts[key]
+        assert allowed[key] == pytest.approx(beside, rel=1e-9)
+    again = asked(tmp_path, PLATES, f'position.noise="{allowed["position.noise"]!r} mm"')
+    assert named(again, "C10")["relative_expanded_uncertainty"] == pytest.approx(0.05, rel=1e-9)
     nothing = asked(tmp_path, PLATES, 'position.offset="0.5 mm"')
     assert nothing["met"] is False
     rows = {f"{row['sensor']}.{row['error']}": row for row in nothing["required"]}

@@ -181,9 +181,8 @@ def test_a_link_does_not_lead_a_report_out_of_its_folder(done: Path, below: str)
     assert [path.name for path in other.iterdir()] == ["made-from.json"]
 
 
-def test_a_link_does_not_lead_results_out_of_their_folder_but_the_folder_may_be_one(
-    done: Path,
-) -> None:
+def test_a_link_does_not_lead_results_out_of_their_folder(done: Path) -> None:
+    """The folder itself may be one."""
     shutil.rmtree("results")
     (done / "other").mkdir()
     (done / "results").mkdir()

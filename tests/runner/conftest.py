@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,18 +17,35 @@ from study.harness.execution.task import Executor
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
+from tests.cli.small import TRUTH as TRUTH_KPA
 from tests.runner import fake_worker
 
 
-def fake(jobs: int = 2) -> Executor:
+def fake() -> Executor:
     """The fake solver here, or in processes where it kills the one that it is in."""
     path = Path(os.environ.get("FAKE_WISH", os.devnull))
     wish = path.read_text() if path.exists() else ""
     kills = "die" in wish or "needs memory" in wish
-    return Loky(fake_worker.perform, jobs) if kills else Inline(fake_worker.perform)
+    return Loky(fake_worker.perform, 1) if kills else Inline(fake_worker.perform)
 
 
 SPECIMEN = Cylinder(25.0, 30.0)
+
+
+def compressed(
+    model: str, interface: str, order: int | None = None, *, poisson_ratio: float = 0.4995,
+    steps: int = 10, **mesh: str,
+) -> dict[str, Any]:  # fmt: skip
+    """Document of a cell whose constants are calibrated."""
+    return {
+        "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
+        "test": {"kind": "compression", "interface": interface, "base": None,
+                 "displacement_mm": 6.0, "steps": steps},
+        "material": {"model": model, "constants": {}, "poisson_ratio": poisson_ratio,
+                     "order": order},
+        "model": mesh,
+    }  # fmt: skip
+
 
 DESIGN = """
 schema = 1
@@ -78,14 +96,7 @@ practical = "10 % of mean"
 """
 
 #: C10 and C01 in MPa of the two specimens of each mix
-TRUTH = {
-    ("M1", "A"): (8.0e-3, 0.5e-3),
-    ("M1", "B"): (8.4e-3, 0.4e-3),
-    ("M2", "A"): (5.0e-3, 0.2e-3),
-    ("M2", "B"): (5.1e-3, 0.3e-3),
-    ("M3", "A"): (6.0e-3, 0.3e-3),
-    ("M3", "B"): (5.8e-3, 0.3e-3),
-}
+TRUTH = {specimen: (1e-3 * c10, 1e-3 * c01) for specimen, (c10, c01) in TRUTH_KPA.items()}
 
 
 def material(c10: float, c01: float) -> Material:

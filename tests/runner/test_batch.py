@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import shutil
 from pathlib import Path
@@ -96,22 +95,6 @@ def test_bonded_constants_are_softer_by_the_factor_of_the_fake_solver(clean: Cle
         assert free[mix] / bonded[mix] == pytest.approx(1.4 * 1.00417, rel=1e-3)
 
 
-def test_running_again_computes_nothing_and_resuming_computes_the_rest(
-    clean: Clean, tmp_path: Path
-) -> None:
-    work, folder = clean[0], tmp_path / "results"
-    shutil.copytree(clean[1], folder)
-    again, _ = run(work, folder)
-    assert again == 0
-    for case in list(work.input_hashes)[:3]:
-        shutil.rmtree(folder / "cases" / case)
-    fits = {path: path.stat().st_mtime_ns for path in (folder / "fits").iterdir()}
-    resumed, records = run(work, folder)
-    assert resumed == 3
-    assert fits == {path: path.stat().st_mtime_ns for path in (folder / "fits").iterdir()}
-    assert comparable(records) == comparable(clean[-1])
-
-
 def test_table_does_not_depend_on_the_number_of_workers(clean: Clean, tmp_path: Path) -> None:
     two = run(clean[0], tmp_path / "results", Loky(fake_worker.perform, 2))[1]
     assert comparable(two) == comparable(clean[-1])
@@ -131,7 +114,6 @@ def comparable(records: list[Record]) -> str:
     ],
 )
 def test_a_failure_is_a_record_and_stops_nothing_else(
-    design: Design,
     one_mix: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -141,7 +123,8 @@ def test_a_failure_is_a_record_and_stops_nothing_else(
 ) -> None:
     (tmp_path / "wish").write_text(wish)
     monkeypatch.setenv("FAKE_WISH", str(tmp_path / "wish"))
-    work = expand(design, one_mix)
+    # one direction: every worker that dies costs a start
+    work = expand(loads(DESIGN.replace("swap = true", ""), "small.toml"), one_mix)
     _, records = run(work, tmp_path / "results")
     bad = [r for r in records if not r.converged]
     # every Mooney-Rivlin case meets the solver: bonded in its fit, frictionless when predicted
@@ -169,19 +152,6 @@ def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.Mo
     assert "another version" in store.warnings[0]
 
 
-def test_code_version_ignores_comments_and_docstrings() -> None:
-    plain, spoken, other = (
-        provenance._code_only(ast.parse(source))
-        for source in (
-            "def f(x):\n    return x + 1\n",
-            'def f(x):\n    "Add one."\n    # really\n    return x+1\n',
-            "def f(x):\n    return x + 2\n",
-        )
-    )
-    assert spoken.replace("    pass\n", "") == plain
-    assert other != plain
-
-
 def test_the_kept_code_version_follows_the_sources(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -196,7 +166,12 @@ def test_the_kept_code_version_follows_the_sources(
     assert (root / "__pycache__" / "code-version").is_file()
     assert version() == first
     curve = root / "ground" / "curve.py"
-    curve.write_text(curve.read_text(encoding="utf-8") + "\nSCALE = 2.0\n", encoding="utf-8")
+    spoken = (
+        curve.read_text(encoding="utf-8").replace('"""', '"""Another word. ', 1) + "\n# really\n"
+    )
+    curve.write_text(spoken, encoding="utf-8")
+    assert version() == first
+    curve.write_text(f"{spoken}\nSCALE = 2.0\n", encoding="utf-8")
     assert version() != first
 
 
@@ -211,7 +186,7 @@ def test_progress_ends_at_the_total_and_time_left_at_zero(
 ) -> None:
     seen: list[Progress] = []
     store = Store(tmp_path / "results")
-    run_batch(expand(design, one_mix), store, fake(2), seen.append)
+    run_batch(expand(design, one_mix), store, fake(), seen.append)
     assert [p.done for p in seen] == list(range(1, 13))
     assert seen[-1].total == 12
     assert seen[-1].seconds_left == pytest.approx(0.0, abs=1e-6)

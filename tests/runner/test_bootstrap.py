@@ -11,25 +11,10 @@ from scipy.signal import lfilter
 
 from study.ground.curve import Curve
 from study.harness.runner.fit_task import resampled, residuals_of
-from tests.cli.small import study
+from tests.cli.small import case_file, gauge, recorded, study
 
 C10_KPA = 10.0
-HEAD = """
-schema = 1
-[specimen]
-shape = "homogeneous"
-[material]
-model = "neo-hookean"
-incompressible = true
-[calibration]
-seed = 2011
-[[tests]]
-test = { kind = "simple-shear" }
-[tests.measurements]
-file = "shear.csv"
-columns = { strain = "g", stress = "s" }
-units = { strain = "1", stress = "kPa" }
-"""
+HEAD = gauge('model = "neo-hookean"\nincompressible = true') + "[calibration]\nseed = 2011\n"
 
 
 def errors(rows: int, phi: list[float], rng: np.random.Generator) -> np.ndarray:
@@ -40,18 +25,18 @@ def errors(rows: int, phi: list[float], rng: np.random.Generator) -> np.ndarray:
     return np.asarray(long * np.sqrt(1 - explained))
 
 
-def written(folder: Path, specimens: dict[str, np.ndarray], shear: np.ndarray) -> Path:
-    """Simple shear of a neo-Hookean solid, stress 2 C10 g; one column names the specimens."""
-    many = len(specimens) > 1
-    rows = [
-        f"{g:.9f},{s:.9f}" + (f",{label}" if many else "")
-        for label, stress in specimens.items()
-        for g, s in zip(shear, stress, strict=True)
-    ]
-    (folder / "shear.csv").write_text("\n".join(["g,s" + (",who" if many else ""), *rows]) + "\n")
-    path = folder / "case.toml"
-    path.write_text(HEAD + ('block = "who"\n' if many else ""))
-    return path
+def written(folder: Path, specimens: list[np.ndarray], shear: np.ndarray) -> Path:
+    """Simple shear of a neo-Hookean solid, stress 2 C10 g; one column numbers the specimens."""
+    count = len(specimens)
+    columns = {
+        "strain": ("1", np.tile(shear, count)),
+        "stress": ("kPa", np.concatenate(specimens)),
+        "who": ("", np.repeat(range(count), shear.size)),
+    }
+    block = ', block = "who"' if count > 1 else ""
+    return case_file(
+        folder, HEAD, recorded(folder, "shear", 'kind = "simple-shear"', columns, block)
+    )
 
 
 def drawn(path: Path, count: int = 250) -> Any:
@@ -67,7 +52,7 @@ def test_the_standard_error_is_that_of_least_squares(
 ) -> None:
     shear = np.linspace(0.01, 0.5, rows)
     noise = 0.3 * errors(rows, [rho], np.random.default_rng(2011))
-    path = written(tmp_path, {"A": 2 * C10_KPA * shear + noise}, shear)
+    path = written(tmp_path, [2 * C10_KPA * shear + noise], shear)
     found = drawn(path)
     x = 2 * shear
     lags = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
@@ -86,8 +71,7 @@ def test_specimens_are_drawn_whole(tmp_path: Path) -> None:
     """Of eight specimens: the scatter of means of draws, sqrt(sum of squares) / 8."""
     shear, rng = np.linspace(0.05, 0.5, 12), np.random.default_rng(7)
     own = C10_KPA * (1 + 0.15 * rng.normal(size=8))
-    stresses = {f"s{k}": 2 * c * shear for k, c in enumerate(own)}
-    found = drawn(written(tmp_path, stresses, shear))
+    found = drawn(written(tmp_path, [2 * c * shear for c in own], shear))
     assert found["specimens"] == 8
     exact = np.sqrt(np.sum((own - own.mean()) ** 2)) / 8
     # three standard errors of a standard deviation over 250 resamples
@@ -96,7 +80,7 @@ def test_specimens_are_drawn_whole(tmp_path: Path) -> None:
 
 def test_too_few_resamples_are_refused(tmp_path: Path) -> None:
     shear = np.linspace(0.05, 0.5, 12)
-    path = written(tmp_path, {"A": 2 * C10_KPA * shear + 0.1 * np.sin(shear * 90)}, shear)
+    path = written(tmp_path, [2 * C10_KPA * shear + 0.1 * np.sin(shear * 90)], shear)
     refused = study("calibrate", path, "--data", tmp_path, "--bootstrap", "50")
     assert refused.code == 2
     assert "at least 200 resamples" in refused.err

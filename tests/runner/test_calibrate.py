@@ -11,17 +11,19 @@ import numpy as np
 import pytest
 
 from study import api
-from study.cli.app import run
+from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.harness.calibration import calibrate_tests, model_comparison
 from study.harness.calibration.calibration_result import CalibrationResult
 from study.harness.design.load import load_calibration
 from study.harness.runner import fit_task, staged_fit
 from study.harness.runner.fit_problem import FitProblem, fitted_test
+from study.harness.runner.fit_summary import FitResult
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
+from tests.cli.small import refusal, study, success
 
 SPECIMEN = Cylinder(25.0, 30.0)
 RP2 = {"C10": 7e-3, "C20": 1.5e-3}
@@ -112,34 +114,29 @@ def test_constants_come_back_and_are_judged(tmp_path: Path) -> None:
     )
 
 
-def test_mooney_rivlin_at_14_percent_is_not_identifiable(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_mooney_rivlin_at_14_percent_is_not_identifiable(tmp_path: Path) -> None:
     """The thesis's range, by the command that prints it and writes its files."""
     write(tmp_path / "a.csv", "mooney-rivlin", {"C10": 7e-3, "C01": 1e-3}, noise=0.01)
     path = case(tmp_path, [{"range": '["1 %", "14 %"]'}], "mooney-rivlin", "")
     results = tmp_path / "results"
-    shared = ["calibrate", str(path), "--data", str(tmp_path), "--results", str(results)]
-    assert run([*shared, "--json", "--convention", "febio"]) == 0
-    captured = capsys.readouterr()
-    document = json.loads(captured.out)
+    shared = ("calibrate", path, "--data", tmp_path, "--results", results)
+    answer = success(*shared, "--json", "--convention", "febio")
+    document = answer.json
     assert (document["status"], document["identifiable"]) == ("converged", False)
     values = [entry["value"] for entry in document["parameters"].values()]
     assert sum(values) == pytest.approx(8.0, rel=5e-3)
     assert document["converted"]["constants"]["c1"] == pytest.approx(
         1e-3 * document["parameters"]["C10"]["value"]
     )
-    assert "iteration 1: cost" in captured.err
+    assert "iteration 1: cost" in answer.err
     folder = results / "calibration"
     assert json.loads((folder / "calibration.json").read_text())["model"] == "mooney-rivlin"
     assert (folder / "calibration.svg").read_text().startswith("<svg")
     assert not (folder / "calibration.checkpoint.json").exists()
-    assert run(shared) == 0
-    told = " ".join(capsys.readouterr().out.split())
+    told = " ".join(success(*shared).out.split())
     assert "not identifiable: C10 and C01 move together: correlation -0.999" in told
     assert "only C10 + 1.12 C01 is determined" in told
-    assert run([*shared, "--convention", "abacus"]) == 2
-    assert "abaqus" in capsys.readouterr().err
+    assert "abaqus" in refusal(*shared, "--convention", "abacus").err
 
 
 @pytest.mark.parametrize(
@@ -151,10 +148,7 @@ def test_mooney_rivlin_at_14_percent_is_not_identifiable(
     ids=["all", "some"],
 )
 def test_energies_are_weighed(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    names: tuple[str, ...],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
 ) -> None:
     some = [one for one in model_comparison.CANDIDATES if not names or one[2] in names]
     monkeypatch.setattr(model_comparison, "CANDIDATES", tuple(some))
@@ -164,8 +158,8 @@ def test_energies_are_weighed(
     assert choice.best == "reduced-polynomial-2"
     assert sum(choice.weights.values()) == pytest.approx(1)
     assert choice.weights["neo-hookean"] < 1e-6  # C20 stiffens the force by several percent
-    assert run(["calibrate", str(path), "--data", str(tmp_path), "--energies"]) == 0
-    assert "AICc prefers reduced-polynomial-2" in capsys.readouterr().out
+    said = success("calibrate", path, "--data", tmp_path, "--energies").out
+    assert "AICc prefers reduced-polynomial-2" in said
 
 
 def test_specimens_pooled_each_and_left_out(tmp_path: Path) -> None:
@@ -317,48 +311,33 @@ def test_a_checkpoint_of_another_fit_or_a_damaged_one_is_not_read(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("write_options", "test", "words"),
+    ("factor", "order", "test", "words"),
     [
-        ({"factor": -1.0}, {}, "sign"),
-        ({"factor": 0.0}, {}, "constant"),
-        ({}, {"points": 2, "range": '["1 %", "2 %"]', "model": "rp3"}, "2 points cannot determine"),
-        ({}, {"range": '["1 %", "60 %"]'}, "ends at"),
+        (-1.0, 2, {}, "sign"),
+        (0.0, 2, {}, "constant"),
+        (1.0, 3, {"points": 2, "range": '["1 %", "2 %"]'}, "2 points cannot determine"),
+        (1.0, 2, {"range": '["1 %", "60 %"]'}, "ends at"),
     ],
 )
-def test_data_that_cannot_answer(
-    tmp_path: Path, write_options: dict[str, Any], test: dict[str, Any], words: str
-) -> None:
-    write(tmp_path / "a.csv", "reduced-polynomial", RP2, **write_options)
-    order = "order = 3" if test.pop("model", "") else "order = 2"
-    with pytest.raises(InputError) as caught:
-        calibrated(case(tmp_path, [test], order=order))
-    assert words in str(caught.value)
-
-
 def test_a_fault_of_the_data_is_exit_code_2_and_writes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, factor: float, order: int, test: dict[str, Any], words: str
 ) -> None:
-    write(tmp_path / "a.csv", "reduced-polynomial", RP2, factor=-1.0)
-    path, results = case(tmp_path, [{}]), tmp_path / "results"
-    shared = ["calibrate", str(path), "--data", str(tmp_path), "--results", str(results)]
-    assert run(shared) == 2
-    assert "sign" in capsys.readouterr().err
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, factor=factor)
+    path, results = case(tmp_path, [test], order=f"order = {order}"), tmp_path / "results"
+    said = refusal("calibrate", path, "--data", tmp_path, "--results", results).err
+    assert words in said
     assert not results.exists()
 
 
 @pytest.mark.parametrize("factor", [1e4, 1e-4])
-def test_units_that_make_the_modulus_implausible(
-    tmp_path: Path, factor: float, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_units_that_make_the_modulus_implausible(tmp_path: Path, factor: float) -> None:
     """140 MPa or 1.4 Pa is no soft solid: a status, and exit code 1."""
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, factor=factor)
     path = case(tmp_path, [{}])
-    found = calibrated(path)
-    assert found.status == "implausible"
-    assert "check the units" in found.message
-    assert run(["calibrate", str(path), "--data", str(tmp_path),
-                "--results", str(tmp_path / "r")]) == 1  # fmt: skip
-    assert "implausible: " in capsys.readouterr().out
+    answer = study("calibrate", path, "--data", tmp_path, "--results", tmp_path / "r")
+    assert answer.code == 1
+    assert "implausible: " in answer.out
+    assert "check the units" in answer.out
 
 
 def test_bounds_win_over_the_start(tmp_path: Path) -> None:
@@ -392,28 +371,16 @@ def test_what_cannot_be_split_is_told(tmp_path: Path, more: str, words: str) -> 
         calibrated(case(tmp_path, [{}], more=f"[calibration]\n{more}\n"))
 
 
-def softening(tmp_path: Path, more: str = "") -> Path:
-    """Bonded compression of a start that softens until it carries no load."""
-    write(tmp_path / "a.csv", "reduced-polynomial", {"C10": 7e-3, "C20": 0.0}, depth=15.0)
-    path = case(tmp_path, [{"range": '["1 %", "50 %"]', "points": 10}], more=more)
-    text = path.read_text().replace("order = 2\n", 'C10 = "1 kPa"\nC20 = "-5 kPa"\n')
-    path.write_text(text.replace('"frictionless"', '"bonded"'), encoding="utf-8")
-    return path
-
-
-def test_a_start_that_carries_no_load_gives_way_to_a_gentler_one(tmp_path: Path) -> None:
-    found = calibrated(softening(tmp_path))
-    assert found.status == "converged"
-    assert "led nowhere from the start values" in found.message
-    assert "was begun with the neo-Hookean constant alone" in found.message
-    # four starts on the wanted mesh, three of them in vain, and the steps of the last one
-    assert found.evaluations >= 3 + found.fit.evaluations
-
-
 def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> None:
     """Constants that soften until no load is carried: a status with the reason, no number."""
-    bounds = '[calibration.bounds]\nC20 = ["-9 kPa", "-4.9 kPa"]\n'
-    found = calibrated(softening(tmp_path, more=bounds))
+    write(tmp_path / "a.csv", "reduced-polynomial", {"C10": 7e-3, "C20": 0.0}, depth=15.0)
+    path = case(
+        tmp_path, [{"range": '["1 %", "50 %"]', "points": 10}],
+        order='C10 = "1 kPa"\nC20 = "-5 kPa"',
+        more='[calibration.bounds]\nC20 = ["-9 kPa", "-4.9 kPa"]\n',
+    )  # fmt: skip
+    path.write_text(path.read_text().replace('"frictionless"', '"bonded"'), encoding="utf-8")
+    found = calibrated(path)
     assert found.status == "not-converged"
     assert "no answer at the start values (unstable: " in found.message
     assert not found.fit.identifiable
@@ -421,8 +388,26 @@ def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> Non
     assert found.curves[0].as_dict()["rms_force_error"] is None
 
 
+def fit_of_a_study(path: Path, measured: Curve) -> FitResult:
+    """Fit the curve of the first test as a study does, from a worker's plain data."""
+    way = fitted_test("auto", load_calibration(path).tests[0].problem)
+    return fit_task.fitted(fit_task.FitTask(FitProblem(way.method, (way,)), (measured,)))
+
+
+@pytest.mark.parametrize("points", [60, 1000])
+def test_a_fit_of_a_study_and_the_verb_give_one_interval(tmp_path: Path, points: int) -> None:
+    """Both follow the recorded rows, at any grid."""
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.1)
+    path = case(tmp_path, [{"points": points, "more": ""}])
+    verb = calibrated(path)
+    other = fit_of_a_study(path, verb.curves[0].measured.curve).fit
+    for name, ci95 in zip(verb.fit.names, verb.fit.ci95, strict=True):
+        assert other["ci95"][name] == pytest.approx(ci95, rel=1e-6)
+    assert other["aicc"] == pytest.approx(verb.to_json()["aicc"], rel=1e-9)
+
+
 def test_a_kink_is_called_alike_in_every_verb(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One search that ends at a kink, asked by `calibrate` and by the fit of a study."""
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
@@ -436,18 +421,15 @@ def test_a_kink_is_called_alike_in_every_verb(
 
     monkeypatch.setattr(calibrate_tests, "staged_fit", ended)
     monkeypatch.setattr(fit_task, "staged_fit", ended)
-    arguments = ["calibrate", str(path), "--data", str(tmp_path)]
-    assert run([*arguments, "--results", str(tmp_path / "r"), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    verb = calibrated(path)
+    document = verb.to_json()
     assert document["status"] == "at-kink"
     assert document["parameters"]["C10"]["standard_error"] is None
     assert document["mu0"] == pytest.approx(14.0, abs=0.1)
-    way = fitted_test("auto", load_calibration(path).tests[0].problem)
-    measured = api.calibrate(path, data=tmp_path).curves[0].measured.curve
-    found = fit_task.fitted(fit_task.FitTask(FitProblem(way.method, (way,)), (measured,)))
-    assert found.status == document["status"]
-    assert found.converged  # there are constants, as before
-    assert found.fit["values"]["C10"] == pytest.approx(7e-3, rel=0.01)
+    other = fit_of_a_study(path, verb.curves[0].measured.curve)
+    assert other.status == document["status"]
+    assert other.converged  # there are constants, as before
+    assert other.fit["values"]["C10"] == pytest.approx(7e-3, rel=0.01)
 
 
 def test_limits_of_evaluations_and_of_time_are_told(tmp_path: Path) -> None:

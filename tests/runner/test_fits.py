@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,22 +18,17 @@ from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask, fitted
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Cylinder
 
+from .conftest import compressed
 from .fake_worker import BONDED, solve
 
 SPECIMEN = Cylinder(25.0, 30.0)
 DEPTHS = np.linspace(0.3, 6.0, 60)
 
 
-def config(model: str, interface: str, **more: Any) -> dict[str, Any]:
-    return {
-        "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
-        "test": {"kind": "compression", "interface": interface, "base": None,
-                 "displacement_mm": 6.0, "steps": 10},
-        "material": {"model": model, "constants": {}, "poisson_ratio": 0.4995, **more},
-        "model": {"space": "3d", "element_order": "linear", "mesh": "coarse"},
-    }  # fmt: skip
+config = partial(compressed, space="3d", element_order="linear", mesh="coarse")
 
 
 def calibration_of(document: dict[str, Any]) -> FitProblem:
@@ -45,6 +41,12 @@ def curve(model: str, constants: dict[str, float]) -> Curve:
         Material(model, constants, poisson_ratio=0.4995),
         DEPTHS,
     )
+
+
+def bonded(free: Curve, share: float = 1.0) -> Curve:
+    """Force that the fake solver gives between bonded plates."""
+    size = mesh_size(CellProblem.of(config("neo-hookean", "bonded")).at({"C10": 1.0}).setup)
+    return Curve(free.displacement_mm, share * BONDED * (1 + 1e-3 * size) * free.force_N)
 
 
 @pytest.mark.parametrize(
@@ -73,9 +75,7 @@ def test_closed_form_recovers_the_constants_of_exact_data(
 def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(finite_element, "solve", solve)
     truth = {"C10": 7e-3, "C20": -1e-3}
-    base = curve("reduced-polynomial", truth)
-    factor = BONDED * (1 + 1e-3 * _size())
-    measured = Curve(base.displacement_mm, factor * base.force_N)
+    measured = bonded(curve("reduced-polynomial", truth))
     problem = calibration_of(config("reduced-polynomial", "bonded", order=2))
     before = start_problem(problem)
     assert before is not None
@@ -105,22 +105,14 @@ def test_equal_problems_of_one_constant_are_solved_once(monkeypatch: pytest.Monk
     monkeypatch.setattr(finite_element, "solve", counted)
     problem = calibration_of(config("neo-hookean", "bonded"))
     base = curve("neo-hookean", {"C10": 8e-3})
-    factor = BONDED * (1 + 1e-3 * _size())
     for share in (1.0, 2.5):
-        measured = Curve(base.displacement_mm, share * factor * base.force_N)
-        found = fitted(FitTask(problem, (measured,)))
+        found = fitted(FitTask(problem, (bonded(base, share),)))
         assert found.constants == pytest.approx({"C10": share * 8e-3}, rel=2e-3)
         assert found.fit["solves"] == 1
     assert len(problems) == 1
     shallower = replace(base, displacement_mm=0.9 * base.displacement_mm)
     fitted(FitTask(problem, (shallower,)))
     assert len(problems) == 2
-
-
-def _size() -> float:
-    from study.mechanics.mesh.mesher import mesh_size
-
-    return mesh_size(CellProblem.of(config("neo-hookean", "bonded")).at({"C10": 1.0}).setup)
 
 
 def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
@@ -152,8 +144,7 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
         return found
 
     truth = {"C10": 7e-3, "C20": -1e-3}
-    base = curve("reduced-polynomial", truth)
-    measured = Curve(base.displacement_mm, BONDED * (1 + 1e-3 * _size()) * base.force_N)
+    measured = bonded(curve("reduced-polynomial", truth))
     monkeypatch.setattr(finite_element, "solve", lost)
     problem = calibration_of(of_two_constants())
     found = fitted(FitTask(problem, (measured,)))
@@ -178,9 +169,9 @@ def test_space_and_elements_do_not_enter_a_closed_form() -> None:
     other["test"]["steps"] = 20
     data = [curve("neo-hookean", {"C10": 8e-3})]
     assert fit_key(calibration_of(one), data) == fit_key(calibration_of(other), data)
-    bonded = [calibration_of({**c, "test": {**c["test"], "interface": "bonded"}})
-              for c in (one, other)]  # fmt: skip
-    assert fit_key(bonded[0], data) != fit_key(bonded[1], data)
+    for document in (one, other):
+        document["test"]["interface"] = "bonded"
+    assert fit_key(calibration_of(one), data) != fit_key(calibration_of(other), data)
 
 
 def test_a_bonded_fit_starts_from_the_fit_that_is_one_order_lower() -> None:
@@ -210,12 +201,3 @@ def test_higher_constants_start_at_zero(
     names, start = fit_task.start_values(problem, [], given)
     values = dict(zip(names, start, strict=True))
     assert {name: values[name] for name in expected} == pytest.approx(expected)
-
-
-def test_a_force_that_pulls_is_refused_by_name() -> None:
-    from study.ground.errors import InputError
-
-    base = curve("neo-hookean", {"C10": 8e-3})
-    pulling = Curve(base.displacement_mm, -base.force_N)
-    with pytest.raises(InputError, match="sign"):
-        fitted(FitTask(calibration_of(config("neo-hookean", "frictionless")), (pulling,)))

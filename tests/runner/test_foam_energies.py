@@ -10,39 +10,20 @@ import pytest
 from study.api.calibrating import choose_energy
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material
-
-HEAD = """
-schema = 1
-[specimen]
-shape = "homogeneous"
-[material]
-model = "neo-hookean"
-"""
-TEST = """
-[[tests]]
-test = {{ kind = "{kind}" }}
-[tests.measurements]
-file = "{kind}.csv"
-columns = {{ stretch = "l", stress = "P" }}
-units = {{ stretch = "1", stress = "kPa" }}
-sign = "{sign}"
-"""
+from tests.cli.small import case_file, gauge, recorded
 
 
 def written(folder: Path, compressibility: str) -> Path:
     """Tension and compression of a foam with 1 % of noise; mu = 20 kPa, alpha = 8."""
     foam = Material("ogden-hill", {"mu1": 0.02, "alpha1": 8.0}, poisson_ratio=0.2)
-    rng, text = np.random.default_rng(3), f"{HEAD}{compressibility}\n"
-    for kind, end, sign in (("tension", 1.5, "positive"), ("compression", 0.5, "negative")):
+    rng, tests = np.random.default_rng(3), ""
+    for kind, end, more in (("tension", 1.5, ""), ("compression", 0.5, ', sign = "negative"')):
         stretch = np.linspace(1 + 0.04 * (end - 1), end, 25)
         stress = 1e3 * LOADINGS["uniaxial"].nominal(foam, stretch).stress
         stress += 0.01 * np.abs(stress).max() * rng.normal(size=stress.size)
-        rows = [f"{a:.9f},{b:.9f}" for a, b in zip(stretch, stress, strict=True)]
-        (folder / f"{kind}.csv").write_text("\n".join(["l,P", *rows]) + "\n")
-        text += TEST.format(kind=kind, sign=sign)
-    path = folder / "foam.toml"
-    path.write_text(text)
-    return path
+        columns = {"stretch": ("1", stretch), "stress": ("kPa", stress)}
+        tests += recorded(folder, kind, f'kind = "{kind}"', columns, more)
+    return case_file(folder, gauge(f'model = "neo-hookean"\n{compressibility}'), tests)
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from study import api
+from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.harness.design.load import template
 from study.mechanics.forward import closed_form
@@ -15,7 +16,7 @@ from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.setup.test_section import TEST_KINDS
-from tests.cli.small import study
+from tests.cli.small import case_file, gauge, recorded, study
 
 GENT = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)
 #: kind -> measures in the sense of the test
@@ -34,22 +35,18 @@ def written(folder: Path, kind: str, material: Material) -> str:
     """Table of a virtual test; shortened specimens record tension positive, so sign = negative."""
     measure = RANGES[kind]
     stress = LOADINGS[TEST_KINDS[kind].mode].nominal(material, measure).stress
-    rows = [f"{m:.12g},{1e3 * p:.12g}" for m, p in zip(measure, stress, strict=True)]
-    (folder / f"{kind}.csv").write_text("\n".join(["m,P", *rows]) + "\n")
+    return of_material(folder, kind, measure, ("kPa", 1e3 * stress))
+
+
+def of_material(folder: Path, kind: str, measure: Array, stress: tuple[str, Array]) -> str:
     column = "strain" if kind == "simple-shear" else "stretch"
-    sign = "negative" if TEST_KINDS[kind].sense < 0 else "positive"
-    return (
-        f'[[tests]]\ntest = {{ kind = "{kind}" }}\n'
-        f'measurements = {{ file = "{kind}.csv", columns = {{ {column} = "m", stress = "P" }}, '
-        f'units = {{ {column} = "1", stress = "kPa" }}, sign = "{sign}" }}\n'
-    )
+    columns = {column: ("1", measure), "stress": stress}
+    sign = ', sign = "negative"' if TEST_KINDS[kind].sense < 0 else ""
+    return recorded(folder, kind, f'kind = "{kind}"', columns, sign)
 
 
 def case(folder: Path, tests: str, material: str, more: str = "") -> Path:
-    path = folder / "case.toml"
-    head = f'schema = 1\n[specimen]\nshape = "homogeneous"\n[material]\n{material}\n'
-    path.write_text(head + more + tests)
-    return path
+    return case_file(folder, gauge(material), more, tests)
 
 
 @pytest.mark.parametrize("kind", [k for k in RANGES if k not in ("volumetric",)])
@@ -89,15 +86,14 @@ def test_a_gauge_section_beside_a_bonded_specimen_of_elements(tmp_path: Path) ->
         '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "2 mm"\n'
     )
     curve = api.solve(problem, gradients=False).curve
-    rows = zip(curve.displacement_mm, curve.force_N, strict=True)
-    lines = ["d,f", "0,0", *(f"{d:.9g},{f:.9g}" for d, f in rows)]
-    (tmp_path / "pressed.csv").write_text("\n".join(lines) + "\n")
-    pressed = (
-        '[[tests]]\ntest = { kind = "compression", interface = "bonded" }\n'
-        'specimen = { shape = "cylinder", radius = "10 mm", height = "10 mm" }\n'
-        'measurements = { file = "pressed.csv", columns = { displacement = "d", force = "f" }, '
-        'units = { displacement = "mm", force = "N" }, range = ["0.2 mm", "2 mm"], points = 10 }\n'
-    )
+    columns = {
+        "displacement": ("mm", np.r_[0, curve.displacement_mm]),
+        "force": ("N", np.r_[0, curve.force_N]),
+    }
+    bonded = 'kind = "compression", interface = "bonded"'
+    rows = ', range = ["0.2 mm", "2 mm"], points = 10'
+    pressed = recorded(tmp_path, "pressed", bonded, columns, rows)
+    pressed += 'specimen = { shape = "cylinder", radius = "10 mm", height = "10 mm" }\n'
     more = '[model]\nmesh = "coarse"\n'
     path = case(tmp_path, pulled + pressed, 'model = "fung"\npoisson_ratio = 0.49', more)
     found = api.calibrate(path, data=tmp_path)
@@ -150,22 +146,15 @@ def test_stress_of_a_cylinder_is_force_over_its_area(tmp_path: Path) -> None:
     d = np.linspace(0.5, 6, 12)
     force = closed_form.compression(Cylinder(10, 20), truth, d).force_N
     area = np.pi * 10**2
-    rows = [f"{100 * x / 20:.12g},{1e3 * f / area:.12g}" for x, f in zip(d, force, strict=True)]
-    (tmp_path / "a.csv").write_text("\n".join(["e,P", *rows]) + "\n")
-    path = tmp_path / "case.toml"
-    path.write_text(
-        'schema = 1\n[specimen]\nshape = "cylinder"\nradius = "10 mm"\nheight = "20 mm"\n'
-        '[material]\nmodel = "neo-hookean"\npoisson_ratio = 0.49\n'
-        '[[tests]]\ntest = { kind = "compression", interface = "frictionless" }\n'
-        'measurements = { file = "a.csv", columns = { strain = "e", stress = "P" }, '
-        'units = { strain = "%", stress = "kPa" }, points = "raw" }\n'
-    )
-    # a strain of compression is negative; this file has its amount, as force would be
-    assert api.calibrate(path, data=tmp_path).fit.values == pytest.approx([0.02], rel=1e-9)
-    signed = [f"-{row.replace(',', ',-')}" for row in rows]
-    (tmp_path / "a.csv").write_text("\n".join(["e,P", *signed]) + "\n")
-    path.write_text(path.read_text().replace('points = "raw"', 'points = "raw", sign = "negative"'))
-    assert api.calibrate(path, data=tmp_path).fit.values == pytest.approx([0.02], rel=1e-9)
+    head = gauge('model = "neo-hookean"\npoisson_ratio = 0.49', 'radius = "10 mm"\n')
+    head = head.replace('"homogeneous"', '"cylinder"\nheight = "20 mm"')
+    free = 'kind = "compression", interface = "frictionless"'
+    # a strain of compression is negative; the first file has its amount, as force would be
+    for sense, more in ((1, ""), (-1, ', sign = "negative"')):
+        columns = {"strain": ("%", sense * 5 * d), "stress": ("kPa", sense * 1e3 * force / area)}
+        test = recorded(tmp_path, "a", free, columns, f', points = "raw"{more}')
+        found = api.calibrate(case_file(tmp_path, head, test), data=tmp_path)
+        assert found.fit.values == pytest.approx([0.02], rel=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -176,13 +165,6 @@ def classic(data_dir: Path) -> Path:
     return folder
 
 
-def digitised(source: Path, target: Path, header: str, delimiter: str | None) -> None:
-    """CSV with a header of a table of two columns."""
-    lines = source.read_text().split("\n")
-    rows = [",".join(x.strip() for x in line.split(delimiter)) for line in lines if line.strip()]
-    target.write_text("\n".join([header, *rows]) + "\n")
-
-
 @pytest.mark.slow
 @pytest.mark.verify
 def test_treloar(classic: Path, tmp_path: Path) -> None:
@@ -190,13 +172,8 @@ def test_treloar(classic: Path, tmp_path: Path) -> None:
     tests = ""
     for kind, folder in (("tension", "UT"), ("equibiaxial", "ET"), ("planar", "PS")):
         source = classic / "Treloar_1944" / folder / "stress_stretch.txt"
-        digitised(source, tmp_path / f"{folder}.csv", "P,l", None)
-        tests += (
-            f'[[tests]]\ntest = {{ kind = "{kind}" }}\n'
-            f'measurements = {{ file = "{folder}.csv", '
-            'columns = { stretch = "l", stress = "P" }, '
-            'units = { stretch = "1", stress = "MPa" } }\n'
-        )
+        stress, stretch = np.loadtxt(source).T
+        tests += of_material(tmp_path, kind, stretch, ("MPa", stress))
     path = case(tmp_path, tests, 'model = "ogden"\norder = 3\nincompressible = true',
                 "[calibration]\nstarts = 25\nseed = 1\n")  # fmt: skip
     found = api.calibrate(path, data=tmp_path)
@@ -207,22 +184,15 @@ def test_treloar(classic: Path, tmp_path: Path) -> None:
     assert found.starts.at_best >= 20
 
 
-@pytest.mark.parametrize(("region", "share"), [("cortex", 0.35), ("corona_radiata", 0.35)])
-def test_human_brain(classic: Path, tmp_path: Path, region: str, share: float) -> None:
+def test_human_brain(classic: Path, tmp_path: Path) -> None:
     """One term of Ogden's for compression, tension and shear (Budday et al. 2017): alpha < 0."""
     folder = classic / "elastic-brain-tissue-data"
     tests = ""
-    for kind, place, column, sign in (
-        ("compression", "compression", "stretch", "negative"),
-        ("tension", "uniaxial_tension", "stretch", "positive"),
-        ("simple-shear", "simple-shear", "strain", "positive"),
-    ):
-        digitised(folder / place / f"{region}.txt", tmp_path / f"{kind}.csv", "m,P", ",")
-        tests += (
-            f'[[tests]]\ntest = {{ kind = "{kind}" }}\n'
-            f'measurements = {{ file = "{kind}.csv", columns = {{ {column} = "m", stress = "P" }}, '
-            f'units = {{ {column} = "1", stress = "kPa" }}, sign = "{sign}" }}\n'
-        )
+    places = {"compression": "compression", "tension": "uniaxial_tension"}
+    for kind in (*places, "simple-shear"):
+        source = folder / places.get(kind, kind) / "cortex.txt"
+        measure, stress = np.loadtxt(source, delimiter=",").T
+        tests += of_material(tmp_path, kind, measure, ("kPa", stress))
     path = case(tmp_path, tests, 'model = "ogden"\norder = 1\nincompressible = true')
     found = api.calibrate(path, data=tmp_path)
     assert found.converged, found.message
@@ -231,7 +201,7 @@ def test_human_brain(classic: Path, tmp_path: Path, region: str, share: float) -
     # compression is stiffer than tension: large negative exponents, -10 to -30 in the paper
     assert -30 < alpha < -8
     errors = {c.file: c.as_dict()["relative_rms_force_error"] for c in found.curves}
-    assert all(isinstance(e, float) and e < 100 * share for e in errors.values()), errors
+    assert all(isinstance(e, float) and e < 35 for e in errors.values()), errors
 
 
 def test_new_calibration_writes_one_that_runs(tmp_path: Path) -> None:

@@ -19,45 +19,12 @@ from study.harness.runner.job import Work
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
+from tests.cli.small import measured, pressed, responses
 
-DESIGN = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "25 mm"
-height = "30 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-[material]
-poisson_ratio = 0.4995
-[model]
-mesh = "coarse"
-[measurements]
-file = "a.csv"
-columns = {{ displacement = "d", force = "f" }}
-units = {{ displacement = "mm", force = "N" }}
-{block}
-points = 30
-range = ["1 %", "20 %"]
-[calibration]
-leave_out = "{kind}"
-[presets.material.rp2]
-model = "reduced-polynomial"
-order = 2
-[presets.material.nh]
-model = "neo-hookean"
-{presets}
-[factors]
-material = ["rp2", "nh"]
-{factors}
-[[response]]
-name = "mu0"
-[analysis]
-model = 1
-"""
-BLOCK = 'block = "s"'
-HEIGHTS = """
+BLOCK = 'block = "s"\n'
+SPECIMEN = 'leave_out = "specimen"'
+TEST = 'leave_out = "test"'
+HEIGHTS = """height = ["low", "high", "higher"]
 [presets.height.low]
 "specimen.height" = "30 mm"
 [presets.height.high]
@@ -67,7 +34,7 @@ HEIGHTS = """
 """
 
 
-def measured(path: Path, stiffness: dict[str, float]) -> None:
+def write(path: Path, stiffness: dict[str, float]) -> None:
     d = np.linspace(0, 12, 121)
     material = Material("reduced-polynomial", {"C10": 7e-3, "C20": 1e-3}, poisson_ratio=0.4995)
     force = closed_form.compression(Cylinder(25.0, 30.0), material, d).force_N
@@ -77,9 +44,23 @@ def measured(path: Path, stiffness: dict[str, float]) -> None:
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def expanded(folder: Path, kind: str, **text: str) -> Work:
-    usual = {"block": BLOCK, "presets": "", "factors": ""}
-    return expand(load.loads(DESIGN.format(kind=kind, **{**usual, **text})), folder)
+def expanded(
+    folder: Path, leave_out: str, *, block: str = BLOCK, heights: str = "", asked: str = "mu0"
+) -> Work:
+    """Expand the study of two energies; ``asked`` are its responses."""
+    text = pressed(
+        '[material]\npoisson_ratio = 0.4995\n[model]\nmesh = "coarse"\n'
+        + measured("a.csv")
+        + f'{block}points = 30\nrange = ["1 %", "20 %"]\n[calibration]\n{leave_out}\n'
+        '[presets.material.rp2]\nmodel = "reduced-polynomial"\norder = 2\n'
+        '[presets.material.nh]\nmodel = "neo-hookean"\n'
+        '[analysis]\nmodel = 1\n[factors]\nmaterial = ["rp2", "nh"]\n'
+        + heights
+        + responses(**dict.fromkeys(asked.split(), "")),
+        radius=25,
+        height=30,
+    )
+    return expand(load.loads(text), folder)
 
 
 def constants(work: Work, key: str) -> FitResult:
@@ -89,8 +70,8 @@ def constants(work: Work, key: str) -> FitResult:
 
 
 def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -> None:
-    measured(tmp_path / "a.csv", {"A": 1.0, "B": 1.2, "C": 0.9})
-    work = expanded(tmp_path, "specimen")
+    write(tmp_path / "a.csv", {"A": 1.0, "B": 1.2, "C": 0.9})
+    work = expanded(tmp_path, SPECIMEN)
     job = next(j for j in work.jobs if j.case.block == "B" and j.case.levels["material"] == "rp2")
     direction, own = job.directions
     assert direction.fit_label == "all but B"
@@ -115,8 +96,8 @@ def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -
 
 
 def test_a_test_is_scored_with_the_constants_of_the_other_tests(tmp_path: Path) -> None:
-    measured(tmp_path / "a.csv", {"A": 1.0, "B": 1.2})
-    work = expanded(tmp_path, "test", presets=HEIGHTS, factors='height = ["low", "high", "higher"]')
+    write(tmp_path / "a.csv", {"A": 1.0, "B": 1.2})
+    work = expanded(tmp_path, TEST, heights=HEIGHTS)
     levels = {"material": "rp2", "height": "high"}
     job = next(j for j in work.jobs if j.case.block == "A" and j.case.levels == levels)
     (direction,) = job.directions
@@ -154,23 +135,15 @@ def test_a_fit_to_several_tests_costs_what_its_tests_do() -> None:
     assert costs.fit_memory_MB(both) == max(costs.fit_memory_MB(one) for one in alone) > 0
 
 
-@pytest.mark.parametrize(("kind", "block"), [("specimen", ""), ("specimen", BLOCK), ("test", "")])
-def test_nothing_else_to_fit_is_told(tmp_path: Path, kind: str, block: str) -> None:
-    measured(tmp_path / "a.csv", {"A": 1.0})
+@pytest.mark.parametrize(("leave_out", "block"), [(SPECIMEN, ""), (SPECIMEN, BLOCK), (TEST, "")])
+def test_nothing_else_to_fit_is_told(tmp_path: Path, leave_out: str, block: str) -> None:
+    write(tmp_path / "a.csv", {"A": 1.0})
     with pytest.raises(InputError, match="calibration.leave_out"):
-        expanded(tmp_path, kind, block=block)
+        expanded(tmp_path, leave_out, block=block)
 
 
 #: factors of the force of four specimens about the same material
 SCALES = {"A": 1.0, "B": 1.2, "C": 0.9, "D": 1.1}
-
-
-def study_of(folder: Path, asked: str, leave_out: str = "") -> Work:
-    """The study without an answer of its own to what is left out; ``asked`` are its responses."""
-    text = DESIGN.format(kind="specimen", block=BLOCK, presets="", factors="")
-    text = text.replace('leave_out = "specimen"', leave_out)
-    responses = "".join(f'[[response]]\nname = "{name}"\n' for name in asked.split())
-    return expand(load.loads(text.replace('[[response]]\nname = "mu0"\n', responses)), folder)
 
 
 def roles(work: Work) -> set[tuple[str, ...]]:
@@ -192,8 +165,8 @@ def roles(work: Work) -> set[tuple[str, ...]]:
 def test_scores_are_held_out_by_default(
     tmp_path: Path, scales: dict[str, float], asked: str, leave_out: str, expected: tuple[str, ...]
 ) -> None:
-    measured(tmp_path / "a.csv", scales)
-    work = study_of(tmp_path, asked, leave_out)
+    write(tmp_path / "a.csv", scales)
+    work = expanded(tmp_path, leave_out, asked=asked)
     assert roles(work) == {expected}
     held_out = {
         pair.fit_label for job in work.jobs for pair in job.directions if "but" in pair.fit_label

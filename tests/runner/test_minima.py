@@ -9,8 +9,9 @@ import pytest
 import study
 from study.mechanics.material.homogeneous import response
 from study.mechanics.material.material import Material
+from tests.cli.small import CSV, case_file, measured, recorded, responses
 
-FILE = """
+HEAD = """
 schema = 1
 [specimen]
 shape = "cylinder"
@@ -19,17 +20,9 @@ height = "30 mm"
 [model]
 mesh_size = "7 mm"
 [material]
-model = "ogden"
-order = 1
 poisson_ratio = 0.4995
-[[tests]]
-test = {{ kind = "compression", interface = "{interface}", displacement = "9 mm", steps = 8 }}
-[tests.measurements]
-file = "data.csv"
-columns = {{ displacement = "d", force = "f" }}
-units = {{ displacement = "mm", force = "N" }}
-points = "raw"
 """
+OGDEN = 'model = "ogden"\norder = 1\n'
 
 
 def true_curve(tmp_path: Path, interface: str, mu: float, alpha: float) -> tuple:
@@ -38,20 +31,20 @@ def true_curve(tmp_path: Path, interface: str, mu: float, alpha: float) -> tuple
     if interface == "frictionless":
         material = Material("ogden", {"mu1": 1e-3 * mu, "alpha1": alpha}, poisson_ratio=0.4995)
         return d, -np.pi * 25**2 * response(material, "uniaxial", 1 - d / 30).stress
-    text = FILE.format(interface=interface).partition("[[tests]]")[0]
-    text = text.replace("order = 1", f'mu = ["{mu} kPa"]\nalpha = [{alpha}]')
+    solid = f'model = "ogden"\nmu = ["{mu} kPa"]\nalpha = [{alpha}]\n'
     test = '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "9 mm"\nsteps = 20\n'
-    path = tmp_path / "solve.toml"
-    path.write_text(text + test, encoding="utf-8")
-    return d, study.solve(path).curve.force_at(d)
+    return d, study.solve(case_file(tmp_path, HEAD, solid, test)).curve.force_at(d)
+
+
+def pressed(tmp_path: Path, interface: str, d: np.ndarray, force: np.ndarray) -> str:
+    test = f'kind = "compression", interface = "{interface}", displacement = "9 mm", steps = 8'
+    columns = {"displacement": ("mm", d), "force": ("N", force)}
+    return recorded(tmp_path, "data", test, columns, ', points = "raw"')
 
 
 def calibrated(tmp_path: Path, interface: str, d: np.ndarray, force: np.ndarray):
-    rows = "\n".join(f"{a:.17g},{b:.17g}" for a, b in zip(d, force, strict=True))
-    (tmp_path / "data.csv").write_text(f"d,f\n{rows}\n", encoding="utf-8")
-    path = tmp_path / "case.toml"
-    path.write_text(FILE.format(interface=interface), encoding="utf-8")
-    return study.calibrate(path, data=tmp_path)
+    test = pressed(tmp_path, interface, d, force)
+    return study.calibrate(case_file(tmp_path, HEAD, OGDEN, test), data=tmp_path)
 
 
 def is_right(found, mu: float, alpha: float) -> bool:
@@ -115,52 +108,35 @@ def test_minima_that_cannot_be_told_apart_are_named(tmp_path: Path) -> None:
     assert "another minimum describes the rows as well: mu1" in found.fit.reason
 
 
-STUDY = """
-schema = 1
+STUDY = (
+    HEAD
+    + """
 [study]
 name = "signs"
 question = "Does the energy matter?"
-[specimen]
-shape = "cylinder"
-radius = "25 mm"
-height = "30 mm"
 [test]
 kind = "compression"
-interface = "bonded"
+interface = "frictionless"
 displacement = "9 mm"
-steps = 8
-[model]
-mesh_size = "7 mm"
-[material]
-poisson_ratio = 0.4995
 [presets.material.neo-hookean]
 model = "neo-hookean"
 [presets.material.ogden]
 model = "ogden"
 order = 1
-[measurements]
-file = "data.csv"
-columns = { displacement = "d", force = "f" }
-units = { displacement = "mm", force = "N" }
-points = 30
-[calibration]
-method = "inverse-fem"
 [factors]
 material = ["neo-hookean", "ogden"]
-[[response]]
-name = "relative_rms_force_error"
-practical = "0.5 pp"
-[report]
-format = ["csv"]
 """
+    + measured("data.csv", "displacement", "force")
+    + "points = 30\n"
+    + responses(relative_rms_force_error="0.5 pp")
+    + CSV
+)
 
 
 def test_a_study_looks_at_both_signs_too(tmp_path: Path) -> None:
-    d, force = true_curve(tmp_path, "bonded", 14.0, -6.0)
+    d, force = true_curve(tmp_path, "frictionless", 14.0, -6.0)
     rng = np.random.default_rng(5)
-    noisy = force + 0.01 * force.max() * rng.normal(size=d.size)
-    rows = "\n".join(f"{a:.17g},{b:.17g}" for a, b in zip(d, noisy, strict=True))
-    (tmp_path / "data.csv").write_text(f"d,f\n{rows}\n", encoding="utf-8")
+    pressed(tmp_path, "frictionless", d, force + 0.01 * force.max() * rng.normal(size=d.size))
     path = tmp_path / "signs.toml"
     path.write_text(STUDY, encoding="utf-8")
     study.run(path, results=tmp_path / "results", jobs=1)

@@ -10,7 +10,7 @@ import pytest
 
 from study import api
 from study.statistics.convergence.grid_convergence import grid_convergence
-from tests.cli.small import study
+from tests.cli.small import case_file, gauge, recorded, study
 
 TRUTH = {"C10": 5.0, "C20": 1.0}
 SPECIMEN = 'schema = 1\n[specimen]\nshape = "cylinder"\nradius = "10 mm"\nheight = "10 mm"\n'
@@ -27,21 +27,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         'kind = "compression"\ninterface = "bonded"\ndisplacement = "3 mm"\nsteps = 40\n'
     )
     curve = api.solve(made / "truth.toml", gradients=False).curve
-    rows = zip(curve.displacement_mm, curve.force_N, strict=True)
-    text = "".join(f"{d:.9g},{f:.9g}\n" for d, f in rows)
-    (made / "pressed.csv").write_text("d,f\n0,0\n" + text)
+    columns = {
+        "displacement": ("mm", np.r_[0, curve.displacement_mm]),
+        "force": ("N", np.r_[0, curve.force_N]),
+    }
+    bonded = 'kind = "compression", interface = "bonded"'
+    (made / "tests.toml").write_text(recorded(made, "pressed", bonded, columns, ', points = "raw"'))
     return made
 
 
 def written(folder: Path, mesh: str) -> Path:
-    path = folder / "case.toml"
-    path.write_text(
-        f'{SPECIMEN}{MATERIAL}[model]\nmesh = "{mesh}"\n[[tests]]\n'
-        'test = { kind = "compression", interface = "bonded" }\nmeasurements = { '
-        'file = "pressed.csv", columns = { displacement = "d", force = "f" }, '
-        'units = { displacement = "mm", force = "N" }, points = "raw" }\n'
-    )
-    return path
+    tests = (folder / "tests.toml").read_text()
+    return case_file(folder, SPECIMEN, MATERIAL, f'[model]\nmesh = "{mesh}"\n', tests)
 
 
 def answer(folder: Path, path: Path, *more: str) -> Any:
@@ -50,11 +47,16 @@ def answer(folder: Path, path: Path, *more: str) -> Any:
 
 @pytest.mark.parametrize("mesh", ["coarse", "medium"])
 def test_the_truth_lies_within_the_bounds(folder: Path, mesh: str) -> None:
-    found = answer(folder, written(folder, mesh), "--numerics", "--json")
-    assert found.code == 0, found.err
-    bound = found.json["numerics"]
+    found = api.calibrate(written(folder, mesh), data=folder, numerics=True)
+    document, bound = found.to_json(), found.numerics
+    assert bound is not None
+    # bounds by fits on more meshes stand in place of the estimate, not beside it
+    assert document["numerics"] == found.numerical == bound
+    half, of_rows = (0.5 * np.diff(fit.ci95)[:, 0] for fit in (found.fit, found.minima[0]))
+    u_kPa = np.array([bound["u"][name] for name in found.fit.names])  # type: ignore[index]  # noqa: N806
+    np.testing.assert_allclose(half, np.hypot(of_rows, 1e-3 * u_kPa), rtol=1e-9)
     for name, truth in TRUTH.items():
-        value, u = found.json["parameters"][name]["value"], bound["u"][name]
+        value, u = document["parameters"][name]["value"], bound["u"][name]
         assert abs(value - truth) < u < 0.03 * truth
         assert u == pytest.approx(bound["mesh"][name] + bound["steps"][name], rel=1e-12)
         # the fit's own mesh once more: interpolated between load steps from another start
@@ -76,27 +78,12 @@ def test_the_terminal_shows_it_beside_the_interval(folder: Path) -> None:
     assert "numerics: from fits on meshes of 1, 0.667, 0.444 times the element size" in said.out
 
 
-def test_intervals_hold_the_numerical_error_once(folder: Path) -> None:
-    """Bounds by fits on more meshes stand in place of the estimate, not beside it."""
-    found = api.calibrate(written(folder, "coarse"), data=folder, numerics=True)
-    bound, numerical = found.numerics, found.numerical
-    assert bound is not None
-    assert numerical == bound
-    half, of_rows = (0.5 * np.diff(fit.ci95)[:, 0] for fit in (found.fit, found.minima[0]))
-    u_kPa = np.array([bound["u"][name] for name in found.fit.names])  # type: ignore[index]  # noqa: N806
-    np.testing.assert_allclose(half, np.hypot(of_rows, 1e-3 * u_kPa), rtol=1e-9)
-
-
 def test_a_closed_form_has_no_numerical_error(tmp_path: Path) -> None:
-    rows = "".join(f"{g / 10},{g * 0.7 + 0.01 * (-1) ** g}\n" for g in range(1, 11))
-    (tmp_path / "shear.csv").write_text("g,s\n" + rows)
-    path = tmp_path / "case.toml"
-    path.write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\n[material]\nmodel = "neo-hookean"\n'
-        'incompressible = true\n[[tests]]\ntest = { kind = "simple-shear" }\nmeasurements = { '
-        'file = "shear.csv", columns = { strain = "g", stress = "s" }, '
-        'units = { strain = "1", stress = "kPa" } }\n'
-    )
+    g = np.arange(1, 11)
+    columns = {"strain": ("1", g / 10), "stress": ("kPa", 0.7 * g + 0.01 * (-1) ** g)}
+    test = recorded(tmp_path, "shear", 'kind = "simple-shear"', columns)
+    head = gauge('model = "neo-hookean"\nincompressible = true')
+    path = case_file(tmp_path, head, test)
     found = answer(tmp_path, path, "--numerics", "--json").json["numerics"]
     assert found["u"] == {"C10": 0.0}
     assert found["sentence"] == "no numerical error: every test has a closed form"

@@ -8,29 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.small import study
+from tests.cli.small import case_file, gauge, recorded, study
 
 AREA, LENGTH, ROWS = 100.0, 20.0, 400
 NOISE_N = 0.025
 TRUTH = np.array([5e-3, 2e-3])
-HEAD = f"""
-schema = 1
-[specimen]
-shape = "homogeneous"
-area = "{AREA} mm^2"
-length = "{LENGTH} mm"
-[material]
-model = "mooney-rivlin"
-incompressible = true
-"""
-TEST = """
-[[tests]]
-test = {{ kind = "{kind}" }}
-[tests.measurements]
-file = "{kind}-{number}.csv"
-columns = {{ displacement = "d", force = "f" }}
-units = {{ displacement = "mm", force = "N" }}
-"""
+HEAD = gauge(
+    'model = "mooney-rivlin"\nincompressible = true',
+    f'area = "{AREA} mm^2"\nlength = "{LENGTH} mm"\n',
+)
 
 
 def slopes(kind: str, strain: float) -> np.ndarray:
@@ -54,12 +40,9 @@ def written(folder: Path, tests: list[tuple[str, float]], rng: np.random.Generat
     for number, (kind, strain) in enumerate(tests):
         force = slopes(kind, strain) @ TRUTH + NOISE_N * rng.normal(size=ROWS)
         d = LENGTH * strain * np.arange(1, ROWS + 1) / ROWS
-        rows = "".join(f"{a:.9f},{b:.9f}\n" for a, b in zip(d, force, strict=True))
-        (folder / f"{kind}-{number}.csv").write_text("d,f\n" + rows, encoding="utf-8")
-        text += TEST.format(kind=kind, number=number)
-    path = folder / "case.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+        columns = {"displacement": ("mm", d), "force": ("N", force)}
+        text += recorded(folder, f"{kind}-{number}", f'kind = "{kind}"', columns)
+    return case_file(folder, text)
 
 
 def calibrated(path: Path) -> Any:

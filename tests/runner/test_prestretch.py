@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 
 from study import api
-from tests.cli.small import study
+from tests.cli.small import case_file, gauge, study
 
-HEAD = """schema = 1
-[specimen]
-shape = "homogeneous"
-area = "25 mm^2"
-length = "5 mm"
-[material]
-"""
+SIZE = 'area = "25 mm^2"\nlength = "5 mm"\n'
 
 
 def sheared(file: str, prestretch: float) -> str:
@@ -37,8 +31,7 @@ def test_two_pre_stretches_tell_two_constants(tmp_path: Path) -> None:
         stress = 2 * shear * (3.0 + 2.0 / prestretch)
         np.savetxt(tmp_path / f"{prestretch}.txt", np.column_stack([shear, stress]))
         tests += sheared(f"{prestretch}.txt", prestretch)
-    path = tmp_path / "case.toml"
-    path.write_text(HEAD + 'model = "mooney-rivlin"\nincompressible = true\n' + tests)
+    path = case_file(tmp_path, gauge('model = "mooney-rivlin"\nincompressible = true', SIZE), tests)
     answer = study("calibrate", str(path), "--data", str(tmp_path), "--json")
     assert answer.code == 0, answer.err
     found = {name: one["value"] for name, one in answer.json["parameters"].items()}
@@ -46,15 +39,14 @@ def test_two_pre_stretches_tell_two_constants(tmp_path: Path) -> None:
 
 
 def test_only_a_simple_shear_has_a_pre_stretch(tmp_path: Path) -> None:
-    path = tmp_path / "case.toml"
     text = sheared("a.txt", 0.75).replace("simple-shear", "tension")
-    path.write_text(HEAD + 'model = "neo-hookean"\nincompressible = true\n' + text)
+    path = case_file(tmp_path, gauge('model = "neo-hookean"\nincompressible = true', SIZE), text)
     answer = study("calibrate", str(path), "--data", str(tmp_path))
     assert answer.code == 2
     assert "prestretch: belongs to a simple shear, not to tension" in answer.err
-    foam = 'model = "ogden-hill"\norder = 1\npoisson_ratio = 0.3\n'
+    foam = gauge('model = "ogden-hill"\norder = 1\npoisson_ratio = 0.3', SIZE)
     np.savetxt(tmp_path / "a.txt", np.column_stack([np.linspace(0, 0.3, 9), np.linspace(0, 1, 9)]))
-    path.write_text(HEAD + foam + sheared("a.txt", 0.75))
+    path.write_text(foam + sheared("a.txt", 0.75))
     answer = study("calibrate", str(path), "--data", str(tmp_path))
     assert answer.code == 2
     assert "test.prestretch: has a free stretch of its own" in answer.err
@@ -94,8 +86,8 @@ def test_human_brain_sheared_at_ten_pre_stretches(data_dir: Path, tmp_path: Path
 
 def fitted(folder: Path, tests: str, data: Path) -> tuple[float, float, list[float]]:
     """Two constants, and the relative RMS error of every test, %."""
-    path = folder / "brain.toml"
-    path.write_text(HEAD + 'model = "ogden"\norder = 1\nincompressible = true\n' + tests)
+    material = 'model = "ogden"\norder = 1\nincompressible = true'
+    path = case_file(folder, gauge(material, SIZE), tests)
     found = api.calibrate(path, data=data)
     assert found.converged, found.message
     errors = [float(one.as_dict()["relative_rms_force_error"]) for one in found.curves]  # type: ignore[arg-type]

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from study.harness.design.load import loads_problem
-from study.harness.runner import judgement, refinement
-from study.harness.runner.refinement import edge_rules, formal_order, refine, series_sizes
-from study.harness.runner.solve_task import in_process
+from study.harness.runner.refinement import edge_rules, formal_order, series_sizes
 from study.mechanics.setup.geometry import Cylinder, Flat, Sphere
 from study.mechanics.setup.setup import Model, Setup
 from study.mechanics.setup.test_kind import Test
+
+from .test_refine_truth import series
 
 PUNCH = """
 schema = 1
@@ -53,11 +53,7 @@ def punch_series(
         order=order, shape=shape, interface=interface, modulus=2e3 * (1 + nu), volume=volume,
         ratio=ratio, levels=levels,
     )  # fmt: skip
-    loaded = loads_problem(text, "punch.toml")
-    formal = formal_order(loaded.problem.at())
-    one = refinement.RefinementSeries(loaded.problem, loaded.converge, formal)
-    refine([one], in_process)
-    found: dict[str, Any] = judgement.judge(one).to_json()
+    found = series(text)
     unit = 4.0 / (1 - nu)  # 4 mu a d / (1 - nu), N
     found["kappa"] = [value / unit for value in found["value"]]
     found["u_kappa"] = found["u_num"] / unit

@@ -56,9 +56,9 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
     design: Design, one_mix: Path, tmp_path: Path
 ) -> None:
     work, store = expand(design, one_mix), Store(tmp_path / "results")
-    run_batch(work, store, fake(2))
+    run_batch(work, store, fake())
     series = study_refinement.study_series(work, store.by_case(work.input_hashes))
-    refine_cases(series, partial(computed, work, store, fake(2), lambda _: None))
+    refine_cases(series, partial(computed, work, store, fake(), lambda _: None))
     row = series[-1].uncertainty("mu0", "kPa")
     # the fake solver is too stiff by 1e-3 of the mesh size: mu0 too low by that share
     size = row.mesh_size[0]
@@ -69,29 +69,28 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
     assert len(row.series) == 3
 
 
-def test_two_meshes_give_a_cautious_bound() -> None:
-    # f = 1 + 0.1 h at h = 1, 1/1.5: the error of the coarse one is 0.1
-    _, u = case_series.half_width([1.1, 1 + 0.1 / 1.5], [1.5, 1.0], 2.0)
-    # as of a contrast an order of 0.7 is assumed: thrice the distance to the limit
-    assert u == pytest.approx(3 * (0.1 / 3) * (1 + 1 / (1.5**0.7 - 1)))
+#: order 0.1 is not in the asymptotic range: thrice the distance to a limit of order 0.5
+SLOW = [1.0, 1.1, 1.1 + 0.1 / 1.5**0.1]
+SLOW_LIMIT = SLOW[2] + (SLOW[2] - SLOW[1]) / (1.5**0.5 - 1)
+#: observed order 2.3 of 2: the error of the coarsest mesh by the formal one, twice
+STEEP = [0.27074, 0.25925, 0.25352]
+STEEP_LIMIT = STEEP[2] - (STEEP[1] - STEEP[2]) / (1.35**2 - 1)
 
 
-def test_a_series_without_an_order_takes_three_times_its_range() -> None:
-    sizes = [1.0, 1 / 1.5, 1 / 1.5**2]
-    behaviour, u = case_series.half_width([1.0, 1.2, 1.1], sizes, 1.0)
-    assert behaviour == "oscillatory"
-    assert u == pytest.approx(3 * 0.2)
-    assert case_series.half_width([1.0, 1.2, 1.1], sizes, 1.0, "finest")[1] == pytest.approx(0.6)
-    # order 0.1: not in the asymptotic range, so thrice the distance to a limit of order 0.5
-    slow = [1.0, 1.1, 1.1 + 0.1 / 1.5**0.1]
-    limit = slow[2] + (slow[2] - slow[1]) / (1.5**0.5 - 1)
-    assert case_series.half_width(slow, sizes, 1.0)[1] == pytest.approx(3 * (limit - slow[0]))
-
-
-def test_an_order_above_the_formal_one_is_not_believed_for_the_interval() -> None:
-    # observed order 2.3 of 2: the error of the coarsest mesh by the formal one, twice
-    values, sizes = [0.27074, 0.25925, 0.25352], [1.0, 1 / 1.35, 1 / 1.35**2]
-    behaviour, u = case_series.half_width(values, sizes, 2.0)
-    limit = values[2] - (values[1] - values[2]) / (1.35**2 - 1)
-    assert behaviour == "monotone"
-    assert u == pytest.approx(2 * (values[0] - limit), rel=1e-9)
+@pytest.mark.parametrize(
+    ("values", "ratio", "formal", "behaviour", "expected"),
+    [
+        # f = 1 + 0.1 h: as of a contrast an order of 0.7 is assumed, thrice the way to its limit
+        ([1.1, 1 + 0.1 / 1.5], 1.5, 2.0, "two meshes", 0.1 * (1 + 1 / (1.5**0.7 - 1))),
+        ([1.0, 1.2, 1.1], 1.5, 1.0, "oscillatory", 3 * 0.2),
+        (SLOW, 1.5, 1.0, None, 3 * (SLOW_LIMIT - SLOW[0])),
+        (STEEP, 1.35, 2.0, "monotone", 2 * (STEEP[0] - STEEP_LIMIT)),
+    ],
+)
+def test_half_widths_by_hand(
+    values: list[float], ratio: float, formal: float, behaviour: str | None, expected: float
+) -> None:
+    sizes = [ratio**-k for k in range(len(values))]
+    seen, u = case_series.half_width(values, sizes, formal)
+    assert behaviour in (seen, None)
+    assert u == pytest.approx(expected, rel=1e-9)

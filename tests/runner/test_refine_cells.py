@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -92,27 +93,26 @@ CONE = replace(CellProblem.of({
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "expected"),
+    ("key", "value", "place", "expected"),
     [
-        ("specimen.height", 0.5, 30.5),
-        ("specimen.radius", -1.0, 24.0),
+        ("specimen.height", 0.5, "specimen.height_mm", 30.5),
+        ("specimen.radius", -1.0, "specimen.radius_mm", 24.0),
+        ("material.C10", 1e-4, "material.constants", {"C10": pytest.approx(5.1e-3)}),
+        (
+            "material.bulk_modulus",
+            1,
+            "material.compressibility.bulk_modulus_MPa",
+            pytest.approx(11),
+        ),
+        ("test.indenter.half_angle", 2, "test.indenter.half_angle_deg", 32),
+        ("parameters.h", 0.5, "parameters", {"h": 1.5}),
     ],
 )
-def test_inputs_are_moved_by_the_names_of_the_file(key: str, value: float, expected: float) -> None:
-    moved = study_refinement.shifted(CONE, key, value)
-    assert getattr(moved.specimen, key.split(".")[1] + "_mm") == expected
+def test_inputs_are_moved_by_the_names_of_the_file(
+    key: str, value: float, place: str, expected: object
+) -> None:
+    assert attrgetter(place)(study_refinement.shifted(CONE, key, value)) == expected
     assert CONE.height_mm == 30.0
-
-
-def test_constants_and_indenters_are_moved_too() -> None:
-    assert study_refinement.shifted(CONE, "material.C10", 1e-4).material.constants == {
-        "C10": pytest.approx(5.1e-3)
-    }
-    stiffer = study_refinement.shifted(CONE, "material.bulk_modulus", 1)
-    assert stiffer.material.compressibility.bulk_modulus_MPa == pytest.approx(11)
-    moved = study_refinement.shifted(CONE, "test.indenter.half_angle", 2)
-    assert moved.test.indenter.half_angle_deg == 32
-    assert study_refinement.shifted(moved, "parameters.h", 0.5).parameters == {"h": 1.5}
     with pytest.raises(InputError, match="no value in the design"):
         study_refinement.shifted(CONE, "specimen.width", 1)
 
@@ -128,24 +128,24 @@ def test_an_indenter_is_moved_where_the_constants_come_from_a_compression() -> N
     assert (both.problem.height_mm, both.fitted_elsewhere.height_mm) == (30.5, 30.5)
 
 
+#: constants are given, and the radius is uncertain
+GIVEN = (
+    DESIGN.partition('[[response]]\nname = "mu0"')[0]
+    .replace('model = "neo-hookean"', 'model = "neo-hookean"\nC10 = "8 kPa"')
+    .replace('model = "mooney-rivlin"', 'model = "mooney-rivlin"\nC10 = "8 kPa"\nC01 = "0.5 kPa"')
+    + '[calibration]\nmethod = "none"\n[uncertainty]\n"specimen.radius" = "0.1 mm"\n'
+)
+
+
 def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path) -> None:
     """The radius enters the force of given constants as its square: u_input = 2 u(R) / R."""
-    text = DESIGN.replace('model = "neo-hookean"', 'model = "neo-hookean"\nC10 = "8 kPa"')
-    text = text.replace(
-        'model = "mooney-rivlin"', 'model = "mooney-rivlin"\nC10 = "8 kPa"\nC01 = "0.5 kPa"'
-    )  # noqa: E501
-    text = text.replace(
-        '[[response]]\nname = "mu0"\ntransform = "log"\npractical = "10 % of mean"\n', ""
-    )  # noqa: E501
-    text += '[calibration]\nmethod = "none"\n[uncertainty]\n'
-    text += '"specimen.radius" = "0.1 mm"\n"measurements.force" = "0.02 N"\n'
-    design = loads(text, "small.toml")
-    work, store = expand(design, one_mix), Store(tmp_path / "results")
-    run_batch(work, store, fake(2))
-    run_batch(study_refinement.refinement_work(work), store, fake(2))
+    text = GIVEN + '"measurements.force" = "0.02 N"\n'
+    work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / "results")
+    run_batch(work, store, fake())
+    run_batch(study_refinement.refinement_work(work), store, fake())
     moved = study_refinement.input_work(work)
     assert {job.origin.input for job in moved.jobs} == {"specimen.radius"}
-    run_batch(moved, store, fake(2))
+    run_batch(moved, store, fake())
     rows = {tuple(r["levels"].values()): r for r in study_uncertainty.compared(work, moved, store)}
     assert len(rows) == 4
     row = rows["neo-hookean", "bonded"]
@@ -167,19 +167,13 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     one_mix: Path, tmp_path: Path
 ) -> None:
     """Forces of given constants are too large by 1 + 1e-3 h: the share of every mesh is known."""
-    text = DESIGN.replace('model = "neo-hookean"', 'model = "neo-hookean"\nC10 = "8 kPa"')
-    text = text.replace(
-        'model = "mooney-rivlin"', 'model = "mooney-rivlin"\nC10 = "8 kPa"\nC01 = "0.5 kPa"'
-    )
-    text = text.replace('mesh = "coarse"\n', "").replace(
+    text = GIVEN.replace('mesh = "coarse"\n', "").replace(
         "[factors]\n", '[factors]\nmodel.mesh = ["medium", "fine", "coarse"]\n'
     )
-    text = text.partition('[[response]]\nname = "mu0"')[0]
-    text += '[calibration]\nmethod = "none"\n[uncertainty]\n"specimen.radius" = "0.1 mm"\n'
     work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / "results")
     moved = study_refinement.input_work(work)
     for part in (work, moved):
-        run_batch(part, store, fake(2))
+        run_batch(part, store, fake())
     rows = study_uncertainty.compared(work, moved, store)
     assert len(rows) == len(work.jobs) == 12
     sizes = {j.case.case_id: refinement.base_size_mm(j) for j in work.jobs}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,20 +22,11 @@ from study.harness.runner.provenance import located
 from study.harness.runner.refinement import Budget, clamped_corner, formal_order
 from study.harness.runner.solve_task import SolveResult, SolveTask, kept, solved
 from study.statistics.convergence.grid_convergence import grid_convergence
+from tests.cli.small import pressed
 from tests.fem.surfaces import box, write
 
-PROBLEM = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "25 mm"
-height = "30 mm"
-[test]
-kind = "compression"
-interface = "bonded"
-displacement = "3 mm"
-steps = 5
-[material]
+PROBLEM = pressed(
+    """[material]
 model = "neo-hookean"
 C10 = "5 kPa"
 bulk_modulus = "10 MPa"
@@ -43,7 +35,12 @@ element_order = "linear"
 mesh_size = "4 mm"
 [converge]
 ratio = 1.5
-"""
+""",
+    radius=25,
+    height=30,
+    interface="bonded",
+    test='displacement = "3 mm"\nsteps = 5\n',
+)
 
 
 class Fake:
@@ -99,6 +96,12 @@ def test_three_meshes_give_order_limit_and_interval() -> None:
     given = found["given_mesh"]
     assert given["mesh_size"] == pytest.approx(4, rel=1e-3)
     assert abs(given["value"] - 30) < given["u_num"]
+    # costs are predicted from the first meshes; the fake's time is linear in its elements
+    finest = found["meshes"][0]
+    assert found["meshes"][-1]["predicted_seconds"] is None
+    assert finest["predicted_seconds"] == pytest.approx(finest["seconds"], rel=0.02)
+    assert finest["predicted_MB"] >= finest["memory_MB"]
+    assert finest["predicted_unknowns"] == pytest.approx(finest["unknowns"], rel=0.01)
 
 
 def test_refines_until_the_wanted_accuracy() -> None:
@@ -139,16 +142,6 @@ def test_stops_before_the_memory_runs_out() -> None:
     assert "there are 2" in found["verdict"]
 
 
-def test_costs_are_predicted_from_the_first_meshes() -> None:
-    found = converged(Fake())
-    finest = found["meshes"][0]
-    assert found["meshes"][-1]["predicted_seconds"] is None
-    # the fake's time is linear in its elements
-    assert finest["predicted_seconds"] == pytest.approx(finest["seconds"], rel=0.02)
-    assert finest["predicted_MB"] >= finest["memory_MB"]
-    assert finest["predicted_unknowns"] == pytest.approx(finest["unknowns"], rel=0.01)
-
-
 def test_a_failed_level_is_said_and_replaced_by_a_finer_one() -> None:
     found = converged(Fake(fails=(4.0,)))
     assert any("4 mm gave no answer: stopped at 1 mm" in w for w in found["warnings"])
@@ -156,18 +149,18 @@ def test_a_failed_level_is_said_and_replaced_by_a_finer_one() -> None:
     assert found["meshes"][-1]["status"] == "not-converged"
 
 
-def test_too_many_failures_leave_no_order() -> None:
-    sizes = [4 / 1.5**k for k in range(10)]
-    found = converged(Fake(fails=sizes[:4]))
+@pytest.mark.parametrize(
+    ("wish", "words"),
+    [
+        ({"fails": [4 / 1.5**k for k in range(4)]}, "needs three meshes"),
+        ({"elements": 120}, "the same 120 elements"),
+    ],
+)
+def test_a_series_without_three_meshes_has_no_order(wish: dict[str, Any], words: str) -> None:
+    found = converged(Fake(**wish))
     assert found["behaviour"] == "inconclusive"
     assert found["observed_order"] is None
-    assert "needs three meshes" in found["verdict"]
-
-
-def test_equal_numbers_of_elements_are_no_refinement() -> None:
-    found = converged(Fake(elements=120))
-    assert found["behaviour"] == "inconclusive"
-    assert any("the same 120 elements" in w for w in found["warnings"])
+    assert words in " ".join([found["verdict"], *found["warnings"]])
 
 
 def test_divergence_is_an_answer() -> None:
@@ -230,25 +223,22 @@ def test_a_quantity_that_needs_measurements_is_refused() -> None:
         converged(Fake(), 'qoi = "relative_rms_force_error"')
 
 
-def test_keys_of_solutions_tell_everything_apart() -> None:
-    config = loads_problem(PROBLEM, "p.toml").problem
-    tasks = [SolveTask.of(config, 4), SolveTask.of(config, 3),
-             SolveTask.of(config, 4, more_steps=2), SolveTask.of(config, 4, looser=10)]  # fmt: skip
-    assert len({task.key for task in tasks}) == 4
-    assert SolveTask.of(config, 4.0).key == tasks[0].key
+def punched(edge_mm: float = 0.0, **more: str) -> dict[str, Any]:
+    """Test with a flat punch."""
+    rounded = {"edge_radius_mm": edge_mm} if edge_mm else {}
+    return {
+        "kind": "indentation",
+        "indenter": {"shape": "flat", "radius_mm": 3.0, **rounded},
+        **more,
+    }
 
 
-def test_one_real_solution() -> None:
+def test_one_real_solution_and_a_budget_that_counts_from_its_start() -> None:
     result = solved(SolveTask.of(loads_problem(PROBLEM, "p.toml").problem, 6.0))
     assert result.converged
     assert result.elements > 10
     assert result.seconds > 0
     assert result.memory_MB >= result.base_MB > 10
-
-
-def test_budget_counts_from_its_start() -> None:
-    import time
-
     spent = Budget(10.0, 1e6, began=time.monotonic() - 8)
     assert "of 2" in spent.refuses(5.0, None) or "of 1.9" in spent.refuses(5.0, None)
     assert spent.refuses(1.0, None) == ""
@@ -265,47 +255,21 @@ def test_budget_counts_from_its_start() -> None:
             4.0, "quadratic elements",
         ),
         (
-            {"test": {"kind": "indentation", "indenter": {"shape": "flat", "radius_mm": 3.0}}},
+            {"test": punched()},
             1.0, "sharp edge of the flat punch, where the contact pressure is singular as an "
             "inverse square root",
         ),
         (
-            {
-                "test": {
-                    "kind": "indentation", "interface": "bonded",
-                    "indenter": {"shape": "flat", "radius_mm": 3.0},
-                },
-                "model": {"element_order": "quadratic"},
-            },
+            {"test": punched(interface="bonded"), "model": {"element_order": "quadratic"}},
             1.0, "the orders 2 of linear and 4 of quadratic elements need a smooth solution",
         ),
+        ({"test": punched(1.0, interface="bonded")}, 1.0, "rim of the bonded face"),
         (
-            {
-                "test": {
-                    "kind": "indentation", "interface": "bonded",
-                    "indenter": {"shape": "flat", "radius_mm": 3.0, "edge_radius_mm": 1.0},
-                },
-            },
-            1.0, "rim of the bonded face",
-        ),
-        (
-            {
-                "test": {
-                    "kind": "indentation", "interface": "frictionless",
-                    "indenter": {"shape": "flat", "radius_mm": 3.0, "edge_radius_mm": 1.0},
-                },
-                "model": {"mesh_size_mm": 0.5},
-            },
+            {"test": punched(1.0, interface="frictionless"), "model": {"mesh_size_mm": 0.5}},
             2.0, "rounded edge of the flat punch (1 mm), which the meshes resolve",
         ),
         (
-            {
-                "test": {
-                    "kind": "indentation", "interface": "frictionless",
-                    "indenter": {"shape": "flat", "radius_mm": 3.0, "edge_radius_mm": 0.1},
-                },
-                "model": {"mesh_size_mm": 0.5},
-            },
+            {"test": punched(0.1, interface="frictionless"), "model": {"mesh_size_mm": 0.5}},
             1.0, "does not resolve",
         ),
         (

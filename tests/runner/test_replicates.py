@@ -28,15 +28,17 @@ from study.harness.runner.study_refinement import refinement_work
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 
-from .conftest import DESIGN, SPECIMEN, fake, make_data
+from .conftest import DESIGN, SPECIMEN, compressed, fake, make_data
 
 MESHES, NOISE = "\n[replicates]\nmesh_seeds = 5\n", "\n[replicates]\nnoise = 20\n"
 DEPTHS = np.linspace(0.3, 6.0, 100)
+TRUTH = Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995)
+EXACT = closed_form.compression(SPECIMEN, TRUTH, DEPTHS).force_N
 
 
 def run(work: Work, folder: Path) -> list[Record]:
     store = Store(folder)
-    run_batch(work, store, fake(2))
+    run_batch(work, store, fake())
     return store.records(work.input_hashes)
 
 
@@ -87,7 +89,7 @@ def test_replicates_resume(noisy) -> None:  # type: ignore[no-untyped-def]
     lost = sorted((home / "resumed" / "fits").iterdir())[::40]
     for path in lost:
         path.unlink()
-    assert run_batch(work, store, fake(2)) == 8
+    assert run_batch(work, store, fake()) == 8
     again = {r.case_id: r.responses for r in store.records(work.input_hashes)}
     assert again == {r.case_id: r.responses for r in records}
 
@@ -142,19 +144,10 @@ def test_a_refit_is_cheap_in_a_plan(one_mix: Path) -> None:
 def fitted(
     model: str, order: int | None, seed: int, poisson_ratio: float = 0.4995
 ) -> tuple[FitProblem, Curve, FitResult]:
-    config = {
-        "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
-        "test": {"kind": "compression", "interface": "frictionless", "base": None,
-                 "displacement_mm": 6.0, "steps": 10},
-        "material": {"model": model, "constants": {}, "poisson_ratio": poisson_ratio,
-                     "order": order},
-        "model": {},
-    }  # fmt: skip
-    truth = Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995)
-    exact = closed_form.compression(SPECIMEN, truth, DEPTHS).force_N
+    config = compressed(model, "frictionless", order, poisson_ratio=poisson_ratio)
     noise_N = 0.02 * np.random.default_rng(seed).standard_normal(DEPTHS.size)  # noqa: N806
     problem = fit_problem(Cell(CellProblem.of(config), "auto"))
-    measured = Curve(DEPTHS, exact + noise_N)
+    measured = Curve(DEPTHS, EXACT + noise_N)
     return problem, measured, fit_task.fitted(FitTask(problem, (measured,)))
 
 
@@ -207,18 +200,13 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
     drift = np.zeros(DEPTHS.size)
     for i in range(1, DEPTHS.size):
         drift[i] = 0.8 * drift[i - 1] + random.standard_normal()
-    exact = closed_form.compression(
-        SPECIMEN,
-        Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995),
-        DEPTHS,
-    ).force_N
-    measured = Curve(DEPTHS, exact + 0.02 * drift)
+    measured = Curve(DEPTHS, EXACT + 0.02 * drift)
     base = fit_task.fitted(FitTask(problem, (measured,)))
     found = [refit(FitTask(problem, (measured,), base, (2011, k))) for k in range(1, 101)]
     block = found[0]["resampling"][0]["block"]
     assert 5 < block <= 30
     # independent points: the force is of first degree in C10
-    slope = exact / 8e-3
+    slope = EXACT / 8e-3
     independent = np.sqrt(base.fit["rss"] / (DEPTHS.size - 1) / (slope @ slope))
     scatter = np.std([f["values"]["C10"] for f in found], ddof=1)
     # for an AR(1) of 0.8 the mean of many scatters by sqrt(1.8 / 0.2) = 3 more, of which blocks

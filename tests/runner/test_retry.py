@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,18 +33,25 @@ def design(policy: str) -> str:
     return f"{DESIGN}\n[execution]\nretry = {{ {policy} }}\n"
 
 
-def run(work: Work, folder: Path) -> tuple[int, dict[str, Record]]:
-    store = Store(folder)
-    return run_batch(work, store, fake(2)), {r.case_id: r for r in store.records(work.input_hashes)}
+Ran = Callable[..., tuple[Work, int, dict[str, Record]]]
+
+
+@pytest.fixture
+def ran(one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ran:
+    """Run a study whose solver misbehaves; how many cases were computed, and the records."""
+
+    def run(wish: str, text: str, results: str = "results") -> tuple[Work, int, dict[str, Record]]:
+        (tmp_path / "wish").write_text(wish)
+        monkeypatch.setenv("FAKE_WISH", str(tmp_path / "wish"))
+        work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / results)
+        count = run_batch(work, store, fake())
+        return work, count, {r.case_id: r for r in store.records(work.input_hashes)}
+
+    return run
 
 
 def failed(records: Mapping[str, Record]) -> int:
     return sum(not record.converged for record in records.values())
-
-
-def wished(folder: Path, monkeypatch: pytest.MonkeyPatch, wish: str) -> None:
-    (folder / "wish").write_text(wish)
-    monkeypatch.setenv("FAKE_WISH", str(folder / "wish"))
 
 
 def bonded_mooney(records: Mapping[str, Record]) -> Record:
@@ -54,13 +61,10 @@ def bonded_mooney(records: Mapping[str, Record]) -> Record:
     return found
 
 
-def test_smaller_steps_mend_a_case_and_its_record_says_so(
-    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wished(tmp_path, monkeypatch, "mooney-rivlin needs 40 steps")
-    policy = 'not-converged = ["smaller-steps", "finer-mesh"]'
-    work = expand(loads(design(policy), "small.toml"), one_mix)
-    count, records = run(work, tmp_path / "results")
+def test_smaller_steps_mend_a_case_and_its_record_says_so(ran: Ran) -> None:
+    wish = "mooney-rivlin needs 40 steps"
+    text = design('not-converged = ["smaller-steps", "finer-mesh"]')
+    _, count, records = ran(wish, text)
     assert (count, failed(records)) == (4, 0)
     found = bonded_mooney(records)
     (note,) = notes_of(found)
@@ -68,29 +72,20 @@ def test_smaller_steps_mend_a_case_and_its_record_says_so(
     assert "no step was found" in note["message"]
     assert note["change"] == "smaller-steps"
     assert note["what"] == "40 load steps instead of 10"
+    # it is a record of the planned case: nothing is computed again
+    assert ran(wish, text)[1] == 0
     # every case of the other material is as it was designed
     assert [len(notes_of(r)) for r in records.values()].count(0) == 2
     # the numbers are those of a study that asked for 40 steps at once
-    asked = DESIGN.replace("steps = 10", "steps = 40")
-    other = expand(loads(asked, "small.toml"), one_mix)
-    _, directly = run(other, tmp_path / "directly")
-    expected = bonded_mooney(directly)
+    expected = bonded_mooney(ran(wish, DESIGN.replace("steps = 10", "steps = 40"), "directly")[2])
     for name in ("mu0", "relative_rms_force_error"):
         assert found.response(name) == expected.response(name)
-    # it is a record of the planned case: nothing is computed again
-    again, _ = run(work, tmp_path / "results")
-    assert again == 0
 
 
-def test_changes_are_tried_one_after_the_other_and_add_up(
-    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wished(tmp_path, monkeypatch, "mooney-rivlin needs 6 mm")
-    text = design('not-converged = ["smaller-steps", "finer-mesh"]').replace(
-        'mesh = "coarse"', 'mesh_size = "8 mm"'
-    )
-    work = expand(loads(text, "small.toml"), one_mix)
-    _, records = run(work, tmp_path / "results")
+def test_changes_are_tried_one_after_the_other_and_add_up(ran: Ran) -> None:
+    text = design('not-converged = ["smaller-steps", "finer-mesh"]')
+    sized = text.replace('mesh = "coarse"', 'mesh_size = "8 mm"')
+    _, _, records = ran("mooney-rivlin needs 6 mm", sized)
     assert failed(records) == 0
     found = bonded_mooney(records)
     assert [note["change"] for note in notes_of(found)] == ["smaller-steps", "finer-mesh"]
@@ -99,16 +94,13 @@ def test_changes_are_tried_one_after_the_other_and_add_up(
 
 
 def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(
-    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ran: Ran, tmp_path: Path
 ) -> None:
     """Taken for the coarse mesh, it would hide the error that refinement has to show."""
-    wished(tmp_path, monkeypatch, "mooney-rivlin needs 6 mm")
     text = design('not-converged = "finer-mesh"').replace('mesh = "coarse"', 'mesh_size = "8 mm"')
-    work = expand(loads(text, "small.toml"), one_mix)
-    store = Store(tmp_path / "results")
-    run(work, tmp_path / "results")
+    work, store = ran("mooney-rivlin needs 6 mm", text)[0], Store(tmp_path / "results")
     series = study_series(work.plain(), store.by_case(work.input_hashes))
-    compute = partial(computed, work.plain(), store, fake(2), lambda _: None)
+    compute = partial(computed, work.plain(), store, fake(), lambda _: None)
     refine_cases(series, compute)
     found = {one.base.case.levels["material"]: one for one in series}
     assert found["neo-hookean"].uncertainty("mu0", "kPa").u_num is not None
@@ -118,44 +110,32 @@ def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(
     assert "only a finer one did" in str(judged)
 
 
-def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(
-    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wished(tmp_path, monkeypatch, "mooney-rivlin")
-    work = expand(loads(design('not-converged = "smaller-steps"'), "small.toml"), one_mix)
-    _, records = run(work, tmp_path / "results")
+def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(ran: Ran) -> None:
+    text = design('not-converged = "smaller-steps"')
+    _, _, records = ran("mooney-rivlin", text)
     assert failed(records) == 2
     found = bonded_mooney(records)
     assert (found.status, len(notes_of(found))) == ("not-converged", 1)
     # and it is not tried for ever
-    again, _ = run(work, tmp_path / "results")
-    assert again == 0
+    assert ran("mooney-rivlin", text)[1] == 0
 
 
-def test_without_a_policy_nothing_is_tried(
-    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wished(tmp_path, monkeypatch, "mooney-rivlin needs 40 steps")
-    work = expand(loads(DESIGN, "small.toml"), one_mix)
-    _, records = run(work, tmp_path / "results")
+def test_without_a_policy_nothing_is_tried(ran: Ran) -> None:
+    work, _, records = ran("mooney-rivlin needs 40 steps", DESIGN)
     assert failed(records) == 2
     assert all(not notes_of(record) for record in records.values())
     # a policy that comes later changes no key: what failed is tried, nothing else is computed
-    later = expand(loads(design('not-converged = "smaller-steps"'), "small.toml"), one_mix)
+    policy = design('not-converged = "smaller-steps"')
+    later, count, records = ran("mooney-rivlin needs 40 steps", policy)
     assert later.input_hashes == work.input_hashes
-    count, records = run(later, tmp_path / "results")
     assert count == 0
     assert all(record.converged for record in records.values())
 
 
-def test_a_task_that_lacked_memory_is_computed_alone(
-    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_task_that_lacked_memory_is_computed_alone(ran: Ran) -> None:
     """A fit and a case that the machine killed twice each, then with nothing else beside them."""
-    wished(tmp_path, monkeypatch, "mooney-rivlin needs memory")
     text = design('crashed = "more-memory"').replace("swap = true", "")
-    work = expand(loads(text, "small.toml"), one_mix)
-    _, records = run(work, tmp_path / "results")
+    _, _, records = ran("mooney-rivlin needs memory", text)
     assert failed(records) == 0
     (note,) = notes_of(bonded_mooney(records))
     assert note["cause"] == "crashed"

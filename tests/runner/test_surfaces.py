@@ -21,6 +21,7 @@ from study.harness.runner.job import CaseJob
 from study.harness.runner.staged_fit import FitPart as Part
 from study.harness.runner.staged_fit import cheaper
 from study.harness.runner.study_refinement import chosen_series, refinement_work
+from tests.cli.small import case_file, measured, recorded, responses
 from tests.fem.surfaces import box, write
 
 PROBLEM = """
@@ -46,16 +47,10 @@ DESIGN = (
     + """
 [factors]
 "test.interface" = ["frictionless", "bonded"]
-[measurements]
-file = "tests.csv"
-columns = { displacement = "d", force = "f" }
-units = { displacement = "mm", force = "N" }
-block = "specimen"
-range = ["0.1 mm", "0.6 mm"]
-points = 5
-[[response]]
-name = "mu0"
 """
+    + measured("tests.csv")
+    + 'block = "specimen"\nrange = ["0.1 mm", "0.6 mm"]\npoints = 5\n'
+    + responses(mu0="")
 )
 
 
@@ -177,33 +172,22 @@ def test_a_fit_of_a_surface_starts_from_no_cylinder(home: Path) -> None:
     assert (part.problem.model.space, part.problem.model.mesh) == ("3d", "coarse")
 
 
-CALIBRATION = (
-    PROBLEM.replace('displacement = "0.6 mm"\n', "").replace('C10 = "5 kPa"\n', "")
-    + """
-[[tests]]
-test = { kind = "compression", interface = "bonded", steps = 1 }
-[tests.measurements]
-file = "one.csv"
-columns = { displacement = "d", force = "f" }
-units = { displacement = "mm", force = "N" }
-range = ["0.1 mm", "0.6 mm"]
-points = 3
-"""
-).replace('[test]\nkind = "compression"\ninterface = "frictionless"\nsteps = 1\n', "")
-
-
 @pytest.mark.slow
 @pytest.mark.verify
 def test_energies_are_weighed_on_a_surface(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The surface is found for the choice of an energy as it is for a calibration."""
-    (home / "calibration.toml").write_text(CALIBRATION)
-    rows = [f"{d:.3f},{0.45 * d:.5f}" for d in np.linspace(0, 0.7, 15)]
-    (home.parent / "measurements" / "one.csv").write_text("\n".join(["d,f", *rows, ""]))
+    data, d = home.parent / "measurements", np.linspace(0, 0.7, 15)
+    columns = {"displacement": ("mm", d), "force": ("N", 0.45 * d)}
+    bonded = 'kind = "compression", interface = "bonded", steps = 1'
+    more = ', range = ["0.1 mm", "0.6 mm"], points = 3'
+    start, end = DESIGN.index("[test]"), DESIGN.index("[material]")
+    head = DESIGN[:start] + DESIGN[end : DESIGN.index("[factors]")]
+    path = case_file(home, head, recorded(data, "one", bonded, columns, more))
     monkeypatch.setattr(model_comparison, "CANDIDATES", (("neo-hookean", None, "neo-hookean"),))
-    chosen = api.choose_energy(home / "calibration.toml", data=home.parent / "measurements")
+    chosen = api.choose_energy(path, data=data)
     assert chosen.failures == {}
     assert chosen.best == "neo-hookean"
-    alone = api.calibrate(home / "calibration.toml", data=home.parent / "measurements")
+    alone = api.calibrate(path, data=data)
     assert chosen.fits["neo-hookean"].fit.values == pytest.approx(alone.fit.values, rel=1e-9)
 
 
