@@ -63,7 +63,7 @@ def compare_spaces(
         return
     began, results = time.monotonic(), dict[str, SolveResult]()
     # the solids take longest: all of them first
-    tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
+    tasks = [tasks[k] for k in (1, 0) for _, tasks in pairs]
     unsolved = {task.key for task in tasks if store.read_solution(task.key) is None}
     for key, result in kept(by_workers(executor), store)(tasks):
         results[key] = result
@@ -72,11 +72,10 @@ def compare_spaces(
             label = "one cylinder in both spaces, a control"
             progress(Progress(done, len(unsolved), 0, seconds, label))
     rows = [
-        study_refinement.compared(pair, *(results[task.key] for task in pair.tasks))
-        for pair in pairs
+        study_refinement.compared(pair, *(results[task.key] for task in pair[1])) for pair in pairs
     ]
     with store.lock():
-        store.write_rows("spaces", [asdict(row) for row in rows])
+        store.write_rows("spaces", rows)
 
 
 # Numerical uncertainty of the effects of a study: what the verdicts are held against.
