@@ -95,7 +95,7 @@ class SealedFolder:
 
     def running(self) -> dict[str, object] | None:
         """Pid, host, start and progress of the runner in this folder; None if there is none."""
-        return atomic_files.holder(self.path) if atomic_files.is_locked(self.path) else None
+        return atomic_files.holder(self.path)
 
     def write_json(self, name: str, content: object, *, followed: bool = False) -> None:
         """Store any JSON content under a name such as ``"study"``, sealed and atomically."""

@@ -172,10 +172,6 @@ class Store(ManifestFolder):
             return None
         return record
 
-    def read_all(self) -> list[Record]:
-        """Every valid record, by case id: the order of the runs leaves no trace."""
-        return [record for name in self._case_ids() if (record := self.read(name)) is not None]
-
     def survey(self, input_hashes: Mapping[str, str]) -> Survey:
         """Sort the wanted cases into done, failed and missing."""
         done: list[str] = []

@@ -31,6 +31,7 @@ from study.harness.runner.fit_summary import (
 from study.harness.runner.staged_fit import (
     FitPart,
     Predict,
+    Staged,
     StagedSearch,
     is_proportional,
     least_minimum,
@@ -85,11 +86,12 @@ def fitted(task: FitTask) -> FitResult:
     names, first = start_values(
         parts[0].problem, task.measured, None if start is None else start.constants
     )
-    done, rivals = least_minimum(
-        [staged_fit(parts, names, first, fitted_model)],
-        parts, first, StagedSearch(names, fitted_model),
-        lambda values: staged_fit(parts, names, values, fitted_model),
-    )  # fmt: skip
+    search = StagedSearch(names, fitted_model)
+
+    def fit_from(values: Array) -> Staged:
+        return staged_fit(parts, values, search)
+
+    done, rivals = least_minimum([fit_from(first)], parts, first, search, fit_from)
     fitted_curves = [curve for part in parts for curve in part.measured]
     fit = named_open(with_serial_correlation(done.fit, fitted_curves), rivals)
     several = len(parts) > 1

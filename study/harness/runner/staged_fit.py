@@ -209,22 +209,12 @@ class Limits:
 NO_LIMITS = Limits()
 
 
-def staged_fit(
-    parts: Sequence[FitPart],
-    names: tuple[str, ...],
-    start: Array,
-    make: MakeModel,
-    *,
-    bounds: Sequence[tuple[float, float]] | None = None,
-    progress: Progress | None = None,
-    checkpoint: Checkpoint | None = None,
-) -> Staged:
+def staged_fit(parts: Sequence[FitPart], start: Array, search: StagedSearch) -> Staged:
     """Fit common constants to all parts at once; start (p,), MPa."""
-    search = StagedSearch(names, make, bounds, progress, checkpoint or Checkpoint())
     cheap = [cheaper(part) for part in parts]
-    starts = gentler(names, start, bounds)
+    starts = gentler(search.names, start, search.bounds)
     rough: Staged | None = None
-    if len(names) > 1 and any(part is not None for part in cheap):
+    if len(search.names) > 1 and any(part is not None for part in cheap):
         first = [other or part for other, part in zip(cheap, parts, strict=True)]
         rough = begun_stage(FIRST, first, starts, search)
         if rough.fit.status.usable and not np.array_equal(rough.fit.values, start):
