@@ -155,6 +155,10 @@ class FitDocument(TypedDict, total=False):
     resampling: list[ResamplingDocument]
 
 
+#: ends of a fit that has constants
+WITH_CONSTANTS = frozenset({"converged", "at-edge", "at-kink"})
+
+
 class ScoreDocument(TypedDict):
     """One scored curve of a case: which it is, what was fitted, and its own responses."""
 

@@ -159,9 +159,9 @@ class SealedFolder:
             raise StoreError(f"{name!r} is no name of a stored file (a-z, 0-9, hyphens)")
         return inside(self.path, f"{name}.json".split("/"), OUTSIDE)
 
-    def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
+    def _bytes(self, path: Path) -> bytes | None:
         try:
-            return read_regular(path, limit)
+            return read_regular(path, MAX_JSON_BYTES)
         except NotRegularError as error:
             self._set_aside(path, str(error))
             return None

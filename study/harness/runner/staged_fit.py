@@ -72,9 +72,7 @@ def gentler(
     """List a start (p,), MPa, and what may be tried after it, each one once."""
     starts = [Start(np.array(start, float))]
     for share, words in _SHARES:
-        values = _softened(names, starts[0].values, share)
-        if bounds is not None:
-            values = np.clip(values, *np.array(bounds, float).T)
+        values = within(_softened(names, starts[0].values, share), bounds)
         if not any(np.array_equal(values, earlier.values) for earlier in starts):
             starts.append(Start(values, words))
     return starts
