@@ -14,6 +14,7 @@ from pathlib import Path
 from threading import Timer
 from typing import Any
 
+from study.harness.execution.task import Task
 from tests.execution.loopback import ROOT
 from tests.waiting import CAP_S
 
@@ -58,6 +59,10 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
         time.sleep(0.05)
         return {"status": "converged", "process": os.getpid()}
     return {"status": "converged", "value": task.get("value", 0) + 1}
+
+
+def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
+    return Task(key, lambda results: {"kind": kind, **values}, needs)
 
 
 def never_up(_parent: int) -> None:

@@ -18,15 +18,11 @@ from study.ground.errors import InputError, RefusedError, SchedulerLostError
 from study.harness.execution.cluster import Cluster, Crew, Processes, differences
 from study.harness.execution.task import Outcome, Task
 from tests.execution.loopback import Loopback, children, loopback
-from tests.execution.misbehaving import line_of, perform, study_left
+from tests.execution.misbehaving import line_of, perform, study_left, task
 from tests.waiting import CAP_S, until
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
 dask = pytest.importorskip("dask", reason="Dask is not installed (extra 'dask')")
-
-
-def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
-    return Task(key, lambda results: {"kind": kind, **values}, needs, values.get("group", ""))
 
 
 def run(where: Loopback, tasks: list[Task], **options: Any) -> dict[str, Outcome]:

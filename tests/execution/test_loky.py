@@ -21,15 +21,11 @@ from study.harness.execution.local import Loky
 from study.harness.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, longest_first
 from study.harness.execution.task import Document, Outcome, Results, Task
 from tests.execution.loopback import ROOT, children
-from tests.execution.misbehaving import line_of, never_up, perform, study_left
+from tests.execution.misbehaving import line_of, never_up, perform, study_left, task
 from tests.waiting import CAP_S, is_alive, state_of, until
 
 #: limit of a task in seconds: a healthy one takes 0.07 s of a processor, also on a busy machine
 LIMIT_S = 4.0
-
-
-def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
-    return Task(key, lambda results: {"kind": kind, **values}, needs)
 
 
 Make = Callable[..., Loky | Cluster]

@@ -4,7 +4,6 @@
 
     results/<study>/
         study.json                  manifest
-        index.json                  what each record says of itself, so that counting reads none
         fits/<fit_id>.json          calibrations shared by cases
         cases/<case_id>/record.json
         cases/<case_id>/*.corrupt-1 what was damaged, set aside

@@ -121,11 +121,10 @@ def parts_of(task: FitTask) -> list[FitPart]:
         MeasuredCurve(f"measured {k}", curve, recordings=curve.recorded)
         for k, curve in enumerate(task.measured)
     ]
-    if len(tests) == 1:
-        return [FitPart(tests[0].method, tests[0].problem, tuple(data))]
+    groups = [data] if len(tests) == 1 else [[curve] for curve in data]
     return [
-        FitPart(test.method, test.problem, (curve,))
-        for test, curve in zip(tests, data, strict=True)
+        FitPart(test.method, test.problem, tuple(group))
+        for test, group in zip(tests, groups, strict=True)
     ]
 
 

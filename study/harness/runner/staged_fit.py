@@ -235,7 +235,9 @@ def begun_stage(
     """Fit from the first start that leads anywhere; from the last one if none does."""
     labels = [stage, *(f"{stage}, {begun.words}" for begun in starts[1:])]
     # an interrupted fit goes on from the start that it was at; those before it failed at once
-    number = max((k for k, label in enumerate(labels) if search.checkpoint.last(label)), default=0)
+    number = max(
+        (k for k, label in enumerate(labels) if label in search.checkpoint.stages), default=0
+    )
     fruitless = number
     while True:
         done = single_stage(labels[number], parts, starts[number].values, search)
@@ -273,7 +275,7 @@ def single_stage(
             search.progress(FitStep(stage, names, iteration))
         return checkpoint.limits.is_late
 
-    resume = checkpoint.last(stage)
+    resume = checkpoint.stages.get(stage)
     if resume is not None:
         # models interpolate relative to what they solved first: make that the start again
         with contextlib.suppress(EvaluationFailed):
@@ -378,10 +380,6 @@ class Checkpoint:
     def __init__(self, path: Path | None = None, key: str = "", limits: Limits = NO_LIMITS) -> None:
         self.path, self.key, self.limits = path, key, limits
         self.stages: dict[str, Iteration] = {} if path is None else _read(path, key)
-
-    def last(self, stage: str) -> Iteration | None:
-        """Last accepted iteration of a stage; None where it has not begun."""
-        return self.stages.get(stage)
 
     def keep(self, stage: str, iteration: Iteration) -> None:
         """Keep an accepted iteration."""

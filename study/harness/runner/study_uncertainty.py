@@ -303,28 +303,19 @@ def _mesh_shares(
     stored = store.by_case(
         {j.case.case_id: j.input_hash for case_series in series for j in case_series.every}
     )
+
+    def key(job: CaseJob) -> object:
+        """Levels of a case, whatever its block; or its kind of discretization."""
+        of_kind = study_refinement.discretization_key
+        return frozenset(job.case.levels.items()) if finest else of_kind(job.case.problem)
+
+    shares: dict[object, Array | None] = {}
     for case_series in series:
         case_series.records.update(stored)
-    if finest:
-        shares = {
-            case: share for case_series in series for case, share in case_series.shares().items()
-        }
-        of_cell = {
-            _cell(job): shares.get(job.case.case_id)
-            for case_series in series
-            for job in case_series.jobs
-        }
-        return lambda job: of_cell.get(_cell(job))
-    of_model = {}
-    for case_series in series:
-        share = case_series.shares().get(case_series.base.case.case_id)
-        of_model[study_refinement.discretization_key(case_series.base.case.problem)] = share
-    return lambda job: of_model.get(study_refinement.discretization_key(job.case.problem))
-
-
-def _cell(job: CaseJob) -> frozenset[tuple[str, str]]:
-    """Levels of a case, whatever its block."""
-    return frozenset(job.case.levels.items())
+        share = case_series.shares()
+        jobs = case_series.jobs if finest else (case_series.base,)
+        shares |= {key(job): share.get(job.case.case_id) for job in jobs}
+    return lambda job: shares.get(key(job))
 
 
 def _row(

@@ -53,16 +53,15 @@ def write_tests(folder: Path) -> list[Path]:
     stretch, shear = np.linspace(1.0, 2.2, 25), np.linspace(0.0, 1.0, 21)
     shortened = np.linspace(1.0, 0.7, 16)
     folder.mkdir(parents=True, exist_ok=True)
+    tests = {
+        "tension": ("stretch", stretch, "uniaxial", stretch),
+        "simple-shear": ("shear", 100 * shear, "simple-shear", shear),
+        "compression": ("displacement_mm", _LENGTH_MM * (1 - shortened), "uniaxial", shortened),
+    }
     return [
-        _write(folder / "tension.csv", "stretch", stretch, _stress("uniaxial", stretch, rng)),
-        _write(
-            folder / "simple-shear.csv", "shear", 100 * shear, _stress("simple-shear", shear, rng)
-        ),
-        _write(
-            folder / "compression.csv", "displacement_mm", _LENGTH_MM * (1 - shortened),
-            _stress("uniaxial", shortened, rng),
-        ),
-    ]  # fmt: skip
+        _write(folder / f"{name}.csv", column, shown, _stress(loading, measure, rng))
+        for name, (column, shown, loading, measure) in tests.items()
+    ]
 
 
 def _stress(loading: str, measure: Array, rng: np.random.Generator) -> Array:
