@@ -58,22 +58,14 @@ def write_tests(folder: Path) -> list[Path]:
         "simple-shear": ("shear", 100 * shear, "simple-shear", shear),
         "compression": ("displacement_mm", _LENGTH_MM * (1 - shortened), "uniaxial", shortened),
     }
-    return [
-        _write(folder / f"{name}.csv", column, shown, _stress(loading, measure, rng))
-        for name, (column, shown, loading, measure) in tests.items()
-    ]
-
-
-def _stress(loading: str, measure: Array, rng: np.random.Generator) -> Array:
-    """Nominal stress in kPa with its noise."""
-    exact = 1e3 * LOADINGS[loading].nominal(TRUTH, measure).stress
-    return np.asarray(exact + NOISE_KPA * rng.standard_normal(exact.size))
-
-
-def _write(path: Path, column: str, measure: Array, stress: Array) -> Path:
-    rows = [f"{m:.5f},{p:.4f}" for m, p in zip(measure, stress, strict=True)]
-    write_new(path, "\n".join(["# virtual", f"{column},stress_kPa", *rows]) + "\n")
-    return path
+    paths = []
+    for name, (column, shown, loading, measure) in tests.items():
+        exact = 1e3 * LOADINGS[loading].nominal(TRUTH, measure).stress
+        stress_kPa = exact + NOISE_KPA * rng.standard_normal(exact.size)  # noqa: N806
+        rows = [f"{m:.5f},{p:.4f}" for m, p in zip(shown, stress_kPa, strict=True)]
+        paths.append(folder / f"{name}.csv")
+        write_new(paths[-1], "\n".join(["# virtual", f"{column},stress_kPa", *rows]) + "\n")
+    return paths
 
 
 # Materials behind virtual specimens: energies with published constants, and how they scatter.
