@@ -154,11 +154,7 @@ BREACHES = [
     ("harness/runner/a", "numba", "numba only through compilation"),
     ("harness/runner/a", "joblib", "joblib only in execution"),
     ("harness/runner/b", "pydantic", "pydantic only where keys of files are declared"),
-    (
-        "laboratory/tracker/a",
-        "pydantic_core",
-        "pydantic-core only in record, and where JSON is read",
-    ),
+    ("laboratory/tracker/a", "pydantic_core", "pydantic-core only where JSON is read"),
     ("api/a", "cloudpickle", "cloudpickle only for a function given to study.run"),
     (
         "harness/execution/a",

@@ -206,7 +206,7 @@ def refine_within(
         for refined, step, answer in zip(
             ongoing, steps, compute(steps) if steps else (), strict=True
         ):
-            refined.add(step, answer)
+            refined.records[step.case.case_id] = answer
     return ongoing
 
 

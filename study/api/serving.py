@@ -123,9 +123,9 @@ def _names(folder: Path) -> set[str]:
 
 def progress_of(folder: Path) -> StudyProgress | None:
     """Read what the runner in a results folder said last; None where none is at work."""
-    if not atomic_files.is_locked(folder):
-        return None
     note = atomic_files.holder(folder)
+    if note is None:
+        return None
     done, total = note.get("done"), note.get("total")
     if not isinstance(done, int) or not isinstance(total, int):
         return StudyProgress(0, 0, "started")

@@ -130,6 +130,12 @@ def test_other_code_keeps_the_finished_study(home: Path, monkeypatch: pytest.Mon
     assert study("analyze", "results/small", "--json").json == before
 
 
+def stored(store: Store) -> list[Record]:
+    """Records of every case that has one."""
+    names = sorted(path.name for path in (store.path / "cases").iterdir())
+    return [record for name in names if (record := store.read(name)) is not None]
+
+
 def older(record: Record) -> Record:
     """Make a record of another numpy."""
     return replace(record, versions={**record.versions, "numpy": "1.0.0"})
@@ -137,7 +143,7 @@ def older(record: Record) -> Record:
 
 def test_other_libraries_are_told_refused_or_made_again(home: Path) -> None:
     store = Store(home / "results" / "small")
-    records = store.read_all()
+    records = stored(store)
     now = records[0].versions["numpy"]
     for record in records[:5]:
         store.write(older(record))
@@ -145,13 +151,13 @@ def test_other_libraries_are_told_refused_or_made_again(home: Path) -> None:
         api.run("small.toml", data="data", jobs=1, reports=None, stale="refuse")
     warned = api.run("small.toml", data="data", jobs=1, reports=None)
     assert any(f"numpy 1.0.0, now {now}; they are used" in text for text in warned.warnings)
-    assert sum(r.versions["numpy"] == "1.0.0" for r in store.read_all()) == 5
+    assert sum(r.versions["numpy"] == "1.0.0" for r in stored(store)) == 5
     told = study("why", records[0].case_id).out
     assert "though other libraries made it" in told
     assert f"numpy: from 1.0.0 to {now}" in told
     again = api.run("small.toml", data="data", jobs=1, reports=None, stale="rerun")
     assert not any("numpy" in text for text in again.warnings)
-    assert {r.versions["numpy"] for r in store.read_all()} == {now}
+    assert {r.versions["numpy"] for r in stored(store)} == {now}
     # the digits are those of the first time: nothing else changed
     values = {r.case_id: r.value("relative_rms_force_error") for r in records}
     assert {r.case_id: r.value("relative_rms_force_error") for r in again.records} == values
@@ -161,7 +167,7 @@ def test_other_libraries_are_told_refused_or_made_again(home: Path) -> None:
 
 def test_cases_of_one_cell_on_two_meshes_are_told(home: Path) -> None:
     store = Store(home / "results" / "small")
-    records = store.read_all()
+    records = stored(store)
     for number, record in enumerate(records):
         store.write(replace(record, mesh={**record.mesh, "hash": f"m{number % 2}"}))
     found = api.run("small.toml", data="data", jobs=1, reports=None)

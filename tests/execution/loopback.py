@@ -16,6 +16,14 @@ from tests.waiting import until
 ROOT = Path(__file__).parents[2]
 
 
+def children(pid: int) -> dict[int, str]:
+    """Command line of every process that one has started, by any of its threads."""
+    lists = Path(f"/proc/{pid}/task").glob("*/children")
+    places = {int(child): Path(f"/proc/{child}/cmdline") for path in lists
+              for child in path.read_text().split()}  # fmt: skip
+    return {child: path.read_text() for child, path in places.items() if path.exists()}
+
+
 @dataclass
 class Loopback:
     """A scheduler and its workers."""

@@ -5,11 +5,17 @@ from __future__ import annotations
 import os
 import re
 import signal
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
 from typing import Any
 
+from study.harness.execution.task import Task
+from tests.execution.loopback import ROOT
 from tests.waiting import CAP_S
 
 
@@ -55,6 +61,47 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
     return {"status": "converged", "value": task.get("value", 0) + 1}
 
 
+def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
+    return Task(key, lambda results: {"kind": kind, **values}, needs)
+
+
 def never_up(_parent: int) -> None:
     """Stop a worker before it can say that it is there."""
     os.kill(os.getpid(), signal.SIGSTOP)
+
+
+#: a study of two tasks that say their process and two that hang, here or on a scheduler's workers
+LEFT = """
+import signal, sys
+from study.harness.execution.cluster import Cluster
+from study.harness.execution.local import Loky
+from study.harness.execution.task import Task
+from tests.execution.misbehaving import perform
+tasks = [Task(k, lambda _: {"kind": "process"}) for k in "ab"]
+tasks += [Task(k, lambda _: {"kind": "hang"}) for k in "cd"]
+# a shell that starts a test in the background has it ignore Ctrl-C
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for outcome in (Cluster(perform, *sys.argv[1:]) if sys.argv[1:] else Loky(perform, 2)).run(tasks):
+    print(outcome.result["process"], flush=True)
+"""
+
+
+@contextmanager
+def study_left(*scheduler: str) -> Iterator[subprocess.Popen[str]]:
+    """Process of such a study, killed at the end."""
+    path = os.pathsep.join([str(ROOT), *sys.path])
+    owner = subprocess.Popen(
+        [sys.executable, "-c", LEFT, *scheduler], cwd=ROOT, stdout=subprocess.PIPE, text=True,
+        stderr=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    with owner:
+        try:
+            yield owner
+        finally:
+            owner.kill()
+
+
+def line_of(owner: subprocess.Popen[str]) -> str:
+    """Next line that a process says."""
+    assert owner.stdout is not None
+    return owner.stdout.readline()

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,83 +16,23 @@ import pytest
 
 from study.ground.errors import InputError, RefusedError, SchedulerLostError
 from study.harness.execution.cluster import Cluster, Crew, Processes, differences
-from study.harness.execution.supervisor import Inline
 from study.harness.execution.task import Outcome, Task
-from tests.execution.loopback import ROOT, Loopback, loopback
-from tests.execution.misbehaving import perform
-from tests.execution.test_loky import LIMIT_S
+from tests.execution.loopback import Loopback, children, loopback
+from tests.execution.misbehaving import line_of, perform, study_left, task
 from tests.waiting import CAP_S, until
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
 dask = pytest.importorskip("dask", reason="Dask is not installed (extra 'dask')")
 
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Loopback]:
-    """Two workers of one thread each, for tests that leave them alive."""
-    with loopback(tmp_path_factory.mktemp("cluster")) as made:
-        assert Cluster(perform, made.file, jobs=None).reached()
-        yield made
-
-
-def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
-    return Task(key, lambda results: {"kind": kind, **values}, needs, values.get("group", ""))
-
-
 def run(where: Loopback, tasks: list[Task], **options: Any) -> dict[str, Outcome]:
     return {o.key: o for o in Cluster(perform, where.file, **options).run(tasks)}
 
 
-def test_outcomes_are_those_of_this_machine(cluster: Loopback) -> None:
-    def payload(results: Any) -> dict[str, Any]:
-        return {"kind": "work", "value": results["a"]["value"]}
-
-    tasks = [Task("b", payload, ("a",)), task("a", value=3), task("bad", "raise"), task("n", "nan")]
-    inline = {o.key: o.result for o in Inline(perform).run(tasks)}
-    there = {key: o.result for key, o in run(cluster, tasks).items()}
-    for found in (inline, there):
-        found["bad"].pop("traceback")
-        found["n"].pop("traceback")
-    assert inline == there
-
-
-def test_tasks_that_misbehave_cost_themselves_alone(cluster: Loopback, tmp_path: Path) -> None:
-    ends = {
-        "die": ("crashed", "signal 9"),
-        "exit": ("crashed", "exit code 3"),
-        "memory": ("out-of-memory", "out of memory"),
-    }
-    again = task("again", "die once", mark=str(tmp_path / "mark"))
-    found = run(cluster, [*(task(kind, kind) for kind in ends), again, task("a")])
-    for kind, (status, said) in ends.items():
-        assert found[kind].result["status"] == status
-        assert said in found[kind].message
-    # one whose process died is tried once more
-    assert found["again"].result == {"status": "converged", "value": 1}
-    assert found["a"].result["value"] == 1
-    assert all(worker.poll() is None for worker in cluster.workers)
-
-
-def test_the_limit_holds_whatever_a_process_does(cluster: Loopback) -> None:
-    kinds = ("hang", "hold the interpreter", "stopped")
-    tasks = [*(task(kind, kind) for kind in kinds), *(task(k) for k in "abc")]
-    found = run(cluster, tasks, limit_s=LIMIT_S)
-    for kind in kinds:
-        assert found[kind].result["status"] == "timeout"
-        assert f"stopped after {LIMIT_S:g} s" in found[kind].message
-    assert [found[k].result["value"] for k in "abc"] == [1, 1, 1]
-    assert all(worker.poll() is None for worker in cluster.workers)
-
-
-def test_tasks_of_a_group_stay_with_one_process_of_one_thread(cluster: Loopback) -> None:
-    grouped = [
-        Task(f"{g}{k}", lambda _: {"kind": "process"}, group=g) for k in range(3) for g in "ab"
-    ]
-    found = run(cluster, [*grouped, task("threads", "threads")])
-    assert found["threads"].result["threads"] == "1"
-    processes = {g: {found[f"{g}{k}"].result["process"] for k in range(3)} for g in "ab"}
-    assert all(len(own) == 1 for own in processes.values())
-    assert processes["a"] != processes["b"]
+def worker_processes(cluster: Loopback) -> list[str]:
+    """Command lines of the processes beside the workers."""
+    lines = [line for worker in cluster.workers for line in children(worker.pid).values()]
+    return [line for line in lines if "popen_loky" in line]
 
 
 @pytest.mark.slow
@@ -108,17 +48,12 @@ def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path: Path) -> None:
             assert outcome.status == "converged"
             seen.add(outcome.key)
             if len(seen) == 10:
-                _kill_child(nanny.pid)
+                for child, line in children(nanny.pid).items():
+                    if "spawn_main" in line:
+                        os.kill(child, signal.SIGKILL)
         assert len(seen) == 40
         nanny.terminate()
         nanny.wait(timeout=CAP_S)
-
-
-def _kill_child(pid: int) -> None:
-    for listed in Path(f"/proc/{pid}/task").glob("*/children"):
-        for child in listed.read_text().split():
-            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
-                os.kill(int(child), signal.SIGKILL)
 
 
 def test_workers_that_are_lost(tmp_path: Path) -> None:
@@ -194,41 +129,19 @@ def test_leaving_early_stops_the_tasks_of_this_run_alone(cluster: Loopback, tmp_
     assert len(found) == 30
     assert {outcome.status for outcome in found} == {"converged"}
     # a worker that has nothing to do has no process left, ours nor theirs
-    until(lambda: not any(worker_processes(cluster)))
-
-
-INTERRUPTED = """
-import signal, sys
-from study.harness.execution.cluster import Cluster
-from study.harness.execution.task import Task
-from tests.execution.misbehaving import perform
-signal.signal(signal.SIGINT, signal.default_int_handler)
-tasks = [Task("a", lambda _: {"kind": "process"})]
-tasks += [Task(k, lambda _: {"kind": "hang"}) for k in "cd"]
-for outcome in Cluster(perform, sys.argv[1]).run(tasks):
-    print(outcome.result["process"], flush=True)
-"""
+    until(lambda: not worker_processes(cluster))
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_no_task_outlives_its_study(cluster: Loopback, how: signal.Signals) -> None:
     """However it ends, the workers notice and stop what nobody waits for."""
-    owner = subprocess.Popen(
-        [sys.executable, "-c", INTERRUPTED, str(cluster.file)], cwd=ROOT, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
-    )  # fmt: skip
-    assert owner.stdout is not None
-    assert int(owner.stdout.readline())
-    until(lambda: all(children(worker.pid) for worker in cluster.workers))
-    owner.send_signal(how)
-    try:
+    with study_left(str(cluster.file)) as owner:
+        assert int(line_of(owner))
+        until(lambda: all(children(worker.pid) for worker in cluster.workers))
+        owner.send_signal(how)
         owner.wait(timeout=CAP_S)
-    finally:
-        owner.kill()
-        owner.stdout.close()
     busy = "" if how == signal.SIGINT else "idle processes end a minute later"
-    until(lambda: busy or not any(worker_processes(cluster)))
+    until(lambda: busy or not worker_processes(cluster))
     # whatever was left, the threads of the workers are free for the next study
     assert run(cluster, [task("a"), task("b")])["a"].status == "converged"
 
@@ -300,20 +213,19 @@ def test_a_study_waits_for_the_first_worker_and_a_later_one_gets_its_share(
         assert len(seen) == 2
 
 
-def test_a_limit_that_is_none_is_refused(cluster: Loopback) -> None:
-    with pytest.raises(InputError, match="must be a positive number"):
-        run(cluster, [task("a")], limit_s=0.0)
-
-
-def test_a_scheduler_that_is_none_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"'scheduler.jsn' is no address and no file"):
-        list(Cluster(perform, "scheduler.jsn").run([]))
-
-
-def test_a_scheduler_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("scheduler.jsn", r"'scheduler.jsn' is no address and no file"),
+        ("tcp://127.0.0.1:9", r"tcp://127.0.0.1:9 cannot be reached"),
+    ],
+)
+def test_a_scheduler_that_is_none_is_refused(
+    place: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("study.harness.execution.cluster.PATIENCE_S", 1.0)
-    with pytest.raises(InputError, match=r"tcp://127.0.0.1:9 cannot be reached"):
-        list(Cluster(perform, "tcp://127.0.0.1:9").run([]))
+    with pytest.raises(InputError, match=said):
+        list(Cluster(perform, place).run([]))
 
 
 def test_a_client_that_was_given_stays_open(cluster: Loopback) -> None:
@@ -375,16 +287,3 @@ def test_processes_that_nobody_uses_end() -> None:
     assert Path(f"/proc/{process}").exists()
     here.end_idle(idle_s=0.0)
     assert not Path(f"/proc/{process}").exists()
-
-
-def children(pid: int) -> list[str]:
-    """Command lines of the processes that a process has."""
-    listed = Path(f"/proc/{pid}/task").glob("*/children")
-    pids = [child for path in listed for child in path.read_text().split()]
-    found = [Path(f"/proc/{child}/cmdline") for child in pids]
-    return [path.read_text() for path in found if path.exists()]
-
-
-def worker_processes(cluster: Loopback) -> list[str]:
-    lines = [line for worker in cluster.workers for line in children(worker.pid)]
-    return [line for line in lines if "popen_loky" in line]

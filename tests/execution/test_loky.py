@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Timer
 from typing import Any
@@ -14,28 +16,47 @@ from typing import Any
 import pytest
 
 from study.ground.errors import InputError
-from study.harness.execution.local import Loky
+from study.harness.execution.cluster import Cluster
+from study.harness.execution.local import Loky, Worker
 from study.harness.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, longest_first
 from study.harness.execution.task import Document, Outcome, Results, Task
-from tests.execution.misbehaving import never_up, perform
+from tests.execution.loopback import ROOT, children
+from tests.execution.misbehaving import line_of, never_up, perform, study_left, task
 from tests.waiting import CAP_S, is_alive, state_of, until
 
-ROOT = Path(__file__).parents[2]
 #: limit of a task in seconds: a healthy one takes 0.07 s of a processor, also on a busy machine
 LIMIT_S = 4.0
 
 
-def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
-    return Task(key, lambda results: {"kind": kind, **values}, needs)
+Make = Callable[..., Loky | Cluster]
+HERE: Make = partial(Loky, perform)
+
+
+@pytest.fixture(params=["here", "cluster"])
+def make(request: pytest.FixtureRequest) -> Make:
+    """Make an executor on processes of this machine, or on the workers of a cluster."""
+    if request.param == "here":
+        return HERE
+    return partial(Cluster, perform, request.getfixturevalue("cluster").file)
 
 
 def run(
-    tasks: list[Task], jobs: int = 2, timeout_s: float | None = None, **options: Any
+    tasks: list[Task],
+    jobs: int = 2,
+    limit_s: float | None = None,
+    *,
+    make: Make = HERE,
+    **more: Any,
 ) -> dict[str, Outcome]:
-    return {o.key: o for o in Loky(perform, jobs, timeout_s).run(tasks, **options)}
+    return {o.key: o for o in make(jobs=jobs, limit_s=limit_s).run(tasks, **more)}
 
 
-def test_tasks_that_misbehave_cost_themselves_alone(tmp_path: Path) -> None:
+def workers() -> list[str]:
+    """Command lines of worker processes that this process has."""
+    return [line for line in children(os.getpid()).values() if "popen_loky" in line]
+
+
+def test_tasks_that_misbehave_cost_themselves_alone(make: Make, tmp_path: Path) -> None:
     ends = {
         "die": ("crashed", "signal 9"),
         "exit": ("crashed", "exit code 3"),
@@ -52,7 +73,7 @@ def test_tasks_that_misbehave_cost_themselves_alone(tmp_path: Path) -> None:
 
     again = task("again", "die once", mark=str(tmp_path / "mark"))
     tasks = [*(task(kind, kind) for kind in ends), again, Task("next", told, ("die",)), task("a")]
-    found = run(tasks)
+    found = run(tasks, make=make)
     for kind, (status, said) in ends.items():
         assert found[kind].result["status"] == status
         assert said in found[kind].result["message"]
@@ -89,20 +110,12 @@ def test_leaving_early_kills_the_workers() -> None:
     outcomes = Loky(perform, 2).run([task("a"), task("slow", "hang")])
     assert next(outcomes).key == "a"
     outcomes.close()
-    children = _children()
-    assert not children, f"workers still alive: {children}"
+    assert workers() == []
 
 
-def _children() -> list[str]:
-    """Command lines of worker processes that this process has."""
-    listed = Path(f"/proc/self/task/{os.getpid()}/children")
-    found = [Path(f"/proc/{pid}/cmdline") for pid in listed.read_text().split()]
-    return [line for path in found if "popen_loky" in (line := path.read_text())]
-
-
-def test_the_limit_holds_whatever_a_worker_does() -> None:
+def test_the_limit_holds_whatever_a_worker_does(make: Make) -> None:
     kinds = ("hang", "hold the interpreter", "stopped")
-    found = run([*(task(kind, kind) for kind in kinds), task("a")], jobs=4, timeout_s=LIMIT_S)
+    found = run([*(task(kind, kind) for kind in kinds), task("a")], 4, LIMIT_S, make=make)
     for kind in kinds:
         assert found[kind].result["status"] == "timeout"
         assert f"{LIMIT_S:g} s" in found[kind].result["message"]
@@ -116,7 +129,7 @@ def test_a_worker_that_never_comes_up_is_given_up(monkeypatch: pytest.MonkeyPatc
     found = run([task("a"), task("b")])
     assert {o.status for o in found.values()} == {"crashed"}
     assert "no worker was up within 1 s, twice" in found["a"].message
-    assert not _children()
+    assert workers() == []
 
 
 def test_a_pipe_that_nobody_reads_does_not_hold_the_owner() -> None:
@@ -132,52 +145,30 @@ def test_a_pipe_that_nobody_reads_does_not_hold_the_owner() -> None:
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_limit_that_is_none_is_refused(limit: float) -> None:
+def test_a_limit_that_is_none_is_refused(make: Make, limit: float) -> None:
     with pytest.raises(InputError, match="must be a positive number"):
-        run([task("a")], timeout_s=limit)
+        run([task("a")], limit_s=limit, make=make)
 
 
-def test_outcomes_do_not_depend_on_the_executor() -> None:
+def test_outcomes_do_not_depend_on_the_executor(make: Make) -> None:
     def payload(results: Any) -> dict[str, Any]:
         return {"kind": "work", "value": results["a"]["value"]}
 
     tasks = [Task("b", payload, ("a",)), task("a", value=3), task("bad", "raise")]
     inline = {o.key: o.result for o in Inline(perform).run(tasks)}
-    apart = {key: o.result for key, o in run(tasks).items()}
+    apart = {key: o.result for key, o in run(tasks, make=make).items()}
     for found in (inline, apart):
         found["bad"].pop("traceback")
     assert inline == apart
 
 
-LEFT = """
-import signal
-from study.harness.execution.local import Loky
-from study.harness.execution.task import Task
-from tests.execution.misbehaving import never_up, perform
-tasks = [Task(k, lambda _: {"kind": "process"}) for k in "ab"]
-tasks += [Task(k, lambda _: {"kind": "hang"}) for k in "cd"]
-# a shell that starts a test in the background has it ignore Ctrl-C
-signal.signal(signal.SIGINT, signal.default_int_handler)
-for outcome in Loky(perform, 2).run(tasks):
-    print(outcome.result["process"], flush=True)
-"""
-
-
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_no_worker_outlives_its_study(how: signal.Signals) -> None:
-    owner = subprocess.Popen(
-        [sys.executable, "-c", LEFT], cwd=ROOT, stdout=subprocess.PIPE, text=True,
-        stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    assert owner.stdout is not None
-    workers = {int(owner.stdout.readline()) for _ in range(2)}
-    owner.send_signal(how)
-    try:
+    with study_left() as owner:
+        pids = {int(line_of(owner)) for _ in range(2)}
+        owner.send_signal(how)
         owner.wait(timeout=CAP_S)
-    finally:
-        owner.kill()
-        owner.stdout.close()
-    until(lambda: not any(is_alive(pid) for pid in workers))
+    until(lambda: not any(is_alive(pid) for pid in pids))
 
 
 def test_a_worker_whose_parent_died_before_it_was_up_ends() -> None:
@@ -191,23 +182,21 @@ def test_a_worker_whose_parent_died_before_it_was_up_ends() -> None:
 
 
 def test_workers_that_are_starting_end_with_a_killed_parent() -> None:
-    owner = subprocess.Popen(
-        [sys.executable, "-c", LEFT], cwd=ROOT, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    try:
-        until(lambda: len(started(owner.pid)) >= 2)
-        workers = started(owner.pid)
-    finally:
-        owner.kill()
-        owner.wait()
-    until(lambda: not any(is_alive(pid) for pid in workers))
+    with study_left() as owner:
+        until(lambda: len(children(owner.pid)) >= 2)
+        pids = set(children(owner.pid))
+    until(lambda: not any(is_alive(pid) for pid in pids))
 
 
-def started(parent: int) -> set[int]:
-    """Processes that one has started, by any of its threads."""
-    lists = Path(f"/proc/{parent}/task").glob("*/children")
-    return {int(pid) for path in lists for pid in path.read_text().split()}
+def test_tasks_of_a_group_stay_with_one_process_of_one_thread(make: Make) -> None:
+    grouped = [
+        Task(f"{g}{k}", lambda _: {"kind": "process"}, group=g) for k in range(3) for g in "ab"
+    ]
+    found = run([*grouped, task("threads", "threads")], make=make)
+    assert found["threads"].result["threads"] == "1"
+    processes = {g: {found[f"{g}{k}"].result["process"] for k in range(3)} for g in "ab"}
+    assert all(len(own) == 1 for own in processes.values())
+    assert processes["a"] != processes["b"]
 
 
 def test_the_queue_grows_no_slower_than_its_tasks() -> None:
@@ -219,16 +208,6 @@ def test_the_queue_grows_no_slower_than_its_tasks() -> None:
     assert [t.key for t in taken if t] == [t.key for t in tasks]
     assert ready.take("") is None
     assert ready._fronts == []
-
-
-def test_tasks_of_a_group_stay_with_one_worker() -> None:
-    grouped = [
-        Task(f"{g}{k}", lambda _: {"kind": "process"}, group=g) for k in range(3) for g in "ab"
-    ]
-    found = run(grouped)
-    processes = {g: {found[f"{g}{k}"].result["process"] for k in range(3)} for g in "ab"}
-    assert all(len(own) == 1 for own in processes.values())
-    assert processes["a"] != processes["b"]
 
 
 def test_the_longest_comes_first_and_what_others_wait_for_before_them() -> None:
@@ -311,3 +290,40 @@ def test_results_are_kept_while_somebody_needs_them() -> None:
         assert taken is not None
         ready.finish(taken.key, {"status": key})
         assert set(ready.results) == kept
+
+
+# A process beside this one: it works, and whatever becomes of it the call is made.
+
+
+def where(text: str) -> tuple[str, int]:
+    return text, os.getpid()
+
+
+def killed_elsewhere(home: int) -> int:
+    if os.getpid() != home:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return home
+
+
+def test_a_call_is_made_in_another_process_that_ends_with_the_context() -> None:
+    with Worker(dict) as worker:
+        found, process = worker.begin(where, "there")()
+    assert found == "there"
+    assert process != os.getpid()
+    until(lambda: not is_alive(process))
+
+
+def test_a_death_or_what_cannot_be_sent_is_made_up_for_here() -> None:
+    with Worker(dict) as worker:
+        assert worker.begin(killed_elsewhere, os.getpid())() == os.getpid()
+        assert worker.begin(where, "here")() == ("here", os.getpid())
+    unsent = (number for number in range(3))
+    with Worker(dict) as worker:
+        assert worker.begin(sum, unsent)() == 3
+
+
+def test_a_fault_of_the_call_is_raised_here() -> None:
+    with Worker(dict) as worker:
+        later = worker.begin(int, "none")
+        with pytest.raises(ValueError, match="none"):
+            later()

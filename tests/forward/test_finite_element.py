@@ -89,10 +89,6 @@ def finished(work: Work, folder: Path, jobs: int = 2) -> list[Record]:
     return store.records(work.input_hashes)
 
 
-def comparable(records: list[Record]) -> str:
-    return str(table(records).sort_values("case_id").to_csv(index=False))
-
-
 def test_cases_of_a_cell_share_the_fit_of_its_first_specimen(work: Work) -> None:
     groups = {job.group for job in work.jobs}
     assert len(work.jobs) == 6

@@ -25,8 +25,7 @@ from study.harness.record.document import (
     fault_of_series,
 )
 from study.harness.record.record import Record, seal
-from study.harness.record.store import ENDS_WITH_CONSTANTS, Store
-from study.harness.runner.fit_summary import WITH_CONSTANTS
+from study.harness.record.store import Store
 from tests.record.samples import FIT, NUMERICAL, manifest, record
 from validation.damage import Damage, damages, sealed
 
@@ -201,15 +200,10 @@ def test_what_was_not_finite_when_it_was_written_is_no_damage() -> None:
     assert Record.from_json(one.to_json()).responses["error"]["u_steps"] is None
 
 
-def test_the_store_knows_which_fits_have_constants() -> None:
-    assert set(ENDS_WITH_CONSTANTS) == set(WITH_CONSTANTS)
-
-
 def test_a_pipe_is_no_lock(tmp_path: Path) -> None:
     """To open a pipe waits for somebody who writes to it."""
     os.mkfifo(tmp_path / atomic_files.LOCK_NAME)
-    assert not atomic_files.is_locked(tmp_path)
-    assert atomic_files.holder(tmp_path) == {}
+    assert atomic_files.holder(tmp_path) is None
     with pytest.raises(StoreError, match=r"\.lock: cannot be written \(it is no file"):  # noqa: SIM117
         with atomic_files.exclusive(tmp_path):
             pass

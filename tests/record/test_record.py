@@ -98,16 +98,7 @@ def forged(**changes):
     "text",
     [
         forged(status="great"),
-        forged(levels={"a": 1}),
-        forged(levels=[]),
-        forged(responses={"e": 3}),
-        forged(responses={"e": {"value": "3"}}),
-        forged(timings={"total": "long"}),
-        forged(curves={"measured:p": {"displacement_mm": [1]}}),
-        forged(curves={"measured:p": {"displacement_mm": ["x"], "force_N": [1]}}),
-        forged(curves={"measured:p": 3}),
         forged(curves={"p": {"displacement_mm": [1], "force_N": [1]}}),
-        forged(block=3),
         forged(more=1),
         seal([1]),
         record().to_json().replace('"schema":1', '"schema":2'),
@@ -121,24 +112,6 @@ def forged(**changes):
 def test_wrong_content_is_refused_cleanly(text):
     with pytest.raises(StoreError):
         Record.from_json(text, "here")
-
-
-json_values = st.recursive(
-    st.none() | st.booleans() | st.integers() | finite | st.text(max_size=8),
-    lambda inner: (
-        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3)
-    ),
-    max_leaves=8,
-)
-
-
-@given(st.sampled_from(sorted(json.loads(record().to_json())["content"])), json_values)
-def test_any_value_in_any_field_is_refused_or_a_valid_record(name, value):
-    try:
-        found = Record.from_json(forged(**{name: value}))
-    except StoreError:
-        return
-    assert Record.from_json(found.to_json()) == found
 
 
 #: a record as an earlier version wrote it, its checksum with it

@@ -9,7 +9,6 @@ import pytest
 
 from study.ground.errors import InputError, StoreError
 from study.harness.record.record import table, write_csv
-from tests.record.disk import FailingDisk
 from tests.record.samples import record
 
 
@@ -99,14 +98,3 @@ def test_names_that_a_spreadsheet_would_run_are_refused(tmp_path, name):
 def test_text_that_is_no_text(tmp_path):
     with pytest.raises(InputError, match="not valid text"):
         write_csv(table([record(levels={"m": "\ud800"})]), tmp_path / "t.csv")
-
-
-def test_a_full_disk_leaves_the_old_table(tmp_path):
-    path = tmp_path / "t.csv"
-    write_csv(table([record("a1")]), path)
-    before = path.read_bytes()
-    for k in range(1, 4):
-        with pytest.raises(StoreError, match="unharmed"):
-            write_csv(table([record("b2")]), path, FailingDisk(k))
-        assert path.read_bytes() == before
-        assert list(tmp_path.iterdir()) == [path]

@@ -10,7 +10,7 @@ import pytest
 from study.ground.curve import Curve
 from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
-from study.harness.runner.staged_fit import TOLERANCES, staged_fit
+from study.harness.runner.staged_fit import TOLERANCES, StagedSearch, staged_fit
 from study.harness.runner.staged_fit import FitPart as Part
 from study.mechanics.calibration.fit import Fit, fit
 from study.mechanics.calibration.residual_function import MeasuredCurve
@@ -127,7 +127,7 @@ def test_whole_calibration_of_three_constants_in_ten_solves() -> None:
     measured = MeasuredCurve("virtual", curve(setting, true))
     start = np.array([3 * v for v in true.values()])
     parts = [Part("inverse-fem", problem, (measured,))]
-    found = staged_fit(parts, names, start, fit_task.fitted_model)
+    found = staged_fit(parts, start, StagedSearch(names, fit_task.fitted_model))
     assert found.fit.converged
     assert found.fit.values == pytest.approx(list(true.values()), abs=1e-6 * true["C10"])
     assert found.evaluations <= 10

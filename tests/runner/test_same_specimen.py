@@ -13,7 +13,7 @@ from study.harness.runner import fit_task
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import FitJob, Work
 from study.harness.runner.staged_fit import FitPart as Part
-from study.harness.runner.staged_fit import staged_fit
+from study.harness.runner.staged_fit import StagedSearch, staged_fit
 from study.harness.runner.virtual_specimens import TRUTHS, Generator, write_virtual
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.lack_of_fit import agreement
@@ -71,9 +71,8 @@ def _done(work: Work, job: FitJob) -> Fit:
     (way,) = job.problem.tests
     names, first = fit_task.start_values(way.problem, job.measured, start)
     data = tuple(MeasuredCurve("virtual", curve) for curve in job.measured)
-    found = staged_fit(
-        [Part(way.method, way.problem, data)], names, first, fit_task.fitted_model
-    ).fit
+    search = StagedSearch(names, fit_task.fitted_model)
+    found = staged_fit([Part(way.method, way.problem, data)], first, search).fit
     assert found.converged, found.message
     return found
 

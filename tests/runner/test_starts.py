@@ -15,7 +15,7 @@ from study.harness.design.load import load
 from study.harness.runner import expansion, fit_task
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.job import Work
-from study.harness.runner.staged_fit import Checkpoint, Staged, gentler, staged_fit
+from study.harness.runner.staged_fit import Checkpoint, Staged, StagedSearch, gentler, staged_fit
 from study.harness.runner.staged_fit import FitPart as Part
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
@@ -75,7 +75,7 @@ def fitted(problem: CellProblem, start: np.ndarray, limit: float = -0.3, **optio
             raise EvaluationFailed("no forces of a solid of one constant")
         return Softening(limit)
 
-    return staged_fit(parts, NAMES, start, make, **options)
+    return staged_fit(parts, start, StagedSearch(NAMES, make, **options))
 
 
 @pytest.mark.parametrize(

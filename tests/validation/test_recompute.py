@@ -91,7 +91,8 @@ def recomputed(*arguments: object) -> Answer:
 
 
 def records(results: Path, plates: str) -> list[Record]:
-    return [r for r in Store(results).read_all() if r.levels["plates"] == plates]
+    stored = (Store(results).read(path.name) for path in sorted((results / "cases").iterdir()))
+    return [r for r in stored if r is not None and r.levels["plates"] == plates]
 
 
 Change = Callable[[Record], Record]

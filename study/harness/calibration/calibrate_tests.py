@@ -103,13 +103,15 @@ class Setting:
     moved: tuple[str, ...] = ()
     limits: Limits = NO_LIMITS
 
+    def search(self, checkpoint: Checkpoint | None = None) -> StagedSearch:
+        """Search of its stages; without a checkpoint nothing of it is kept."""
+        kept_at = checkpoint or Checkpoint(limits=self.limits)
+        return StagedSearch(self.names, fit_task.fitted_model, self.bounds, self.progress, kept_at)
+
     def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
         """Fit to the curves whose role is ``fit``."""
         parts = parts_of(self.tests, in_order(curves))
-        done = staged_fit(
-            parts, self.names, self.start, fit_task.fitted_model, bounds=self.bounds,
-            progress=self.progress, checkpoint=checkpoint or Checkpoint(limits=self.limits),
-        )  # fmt: skip
+        done = staged_fit(parts, self.start, self.search(checkpoint))
         measured = [curve for part in parts for curve in part.measured]
         corrected = with_serial_correlation(done.fit, measured)
         ordered = in_order(curves)
@@ -154,13 +156,11 @@ def from_all_starts(
     """
     count, seed = setting.config.asked.starts, setting.config.asked.seed
     rng, parts = np.random.default_rng(seed), parts_of(setting.tests, in_order(curves))
-    search = StagedSearch(
-        setting.names, fit_task.fitted_model, setting.bounds,
-        checkpoint=Checkpoint(limits=setting.limits),
-    )  # fmt: skip
+    quiet = replace(setting, progress=None)
+    search = quiet.search()
 
     def fit_from(start: Array) -> Staged:
-        return replace(setting, progress=None, start=start).fitted(curves)
+        return replace(quiet, start=start).fitted(curves)
 
     drawn = [scattered(search, setting.start, parts, rng) for _ in range(count - 1)]
     tried = [first, *map(fit_from, drawn)]

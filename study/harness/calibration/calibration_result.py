@@ -12,9 +12,9 @@ from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve
 from study.harness.calibration.resampling import Starts
-from study.harness.record.document import ParameterDocument
+from study.harness.record.document import WITH_CONSTANTS, ParameterDocument
 from study.harness.record.record import plain
-from study.harness.runner.fit_summary import WITH_CONSTANTS, status_of
+from study.harness.runner.fit_summary import status_of
 from study.harness.runner.response import CURVE_RESPONSES, in_shown_units, scale_of
 from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.material.input_file import Converted, convert

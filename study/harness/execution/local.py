@@ -195,8 +195,6 @@ def cause_of_death(message: str) -> str:
 
 # One process that works beside this one: what it cannot do is done here.
 
-TaskData = TypeVar("TaskData")
-
 
 class Worker:
     """Context with a process that begins calls while this one goes on.
@@ -224,14 +222,14 @@ class Worker:
         """End the process, whatever it does."""
         self._process.kill()
 
-    def begin(self, call: Callable[..., TaskData], *arguments: object) -> Callable[[], TaskData]:
+    def begin(self, call: Callable[..., Given], *arguments: object) -> Callable[[], Given]:
         """Begin a call there."""
         try:
-            future: Future[TaskData] = self._pool.submit(call, *arguments)
+            future: Future[Given] = self._pool.submit(call, *arguments)
         except Exception:  # noqa: BLE001 - the process has died: the call itself can still be made
             return lambda: call(*arguments)
 
-        def given() -> TaskData:
+        def given() -> Given:
             try:
                 return future.result()
             except Exception:  # noqa: BLE001 - as above; a fault of the call itself is raised here

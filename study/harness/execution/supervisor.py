@@ -89,10 +89,10 @@ class ReadyQueue:
     def __len__(self) -> int:
         return len(self._open)
 
-    @property
-    def waiting(self) -> list[str]:
-        """Keys of the tasks that were not handed out."""
-        return [self._tasks[number].key for number in self._open]
+    def stuck(self) -> RuntimeError:
+        """Error of tasks that cannot be handed out: what they need is none of these."""
+        names = ", ".join(self._tasks[number].key for number in self._open)
+        return RuntimeError(f"tasks wait for something that nobody makes: {names}")
 
     def finish(self, key: str, result: Document) -> None:
         """Note a result; tasks that waited for it become ready."""
@@ -242,8 +242,7 @@ class Supervisor:
                 self._hand_out(desks, done)
                 busy = [desk for desk in desks if desk.tasks]
                 if not busy:
-                    names = ", ".join(self.ready.waiting)
-                    raise RuntimeError(f"tasks wait for something that nobody makes: {names}")
+                    raise self.ready.stuck()
                 ended = [*self._answered(busy, done), *self._late(busy)]
                 for outcome in ended:
                     self.ready.finish(outcome.key, outcome.result)
@@ -389,8 +388,7 @@ class Inline:
         while len(ready):
             task = ready.take(group)
             if task is None:
-                names = ", ".join(ready.waiting)
-                raise RuntimeError(f"tasks wait for something that nobody makes: {names}")
+                raise ready.stuck()
             group, began = task.group, time.monotonic()
             (result,) = json.loads(answers(self.perform, [task.payload(ready.results)]))
             ready.finish(task.key, result)

@@ -24,10 +24,7 @@ from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, parse_json, read_regular
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, UnitError, nearest
-from study.harness.design.forward_section import (
-    CurveFile,
-    ValueFile,
-)
+from study.harness.design.forward_section import CurveFile, ValueFile
 from study.harness.execution.local import Process, ProcessPool
 from study.harness.record.document import ProgramDocument
 

@@ -35,7 +35,7 @@ from study.harness.external.answers import (
 )
 from study.harness.record.document import MarkerDocument, MeshDocument, SolverDocument
 from study.mechanics.material.material import is_dimensionless
-from study.mechanics.setup.declaration import values_of
+from study.mechanics.setup.declaration import table_of, values_of
 from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:
@@ -153,15 +153,11 @@ def _section(value: object) -> dict[str, Json]:
 
 def context_of(request: Mapping[str, object]) -> dict[str, object]:
     """Names of a template: those of a request, with every constant under its own name."""
-    material = request["material"]
-    if not isinstance(material, Mapping):
-        raise TypeError("a request has no material")
-    constants = material["constants_MPa"]
-    properties = {k: v for k, v in material.items() if k != "constants_MPa"}
-    if isinstance(constants, Mapping):
-        plain_names = {k: k if is_dimensionless(k) else f"{k}_MPa" for k in constants}
-        properties |= {plain_names[k]: v for k, v in constants.items()}
-    return {**request, "material": properties}
+    material = table_of(request, "material")
+    constants = table_of(material, "constants_MPa")
+    named = {k if is_dimensionless(k) else f"{k}_MPa": v for k, v in constants.items()}
+    others = {k: v for k, v in material.items() if k != "constants_MPa"}
+    return {**request, "material": {**others, **named}}
 
 
 def answer(folder: Path, displacement_mm: Array, reaches: bool = True) -> PredictedCurve:

@@ -261,41 +261,29 @@ def _take(handle: int) -> None:
     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def holder(folder: Path) -> dict[str, object]:
-    """Read what the lock file says of its owner; empty if unreadable or never locked."""
+def holder(folder: Path) -> dict[str, object] | None:
+    """Read what the runner at work in a folder says of itself; None where there is none."""
     try:
         handle = _opened(folder, os.O_RDONLY)
     except OSError:
-        return {}
+        return None
     try:
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            return None
         content = parse_json(os.read(handle, 4096), LOCK_NAME)
-    except (OSError, StoreError):
+    except OSError:
+        return None
+    except StoreError:
         return {}
     finally:
         os.close(handle)
     return content if isinstance(content, dict) else {}
 
 
-def is_locked(folder: Path) -> bool:
-    """Whether a runner is at work in the folder just now."""
-    try:
-        handle = _opened(folder, os.O_RDONLY)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
-    finally:
-        os.close(handle)
-    return False
-
-
 def sign(folder: Path, progress: Mapping[str, object]) -> None:
     """Add progress to what the owner of the lock says of itself."""
-    owner = {name: value for name, value in holder(folder).items() if name in _OWNER}
+    owner = {name: value for name, value in (holder(folder) or {}).items() if name in _OWNER}
     try:
         handle = _opened(folder, os.O_WRONLY)
     except OSError:

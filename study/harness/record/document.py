@@ -9,43 +9,33 @@ are in N, lengths in mm, constants of a fit in MPa and those of a record in kPa 
 from __future__ import annotations
 
 import math
-import types
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import (
-    Annotated,
-    NamedTuple,
-    NotRequired,
-    Required,
-    TypedDict,
-    Union,
-    cast,
-    get_args,
-    get_origin,
-    get_type_hints,
-    is_typeddict,
-)
+from typing import Annotated, NamedTuple, NotRequired, Required, cast
 
 import numpy as np
-from pydantic_core import SchemaValidator, ValidationError, core_schema
-from pydantic_core.core_schema import CoreSchema
+from pydantic import AllowInfNan, Field, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import StoreError
 
-#: what a number or a list must keep besides its type
-Positive = Annotated[int, ("ge", 1)]
-NotNegative = Annotated[float, ("ge", 0.0)]
-Pair = Annotated[list[float | None], ("min_length", 2), ("max_length", 2)]
-Interval = Annotated[list[float], ("min_length", 2), ("max_length", 2)]
-Numbers = Annotated[list[float], ("min_length", 1)]
+#: what a number or a list must keep besides its type; a larger whole number overflows where it
+#: meets a float
+Number = Annotated[float, AllowInfNan(False)]
+Whole = Annotated[int, Field(ge=-(2**63), le=2**63)]
+Positive = Annotated[int, Field(ge=1, le=2**63)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Pair = Annotated[list[Number | None], Field(min_length=2, max_length=2)]
+Interval = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Numbers = Annotated[list[Number], Field(min_length=1)]
 
 
 class Quantity(TypedDict):
     """A number with its unit; None where it could not be had."""
 
-    value: float | None
+    value: Number | None
     unit: str
 
 
@@ -58,24 +48,24 @@ class ResponseDocument(Quantity):
 class ParameterDocument(Quantity):
     """A constant with its standard error and 95 % interval, where a single fit gives them."""
 
-    standard_error: NotRequired[float | None]
+    standard_error: NotRequired[Number | None]
     ci95: NotRequired[Interval | None]
 
 
 class MeshDocument(TypedDict, total=False):
     """The mesh of a solution."""
 
-    dofs: int
-    elements: int
+    dofs: Whole
+    elements: Whole
     hash: str
-    mesh_size_mm: float
+    mesh_size_mm: Number
 
 
 class StepDocument(TypedDict):
     """One command of a solution: its words, return code and last output."""
 
     argv: list[str]
-    code: int | None
+    code: Whole | None
     output: str
 
 
@@ -91,12 +81,12 @@ class SolverDocument(TypedDict, total=False):
     """How a solution was found, and its energy balance; ``program`` where it is another one."""
 
     name: str
-    min_j: float
-    energy_mismatch: float
-    stabilization_share: float
-    snaps_mm: list[float]
-    penetration_mm: float
-    gap_mm: float
+    min_j: Number
+    energy_mismatch: Number
+    stabilization_share: Number
+    snaps_mm: list[Number]
+    penetration_mm: Number
+    gap_mm: Number
     program: ProgramDocument
 
 
@@ -108,10 +98,10 @@ class PlateFitDocument(TypedDict):
 
     plate: str
     fitted: str
-    markers: int
-    error_mm: float | None
-    error_by_axis_mm: list[float | None]
-    error_by_layer_mm: dict[str, float | None]
+    markers: Whole
+    error_mm: Number | None
+    error_by_axis_mm: list[Number | None]
+    error_by_layer_mm: dict[str, Number | None]
     motion: dict[str, Pair]
 
 
@@ -119,15 +109,15 @@ class MarkerDocument(TypedDict):
     """Markers inside a specimen in one state; the floor is what no smooth field undercuts."""
 
     state: str
-    floor_mm: float | None
+    floor_mm: Number | None
     fits: list[PlateFitDocument]
 
 
 class ResamplingDocument(TypedDict):
     """Block length and lag-1 correlation of the residuals that a bootstrap drew from."""
 
-    block: int
-    lag1: float
+    block: Whole
+    lag1: Number
 
 
 class FitDocument(TypedDict, total=False):
@@ -140,14 +130,14 @@ class FitDocument(TypedDict, total=False):
     method: str
     message: str
     names: list[str]
-    values: dict[str, float]
-    standard_error: dict[str, float | None]
+    values: dict[str, Number]
+    standard_error: dict[str, Number | None]
     ci95: dict[str, Pair | None]
-    correlation: list[list[float | None]] | None
-    condition: float | None
+    correlation: list[list[Number | None]] | None
+    condition: Number | None
     rss: NotNegative | None
-    r_squared: float | None
-    aicc: float | None
+    r_squared: Number | None
+    aicc: Number | None
     n: Positive
     identifiable: bool
     reason: str
@@ -157,12 +147,16 @@ class FitDocument(TypedDict, total=False):
     stable: bool
     usable: bool
     stability: str
-    evaluations: int
-    newton_iterations: int
-    solves: int
+    evaluations: Whole
+    newton_iterations: Whole
+    solves: Whole
     seconds: NotNegative
-    mu0: float
+    mu0: Number
     resampling: list[ResamplingDocument]
+
+
+#: ends of a fit that has constants
+WITH_CONSTANTS = frozenset({"converged", "at-edge", "at-kink"})
 
 
 class ScoreDocument(TypedDict):
@@ -171,7 +165,7 @@ class ScoreDocument(TypedDict):
     score: str
     fit: str
     role: str
-    scatter_N: list[float | None] | None
+    scatter_N: list[Number | None] | None
     responses: dict[str, Quantity]
 
 
@@ -207,13 +201,13 @@ class ExtraDocument(TypedDict, total=False):
     directions: list[ScoreDocument]
     markers: list[MarkerDocument]
     retries: list[RetryDocument]
-    mesh_seed: int
-    noise_seed: int
-    replicate: int
+    mesh_seed: Whole
+    noise_seed: Whole
+    replicate: Whole
     rendered: dict[str, str]
     purpose: str
     of: str
-    level: int
+    level: Whole
     input: str
     traceback: str
     not_finite: dict[str, str]
@@ -257,7 +251,7 @@ class StoredFitDocument(FitDocument, total=False):
     curve: dict[str, object]
     mesh: MeshDocument
     solver: SolverDocument
-    named_values: dict[str, float]
+    named_values: dict[str, Number]
 
 
 class SolutionDocument(TypedDict, total=False):
@@ -266,12 +260,12 @@ class SolutionDocument(TypedDict, total=False):
     status: Required[str]
     message: str
     curve: dict[str, object]
-    elements: int
-    dofs: int
+    elements: Whole
+    dofs: Whole
     mesh_hash: str
     seconds: NotNegative
-    memory_MB: float
-    base_MB: float
+    memory_MB: Number
+    base_MB: Number
 
 
 class NumericalRow(TypedDict):
@@ -279,14 +273,14 @@ class NumericalRow(TypedDict):
 
     levels: dict[str, str]
     response: str
-    value: float | None
-    u_num: float | None
+    value: Number | None
+    u_num: Number | None
     unit: str
     behaviour: str
     note: str
-    mesh_size: NotRequired[list[Annotated[float, ("gt", 0.0)]]]
-    series: NotRequired[list[float]]
-    formal_order: NotRequired[float | None]
+    mesh_size: NotRequired[list[Annotated[Number, Field(gt=0.0)]]]
+    series: NotRequired[list[Number]]
+    formal_order: NotRequired[Number | None]
     formal_reason: NotRequired[str]
 
 
@@ -301,10 +295,10 @@ class SpaceRow(TypedDict):
     """One cylinder in both spaces; None where one of them could not be solved."""
 
     levels: dict[str, str]
-    unknowns: Annotated[list[int], ("min_length", 2), ("max_length", 2)]
-    depth_mm: float
-    at_end: float | None
-    largest: float | None
+    unknowns: Annotated[list[Whole], Field(min_length=2, max_length=2)]
+    depth_mm: Number
+    at_end: Number | None
+    largest: Number | None
     message: str
 
 
@@ -325,15 +319,15 @@ class ValidationRow(TypedDict):
     u_data_N: Numbers
     u_val_N: Numbers
     unknown: NotRequired[list[str]]
-    outside: float
+    outside: Number
     verdict: str
 
 
 class AdaptiveStep(TypedDict):
     """What was known with so many cells: Q2 by response, what was not known, why it ended."""
 
-    cells: int
-    q2: dict[str, float | None]
+    cells: Whole
+    q2: dict[str, Number | None]
     open: list[str]
     stopped: str
 
@@ -369,14 +363,12 @@ class CurveKey(NamedTuple):
 
 #: what a record must know of each of its fits
 _NEEDED = ("key", "values", "identifiable")
-#: whole numbers of a document; a larger one overflows where it meets a float
-_LARGEST = 2**63
 
 
 def fault_of(content: object, kind: type) -> str:
     """Say where a content is not such a document; empty if it is one."""
     try:
-        _validator(kind).validate_python(content)
+        _adapter(kind).validate_python(content, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         place = ".".join(map(str, first["loc"]))
@@ -463,44 +455,5 @@ def _is_finite(values: Array) -> bool:
 
 
 @cache
-def _validator(kind: type) -> SchemaValidator:
-    return SchemaValidator(_schema(kind))
-
-
-_PLAIN: Mapping[object, CoreSchema] = {
-    str: core_schema.str_schema(strict=True),
-    bool: core_schema.bool_schema(strict=True),
-    int: core_schema.int_schema(strict=True, ge=-_LARGEST, le=_LARGEST),
-    float: core_schema.float_schema(strict=True, allow_inf_nan=False),
-    object: core_schema.any_schema(),
-}
-
-
-def _schema(hint: object) -> CoreSchema:
-    """Compile a type as the documents use them."""
-    if is_typeddict(hint):
-        return _table(cast(type, hint))
-    origin, inner = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return cast(CoreSchema, {**_schema(inner[0]), **dict(inner[1:])})
-    if origin in (Union, types.UnionType):
-        (inner_hint,) = (kind for kind in inner if kind is not types.NoneType)
-        return core_schema.nullable_schema(_schema(inner_hint))
-    if origin is dict:
-        return core_schema.dict_schema(_PLAIN[str], _schema(inner[1]), strict=True)
-    if origin is list:
-        return core_schema.list_schema(_schema(inner[0]), strict=True)
-    return _PLAIN[hint]
-
-
-def _table(kind: type) -> CoreSchema:
-    """Compile a dictionary with known keys; what else it holds is nobody's business."""
-    fields = {}
-    by_class: frozenset[str] = kind.__dict__["__required_keys__"]
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        # in annotations that are kept as text the class itself does not see these two
-        qualifier = get_origin(hint) if get_origin(hint) in (Required, NotRequired) else None
-        required = qualifier is Required if qualifier else name in by_class
-        inner = get_args(hint)[0] if qualifier else hint
-        fields[name] = core_schema.typed_dict_field(_schema(inner), required=required)
-    return core_schema.typed_dict_schema(fields, strict=True, extra_behavior="ignore")
+def _adapter(kind: type) -> TypeAdapter[object]:
+    return TypeAdapter(kind)

@@ -95,7 +95,7 @@ class SealedFolder:
 
     def running(self) -> dict[str, object] | None:
         """Pid, host, start and progress of the runner in this folder; None if there is none."""
-        return atomic_files.holder(self.path) if atomic_files.is_locked(self.path) else None
+        return atomic_files.holder(self.path)
 
     def write_json(self, name: str, content: object, *, followed: bool = False) -> None:
         """Store any JSON content under a name such as ``"study"``, sealed and atomically."""
@@ -159,9 +159,9 @@ class SealedFolder:
             raise StoreError(f"{name!r} is no name of a stored file (a-z, 0-9, hyphens)")
         return inside(self.path, f"{name}.json".split("/"), OUTSIDE)
 
-    def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
+    def _bytes(self, path: Path) -> bytes | None:
         try:
-            return read_regular(path, limit)
+            return read_regular(path, MAX_JSON_BYTES)
         except NotRegularError as error:
             self._set_aside(path, str(error))
             return None

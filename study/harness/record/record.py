@@ -22,7 +22,7 @@ from study.ground.bounded_file import parse_json
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, NewerSchemaError, StoreError, nearest
 from study.ground.tabular import is_formula
-from study.harness.record.atomic_files import FileSystem, write_atomic
+from study.harness.record.atomic_files import write_atomic
 from study.harness.record.document import (
     CurveKey,
     FitDocument,
@@ -341,7 +341,7 @@ def answered_often(
     return 2 * table_known[block].groupby(cell).transform("nunique") > blocks
 
 
-def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) -> None:
+def write_csv(frame: DataFrame, path: Path) -> None:
     """Write a table as CSV, whole or not at all."""
     texts = [("header", str(name)) for name in frame.columns]
     for name in frame.columns:
@@ -363,7 +363,7 @@ def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) ->
         data = text.encode()
     except UnicodeEncodeError as error:
         raise InputError(Fault(path.name, f"a name is not valid text ({error.reason})")) from error
-    write_atomic(path, data, system)
+    write_atomic(path, data)
 
 
 def _units(records: Sequence[Record]) -> dict[str, str]:

@@ -24,6 +24,7 @@ from study.ground.curve import Curve
 from study.ground.errors import NewerSchemaError, StoreError
 from study.harness.record.atomic_files import write_atomic
 from study.harness.record.document import (
+    WITH_CONSTANTS,
     CurveKey,
     ManifestDocument,
     SolutionDocument,
@@ -47,21 +48,18 @@ from study.harness.record.survey import (
 
 #: key of a stored result: name of the libraries that made it
 _MADE_WITH = "made_with"
-#: ends of a fit that has constants
-ENDS_WITH_CONSTANTS = (CONVERGED, "at-edge", "at-kink")
 
 
 def _fault_of_fit(fit: StoredFitDocument) -> str:
     """Say why cases cannot use a fit that they share; empty if they can."""
-    if fit["status"] in ENDS_WITH_CONSTANTS and not fit.get("values"):
+    if fit["status"] in WITH_CONSTANTS and not fit.get("values"):
         return "it has no values"
     if set(fit.get("names", ())) != fit.get("values", {}).keys():
         return "its names are not those of its values"
-    if "curve" not in fit:
-        return fault_of_fits({"fit": fit}, needed=())
-    if "solver" not in fit:
+    if "curve" in fit and "solver" not in fit:
         return "it has no solver"
-    return fault_of_fits({"fit": fit}, needed=()) or _fault_of_curve(fit["curve"])
+    fault = fault_of_fits({"fit": fit}, needed=())
+    return fault or (_fault_of_curve(fit["curve"]) if "curve" in fit else "")
 
 
 def _fault_of_solution(solution: SolutionDocument) -> str:
@@ -170,10 +168,6 @@ class Store(ManifestFolder):
             self._entries.pop(case_id, None)
             return None
         return record
-
-    def read_all(self) -> list[Record]:
-        """Every valid record, by case id: the order of the runs leaves no trace."""
-        return [record for name in self._case_ids() if (record := self.read(name)) is not None]
 
     def survey(self, input_hashes: Mapping[str, str]) -> Survey:
         """Sort the wanted cases into done, failed and missing."""

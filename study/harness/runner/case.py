@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import time
 import types
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -47,7 +47,7 @@ from study.mechanics.setup.geometry import Block
 from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:
-    from study.mechanics.solver.load_path import MovedPlate, PrescribedMotion
+    from study.mechanics.solver.load_path import MovedPlate
     from study.mechanics.solver.solution import Solution
 
 # The motion of a plate that markers inside a specimen tell, and what they are off.
@@ -83,7 +83,7 @@ def plate_fits(
     spec: MarkerSpec, markers: MarkerStates, label: str, problem: Problem, solution: Solution
 ) -> list[PlateFitDocument]:
     """Compare a simulated block with markers, by what its plate is taken to do."""
-    fitter = _Fitter.of(markers, label, problem, solution)
+    fitter = _Fitter(markers, label, problem, solution)
     every = np.ones(len(markers.rest), dtype=bool)
     fits = [fitter.fitted(plate, "all", every, every) for plate in _FREE]
     if spec.fit:
@@ -92,29 +92,19 @@ def plate_fits(
     return fits
 
 
-@dataclass
 class _Fitter:
     """Fits to one state; each begins where the last one ended."""
 
-    motion: PrescribedMotion
-    interpolated: Callable[[Array], Array]
-    measured: Array
-    size_mm: float
-    at: MovedPlate
-    #: Of every marker; empty where they have none.
-    layers: Sequence[str]
-
-    @classmethod
-    def of(cls, markers: MarkerStates, label: str, problem: Problem, solution: Solution) -> _Fitter:
+    def __init__(
+        self, markers: MarkerStates, label: str, problem: Problem, solution: Solution
+    ) -> None:
         from study.mechanics.element.function_space import interpolation
         from study.mechanics.solver.load_path import PrescribedMotion
 
-        plate = PrescribedMotion(problem, solution)
-        interpolated = interpolation(plate.system.mesh, problem.model, markers.rest)
-        height = plate.system.mesh.height_mm
-        return cls(
-            plate, interpolated, markers.moved[label], height, plate.start, markers.layers
-        )  # fmt: skip
+        self.motion = plate = PrescribedMotion(problem, solution)
+        self.interpolated = interpolation(plate.system.mesh, problem.model, markers.rest)
+        self.measured, self.layers = markers.moved[label], markers.layers
+        self.size_mm, self.at = plate.system.mesh.height_mm, plate.start
 
     def fitted(self, plate: str, name: str, chosen: Flags, scored: Flags) -> PlateFitDocument:
         """Fit the motion to some markers and judge it on others."""

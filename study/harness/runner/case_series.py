@@ -121,14 +121,6 @@ class CaseSeries:
         usable = record is not None and record.converged and not has_other_mesh(record)
         return record if usable else None
 
-    def due(self) -> list[CaseJob]:
-        """Cases that were not computed yet: all of them, for none depends on another."""
-        return [job for job in self.every if job.case.case_id not in self.records]
-
-    def add(self, step: CaseJob, result: Record | None) -> None:
-        """Take the record of a case."""
-        self.records[step.case.case_id] = result
-
     def sizes(self, records: Sequence[Record]) -> tuple[float, ...]:
         """Mesh sizes of some records by the elements of their meshes, the first as asked for."""
         job_of = {job.case.case_id: job for job in self.jobs}
@@ -275,10 +267,10 @@ def refine_cases(
     series: Sequence[CaseSeries], compute: Callable[[Sequence[CaseJob]], Sequence[Record | None]]
 ) -> None:
     """Compute what is missing of every series, all of it together."""
-    due = [(member, job) for member in series for job in member.due()]
+    due = [(m, job) for m in series for job in m.every if job.case.case_id not in m.records]
     records = compute([job for _, job in due]) if due else ()
     for (member, job), record in zip(due, records, strict=True):
-        member.add(job, record)
+        member.records[job.case.case_id] = record
 
 
 def size_of(job: CaseJob) -> float:

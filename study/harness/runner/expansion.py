@@ -166,8 +166,8 @@ def _without_specimen(
         where = dict((fit_where if calibrated is None else calibrated.fit) or {})
         curves = tuple(fitted.curve(block, **where).curve for block in others)
         fit = fit_job(problem, curves, case.label)
-        pair = _pair(scored.curve(case.block, **dict(score_where or {})), score_where, fit)
-        pairs.append(replace(pair, fit_label=f"all but {case.block}"))
+        test = scored.curve(case.block, **dict(score_where or {}))
+        pairs.append(_pair(test, score_where, fit, f"all but {case.block}"))
     return pairs
 
 
@@ -188,8 +188,7 @@ def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePai
         curves.append(measured.curve(block, **dict(measured.fit or {})).curve)
     fit = fit_job(together(case.cell, others), tuple(curves), case.label)
     where = scored.score or scored.fit
-    pair = _pair(scored.curve(case.block, **dict(where or {})), where, fit)
-    return replace(pair, fit_label="all other tests")
+    return _pair(scored.curve(case.block, **dict(where or {})), where, fit, "all other tests")
 
 
 def _name(problem: CellProblem) -> str:
@@ -416,7 +415,7 @@ def _fitted_pairs(
     for (fitted, test), (fit_where, score_where) in pairs:
         fit = fit_job(problem, (fitted.curve,), case.label)
         role = "fit" if fit_where == score_where else "score"
-        out.append(_pair(test, score_where, fit, fit_where, role))
+        out.append(_pair(test, score_where, fit, _label(fit_where), role))
     return out
 
 
@@ -424,11 +423,11 @@ def _pair(
     test: MeasuredTest,
     score_where: Selection | None,
     fit: FitJob | None,
-    fit_where: Selection | None = None,
+    fit_label: str = "all",
     role: str = "score",
 ) -> ScorePair:
     scatter = None if test.scatter_N is None else tuple(float(v) for v in test.scatter_N)
-    return ScorePair(_label(score_where), test.curve, fit, role, _label(fit_where), scatter)
+    return ScorePair(_label(score_where), test.curve, fit, role, fit_label, scatter)
 
 
 def _label(where: Selection | None) -> str:

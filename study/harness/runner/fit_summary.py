@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 
@@ -16,9 +16,7 @@ from study.harness.design.forward_model import ForwardCell
 from study.harness.external.answers import NoAnswer
 from study.harness.external.command import External, steps_of
 from study.harness.external.exchange import PredictedCurve
-from study.harness.record.document import (
-    FitDocument,
-)
+from study.harness.record.document import WITH_CONSTANTS, FitDocument
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
@@ -27,14 +25,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.material.stability import StabilityResult, ellipticity_end, stability
 from study.mechanics.setup.setup import Setup
 
-if TYPE_CHECKING:
-    pass
-
-
 FitStatus = Literal["converged", "at-edge", "at-kink", "not-converged"]
-
-#: ends of a fit that has constants
-WITH_CONSTANTS: Collection[str] = ("converged", "at-edge", "at-kink")
 
 
 def status_of(fit: Fit) -> FitStatus:

@@ -31,6 +31,7 @@ from study.harness.runner.fit_summary import (
 from study.harness.runner.staged_fit import (
     FitPart,
     Predict,
+    Staged,
     StagedSearch,
     is_proportional,
     least_minimum,
@@ -85,11 +86,12 @@ def fitted(task: FitTask) -> FitResult:
     names, first = start_values(
         parts[0].problem, task.measured, None if start is None else start.constants
     )
-    done, rivals = least_minimum(
-        [staged_fit(parts, names, first, fitted_model)],
-        parts, first, StagedSearch(names, fitted_model),
-        lambda values: staged_fit(parts, names, values, fitted_model),
-    )  # fmt: skip
+    search = StagedSearch(names, fitted_model)
+
+    def fit_from(values: Array) -> Staged:
+        return staged_fit(parts, values, search)
+
+    done, rivals = least_minimum([fit_from(first)], parts, first, search, fit_from)
     fitted_curves = [curve for part in parts for curve in part.measured]
     fit = named_open(with_serial_correlation(done.fit, fitted_curves), rivals)
     several = len(parts) > 1
@@ -119,11 +121,10 @@ def parts_of(task: FitTask) -> list[FitPart]:
         MeasuredCurve(f"measured {k}", curve, recordings=curve.recorded)
         for k, curve in enumerate(task.measured)
     ]
-    if len(tests) == 1:
-        return [FitPart(tests[0].method, tests[0].problem, tuple(data))]
+    groups = [data] if len(tests) == 1 else [[curve] for curve in data]
     return [
-        FitPart(test.method, test.problem, (curve,))
-        for test, curve in zip(tests, data, strict=True)
+        FitPart(test.method, test.problem, tuple(group))
+        for test, group in zip(tests, groups, strict=True)
     ]
 
 

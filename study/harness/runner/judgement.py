@@ -15,10 +15,8 @@ from study.harness.runner.refinement import (
     SOLVER_TOLERANCE,
     MeshLevel,
     RefinementSeries,
-    curve_values,
-    judged,
+    judged_meshes,
     quantity,
-    representative_sizes,
     size_needed,
     usable,
     within,
@@ -62,34 +60,25 @@ class ErrorSource:
     relative: float | None
 
 
-def source_tasks(problem: CellProblem, size_mm: float) -> list[SolveTask]:
-    """Solutions that the studies of steps, tolerance and another mesh need, the usual one first."""
-    usual = [SolveTask.of(problem, size_mm)]
-    usual += [SolveTask.of(problem, size_mm, more_steps=k) for k in STEPS[1:]]
-    usual += [SolveTask.of(problem, size_mm, looser=k) for k in LOOSER[1:]]
-    if isinstance(problem.specimen, Enclosed):
-        usual.append(SolveTask.of(problem.on_mesh(mesh_seed=OTHER_MESH), size_mm))
-    return usual
-
-
 def other_sources(
     problem: CellProblem, size_mm: float, solve: Solver
 ) -> tuple[list[ErrorSource], list[str]]:
     """Errors of every source for every quantity, and which solutions failed."""
-    results = solutions(solve, source_tasks(problem, size_mm))
-    count = problem.test.steps
-    steps = [(float(count * k), r) for k, r in zip(STEPS, results, strict=False)]
-    first = len(STEPS) + len(LOOSER) - 1
-    looser = list(zip(LOOSER, [results[0], *results[len(STEPS) : first]], strict=True))
+    steps = [(float(problem.test.steps * k), SolveTask.of(problem, size_mm, more_steps=k))
+             for k in reversed(STEPS)]  # fmt: skip
+    looser = [(k, SolveTask.of(problem, size_mm, looser=k)) for k in LOOSER]
     sources = [
-        ("load steps", steps[::-1], "{:g} load steps"),
+        ("load steps", steps, "{:g} load steps"),
         ("solver tolerance", looser, "a tolerance {:g} times the usual"),
     ]
-    for again in results[first:]:
-        pairs = [(0.0, results[0]), (float(OTHER_MESH), again)]
-        sources.insert(0, ("another mesh", pairs, "the mesh of this size with seed {:g}"))
+    if isinstance(problem.specimen, Enclosed):
+        other = SolveTask.of(problem.on_mesh(mesh_seed=OTHER_MESH), size_mm)
+        two = [(0.0, SolveTask.of(problem, size_mm)), (float(OTHER_MESH), other)]
+        sources.insert(0, ("another mesh", two, "the mesh of this size with seed {:g}"))
+    results = iter(solutions(solve, [task for _, tasks, _ in sources for _, task in tasks]))
     rows, warnings = [], []
-    for name, pairs, text in sources:
+    for name, tasks, text in sources:
+        pairs = [(k, next(results)) for k, _ in tasks]
         good = [(k, result) for k, result in pairs if result.converged]
         warnings += [
             f"{text.format(k)} gave no answer: {result.message}"
@@ -253,8 +242,7 @@ def judge(series: RefinementSeries, tolerance: float | None = None) -> SeriesJud
     )
     if len(meshes) < FEWEST:
         if len(meshes) == FEWEST - 1:
-            sizes, order = representative_sizes(meshes, series.setup), assumed_order(formal.order)
-            pair = judged(sizes, curve_values(meshes), order)
+            pair = judged_meshes(meshes, series.setup, assumed_order(formal.order))
             of_two = pair[series.spec.qoi]
             verdict = f"{facts.main.verdict}; {of_two.verdict}"
             facts = replace(facts, main=replace(of_two, verdict=verdict))
@@ -262,8 +250,7 @@ def judge(series: RefinementSeries, tolerance: float | None = None) -> SeriesJud
     fraction, coarsest = SOLVER_TOLERANCE, meshes[0]
     if tolerance and (main := function(meshes[-1].result.curve)):
         fraction = tolerance / abs(main)
-    sizes = representative_sizes(meshes, series.setup)
-    results = judged(sizes, curve_values(meshes), formal.order, fraction)
+    results = judged_meshes(meshes, series.setup, formal.order, fraction)
     judgement = combined(facts, series.spec.qoi, results, series.spec.tolerance, warnings)
     given = given_mesh(judgement.main)
     return replace(judgement, given=replace(given, mesh_size=coarsest.mesh_size_mm))

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.memory import free_memory_MB
@@ -59,27 +60,19 @@ class Predictions:
 
 
 @dataclass(frozen=True)
-class MeshLevel:
+class MeshLevel(Keyed):
     """One mesh of a series: what was predicted and what came out."""
 
     mesh_size_mm: float
     result: SolveResult
     predicted: Predictions = field(default_factory=Predictions)
 
-    def to_json(self) -> dict[str, object]:
-        """Everything but the curve."""
-        return {
-            "mesh_size": self.mesh_size_mm,
-            "status": self.result.status,
-            "message": self.result.message,
-            "elements": self.result.elements,
-            "unknowns": self.result.dofs,
-            "seconds": self.result.seconds,
-            "memory_MB": self.result.memory_MB,
-            "predicted_seconds": self.predicted.seconds,
-            "predicted_MB": self.predicted.memory_MB,
-            "predicted_unknowns": self.predicted.unknowns,
-        }
+    KEYS = (
+        "mesh_size=mesh_size_mm status=result.status message=result.message "
+        "elements=result.elements unknowns=result.dofs seconds=result.seconds "
+        "memory_MB=result.memory_MB predicted_seconds=predicted.seconds "
+        "predicted_MB=predicted.memory_MB predicted_unknowns=predicted.unknowns"
+    )
 
 
 @dataclass(frozen=True)
@@ -167,9 +160,7 @@ class RefinementSeries:
     @cached_property
     def first_mm(self) -> float:
         """Element size of the problem, the coarsest of the series."""
-        from study.mechanics.mesh.mesher import mesh_size
-
-        return float(mesh_size(self.problem.at().setup))
+        return element_size_mm(self.problem.at())
 
     @property
     def good(self) -> list[MeshLevel]:
@@ -203,8 +194,7 @@ class RefinementSeries:
         meshes, _ = usable(self.levels)
         if len(meshes) < FEWEST:
             return False, None
-        sizes = representative_sizes(meshes, self.setup)
-        results = judged(sizes, curve_values(meshes), self.formal.order)
+        results = judged_meshes(meshes, self.setup, self.formal.order)
         needed = [size_needed(result, accuracy) for result in results.values()]
         known = [size for size in needed if size is not None]
         return all(within(results, accuracy).values()), min(known, default=None)
@@ -304,14 +294,6 @@ def quantity(name: str) -> tuple[Callable[[Curve], float], str]:
     return QUANTITIES[name]
 
 
-def curve_values(levels: Sequence[MeshLevel]) -> dict[str, tuple[list[float], str]]:
-    """Every quantity of the curves of a series, in the order of the meshes."""
-    return {
-        name: ([function(level.result.curve) for level in levels], unit)
-        for name, (function, unit) in QUANTITIES.items()
-    }
-
-
 # Formal order of the force: what an element can promise where the solution is singular.
 #
 # The force of a test driven by a displacement is a derivative of the energy, whose error is
@@ -373,9 +355,19 @@ def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
         )
     if isinstance(singularity, SharpEdge):
         return 1.0, _sharp(problem, singularity.name)
-    if isinstance(singularity, RoundedEdge):
-        return _rounded(singularity.radius_mm, _edge_size(problem))
-    return 2.0, _RIM
+    if not isinstance(singularity, RoundedEdge):
+        return 2.0, _RIM
+    edge, size = singularity.radius_mm, element_size_mm(problem)
+    if size > edge / _ACROSS_EDGE:
+        return 1.0, (
+            f"the edge of the flat punch, rounded with {edge:.3g} mm, which the coarsest mesh of "
+            f"{size:.3g} mm does not resolve: it looks sharp, where the order is 1; meshes of "
+            f"{edge / _ACROSS_EDGE:.3g} mm and less have order 2 at most"
+        )
+    return 2.0, (
+        f"the rounded edge of the flat punch ({edge:.3g} mm), which the meshes resolve: the "
+        f"pressure is finite, and what counts is {_RIM}"
+    )
 
 
 def _sharp(problem: Problem, edge: str) -> str:
@@ -388,9 +380,8 @@ def _sharp(problem: Problem, edge: str) -> str:
         "whatever the element, so an observed order near 1 is right here (the orders "
         f"{orders} elements need a smooth solution)"
     )
-    size = _edge_size(problem)
-    large = not problem.material.small_strain
-    if large and size is not None and depth > _DEEP * size:
+    size = element_size_mm(problem)
+    if not problem.material.small_strain and depth > _DEEP * size:
         why += (
             f"; at a depth of {depth:.3g} mm, beside elements of {size:.3g} mm and less, large "
             "strains and sliding at the edge may hide the order: a smaller depth shows it"
@@ -398,22 +389,8 @@ def _sharp(problem: Problem, edge: str) -> str:
     return why
 
 
-def _rounded(edge: float, size: float | None) -> tuple[float, str]:
-    """Limit that a rounded edge sets, by whether elements of a size resolve it."""
-    if size is not None and size > edge / _ACROSS_EDGE:
-        return 1.0, (
-            f"the edge of the flat punch, rounded with {edge:.3g} mm, which the coarsest mesh of "
-            f"{size:.3g} mm does not resolve: it looks sharp, where the order is 1; meshes of "
-            f"{edge / _ACROSS_EDGE:.3g} mm and less have order 2 at most"
-        )
-    return 2.0, (
-        f"the rounded edge of the flat punch ({edge:.3g} mm), which the meshes resolve: the "
-        f"pressure is finite, and what counts is {_RIM}"
-    )
-
-
-def _edge_size(problem: Problem) -> float:
-    """Element size at the edge of a punch."""
+def element_size_mm(problem: Problem) -> float:
+    """Element size of a problem, at the edge of a punch where it has one."""
     from study.mechanics.mesh.mesher import mesh_size
 
     return float(mesh_size(problem.setup))
@@ -438,9 +415,7 @@ def clamped_corner(nu: float) -> float:
 
 def base_size_mm(job: CaseJob) -> float:
     """Element size of a case, named or given, in mm."""
-    from study.mechanics.mesh.mesher import mesh_size
-
-    return float(mesh_size(in_mind(job).setup))
+    return element_size_mm(in_mind(job))
 
 
 def in_mind(job: CaseJob) -> Problem:
@@ -475,10 +450,19 @@ def usable(levels: Sequence[MeshLevel]) -> tuple[list[MeshLevel], list[str]]:
     return meshes, warnings
 
 
-def representative_sizes(levels: Sequence[MeshLevel], setup: Setup) -> list[float]:
-    """Sizes of solved meshes, scaled to the finest mesh's own size."""
-    sizes = [level.mesh_size_mm for level in levels]
-    return series_sizes(sizes, [level.result.elements for level in levels], setup)
+def judged_meshes(
+    levels: Sequence[MeshLevel],
+    setup: Setup,
+    formal: float | None,
+    tolerance: float = SOLVER_TOLERANCE,
+) -> dict[str, ConvergenceResult]:
+    """Judge every quantity of the curves of solved meshes by sizes scaled to the finest one's."""
+    sizes, elements = zip(*((m.mesh_size_mm, m.result.elements) for m in levels), strict=True)
+    values = {
+        name: ([function(level.result.curve) for level in levels], unit)
+        for name, (function, unit) in QUANTITIES.items()
+    }
+    return judged(series_sizes(sizes, elements, setup), values, formal, tolerance)
 
 
 def series_sizes(

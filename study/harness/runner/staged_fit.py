@@ -72,9 +72,7 @@ def gentler(
     """List a start (p,), MPa, and what may be tried after it, each one once."""
     starts = [Start(np.array(start, float))]
     for share, words in _SHARES:
-        values = _softened(names, starts[0].values, share)
-        if bounds is not None:
-            values = np.clip(values, *np.array(bounds, float).T)
+        values = within(_softened(names, starts[0].values, share), bounds)
         if not any(np.array_equal(values, earlier.values) for earlier in starts):
             starts.append(Start(values, words))
     return starts
@@ -209,22 +207,12 @@ class Limits:
 NO_LIMITS = Limits()
 
 
-def staged_fit(
-    parts: Sequence[FitPart],
-    names: tuple[str, ...],
-    start: Array,
-    make: MakeModel,
-    *,
-    bounds: Sequence[tuple[float, float]] | None = None,
-    progress: Progress | None = None,
-    checkpoint: Checkpoint | None = None,
-) -> Staged:
+def staged_fit(parts: Sequence[FitPart], start: Array, search: StagedSearch) -> Staged:
     """Fit common constants to all parts at once; start (p,), MPa."""
-    search = StagedSearch(names, make, bounds, progress, checkpoint or Checkpoint())
     cheap = [cheaper(part) for part in parts]
-    starts = gentler(names, start, bounds)
+    starts = gentler(search.names, start, search.bounds)
     rough: Staged | None = None
-    if len(names) > 1 and any(part is not None for part in cheap):
+    if len(search.names) > 1 and any(part is not None for part in cheap):
         first = [other or part for other, part in zip(cheap, parts, strict=True)]
         rough = begun_stage(FIRST, first, starts, search)
         if rough.fit.status.usable and not np.array_equal(rough.fit.values, start):
@@ -247,7 +235,9 @@ def begun_stage(
     """Fit from the first start that leads anywhere; from the last one if none does."""
     labels = [stage, *(f"{stage}, {begun.words}" for begun in starts[1:])]
     # an interrupted fit goes on from the start that it was at; those before it failed at once
-    number = max((k for k, label in enumerate(labels) if search.checkpoint.last(label)), default=0)
+    number = max(
+        (k for k, label in enumerate(labels) if label in search.checkpoint.stages), default=0
+    )
     fruitless = number
     while True:
         done = single_stage(labels[number], parts, starts[number].values, search)
@@ -285,7 +275,7 @@ def single_stage(
             search.progress(FitStep(stage, names, iteration))
         return checkpoint.limits.is_late
 
-    resume = checkpoint.last(stage)
+    resume = checkpoint.stages.get(stage)
     if resume is not None:
         # models interpolate relative to what they solved first: make that the start again
         with contextlib.suppress(EvaluationFailed):
@@ -390,10 +380,6 @@ class Checkpoint:
     def __init__(self, path: Path | None = None, key: str = "", limits: Limits = NO_LIMITS) -> None:
         self.path, self.key, self.limits = path, key, limits
         self.stages: dict[str, Iteration] = {} if path is None else _read(path, key)
-
-    def last(self, stage: str) -> Iteration | None:
-        """Last accepted iteration of a stage; None where it has not begun."""
-        return self.stages.get(stage)
 
     def keep(self, stage: str, iteration: Iteration) -> None:
         """Keep an accepted iteration."""

@@ -10,7 +10,7 @@ is bounded by its own series, or by the scatter of the error over those that wer
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, Literal, cast
 
 import numpy as np
@@ -21,6 +21,7 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem, Config, case_id, plain
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case
+from study.harness.record.document import SpaceRow
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.case_series import CaseSeries, force_at_places, size_of
@@ -127,10 +128,8 @@ def _series(
         origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=0)
         other = case_job(case, work, origin)
     series = CaseSeries(jobs, work.design.converge.ratio, end, other=other)
-    for job in series.every:
-        record = records.get(job.case.case_id)
-        if record is not None:
-            series.add(job, record)
+    names = [job.case.case_id for job in series.every]
+    series.records |= {name: records[name] for name in names if name in records}
     return series
 
 
@@ -318,23 +317,17 @@ def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict
 SPACES = ("axisymmetric", "3d")
 
 
-@dataclass(frozen=True)
-class SpacePair:
-    """One kind of element on its finest mesh: tasks of two solutions, in the order of SPACES."""
-
-    #: Levels of the factors of the discretization, space left out.
-    levels: Mapping[str, str]
-    tasks: tuple[SolveTask, SolveTask]
+#: levels of the factors of a discretization, space left out; tasks in the order of SPACES
+SpacePair = tuple[dict[str, str], list[SolveTask]]
 
 
 def pairs(work: Work, records: Mapping[str, Record]) -> list[SpacePair]:
     """List what to solve for a study that holds both spaces and a block; empty elsewhere."""
     solved_cells = [job for job in in_blocks(work) if _constants(records.get(job.case.case_id))]
-    compared_pairs = []
-    for levels, chosen in _chosen(solved_cells):
-        first, second = (_task(job, _constants(records[job.case.case_id])) for job in chosen)
-        compared_pairs.append(SpacePair(levels, (first, second)))
-    return compared_pairs
+    return [
+        (levels, [_task(job, _constants(records[job.case.case_id])) for job in chosen])
+        for levels, chosen in _chosen(solved_cells)
+    ]
 
 
 def upcoming(work: Work, records: Mapping[str, Record], store: Store) -> list[CaseJob]:
@@ -401,34 +394,23 @@ def _constants(record: Record | None) -> dict[str, float]:
     return record.fits[0]["values"]
 
 
-@dataclass(frozen=True)
-class SpaceComparison:
-    """How far the forces of the two spaces differ on one cylinder."""
-
-    #: Of the discretization, space left out.
-    levels: Mapping[str, str]
-    unknowns: tuple[int, int]
-    depth_mm: float
-    #: Relative difference of the force, 3D over axisymmetric, at the end and over the second half
-    #: of the depth; None where a solution failed.
-    at_end: float | None = None
-    largest: float | None = None
-    message: str = ""
-
-
-def compared(pair: SpacePair, flat: SolveResult, solid: SolveResult) -> SpaceComparison:
-    """Compare the forces of the two spaces."""
-    row = SpaceComparison(
-        pair.levels,
-        (flat.dofs, solid.dofs),
-        pair.tasks[0].problem.setup.test.depth_mm,
-    )
+def compared(pair: SpacePair, flat: SolveResult, solid: SolveResult) -> SpaceRow:
+    """Compare the forces of the two spaces, 3D over axisymmetric: at the end, and where deep."""
+    levels, tasks = pair
+    row: SpaceRow = {
+        "levels": levels,
+        "unknowns": [flat.dofs, solid.dofs],
+        "depth_mm": tasks[0].problem.setup.test.depth_mm,
+        "at_end": None,
+        "largest": None,
+        "message": "",
+    }
     failed = [result.message for result in (flat, solid) if not result.converged]
     if failed:
-        return replace(row, message=failed[0])
+        return {**row, "message": failed[0]}
     # each may have load steps of its own, where its curve bends
     d = solid.curve.displacement_mm
     apart = solid.curve.force_N / flat.curve.force_at(d) - 1
     deep = d >= d.max() / 2
     largest = apart[deep][abs(apart[deep]).argmax()]
-    return replace(row, at_end=float(apart[-1]), largest=float(largest))
+    return {**row, "at_end": float(apart[-1]), "largest": float(largest)}

@@ -63,7 +63,7 @@ def compare_spaces(
         return
     began, results = time.monotonic(), dict[str, SolveResult]()
     # the solids take longest: all of them first
-    tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
+    tasks = [tasks[k] for k in (1, 0) for _, tasks in pairs]
     unsolved = {task.key for task in tasks if store.read_solution(task.key) is None}
     for key, result in kept(by_workers(executor), store)(tasks):
         results[key] = result
@@ -72,11 +72,10 @@ def compare_spaces(
             label = "one cylinder in both spaces, a control"
             progress(Progress(done, len(unsolved), 0, seconds, label))
     rows = [
-        study_refinement.compared(pair, *(results[task.key] for task in pair.tasks))
-        for pair in pairs
+        study_refinement.compared(pair, *(results[task.key] for task in pair[1])) for pair in pairs
     ]
     with store.lock():
-        store.write_rows("spaces", [asdict(row) for row in rows])
+        store.write_rows("spaces", rows)
 
 
 # Numerical uncertainty of the effects of a study: what the verdicts are held against.
@@ -304,28 +303,19 @@ def _mesh_shares(
     stored = store.by_case(
         {j.case.case_id: j.input_hash for case_series in series for j in case_series.every}
     )
+
+    def key(job: CaseJob) -> object:
+        """Levels of a case, whatever its block; or its kind of discretization."""
+        of_kind = study_refinement.discretization_key
+        return frozenset(job.case.levels.items()) if finest else of_kind(job.case.problem)
+
+    shares: dict[object, Array | None] = {}
     for case_series in series:
         case_series.records.update(stored)
-    if finest:
-        shares = {
-            case: share for case_series in series for case, share in case_series.shares().items()
-        }
-        of_cell = {
-            _cell(job): shares.get(job.case.case_id)
-            for case_series in series
-            for job in case_series.jobs
-        }
-        return lambda job: of_cell.get(_cell(job))
-    of_model = {}
-    for case_series in series:
-        share = case_series.shares().get(case_series.base.case.case_id)
-        of_model[study_refinement.discretization_key(case_series.base.case.problem)] = share
-    return lambda job: of_model.get(study_refinement.discretization_key(job.case.problem))
-
-
-def _cell(job: CaseJob) -> frozenset[tuple[str, str]]:
-    """Levels of a case, whatever its block."""
-    return frozenset(job.case.levels.items())
+        share = case_series.shares()
+        jobs = case_series.jobs if finest else (case_series.base,)
+        shares |= {key(job): share.get(job.case.case_id) for job in jobs}
+    return lambda job: shares.get(key(job))
 
 
 def _row(

@@ -53,28 +53,19 @@ def write_tests(folder: Path) -> list[Path]:
     stretch, shear = np.linspace(1.0, 2.2, 25), np.linspace(0.0, 1.0, 21)
     shortened = np.linspace(1.0, 0.7, 16)
     folder.mkdir(parents=True, exist_ok=True)
-    return [
-        _write(folder / "tension.csv", "stretch", stretch, _stress("uniaxial", stretch, rng)),
-        _write(
-            folder / "simple-shear.csv", "shear", 100 * shear, _stress("simple-shear", shear, rng)
-        ),
-        _write(
-            folder / "compression.csv", "displacement_mm", _LENGTH_MM * (1 - shortened),
-            _stress("uniaxial", shortened, rng),
-        ),
-    ]  # fmt: skip
-
-
-def _stress(loading: str, measure: Array, rng: np.random.Generator) -> Array:
-    """Nominal stress in kPa with its noise."""
-    exact = 1e3 * LOADINGS[loading].nominal(TRUTH, measure).stress
-    return np.asarray(exact + NOISE_KPA * rng.standard_normal(exact.size))
-
-
-def _write(path: Path, column: str, measure: Array, stress: Array) -> Path:
-    rows = [f"{m:.5f},{p:.4f}" for m, p in zip(measure, stress, strict=True)]
-    write_new(path, "\n".join(["# virtual", f"{column},stress_kPa", *rows]) + "\n")
-    return path
+    tests = {
+        "tension": ("stretch", stretch, "uniaxial", stretch),
+        "simple-shear": ("shear", 100 * shear, "simple-shear", shear),
+        "compression": ("displacement_mm", _LENGTH_MM * (1 - shortened), "uniaxial", shortened),
+    }
+    paths = []
+    for name, (column, shown, loading, measure) in tests.items():
+        exact = 1e3 * LOADINGS[loading].nominal(TRUTH, measure).stress
+        stress_kPa = exact + NOISE_KPA * rng.standard_normal(exact.size)  # noqa: N806
+        rows = [f"{m:.5f},{p:.4f}" for m, p in zip(shown, stress_kPa, strict=True)]
+        paths.append(folder / f"{name}.csv")
+        write_new(paths[-1], "\n".join(["# virtual", f"{column},stress_kPa", *rows]) + "\n")
+    return paths
 
 
 # Materials behind virtual specimens: energies with published constants, and how they scatter.

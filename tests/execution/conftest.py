@@ -1,0 +1,21 @@
+"""A cluster that the tests of a room share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from study.harness.execution.cluster import Cluster
+from tests.execution.loopback import Loopback, loopback
+from tests.execution.misbehaving import perform
+
+
+@pytest.fixture(scope="package")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Loopback]:
+    """Two workers of one thread each, which the tests leave alive."""
+    pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
+    with loopback(tmp_path_factory.mktemp("cluster")) as made:
+        assert Cluster(perform, made.file, jobs=None).reached()
+        yield made
+        assert all(worker.poll() is None for worker in made.workers)
