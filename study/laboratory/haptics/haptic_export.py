@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypedDict
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -540,33 +540,6 @@ def gradient_table(step_mm: float, gradient: Array) -> TabulatedFunction:
 ASKED = 4096
 
 
-class Input(TypedDict):
-    """An argument of the function: ends of its range in its unit."""
-
-    name: str
-    argument: str
-    low: float
-    high: float
-    unit: str
-    log: bool
-
-
-class SurfacePart(TypedDict):
-    """A sum of weights times correlations with points of the unit box."""
-
-    kernel: str
-    lengths: list[float]
-    points: list[list[float]]
-    weights: list[float]
-
-
-class Product(TypedDict):
-    """A coefficient times a product of coded inputs, which are -1 to 1 over their ranges."""
-
-    inputs: list[int]
-    coefficient: float
-
-
 @dataclass(frozen=True)
 class SurfaceFunction(Keyed):
     """A surface as plain numbers, units in their own keys."""
@@ -580,12 +553,15 @@ class SurfaceFunction(Keyed):
     #: Identifier, also the stem of its files.
     name: str
     surface: FittedSurface
-    inputs: tuple[Input, ...]
+    #: Arguments: name, argument, low and high in the unit, unit, log.
+    inputs: tuple[Mapping[str, object], ...]
     #: What is added to all sums, in the response's unit.
     constant: float
-    #: Of an emulator, one a block.
-    parts: tuple[SurfacePart, ...]
-    products: tuple[Product, ...]
+    #: Of an emulator, one a block: sums of weights times correlations (kernel, lengths) with points
+    #: of the unit box.
+    parts: tuple[Mapping[str, object], ...]
+    #: Of a quadratic: coefficients times products of coded inputs, -1 to 1 over their ranges.
+    products: tuple[Mapping[str, object], ...]
     #: Largest half width of the 95 % intervals in the ranges, in the response's unit.
     bound: float
 
@@ -627,10 +603,8 @@ def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
     model, runs = fitted.found.model, fitted.found.runs
     arguments = _arguments(runs.names)
     inputs = tuple(
-        Input(
-            name=f.name, argument=arguments[f.name], low=f.low, high=f.high,
-            unit=fitted.units.get(f.name, ""), log=f.log,
-        )
+        {"name": f.name, "argument": arguments[f.name], "low": f.low, "high": f.high,
+         "unit": fitted.units.get(f.name, ""), "log": f.log}
         for f in runs.factors
     )  # fmt: skip
     name = _identifier(" ".join((study_name, fitted.response, *fitted.labels.values())))
@@ -639,7 +613,7 @@ def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
     if isinstance(model, QuadraticSurface):
         polynomial = model.polynomial
         products = tuple(
-            Product(inputs=list(t.factors), coefficient=float(c))
+            {"inputs": list(t.factors), "coefficient": float(c)}
             for t, c in zip(polynomial.terms, polynomial.coefficients, strict=True)
         )
         return SurfaceFunction(name, fitted, inputs, 0.0, (), products, bound)
@@ -649,7 +623,7 @@ def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
     return SurfaceFunction(name, fitted, inputs, constant, tuple(p for _, p in made), (), bound)
 
 
-def _part(emulator: Emulator, blocks: int) -> tuple[float, SurfacePart]:
+def _part(emulator: Emulator, blocks: int) -> tuple[float, dict[str, object]]:
     """Level and weights of a process, over the number of blocks."""
     process = emulator.process
     kernel = process.found.kernel
@@ -658,12 +632,12 @@ def _part(emulator: Emulator, blocks: int) -> tuple[float, SurfacePart]:
     if kernel.categories is not None:
         weights = weights * kernel.categories.matrix[combination, kernel.combination(process.x)]
     scale = emulator.scale / blocks
-    part = SurfacePart(
-        kernel=kernel.family,
-        lengths=kernel.lengths.tolist(),
-        points=kernel.numbers(process.x).tolist(),
-        weights=(scale * process.found.variance * weights).tolist(),
-    )
+    part: dict[str, object] = {
+        "kernel": kernel.family,
+        "lengths": kernel.lengths.tolist(),
+        "points": kernel.numbers(process.x).tolist(),
+        "weights": (scale * process.found.variance * weights).tolist(),
+    }
     return emulator.centre / blocks + scale * float(levels[combination]), part
 
 

@@ -8,7 +8,9 @@ show whether first order holds.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -21,7 +23,6 @@ from study.harness.execution.task import Executor, Results, Task
 from study.laboratory.sensors.force_model import (
     ForceAccuracy,
     ForceAt,
-    ForceModel,
     PositionAccuracy,
     force_model,
     multiplied,
@@ -270,18 +271,18 @@ def simulate(
     for multiple in multiples:
         for chunk in _chunks(sampling, propagation, multiple):
             key = f"{multiple:g}-{chunk.first}"
-            tasks.append(Task(key, _payload(chunk)))
+            tasks.append(Task(key, partial(_payload, chunk)))
             owners[key] = multiple
-    changes_at: dict[float, Changes] = {multiple: Changes() for multiple in multiples}
+    answers: dict[float, list[Answer]] = {multiple: [] for multiple in multiples}
     say = progress or (lambda text: None)
     # a closed form is done before processes have started
     simulated = not sampling.fitted.setup.is_homogeneous
     place: Executor = Loky(perform, jobs) if simulated else Inline(perform)
     for done, outcome in enumerate(place.run(tasks), start=1):
-        changes_at[owners[outcome.key]].add(_changes(outcome.result))
+        answers[owners[outcome.key]] += _answers(outcome.result)
         if done * TOLD // len(tasks) > (done - 1) * TOLD // len(tasks):
             say(f"{done} of {len(tasks)} parts of the simulated tests")
-    return tuple(_simulation(m, sampling.samples, propagation, changes_at[m]) for m in multiples)
+    return tuple(_simulation(m, sampling.samples, propagation, answers[m]) for m in multiples)
 
 
 def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> Iterator[Chunk]:
@@ -296,31 +297,32 @@ def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> It
         yield Chunk(drawn, stream, first, last, propagation.pseudo_inverse, xtol)
 
 
-def _payload(chunk: Chunk) -> Callable[[Results], Chunk]:
-    return lambda _: chunk
+def _payload(chunk: Chunk, _: Results) -> Chunk:
+    return chunk
 
 
-def _changes(result: Mapping[str, object]) -> Changes:
+def _answers(result: Mapping[str, object]) -> list[Answer]:
     """Read what a worker found; one that died answers none of its tests."""
     if result["status"] == "failed":
         raise RuntimeError(str(result.get("traceback", result.get("message"))))
     if result["status"] != "done":
-        return Changes(messages=[str(result.get("message", result["status"]))])
-    return Changes(**{name: result[name] for name in Changes.__dataclass_fields__})  # type: ignore[arg-type]
+        return [str(result.get("message", result["status"]))]
+    return cast("list[Answer]", result["tests"])
 
 
 def _simulation(
-    multiple: float, samples: int, propagation: Propagation, changes: Changes
+    multiple: float, samples: int, propagation: Propagation, answers: Sequence[Answer]
 ) -> Simulation:
     """Judge the tests of one multiple."""
-    answered, message = len(changes.fitted), next(iter(changes.messages), "")
+    changes = np.array([answer for answer in answers if not isinstance(answer, str)])
+    message = next((answer for answer in answers if isinstance(answer, str)), "")
+    answered, p, force = len(changes), len(propagation.constants), propagation.force
     if answered < FEWEST_TESTS:
         return Simulation(multiple, samples, samples - answered, (), message)
-    linear = np.array(changes.linear)
-    force = propagation.force
+    fitted, linear = changes[:, :p], changes[:, p : 2 * p]
     pairs = [
-        *zip(propagation.constants, np.array(changes.fitted).T, linear.T, strict=True),
-        (force, np.array(changes.force_N) - force.value, linear @ propagation.gradient),
+        *zip(propagation.constants, fitted.T, linear.T, strict=True),
+        (force, changes[:, -1] - force.value, linear @ propagation.gradient),
     ]
     scatters = tuple(
         _scatter(quantity, changed, moved, multiple) for quantity, changed, moved in pairs
@@ -421,58 +423,41 @@ class Chunk:
     xtol: float
 
 
-@dataclass
-class Changes:
-    """Changes of the constants in the tests of a chunk that have an answer."""
-
-    #: A row for every test: of the nonlinear fit, and to first order.
-    fitted: list[list[float]] = field(default_factory=list)
-    linear: list[list[float]] = field(default_factory=list)
-    force_N: list[float] = field(default_factory=list)
-    #: Why the other tests have no answer.
-    messages: list[str] = field(default_factory=list)
-
-    def add(self, more: Changes) -> None:
-        """Take in the tests of another chunk."""
-        self.fitted += more.fitted
-        self.linear += more.linear
-        self.force_N += more.force_N
-        self.messages += more.messages
+#: changes of the constants in one test, by the nonlinear fit and to first order, and the predicted
+#: force in N; or why there is no answer
+Answer: TypeAlias = list[float] | str
 
 
 def perform(chunk: Chunk) -> dict[str, object]:
     """Measure and fit the tests of one chunk (in a worker)."""
-    sampling, changes = chunk.sampling, Changes()
-    test = _Test(sampling, chunk.pseudo_inverse, chunk.xtol)
-    depth = np.array([sampling.predicted.test.depth_mm])
-    predicted = force_model(sampling.predicted, float(depth[0]))
+    problem, tests = chunk.sampling.predicted, list[Answer]()
+    test = _Test(chunk)
+    depth = np.array([problem.test.depth_mm])
+    predicted = force_model(problem, float(depth[0]))
     for k in range(chunk.first, chunk.last):
         try:
             values, linear = test.measured(np.random.default_rng([*chunk.stream, k]))
-            force = predicted(values, depth).force_N[0]
+            force = predicted(values, depth).force_N
         except (EvaluationFailed, InputError) as error:
-            changes.messages.append(str(error))
+            tests.append(str(error))
             continue
-        changes.fitted.append((values - test.values).tolist())
-        changes.linear.append(linear.tolist())
-        changes.force_N.append(float(force))
-    return {"status": "done", **asdict(changes)}
+        tests.append(np.concatenate([values - test.values, linear, force]).tolist())
+    return {"status": "done", "tests": tests}
 
 
 class _Test:
     """One test at its rows, to be measured with errors and fitted as often as asked."""
 
-    def __init__(self, sampling: Sampling, pseudo_inverse: Array, xtol: float) -> None:
-        self.model: ForceModel = force_model(sampling.fitted, sampling.farthest_mm)
+    def __init__(self, chunk: Chunk) -> None:
+        self.chunk, sampling = chunk, chunk.sampling
+        self.model = force_model(sampling.fitted, sampling.farthest_mm)
         self.rows = rows_mm(sampling.depth_mm, sampling.points)
-        self.position, self.force = sampling.position, sampling.force
-        self.pseudo_inverse, self.xtol = pseudo_inverse, xtol
         self.values = self.model.problem.material.values
         self.true = self.model(self.values, self.rows)
 
     def measured(self, random: np.random.Generator) -> tuple[Array, Array]:
         """Constants of the fit to one measured test, and their change to first order."""
-        n, p, f = self.rows.size, self.position, self.force
+        n, p, f = self.rows.size, self.chunk.sampling.position, self.chunk.sampling.force
         moved = p.offset_mm * random.standard_normal() + self.rows * (
             p.scale * random.standard_normal()
         )
@@ -481,7 +466,7 @@ class _Test:
             f.scale * random.standard_normal()
         )
         off = off + f.noise_N * random.standard_normal(n)
-        linear = self.pseudo_inverse @ (off - self.true.stiffness_N_per_mm * moved)
+        linear = self.chunk.pseudo_inverse @ (off - self.true.stiffness_N_per_mm * moved)
         return self._fit(self.rows + moved, self.true.force_N + off), linear
 
     def _fit(self, displacement_mm: Array, force_N: Array) -> Array:  # noqa: N803
@@ -495,7 +480,7 @@ class _Test:
             residual,
             self.values,
             ftol=FTOL,
-            xtol=self.xtol,
+            xtol=self.chunk.xtol,
             gtol=GTOL,
             edge=EDGE,
             max_evaluations=MOST_EVALUATIONS,
