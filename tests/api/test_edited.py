@@ -288,15 +288,3 @@ def test_changed_code_and_another_format_make_it_again(
     written = page.stat().st_ino
     assert api.report("small", formats=["html"]).report == page
     assert page.stat().st_ino == written
-
-
-def test_every_source_and_every_stored_byte_is_looked_at(reported: Path) -> None:
-    results = reported / "results/small"
-    name = write.made_of(results, ["html"], {"study": "1"})
-    assert name == write.made_of(results, ["html"], {"study": "1"})
-    others = {write.made_of(results, ["csv"], {"study": "1"})}
-    others.add(write.made_of(results, ["html"], {"study": "2"}))
-    record = next(results.glob("cases/*/record.json"))
-    record.write_bytes(record.read_bytes() + b" ")
-    others.add(write.made_of(results, ["html"], {"study": "1"}))
-    assert len(others | {name}) == 4
