@@ -236,9 +236,6 @@ def _deviation(
     return float(np.abs(law.force_at(curve.displacement_mm, constants) - curve.force_N).max())
 
 
-# The law: the force of a simulated test as a smooth function of displacement and constants.
-
-
 # Slopes of a monotone cubic Hermite interpolant (Fritsch and Carlson 1980, SIAM J. Numer. Anal.
 # 17, 238-246).
 
@@ -446,10 +443,14 @@ class ForceLaw(Keyed):
 
     @property
     def standard_uncertainty_N(self) -> Array | None:  # noqa: N802
-        """Standard uncertainty at every knot; None where a covariance is not known."""
-        uncertainty = self.standard_uncertainty_at(self.displacement_mm)
-        is_known = uncertainty is not None and np.isfinite(uncertainty).all()
-        return uncertainty if is_known else None
+        """Standard uncertainty at every knot that a calibration leaves; None without one."""
+        if self.covariance is None:
+            return None
+        rows = [self.gradients[name].at(self.displacement_mm) for name in self.constants]
+        gradient = np.stack(rows, axis=-1)
+        square = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
+        uncertainty = np.sqrt(np.maximum(square, 0.0))
+        return uncertainty if np.isfinite(uncertainty).all() else None
 
     @property
     def relative_error(self) -> float:
@@ -501,15 +502,6 @@ class ForceLaw(Keyed):
         """Whether displacements lie in the simulated range; outside, the law only continues."""
         d = np.asarray(displacement_mm, dtype=float)
         return np.asarray((d >= 0) & (d <= self.force.end_mm))
-
-    def standard_uncertainty_at(self, displacement_mm: ArrayLike) -> Array | None:
-        """Return the standard uncertainty in N that a calibration leaves; None without one."""
-        if self.covariance is None:
-            return None
-        rows = [self.gradients[name].at(displacement_mm) for name in self.constants]
-        gradient = np.stack(rows, axis=-1)
-        square = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
-        return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
 def force_table(step_mm: float, force_N: Array, stiffness_N_per_mm: Array) -> TabulatedFunction:  # noqa: N803

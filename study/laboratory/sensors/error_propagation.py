@@ -212,12 +212,11 @@ FEWEST_TESTS = 10
 class Scatter(Keyed):
     """How one quantity scatters in the simulated tests."""
 
-    KEYS = "name standard_deviation=in_kpa ratio ratio_standard_error=ratio_error bias"
+    KEYS = "name standard_deviation ratio ratio_standard_error=ratio_error bias"
 
-    #: Of a constant, or ``force``; MPa, N or empty.
+    #: Of a constant, or ``force``.
     name: str
-    unit: str
-    #: In the unit of the quantity.
+    #: Of a modulus in kPa, of the force in N.
     standard_deviation: float
     #: Its scatter over that of first order with the same errors.
     ratio: float
@@ -225,11 +224,6 @@ class Scatter(Keyed):
     ratio_error: float
     #: Mean less the assumed value, in standard deviations.
     bias: float
-
-    @property
-    def in_kpa(self) -> float:
-        """Standard deviation, of a modulus in kPa."""
-        return self.standard_deviation * (1e3 if self.unit == "MPa" else 1.0)
 
     @property
     def is_linear(self) -> bool:
@@ -339,15 +333,9 @@ def _scatter(
     n, first_order = fitted.size, multiple * quantity.relative * abs(quantity.value)
     error = float(np.sqrt((n - 1) / n * np.sum((ratios - ratios.mean()) ** 2)))
     # what the mean of the linear changes is off zero is chance, and the same in both
-    shift = float(np.mean(fitted - linear))
-    return Scatter(
-        quantity.name,
-        quantity.unit,
-        first_order * ratio,
-        ratio,
-        error,
-        shift / (first_order * ratio),
-    )
+    shift, deviation = float(np.mean(fitted - linear)), first_order * ratio
+    shown = deviation * (1e3 if quantity.unit == "MPa" else 1.0)
+    return Scatter(quantity.name, shown, ratio, error, shift / deviation)
 
 
 def _without_each(values: Array) -> Array:

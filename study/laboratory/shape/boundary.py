@@ -68,11 +68,6 @@ class DeformedMesh:
         """Whether it is a meridian section of a body of revolution."""
         return self.kind in PLANE_KINDS
 
-    @property
-    def axis(self) -> int:
-        """Axis of loading: the second coordinate of a section, else the third."""
-        return 1 if self.is_section else 2
-
 
 @dataclass(frozen=True)
 class Symmetry:
@@ -108,7 +103,8 @@ def symmetry_of(mesh: DeformedMesh) -> Symmetry:
     # A specimen stands on z = 0; a plane that no node crosses, in which sides lie and out of which
     # nothing moves, is one of symmetry.
     size = float(np.ptp(mesh.points, axis=0).max())
-    axis = mesh.axis
+    # that of loading
+    axis = 1 if mesh.is_section else 2
     lowest = float(mesh.points[:, axis].min())
 
     def is_plane(k: int, place: float) -> bool:
