@@ -23,8 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from study.api.folders import load_design
 from study.api.comparison import manifest_of
+from study.api.folders import load_design
 from study.api.planning import plan, status
 from study.api.study import report, run
 from study.harness.execution.local import Loky
