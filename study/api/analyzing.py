@@ -16,7 +16,7 @@ import study
 from study import api
 from study.api.folders import is_table
 from study.ground.bounded_file import sha256_of
-from study.ground.canonical import plain
+from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.ground.tabular import NUMBER, names_of, read_csv, read_tidy_csv
@@ -407,13 +407,18 @@ def analyze(
 
 
 @dataclass(frozen=True)
-class SummaryAnalysis:
+class SummaryAnalysis(Keyed):
     """Groups of which mean, standard deviation and number of rows are known, compared."""
 
+    KEYS = (
+        "groups anova welch tukey_kramer=tukey.pairs games_howell=games_howell.pairs practical "
+        "verdicts"
+    )
+
     groups: GroupMoments
-    #: F, degrees of freedom and p: with one variance, and with one for each group (Welch).
-    anova: tuple[float, float, float, float]
-    welch: tuple[float, float, float, float]
+    #: Keys f, df, df_error and p: with one variance, and with one for each group (Welch).
+    anova: Mapping[str, float]
+    welch: Mapping[str, float]
     tukey: Comparisons
     games_howell: Comparisons
     practical: float | None = None
@@ -428,19 +433,6 @@ class SummaryAnalysis:
             claims = {claim(one.lower, one.upper, self.practical) for one in (pooled, own)}
             found.append(claims.pop() or CANNOT_TELL if len(claims) == 1 else CANNOT_TELL)
         return found
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study analyze --summary --json``."""
-        tests = {"anova": self.anova, "welch": self.welch}
-        keys = ("f", "df", "df_error", "p")
-        return {
-            "groups": plain(self.groups),
-            **{name: dict(zip(keys, test, strict=True)) for name, test in tests.items()},
-            "tukey_kramer": plain(self.tukey.pairs),
-            "games_howell": plain(self.games_howell.pairs),
-            "practical": self.practical,
-            "verdicts": self.verdicts,
-        }
 
 
 def analyze_summary(
@@ -476,8 +468,12 @@ def analyze_summary(
         raise InputError(faults)
     limit = threshold(practical)
     groups = GroupMoments(tuple(" ".join(row) for row in labels), n, mean, sd**2)
+    anova, welch = (
+        dict(zip(("f", "df", "df_error", "p"), test, strict=True))
+        for test in (groups.one_way(), groups.welch())
+    )
     return SummaryAnalysis(
-        groups, groups.one_way(), groups.welch(), groups.pairs(alpha, equal=True),
+        groups, anova, welch, groups.pairs(alpha, equal=True),
         groups.pairs(alpha, equal=False),
         None if limit is None else limit.on_scale(float(n @ mean / n.sum()), "none"),
     )  # fmt: skip
@@ -675,33 +671,20 @@ def fit_mixed_model(
 _SPECIMENS = ("specimen", "sample", "phantom", "subject", "animal", "donor", "batch")
 
 
-def scored_on(design: Design, response: str, blocks: int) -> str:
-    """Say what a response was scored on."""
+def scored_on(design: Design, response: str, blocks: int) -> tuple[str, bool]:
+    """Say what a response was scored on, and whether fits to all others predict each specimen."""
     fitted, measured = design.calibration, design.measurements
     if response not in SCORED or measured is None or fitted.method == "none":
-        return ""
-    kind = _held_out(design, blocks)
+        return "", False
+    other = fitted.problem is not None
+    kind = held_out(fitted.leave_out, measured.fit, measured.score, blocks, other_test=other)
     if kind is not None:
-        return OTHER_SPECIMEN if kind == "specimen" else OTHER_TEST
-    if fitted.problem is not None:
-        return OTHER_TEST
+        return OTHER_SPECIMEN if kind == "specimen" else OTHER_TEST, kind == "specimen"
+    if other:
+        return OTHER_TEST, False
     fit, score = dict(measured.fit or {}), dict(measured.score or measured.fit or {})
     if fit == score:
-        return FITTED_CURVE
+        return FITTED_CURVE, False
     changed = [name for name in {**fit, **score} if fit.get(name) != score.get(name)]
     apart = any(word in name.lower() for name in changed for word in _SPECIMENS)
-    return OTHER_SPECIMEN if apart else OTHER_TEST
-
-
-def cross_validated(design: Design, response: str, blocks: int) -> bool:
-    """Whether each specimen is predicted by constants that were fitted to all others."""
-    scored = scored_on(design, response, blocks)
-    return bool(scored) and _held_out(design, blocks) == "specimen"
-
-
-def _held_out(design: Design, blocks: int) -> str | None:
-    fitted, measured = design.calibration, design.measurements
-    if measured is None:
-        return None
-    other = fitted.problem is not None
-    return held_out(fitted.leave_out, measured.fit, measured.score, blocks, other_test=other)
+    return OTHER_SPECIMEN if apart else OTHER_TEST, False

@@ -176,9 +176,9 @@ def _conclusion(
     """Judge one term: the verdicts, and for a factor which level leads."""
     main = ":" not in effects[0].term
     end = ("lowest" if response.better == "lower" else "highest") if main else ""
-    leading = [_leading(effect, end, _common(effects)) for effect in effects] if main else []
-    same = bool(leading[0] & leading[1]) if main and all(leading) else None
-    first, second = (_best(effect, end, _common(effects)) if main else "" for effect in effects)
+    shared = set(effects[0].levels) & set(effects[1].levels) if main else set()
+    (first, with_first), (second, with_second) = (_leading(e, end, shared) for e in effects)
+    same = bool(with_first & with_second) if with_first and with_second else None
     conclusion, holds = _judge(effects, (first, second), names, end, same)
     ratio = effects[0].scale == "ratio"
     return Conclusion(
@@ -212,33 +212,19 @@ def _judge(
     return _HOLDS[verdicts[0]], True
 
 
-def _common(effects: Sequence[Effect]) -> set[str]:
-    return set(effects[0].levels) & set(effects[1].levels)
-
-
-def _means(effect: Effect, levels: set[str]) -> dict[str, float]:
+def _leading(effect: Effect, end: str, levels: set[str]) -> tuple[str, set[str]]:
+    """Leading one of some levels, and those within what matters of it, itself among them."""
     pairs = zip(effect.levels, effect.mean, strict=True)
-    return {level: mean for level, mean in pairs if mean is not None and level in levels}
-
-
-def _best(effect: Effect, end: str, levels: set[str]) -> str:
-    means = _means(effect, levels)
+    means = {level: mean for level, mean in pairs if mean is not None and level in levels}
     if not means:
-        return ""
-    return (min if end == "lowest" else max)(means, key=means.__getitem__)
-
-
-def _leading(effect: Effect, end: str, levels: set[str]) -> set[str]:
-    """Levels within what matters of the leading one, which is among them."""
-    means = _means(effect, levels)
-    if not means:
-        return set()
-    best = means[_best(effect, end, levels)]
+        return "", set()
+    leader = (min if end == "lowest" else max)(means, key=means.__getitem__)
+    best = means[leader]
     ratio = effect.scale == "ratio"
     limit = effect.practical if effect.practical is not None else float(ratio)
     if ratio:
-        return {k for k, v in means.items() if max(v, best) <= limit * min(v, best)}
-    return {k for k, v in means.items() if abs(v - best) <= limit}
+        return leader, {k for k, v in means.items() if max(v, best) <= limit * min(v, best)}
+    return leader, {k for k, v in means.items() if abs(v - best) <= limit}
 
 
 def _warnings(studies: _Studies, names: tuple[str, str], pairs: Sequence[_Pair]) -> Iterator[str]:
@@ -365,9 +351,6 @@ def _only_case(case: str, folders: Sequence[Path], results: str | Path) -> tuple
         listed = ", ".join(name for _, name in matches[:6])
         raise InputError(Fault("case", f"{case!r} begins several ids: {listed}"))
     return matches[0]
-
-
-# What a run of a study is, before anything of it is computed.
 
 
 # What two studies do not share: keys of their designs, measurements, truths, code.

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, TypedDict, TypeVar, Unpack, get_args
+from typing import TYPE_CHECKING, Literal, TypedDict, TypeVar, Unpack, get_args
 
 import numpy as np
 
@@ -54,7 +54,7 @@ from study.statistics.surfaces.surface_result import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design
+    from study.harness.design.spec import Design, Treatment
     from study.harness.record.record import Record
     from study.statistics.analysis.analysis_request import Practical
     from study.statistics.convergence.grid_convergence import NumericalUncertainty
@@ -539,12 +539,7 @@ def labels_of(design: Design) -> list[dict[str, str]]:
     return [dict(zip(others, labels, strict=True)) for labels in combinations]
 
 
-class _AtLevels(Protocol):
-    @property
-    def levels(self) -> Mapping[str, str]: ...
-
-
-T = TypeVar("T", bound=_AtLevels)
+T = TypeVar("T", "Record", "Treatment")
 
 
 def at_levels(records: Sequence[T], labels: Mapping[str, str]) -> list[T]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.analyzing import adjusted, cross_validated, scored_on
+from study.api.analyzing import adjusted, scored_on
 from study.api.assemble import report_data
 from study.api.contrast_power import with_contrasts
 from study.api.fitting_surfaces import SEE_SURFACE, is_numeric, surfaces
@@ -257,6 +257,7 @@ def _analyses(
     unit = "block" if design.measurements is None else design.measurements.block or "block"
     for response in design.responses:
         limit = threshold(response.practical)
+        scored, cross_validated = scored_on(design, response.name, blocks)
         result, refused = None, ""
         try:
             if is_numeric(design):
@@ -278,8 +279,8 @@ def _analyses(
                 None if result is None else result.detection.u_num,
                 better,
                 refused=refused,
-                scored_on=scored_on(design, response.name, blocks),
-                cross_validated=cross_validated(design, response.name, blocks),
+                scored_on=scored,
+                cross_validated=cross_validated,
             )
         )
     return adjusted(analyses, design.analysis)

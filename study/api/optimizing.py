@@ -69,6 +69,7 @@ class _Question:
 
     goal: Goal
     response: str
+    unit: str
     bounds: tuple[Bound, ...]
     units: Mapping[str, str]
     #: settings of ranges that are held, in their units
@@ -215,9 +216,9 @@ def _of_table(
     columns = [_LIMIT.fullmatch(text) for text in limits_typed]
     units_of = {column["name"]: "" for column in columns if column is not None}
     bounds = tuple(_bound(text, units_of) for text in limits_typed)
-    question = _Question(goal, name, bounds, dict.fromkeys(names, ""), held)
+    question = _Question(goal, name, "", bounds, dict.fromkeys(names, ""), held)
     models = {response: fit(response) for response in (name, *(b.response for b in bounds))}
-    recommended = _best(models, question, "", {}, {})
+    recommended = _best(models, question, {}, {})
     run = ", ".join(
         f"{n} = {v:.4g}" for n, v in recommended.settings.items() if not isinstance(v, str)
     )
@@ -229,7 +230,6 @@ def _of_table(
 def _best(
     models: Mapping[str, SurfaceAnalysis],
     question: _Question,
-    unit: str,
     chosen: Mapping[str, str],
     fixed: Mapping[str, str],
 ) -> Recommendation:
@@ -257,7 +257,7 @@ def _best(
     return Recommendation(
         question.goal,
         question.response,
-        unit,
+        question.unit,
         {**chosen, **{n: v for n, v in settings.items() if n not in question.held}},
         {**fixed, **{n: settings[n] for n in question.held}},
         question.units,
@@ -300,7 +300,7 @@ def _of_study(
     held |= {n: usual_value(n, overlay.dimension(n) or "number", ranges[n], design.config)
              for n in open_numbers}  # fmt: skip
     span_units = {n: span.unit for n, span in ranges.items()}
-    question = _Question(goal, name, bounds, span_units, held, open_numbers)
+    question = _Question(goal, name, units_of[name], bounds, span_units, held, open_numbers)
     lists = [n for n, f in factors.items() if f.span is None]
     open_labels = {n: (labels[n],) if n in labels else factors[n].labels
                    for n in lists if n not in free}  # fmt: skip
@@ -323,8 +323,8 @@ def _at(
     for levels in itertools.product(*(factors[n].labels for n in chosen)):
         labels_here = dict(zip(chosen, levels, strict=True))
         try:
-            models, unit = _models(study, question, {**fixed, **labels_here})
-            candidates.append(_best(models, question, unit, labels_here, fixed))
+            models = _models(study, question, {**fixed, **labels_here})
+            candidates.append(_best(models, question, labels_here, fixed))
         except RefusedError as error:
             refused = error
             at = ", ".join(f"{n} = {label}" for n, label in labels_here.items())
@@ -346,19 +346,15 @@ def _at(
 
 def _models(
     study: StudyResult, question: _Question, labels: Mapping[str, str]
-) -> tuple[dict[str, SurfaceAnalysis], str]:
-    """Surfaces of the responses that are asked for, at some levels, and the goal's unit."""
-    surfaces_of: dict[str, SurfaceAnalysis] = {}
-    unit = ""
-    responses_needed = {question.response, *(bound.response for bound in question.bounds)}
-    for fitted in study.surfaces:
-        if fitted.response not in responses_needed or dict(fitted.labels) != dict(labels):
-            continue
+) -> dict[str, SurfaceAnalysis]:
+    """Surfaces of the responses that are asked for, at some levels."""
+    needed = {question.response, *(bound.response for bound in question.bounds)}
+    here = [fitted for fitted in study.surfaces
+            if fitted.response in needed and dict(fitted.labels) == dict(labels)]  # fmt: skip
+    for fitted in here:
         if fitted.found is None:
             raise RefusedError(f"{fitted.response} has no surface: {fitted.refused}")
-        surfaces_of[fitted.response] = fitted.found
-        unit = fitted.unit if fitted.response == question.response else unit
-    return surfaces_of, unit
+    return {fitted.response: fitted.found for fitted in here if fitted.found is not None}
 
 
 def _confirmed(
@@ -472,10 +468,6 @@ class _Answer:
 
     model: CurveEmulator
     set: InversionAgreement
-
-    def judged(self, run: Checked) -> Checked:
-        """Say whether a run agrees; its settings are rounded to a ten-thousandth of their range."""
-        return replace(run, agrees=bool(run.rms <= 1.02 * self.set.limit))
 
 
 def _share(within: str | None) -> float | None:
@@ -665,7 +657,10 @@ def _checked_by_runs(
     ends = []
     if found.combinations or found.open_low.any() or found.open_high.any():
         ends = [question.run(answer, at_end, permission)[0] for at_end in found.ends]
-    runs = [] if run is None else [answer.judged(one) for one in (run, *ends)]
+    # settings of a run are rounded to a ten-thousandth of their range
+    runs = [] if run is None else [
+        replace(one, agrees=bool(one.rms <= 1.02 * answer.set.limit)) for one in (run, *ends)
+    ]  # fmt: skip
     return question.told(answer, runs, notes)
 
 

@@ -374,9 +374,6 @@ def run_sheet(
     return sheet
 
 
-# Cells that are added to a study while it runs, where its emulators are least sure.
-
-
 # Cells that a run has added to its design, kept in the design that it stores.
 
 

@@ -16,13 +16,7 @@ from typing import Annotated
 import typer
 from typer.main import get_command
 
-from study.cli import (
-    laboratory_commands,
-    output,
-    single_commands,
-    statistics_commands,
-    study_commands,
-)
+from study.cli import output, single_commands, statistics_commands, study_commands
 from study.cli.output import complain, interrupted, is_resumable, written
 from study.cli.study_commands import REPORTS, RESULTS, Reports, Results, Set
 from study.ground.errors import Fault, InputError, StoppedError, StudyError
@@ -176,13 +170,13 @@ GROUPS: dict[str, dict[Callable[..., None], str]] = {
         single_commands.solve: "study solve problem.toml",
         single_commands.calibrate: "study calibrate calibration.toml",
         single_commands.converge: "study converge --sizes 1,2,4 --values 0.9705,0.9685,0.9618",
-        laboratory_commands.export: "study export problem.toml --as abaqus",
+        single_commands.export: "study export problem.toml --as abaqus",
     },
     "Laboratory": {
         single_commands.inspect: "study inspect recorded.csv",
-        laboratory_commands.require: "study require sensors.toml",
-        laboratory_commands.tracking: "study tracking tracker.toml",
-        laboratory_commands.shape: "study shape problem.toml --scan scan.ply",
+        single_commands.require: "study require sensors.toml",
+        single_commands.tracking: "study tracking tracker.toml",
+        single_commands.shape: "study shape problem.toml --scan scan.ply",
     },
     "Tools": {single_commands.doctor: "study doctor"},
 }

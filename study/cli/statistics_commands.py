@@ -387,10 +387,10 @@ def _summaries(groups: SummaryAnalysis) -> Iterator[Block]:
         (("one variance", groups.anova), ("Welch", groups.welch)),
         {
             "Test": lambda of: of[0],
-            "F": lambda of: f"{of[1][0]:.2f}",
-            "DF": lambda of: f"{of[1][1]:g}",
-            "DF of error": lambda of: f"{of[1][2]:.4g}",
-            "p": lambda of: p_value(of[1][3]),
+            "F": lambda of: f"{of[1]['f']:.2f}",
+            "DF": lambda of: f"{of[1]['df']:g}",
+            "DF of error": lambda of: f"{of[1]['df_error']:.4g}",
+            "p": lambda of: p_value(of[1]["p"]),
         },
     )
     ends = f"{100 * (1 - groups.tukey.alpha):.4g} % interval"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from study import api
+from study.api import planning
 from study.ground.errors import InputError, RefusedError
 from study.harness.record.record import Record
 from study.harness.record.store import Store
@@ -295,13 +297,27 @@ def test_changed_code_and_another_format_make_it_again(
     assert page.stat().st_ino == written
 
 
-def test_every_source_and_every_stored_byte_is_looked_at(reported: Path) -> None:
-    results = reported / "results/small"
-    name = write.made_of(results, ["html"], {"study": "1"})
-    assert name == write.made_of(results, ["html"], {"study": "1"})
-    others = {write.made_of(results, ["csv"], {"study": "1"})}
-    others.add(write.made_of(results, ["html"], {"study": "2"}))
-    record = next(results.glob("cases/*/record.json"))
-    record.write_bytes(record.read_bytes() + b" ")
-    others.add(write.made_of(results, ["html"], {"study": "1"}))
-    assert len(others | {name}) == 4
+# What a run says of the time that it still needs.
+
+NOW = datetime.datetime(2026, 3, 1, 12, 0, tzinfo=datetime.UTC)
+AGO = (NOW - datetime.timedelta(seconds=50)).isoformat()
+
+
+class Stopped(datetime.datetime):
+    @classmethod
+    def now(cls, tz=None):
+        return NOW
+
+
+@pytest.mark.parametrize(
+    ("noted", "left"),
+    [
+        ({"seconds_left": 60.0, "at": AGO}, 10.0),
+        ({"seconds_left": 20.0, "at": AGO}, 0.0),
+        *((note, None) for note in (None, {}, {"pid": 1}, {"at": "now", "seconds_left": 1})),
+        ({"at": None}, None),
+    ],
+)
+def test_time_passes_after_a_note_and_without_one_nothing_is_said(monkeypatch, noted, left):
+    monkeypatch.setattr(datetime, "datetime", Stopped)
+    assert planning.seconds_left(noted) == left

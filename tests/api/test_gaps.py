@@ -21,7 +21,7 @@ from study.harness.runner.case_series import half_width
 from study.harness.runner.record_analysis import analyze_records, without_gaps
 from study.harness.runner.study_uncertainty import numerical_bound
 from study.statistics.analysis.analysis_result import AnalysisResult
-from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds
+from study.statistics.convergence.contrast_bound import SeriesBounds
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
@@ -45,18 +45,8 @@ def rows(design: Design, lost: Lost, blocks: int = 3) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
-def whole(
-    design: Design, table: pd.DataFrame, model: object = 2
-) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    return without_gaps(design, table, "y", [f.name for f in design.factors], "block", model)
-
-
 def quadratic_ogden(levels: dict[str, str], _: int) -> bool:
     return levels["material"] == "ogden-1" and levels["model.element_order"] == "quadratic"
-
-
-def nothing(_: dict[str, str], __: int) -> bool:
-    return False
 
 
 def quadratic_3d(levels: dict[str, str], _: int) -> bool:
@@ -64,35 +54,27 @@ def quadratic_3d(levels: dict[str, str], _: int) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("lost", "model"),
+    ("lost", "model", "notes"),
     [
-        (nothing, 2),
-        (quadratic_ogden, 1),  # main effects alone need no combinations
-        (quadratic_3d, 2),  # a factor keeps two levels
+        (lambda levels, block: False, 2, []),
+        (quadratic_ogden, 1, []),  # main effects alone need no combinations
+        (quadratic_3d, 2, []),  # a factor keeps two levels
+        # a cell counts that most specimens answer
+        (lambda levels, block: levels["material"] == "ogden-1" and block < 1, 2, []),
+        (lambda levels, block: levels["material"] == "ogden-1" and block < 2, 2, ["0 of 12"]),
+        (quadratic_ogden, 2, ["6 of 12"]),
     ],
 )
-def test_nothing_is_left_out(design: Design, lost: Lost, model: int) -> None:
-    table = rows(design, lost)
-    kept, notes = whole(design, table, model)
-    assert kept is table
-    assert notes == ()
-
-
-def test_a_level_that_leaves_a_combination_empty_goes(design: Design) -> None:
-    kept, notes = whole(design, rows(design, quadratic_ogden))
-    assert "ogden-1" not in set(kept["material"])
-    assert kept["material"].nunique() == 3
-    assert kept["y"].notna().all()
-    assert len(notes) == 1
-    assert notes[0].startswith("ogden-1 (material) has an answer in 6 of 12 cells")
-
-
-@pytest.mark.parametrize(("failed", "left_out"), [(1, 0), (2, 1)])
-def test_a_cell_counts_that_most_specimens_answer(
-    design: Design, failed: int, left_out: int
+def test_a_level_that_leaves_a_combination_empty_goes(
+    design: Design, lost: Lost, model: int, notes: list[str]
 ) -> None:
-    table = rows(design, lambda levels, b: levels["material"] == "ogden-1" and b < failed)
-    assert len(whole(design, table)[1]) == left_out
+    names = [factor.name for factor in design.factors]
+    kept, told = without_gaps(design, rows(design, lost), "y", names, "block", model)
+    assert [line.split(" cells")[0] for line in told] == [
+        f"ogden-1 (material) has an answer in {share}" for share in notes
+    ]
+    assert set(kept["material"]) == {*TRUE} - ({"ogden-1"} if notes else set())
+    assert kept["y"].notna().all() or not notes
 
 
 def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path: Path) -> None:
@@ -339,17 +321,6 @@ def test_an_error_of_coarse_meshes_alone_is_no_effect_of_a_material(design: Desi
     assert result.effect("material").range == pytest.approx(4.0, abs=0.05)
 
 
-def bound_of(
-    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
-) -> NumericalBound | None:
-    return numerical_bound(design, numerical, records, table(list(records)), NAME, "none")
-
-
-def test_where_nothing_was_refined_nothing_is_known(design: Design) -> None:
-    records = records_of(design, lambda levels: 2.0)
-    assert bound_of(design, records, []) is None
-
-
 def test_meshes_that_one_column_orders_in_another_way_are_no_series(design: Design) -> None:
     """The columns refined in the first block are the series then."""
     records = records_of(design, lambda levels: 2.0)
@@ -358,6 +329,6 @@ def test_meshes_that_one_column_orders_in_another_way_are_no_series(design: Desi
     upset = [Record(first.case_id, "cone", first.levels, first.block, responses=first.responses,
                     mesh={"mesh_size_mm": 0.05}), *records[5:]]  # fmt: skip
     for some, only in ((records, {"model.mesh": "fine"}), (upset, {})):
-        found = bound_of(design, some, rows)
+        found = numerical_bound(design, rows, some, table(list(some)), NAME, "none")
         assert isinstance(found, SeriesBounds)
         assert found.only == only

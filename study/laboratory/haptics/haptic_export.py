@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypedDict
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -236,9 +236,6 @@ def _deviation(
     return float(np.abs(law.force_at(curve.displacement_mm, constants) - curve.force_N).max())
 
 
-# The law: the force of a simulated test as a smooth function of displacement and constants.
-
-
 # Slopes of a monotone cubic Hermite interpolant (Fritsch and Carlson 1980, SIAM J. Numer. Anal.
 # 17, 238-246).
 
@@ -446,10 +443,14 @@ class ForceLaw(Keyed):
 
     @property
     def standard_uncertainty_N(self) -> Array | None:  # noqa: N802
-        """Standard uncertainty at every knot; None where a covariance is not known."""
-        uncertainty = self.standard_uncertainty_at(self.displacement_mm)
-        is_known = uncertainty is not None and np.isfinite(uncertainty).all()
-        return uncertainty if is_known else None
+        """Standard uncertainty at every knot that a calibration leaves; None without one."""
+        if self.covariance is None:
+            return None
+        rows = [self.gradients[name].at(self.displacement_mm) for name in self.constants]
+        gradient = np.stack(rows, axis=-1)
+        square = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
+        uncertainty = np.sqrt(np.maximum(square, 0.0))
+        return uncertainty if np.isfinite(uncertainty).all() else None
 
     @property
     def relative_error(self) -> float:
@@ -502,15 +503,6 @@ class ForceLaw(Keyed):
         d = np.asarray(displacement_mm, dtype=float)
         return np.asarray((d >= 0) & (d <= self.force.end_mm))
 
-    def standard_uncertainty_at(self, displacement_mm: ArrayLike) -> Array | None:
-        """Return the standard uncertainty in N that a calibration leaves; None without one."""
-        if self.covariance is None:
-            return None
-        rows = [self.gradients[name].at(displacement_mm) for name in self.constants]
-        gradient = np.stack(rows, axis=-1)
-        square = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
-        return np.asarray(np.sqrt(np.maximum(square, 0.0)))
-
 
 def force_table(step_mm: float, force_N: Array, stiffness_N_per_mm: Array) -> TabulatedFunction:  # noqa: N803
     """Tabulate a force, its slopes limited where it would not be monotone."""
@@ -540,33 +532,6 @@ def gradient_table(step_mm: float, gradient: Array) -> TabulatedFunction:
 ASKED = 4096
 
 
-class Input(TypedDict):
-    """An argument of the function: ends of its range in its unit."""
-
-    name: str
-    argument: str
-    low: float
-    high: float
-    unit: str
-    log: bool
-
-
-class SurfacePart(TypedDict):
-    """A sum of weights times correlations with points of the unit box."""
-
-    kernel: str
-    lengths: list[float]
-    points: list[list[float]]
-    weights: list[float]
-
-
-class Product(TypedDict):
-    """A coefficient times a product of coded inputs, which are -1 to 1 over their ranges."""
-
-    inputs: list[int]
-    coefficient: float
-
-
 @dataclass(frozen=True)
 class SurfaceFunction(Keyed):
     """A surface as plain numbers, units in their own keys."""
@@ -580,12 +545,15 @@ class SurfaceFunction(Keyed):
     #: Identifier, also the stem of its files.
     name: str
     surface: FittedSurface
-    inputs: tuple[Input, ...]
+    #: Arguments: name, argument, low and high in the unit, unit, log.
+    inputs: tuple[Mapping[str, object], ...]
     #: What is added to all sums, in the response's unit.
     constant: float
-    #: Of an emulator, one a block.
-    parts: tuple[SurfacePart, ...]
-    products: tuple[Product, ...]
+    #: Of an emulator, one a block: sums of weights times correlations (kernel, lengths) with points
+    #: of the unit box.
+    parts: tuple[Mapping[str, object], ...]
+    #: Of a quadratic: coefficients times products of coded inputs, -1 to 1 over their ranges.
+    products: tuple[Mapping[str, object], ...]
     #: Largest half width of the 95 % intervals in the ranges, in the response's unit.
     bound: float
 
@@ -627,10 +595,8 @@ def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
     model, runs = fitted.found.model, fitted.found.runs
     arguments = _arguments(runs.names)
     inputs = tuple(
-        Input(
-            name=f.name, argument=arguments[f.name], low=f.low, high=f.high,
-            unit=fitted.units.get(f.name, ""), log=f.log,
-        )
+        {"name": f.name, "argument": arguments[f.name], "low": f.low, "high": f.high,
+         "unit": fitted.units.get(f.name, ""), "log": f.log}
         for f in runs.factors
     )  # fmt: skip
     name = _identifier(" ".join((study_name, fitted.response, *fitted.labels.values())))
@@ -639,7 +605,7 @@ def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
     if isinstance(model, QuadraticSurface):
         polynomial = model.polynomial
         products = tuple(
-            Product(inputs=list(t.factors), coefficient=float(c))
+            {"inputs": list(t.factors), "coefficient": float(c)}
             for t, c in zip(polynomial.terms, polynomial.coefficients, strict=True)
         )
         return SurfaceFunction(name, fitted, inputs, 0.0, (), products, bound)
@@ -649,7 +615,7 @@ def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
     return SurfaceFunction(name, fitted, inputs, constant, tuple(p for _, p in made), (), bound)
 
 
-def _part(emulator: Emulator, blocks: int) -> tuple[float, SurfacePart]:
+def _part(emulator: Emulator, blocks: int) -> tuple[float, dict[str, object]]:
     """Level and weights of a process, over the number of blocks."""
     process = emulator.process
     kernel = process.found.kernel
@@ -658,12 +624,12 @@ def _part(emulator: Emulator, blocks: int) -> tuple[float, SurfacePart]:
     if kernel.categories is not None:
         weights = weights * kernel.categories.matrix[combination, kernel.combination(process.x)]
     scale = emulator.scale / blocks
-    part = SurfacePart(
-        kernel=kernel.family,
-        lengths=kernel.lengths.tolist(),
-        points=kernel.numbers(process.x).tolist(),
-        weights=(scale * process.found.variance * weights).tolist(),
-    )
+    part: dict[str, object] = {
+        "kernel": kernel.family,
+        "lengths": kernel.lengths.tolist(),
+        "points": kernel.numbers(process.x).tolist(),
+        "weights": (scale * process.found.variance * weights).tolist(),
+    }
     return emulator.centre / blocks + scale * float(levels[combination]), part
 
 

@@ -50,7 +50,6 @@ class Sliding:
     rotation: Array
     #: shape (3,); direction, times the share of translation.
     translation: Array
-    stiffness: float
 
     def __str__(self) -> str:
         turns = bool(np.linalg.norm(self.rotation) >= np.linalg.norm(self.translation))
@@ -370,9 +369,7 @@ def _described(
     reduced = sandwich(system.slope @ firm, system.residual, scale, patches)
     units = np.diag(np.r_[np.full(3, 1 / system.arm), np.ones(3)])
     covariance = units @ firm @ reduced @ firm.T @ units
-    sliding = tuple(
-        Sliding(vectors[:3, k], vectors[3:, k], float(values[k])) for k in np.flatnonzero(loose)
-    )
+    sliding = tuple(Sliding(vectors[:3, k], vectors[3:, k]) for k in np.flatnonzero(loose))
     return Registration(
         motion=motion,
         center=system.center,
@@ -420,10 +417,6 @@ class Closest:
 
     #: shape (n, 3); closest points, mm.
     points: Array
-    #: shape (n,); triangle on which each lies.
-    triangle: Ints
-    #: shape (n, 3); its barycentric coordinates there.
-    weights: Array
     #: shape (n,); signed distance, positive outside, mm.
     distance: Array
     #: shape (n, 3); unit pseudo-normal of the surface there.
@@ -514,7 +507,7 @@ class TriangleSurface:
         nearest = np.einsum("nk,nkj->nj", weights, self.corners[triangle])
         normal = self._pseudo_normals(triangle, weights)
         outside = ((points - nearest) * normal).sum(axis=1) >= 0
-        return Closest(nearest, triangle, weights, np.where(outside, distance, -distance), normal)
+        return Closest(nearest, np.where(outside, distance, -distance), normal)
 
     def _search(
         self,

@@ -204,12 +204,12 @@ def biweight(standardized: Array) -> Array:
     return np.asarray(inside**2)
 
 
-def inlier_scale(residuals: Array, start: float | None = None) -> float:
+def inlier_scale(residuals: Array) -> float:
     """Estimate the standard deviation of those residuals that the biweight gives weight."""
     # The median of all would grow by half where three in ten points are outliers.
     # A wider scale lets in more residuals, and so gives a scale that is no narrower: the scales of
     # the rounds rise or fall all the way, and there are no more of them than residuals.
-    scale = scale_of(residuals) if start is None else start
+    scale = scale_of(residuals)
     while True:
         inside = residuals[np.abs(residuals) < BIWEIGHT * scale]
         if not inside.size or scale == 0:
@@ -458,12 +458,6 @@ def _described(points: Array, values: Array, scale: float) -> FittedSphere:
     )
 
 
-# A straight line between two measured quantities: errors in both, their variance ratio known.
-#
-# Deming 1943; standard errors by the jackknife (Linnet 1993), which needs no normal errors and
-# sees a scatter that grows along the line.
-
-
 # Agreement of two methods of measurement: bias and limits (Bland and Altman 1986), with exact
 # intervals by the noncentral t distribution (Carkeet 2015).
 
@@ -525,6 +519,9 @@ def limits_of_agreement(
         points=n,
     )
 
+
+# A straight line between two measured quantities: errors in both, their variance ratio known
+# (Deming 1943). Standard errors by the jackknife (Linnet 1993) need no normal errors.
 
 #: Fewest points of a line whose scatter is to be told.
 FEWEST_PAIRS = 4

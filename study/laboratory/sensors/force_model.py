@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import numpy as np
 
@@ -57,19 +57,7 @@ class ForceAt:
     jacobian: Array
 
 
-class ForceModel(Protocol):
-    """Force of one test; zero before touch, that is at negative displacements."""
-
-    problem: Problem
-    #: What is known of its force once it has been asked for.
-    notes: tuple[str, ...]
-
-    def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
-        """Force for constants in MPa (exponents plain); raises where there is no answer."""
-        ...
-
-
-def force_model(given: Problem, farthest_mm: float) -> ForceModel:
+def force_model(given: Problem, farthest_mm: float) -> ClosedForm | Simulated:
     """Model of a test: closed form where its deformation is homogeneous, else finite elements."""
     problem = replace(given, test=replace(given.test, displacement_mm=farthest_mm))
     if problem.material.relaxation:
@@ -82,6 +70,10 @@ def force_model(given: Problem, farthest_mm: float) -> ForceModel:
 
 class ClosedForm:
     """Compression between frictionless plates."""
+
+    # Either model gives no force at negative displacements, before touch. Constants are in MPa
+    # (exponents plain); where there is no answer it raises. ``notes`` say what is known of the
+    # force once it has been asked for.
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -121,13 +113,13 @@ class Simulated:
         self.problem = problem
         self.notes: tuple[str, ...] = ()
         self._names = problem.material.names
-        self._first: Curve | None = None
         self._anchor: Solution | None = None
         self._known: dict[bytes, Curve] = {}
 
     def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
         """Force between the steps of the solution at these constants."""
-        first = self._base()
+        # all others start from this one, which is solved first
+        first = self._solved(self.problem.material.values)
         curve = self._solved(values)
         knots = curve.displacement_mm
         d = np.clip(displacement_mm, 0.0, knots[-1])
@@ -144,11 +136,6 @@ class Simulated:
             np.where(touches, (force(above) - force(below)) / (above - below), 0.0),
             np.where(touches[:, None], curve.gradients_at(self._names, d), 0.0),
         )
-
-    def _base(self) -> Curve:
-        if self._first is None:
-            self._first = self._solved(self.problem.material.values)
-        return self._first
 
     def _solved(self, values: Array) -> Curve:
         key = values.tobytes()

@@ -1,29 +1,488 @@
-"""What a test and its sensors give, and what the sensors must be for a wanted accuracy."""
+"""What sensors must be for a wanted accuracy: to first order, and by simulated tests.
+
+Every test is fitted twice: by the nonlinear fit, and to first order from the same errors. The
+ratio of the two scatters is known far better than either of them, so that a few hundred tests
+show whether first order holds.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeAlias, cast
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.canonical import Keyed
-from study.ground.errors import Fault, InputError
-from study.laboratory.sensors.error_propagation import (
-    PropagatedQuantity,
-    Propagation,
-    Sampling,
-    SensorErrorSource,
-    Simulation,
-    propagate,
-    rows_mm,
-    simulate,
-    sources_of,
+from study.ground.errors import Fault, InputError, RefusedError
+from study.harness.execution.local import Loky
+from study.harness.execution.supervisor import Inline
+from study.harness.execution.task import Executor, Results, Task
+from study.laboratory.sensors.force_model import (
+    ForceAccuracy,
+    ForceAt,
+    PositionAccuracy,
+    RequirementFile,
+    force_model,
+    multiplied,
 )
-from study.laboratory.sensors.force_model import RequirementFile, force_model, multiplied
+from study.mechanics.calibration.covariance import scaled_inverse
+from study.mechanics.calibration.levenberg_marquardt import Status, levenberg_marquardt
+from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import is_dimensionless
+from study.mechanics.setup.setup import Problem
+
+# First-order propagation of sensor errors through a least-squares fit (JCGM 100:2008, 5): a row
+# at displacement d differs by zero + scale_F F + noise_F - F' (offset + scale_d d + noise_d); all
+# but the noise are the same in all rows of a test.
+
+
+@dataclass(frozen=True)
+class SensorErrorSource:
+    """One error of one sensor."""
+
+    #: ``position`` or ``force``; ``offset``, ``zero``, ``scale`` or ``noise``.
+    sensor: str
+    name: str
+    #: Of ``given``: mm, N, or empty for a share.
+    unit: str
+    given: float
+    #: shape (n,); change of the residual of every row by one unit of the error.
+    response: Array
+    #: Whether all rows have the same error.
+    is_shared: bool
+
+
+def sources_of(
+    position: PositionAccuracy, force: ForceAccuracy, at: ForceAt, displacement_mm: Array
+) -> tuple[SensorErrorSource, ...]:
+    """List all errors of both sensors, with what they do to the rows of a test."""
+    # Shapes: displacement_mm (n,).
+    slope, ones = at.stiffness_N_per_mm, np.ones(displacement_mm.size)
+    return (
+        SensorErrorSource("position", "offset", "mm", position.offset_mm, -slope, True),
+        SensorErrorSource("position", "scale", "", position.scale, -slope * displacement_mm, True),
+        SensorErrorSource("position", "noise", "mm", position.noise_mm, -slope, False),
+        SensorErrorSource("force", "zero", "N", force.zero_N, ones, True),
+        SensorErrorSource("force", "scale", "", force.scale, at.force_N, True),
+        SensorErrorSource("force", "noise", "N", force.noise_N, ones, False),
+    )
+
+
+@dataclass(frozen=True)
+class PropagatedQuantity:
+    """A constant, or the force that is predicted with the constants."""
+
+    #: Unit of ``value``: MPa, N, or empty.
+    name: str
+    unit: str
+    value: float
+    #: shape (n_sources,); standard uncertainty by one unit of every source.
+    per_source: Array
+    #: shape (n_sources,); standard uncertainties of the sources.
+    given: Array
+    #: shape (n_sources,); whether a source is one of the tracker.
+    is_position: Array
+
+    @property
+    def parts(self) -> Array:
+        """Standard uncertainty that every source makes, over the value."""
+        return np.asarray(self.per_source * self.given / abs(self.value))
+
+    @property
+    def relative(self) -> float:
+        """Standard uncertainty over the value, all sources together."""
+        return float(np.sqrt(np.sum(self.parts**2)))
+
+    def at_multiples(self, position: Array, force: Array) -> Array:
+        """Relative standard uncertainty with both sensors' errors so many times as large."""
+        squares = self.parts**2
+        of_position_alone = float(squares[self.is_position.astype(bool)].sum())
+        other = float(squares.sum()) - of_position_alone
+        return np.asarray(np.sqrt(position**2 * of_position_alone + force**2 * other))
+
+    def allowed_alone(self, relative: float) -> Array:
+        """Largest error of every source if there were no other; infinite where it does nothing."""
+        unit = self.per_source / abs(self.value)
+        return np.asarray(np.divide(relative, unit, out=np.full(unit.size, np.inf), where=unit > 0))
+
+    def allowed_beside(self, relative: float) -> Array:
+        """Largest error of every source beside the others as given; NaN where they leave none."""
+        unit = self.per_source / abs(self.value)
+        left = relative**2 - (self.relative**2 - self.parts**2)
+        root = np.sqrt(np.where(left >= 0, left, np.nan))
+        return np.asarray(
+            np.divide(root, unit, out=np.where(left >= 0, np.inf, np.nan), where=unit > 0)
+        )
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """Constants and predicted force, to first order of the errors."""
+
+    sources: tuple[SensorErrorSource, ...]
+    constants: tuple[PropagatedQuantity, ...]
+    #: Predicted at the end of the predicted test.
+    force: PropagatedQuantity
+    #: shape (p, n); change of the constants by that of every row.
+    pseudo_inverse: Array
+    #: shape (p,); change of the predicted force by the constants.
+    gradient: Array
+
+    @property
+    def worst(self) -> PropagatedQuantity:
+        """Constant with the largest relative uncertainty."""
+        return max(self.constants, key=lambda constant: constant.relative)
+
+
+def propagate(
+    names: Sequence[str],
+    values: Array,
+    units: Sequence[str],
+    at: ForceAt,
+    sources: tuple[SensorErrorSource, ...],
+    predicted: ForceAt,
+) -> Propagation:
+    """Propagate sensor errors to the constants of an unweighted fit, and to a predicted force."""
+    # Shapes: names, values, units (p,).
+    inverse, rank = scaled_inverse(at.jacobian)
+    if rank < len(names):
+        raise RefusedError(
+            f"the test determines {rank} of {len(names)} constants ({', '.join(names)}): "
+            "no accuracy of a sensor tells them apart; press deeper, or take a simpler energy"
+        )
+    pseudo_inverse = inverse @ at.jacobian.T
+    effects = np.stack([_covariance_root(pseudo_inverse, source) for source in sources])
+    given = np.array([source.given for source in sources])
+    of_position = np.array([source.sensor == "position" for source in sources])
+    variance = np.einsum("skn,skn->sk", effects, effects)
+    gradient = predicted.jacobian[0]
+    force = np.einsum("k,skn->sn", gradient, effects)
+    return Propagation(
+        sources,
+        tuple(
+            PropagatedQuantity(
+                name, unit, float(value), np.sqrt(variance[:, k]), given, of_position
+            )
+            for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
+        ),
+        PropagatedQuantity(
+            "force",
+            "N",
+            float(predicted.force_N[0]),
+            np.linalg.norm(force, axis=1),
+            given,
+            of_position,
+        ),  # fmt: skip
+        pseudo_inverse,
+        gradient,
+    )
+
+
+def _covariance_root(pseudo_inverse: Array, source: SensorErrorSource) -> Array:
+    """Root of the constants' covariance by one unit of a source, shape (p, n)."""
+    # A shared error has one column and is filled up with zeros.
+    moved = pseudo_inverse * source.response
+    if not source.is_shared:
+        return moved
+    root = np.zeros_like(moved)
+    root[:, 0] = moved.sum(axis=1)
+    return root
+
+
+#: Tests of one task, whatever the number of workers, so that this changes no digit.
+CHUNK = 25
+#: Step at which a fit has converged, over the smallest standard uncertainty of a constant. Contact
+#: that sets in node by node makes kinks in the sum of squares, all of them far smaller than that.
+STEP = 1e-3
+#: The same over the constant itself, which is no smaller: forces are solved to about 1e-8.
+SMALLEST_STEP = 1e-7
+TOLD = 10
+#: Largest share by which the scatter may differ from first order where that is said to hold.
+LINEAR = 0.05
+#: Largest shift of the mean in standard deviations: an interval of k = 2 then still holds 94.8 %.
+SHIFTED = 0.25
+#: Smallest share of the tests that must have an answer.
+FEWEST = 0.9
+#: Fewest tests whose scatter can be told.
+FEWEST_TESTS = 10
+
+
+@dataclass(frozen=True)
+class Scatter(Keyed):
+    """How one quantity scatters in the simulated tests."""
+
+    KEYS = "name standard_deviation ratio ratio_standard_error=ratio_error bias"
+
+    #: Of a constant, or ``force``.
+    name: str
+    #: Of a modulus in kPa, of the force in N.
+    standard_deviation: float
+    #: Its scatter over that of first order with the same errors.
+    ratio: float
+    #: Standard error of the ratio, by the jackknife.
+    ratio_error: float
+    #: Mean less the assumed value, in standard deviations.
+    bias: float
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether first order holds, for scatter and mean."""
+        return abs(self.ratio - 1) <= LINEAR and abs(self.bias) <= SHIFTED
+
+
+@dataclass(frozen=True)
+class Simulation(Keyed):
+    """All tests with errors so many times as large as given."""
+
+    KEYS = "multiple samples failed linear=is_linear message quantities=scatters"
+
+    multiple: float
+    #: Tests, and those whose fit has no answer.
+    samples: int
+    failed: int
+    #: Constants in their order, and the predicted force.
+    scatters: tuple[Scatter, ...]
+    #: Why the first of those that failed did.
+    message: str = ""
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether first order holds for all quantities, and hardly any test failed."""
+        enough = self.samples - self.failed >= FEWEST * self.samples
+        return enough and all(scatter.is_linear for scatter in self.scatters)
+
+
+def simulate(
+    sampling: Sampling,
+    propagation: Propagation,
+    multiples: Sequence[float],
+    jobs: int,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Simulation, ...]:
+    """Simulate tests at several multiples of the given errors."""
+    tasks, owners = [], {}
+    for multiple in multiples:
+        for chunk in _chunks(sampling, propagation, multiple):
+            key = f"{multiple:g}-{chunk.first}"
+            tasks.append(Task(key, partial(_payload, chunk)))
+            owners[key] = multiple
+    answers: dict[float, list[Answer]] = {multiple: [] for multiple in multiples}
+    say = progress or (lambda text: None)
+    # a closed form is done before processes have started
+    simulated = not sampling.fitted.setup.is_homogeneous
+    place: Executor = Loky(perform, jobs) if simulated else Inline(perform)
+    for done, outcome in enumerate(place.run(tasks), start=1):
+        answers[owners[outcome.key]] += _answers(outcome.result)
+        if done * TOLD // len(tasks) > (done - 1) * TOLD // len(tasks):
+            say(f"{done} of {len(tasks)} parts of the simulated tests")
+    return tuple(_simulation(m, sampling.samples, propagation, answers[m]) for m in multiples)
+
+
+def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> Iterator[Chunk]:
+    """Divide a simulation into tasks, whose random numbers are those of multiple and test."""
+    position, force = multiplied(sampling.position, sampling.force, multiple)
+    drawn = replace(sampling, position=position, force=force)
+    stream = (sampling.seed, round(1e6 * multiple))
+    least = min(constant.relative for constant in propagation.constants)
+    xtol = max(STEP * multiple * least, SMALLEST_STEP)
+    for first in range(0, sampling.samples, CHUNK):
+        last = min(first + CHUNK, sampling.samples)
+        yield Chunk(drawn, stream, first, last, propagation.pseudo_inverse, xtol)
+
+
+def _payload(chunk: Chunk, _: Results) -> Chunk:
+    return chunk
+
+
+def _answers(result: Mapping[str, object]) -> list[Answer]:
+    """Read what a worker found; one that died answers none of its tests."""
+    if result["status"] == "failed":
+        raise RuntimeError(str(result.get("traceback", result.get("message"))))
+    if result["status"] != "done":
+        return [str(result.get("message", result["status"]))]
+    return cast("list[Answer]", result["tests"])
+
+
+def _simulation(
+    multiple: float, samples: int, propagation: Propagation, answers: Sequence[Answer]
+) -> Simulation:
+    """Judge the tests of one multiple."""
+    changes = np.array([answer for answer in answers if not isinstance(answer, str)])
+    message = next((answer for answer in answers if isinstance(answer, str)), "")
+    answered, p, force = len(changes), len(propagation.constants), propagation.force
+    if answered < FEWEST_TESTS:
+        return Simulation(multiple, samples, samples - answered, (), message)
+    fitted, linear = changes[:, :p], changes[:, p : 2 * p]
+    pairs = [
+        *zip(propagation.constants, fitted.T, linear.T, strict=True),
+        (force, changes[:, -1] - force.value, linear @ propagation.gradient),
+    ]
+    scatters = tuple(
+        _scatter(quantity, changed, moved, multiple) for quantity, changed, moved in pairs
+    )
+    return Simulation(multiple, samples, samples - answered, scatters, message)
+
+
+def _scatter(
+    quantity: PropagatedQuantity, fitted: Array, linear: Array, multiple: float
+) -> Scatter:
+    """Compare the scatter of changes with that of first order from the same errors."""
+    ratios = _without_each(fitted) / _without_each(linear)
+    ratio = float(np.std(fitted, ddof=1) / np.std(linear, ddof=1))
+    n, first_order = fitted.size, multiple * quantity.relative * abs(quantity.value)
+    error = float(np.sqrt((n - 1) / n * np.sum((ratios - ratios.mean()) ** 2)))
+    # what the mean of the linear changes is off zero is chance, and the same in both
+    shift, deviation = float(np.mean(fitted - linear)), first_order * ratio
+    shown = deviation * (1e3 if quantity.unit == "MPa" else 1.0)
+    return Scatter(quantity.name, shown, ratio, error, shift / deviation)
+
+
+def _without_each(values: Array) -> Array:
+    """Give the standard deviation without each value in turn, shape (n,)."""
+    n, centered = values.size, values - values.mean()
+    squares = np.sum(centered**2) - centered**2 - centered**2 / (n - 1)
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / (n - 2)))
+
+
+# Virtual tests: measured with drawn sensor errors, and fitted anew (JCGM 101:2008).
+
+
+#: Standard deviations of the noise that the simulated curve reaches beyond the test.
+REACH = 5.0
+#: Promised relative change of the sum of squares at which a fit has converged.
+FTOL = 1e-9
+#: Relative offset at which it has converged: what is left is a thousandth of a standard error by
+#: noise (Bates and Watts 1981).
+GTOL = 1e-3
+#: Decrease of the sum of squares that is not worth the way along a kink.
+EDGE = 1e-3
+#: Evaluations of a fit, which usually takes three to six from the assumed constants.
+MOST_EVALUATIONS = 30
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """What a Monte Carlo simulation draws."""
+
+    #: Both tests, with the assumed constants.
+    fitted: Problem
+    predicted: Problem
+    position: PositionAccuracy
+    force: ForceAccuracy
+    points: int
+    #: Number of tests; the stream of random numbers.
+    samples: int
+    seed: int
+
+    @property
+    def depth_mm(self) -> float:
+        """Displacement of the fitted test."""
+        return self.fitted.test.depth_mm
+
+    @property
+    def farthest_mm(self) -> float:
+        """Largest displacement that a tracker may tell."""
+        error = self.position
+        beyond = np.hypot(np.hypot(error.offset_mm, error.noise_mm), error.scale * self.depth_mm)
+        return self.depth_mm + REACH * float(beyond)
+
+
+def rows_mm(depth_mm: float, points: int) -> Array:
+    """Displacements of the rows of a test, even, the last one at its depth."""
+    # Shapes: returns (points,), mm.
+    return np.asarray(depth_mm * np.arange(1, points + 1) / points)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Part of a simulation that one worker does."""
+
+    #: With the errors of this simulation.
+    sampling: Sampling
+    #: Begins the seed of every test.
+    stream: tuple[int, ...]
+    #: Numbers of its tests, the last one excluded.
+    first: int
+    last: int
+    #: shape (p, n); change of the constants by that of every row, to first order.
+    pseudo_inverse: Array
+    #: Full step over the constants at which a fit has converged.
+    xtol: float
+
+
+#: changes of the constants in one test, by the nonlinear fit and to first order, and the predicted
+#: force in N; or why there is no answer
+Answer: TypeAlias = list[float] | str
+
+
+def perform(chunk: Chunk) -> dict[str, object]:
+    """Measure and fit the tests of one chunk (in a worker)."""
+    problem, tests = chunk.sampling.predicted, list[Answer]()
+    test = _Test(chunk)
+    depth = np.array([problem.test.depth_mm])
+    predicted = force_model(problem, float(depth[0]))
+    for k in range(chunk.first, chunk.last):
+        try:
+            values, linear = test.measured(np.random.default_rng([*chunk.stream, k]))
+            force = predicted(values, depth).force_N
+        except (EvaluationFailed, InputError) as error:
+            tests.append(str(error))
+            continue
+        tests.append(np.concatenate([values - test.values, linear, force]).tolist())
+    return {"status": "done", "tests": tests}
+
+
+class _Test:
+    """One test at its rows, to be measured with errors and fitted as often as asked."""
+
+    def __init__(self, chunk: Chunk) -> None:
+        self.chunk, sampling = chunk, chunk.sampling
+        self.model = force_model(sampling.fitted, sampling.farthest_mm)
+        self.rows = rows_mm(sampling.depth_mm, sampling.points)
+        self.values = self.model.problem.material.values
+        self.true = self.model(self.values, self.rows)
+
+    def measured(self, random: np.random.Generator) -> tuple[Array, Array]:
+        """Constants of the fit to one measured test, and their change to first order."""
+        n, p, f = self.rows.size, self.chunk.sampling.position, self.chunk.sampling.force
+        moved = p.offset_mm * random.standard_normal() + self.rows * (
+            p.scale * random.standard_normal()
+        )
+        moved = moved + p.noise_mm * random.standard_normal(n)
+        off = f.zero_N * random.standard_normal() + self.true.force_N * (
+            f.scale * random.standard_normal()
+        )
+        off = off + f.noise_N * random.standard_normal(n)
+        linear = self.chunk.pseudo_inverse @ (off - self.true.stiffness_N_per_mm * moved)
+        return self._fit(self.rows + moved, self.true.force_N + off), linear
+
+    def _fit(self, displacement_mm: Array, force_N: Array) -> Array:  # noqa: N803
+        """Constants that fit measured rows best, each with the same weight."""
+
+        def residual(values: Array) -> tuple[Array, Array]:
+            at = self.model(values, displacement_mm)
+            return at.force_N - force_N, at.jacobian
+
+        fit = levenberg_marquardt(
+            residual,
+            self.values,
+            ftol=FTOL,
+            xtol=self.chunk.xtol,
+            gtol=GTOL,
+            edge=EDGE,
+            max_evaluations=MOST_EVALUATIONS,
+        )
+        # a lowest point at which contact sets in is as good a constant as another
+        if not (fit.converged or fit.status is Status.at_kink):
+            raise EvaluationFailed(fit.status.sentence)
+        return fit.x
+
+
+# What the sensors must be for a wanted accuracy.
 
 #: Multiples of the given errors that the map of accuracies shows, from a tenth to ten times.
 MULTIPLES = np.logspace(-1, 1, 61)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array, Flags, Ints
+from study.ground.arrays import Array, Ints
 from study.ground.bounded_file import Unpacker, open_regular
 from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
@@ -68,11 +68,6 @@ class DeformedMesh:
         """Whether it is a meridian section of a body of revolution."""
         return self.kind in PLANE_KINDS
 
-    @property
-    def axis(self) -> int:
-        """Axis of loading: the second coordinate of a section, else the third."""
-        return 1 if self.is_section else 2
-
 
 @dataclass(frozen=True)
 class Symmetry:
@@ -108,7 +103,8 @@ def symmetry_of(mesh: DeformedMesh) -> Symmetry:
     # A specimen stands on z = 0; a plane that no node crosses, in which sides lie and out of which
     # nothing moves, is one of symmetry.
     size = float(np.ptp(mesh.points, axis=0).max())
-    axis = mesh.axis
+    # that of loading
+    axis = 1 if mesh.is_section else 2
     lowest = float(mesh.points[:, axis].min())
 
     def is_plane(k: int, place: float) -> bool:
@@ -126,25 +122,22 @@ def surface_of(mesh: DeformedMesh) -> BodySurface:
     if mesh.kind not in _SHAPES:
         rule = f"has cells of type {mesh.kind!r}"
         raise InputError(Fault("simulation", rule, f"known are {', '.join(KINDS)}"))
-    symmetry = symmetry_of(mesh)
-    keep = _real_sides(mesh, symmetry)
-    points, displacement = mesh.points, mesh.displacement
+    points, displacement, triangles = mesh.points, mesh.displacement, _outer_sides(mesh)
     if mesh.is_section:
-        points, displacement, triangles = _revolved(mesh, keep)
-    else:
-        triangles = keep
-        for k in (0, 1):
-            if symmetry.mirrored[k]:
-                points, displacement, triangles = _mirrored(points, displacement, triangles, k, 0.0)
-    if symmetry.mirrored[2]:
-        points, displacement, triangles = _mirrored(
-            points, displacement, triangles, 2, symmetry.lowest
-        )
+        points, displacement, triangles = _revolved(mesh, triangles)
+    symmetry = symmetry_of(mesh)
+    for axis, (mirrored, place) in enumerate(
+        zip(symmetry.mirrored, (0.0, 0.0, symmetry.lowest), strict=True)
+    ):
+        if mirrored:
+            points, displacement, triangles = _mirrored(
+                points, displacement, triangles, axis, place
+            )
     return _joined(points, displacement, triangles)
 
 
-def _real_sides(mesh: DeformedMesh, symmetry: Symmetry) -> Ints:
-    """Sides of one cell only, split, turned outward, without those in planes of symmetry."""
+def _outer_sides(mesh: DeformedMesh) -> Ints:
+    """Sides of one cell only, split, turned outward."""
     corners, sides, _ = _SHAPES[mesh.kind]
     nodes = np.concatenate([mesh.cells[:, list(side)] for side in sides])
     owner = np.tile(np.arange(len(mesh.cells)), len(sides))
@@ -153,7 +146,6 @@ def _real_sides(mesh: DeformedMesh, symmetry: Symmetry) -> Ints:
         np.sort(nodes, axis=1), axis=0, return_index=True, return_counts=True
     )
     alone = first[count == 1]
-    alone = alone[~_in_symmetry(mesh, symmetry, nodes[alone])]
     parts = []
     for k in range(len(sides)):
         part = alone[number[alone] == k]
@@ -164,18 +156,6 @@ def _real_sides(mesh: DeformedMesh, symmetry: Symmetry) -> Ints:
         parts.append(_turned(mesh.points, split, np.repeat(centers, len(split) // max(len(part), 1),
                                                            axis=0)))  # fmt: skip
     return np.concatenate(parts)
-
-
-def _in_symmetry(mesh: DeformedMesh, symmetry: Symmetry, nodes: Ints) -> Flags:
-    """Which sides lie in a plane of symmetry, or on the axis of a section."""
-    size = float(np.ptp(mesh.points, axis=0).max())
-    planes = [(mesh.axis, symmetry.lowest)] if symmetry.mirrored[2] else []
-    planes += [(0, 0.0)] if symmetry.mirrored[0] or symmetry.section else []
-    planes += [(1, 0.0)] if symmetry.mirrored[1] else []
-    inside = np.zeros(len(nodes), dtype=bool)
-    for k, place in planes:
-        inside |= (np.abs(mesh.points[nodes, k] - place) < SAME_PLACE * size).all(axis=1)
-    return inside
 
 
 def _pieces(kind: str, side: int) -> list[tuple[int, ...]]:
@@ -242,19 +222,26 @@ def _mirrored(
 
 
 def _joined(points: Array, displacement: Array, triangles: Ints) -> BodySurface:
-    """Make one point of those at one place, drop triangles without area, and check it closes."""
+    """Make one point of those at one place, and check that the surface closes.
+
+    Triangles without area are dropped (on an axis), and those that lie on both sides of a plane.
+    """
     size = float(np.ptp(points, axis=0).max())
-    used, place = np.unique(triangles, return_inverse=True)
-    group, first = joined(points[used], SAME_PLACE * size)
-    cells = group[place.reshape(-1, 3)]
+    group, first = joined(points, SAME_PLACE * size)
+    cells = group[triangles]
     cells = cells[(cells != np.roll(cells, 1, axis=1)).all(axis=1)]
+    _, place, count = np.unique(
+        np.sort(cells, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    used, cells = np.unique(cells[count[place.ravel()] == 1], return_inverse=True)
+    cells = cells.reshape(-1, 3)
     edges = np.sort(cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, count = np.unique(edges, axis=0, return_counts=True)
     if (count != 2).any():
         rule = f"its surface does not close: {int((count != 2).sum())} open edges"
         mend = "the mesh must be a whole body, a quarter at x = 0 and y = 0, or a section"
         raise InputError(Fault("simulation", rule, mend))
-    return BodySurface(points[used][first], displacement[used][first], cells)
+    return BodySurface(points[first][used], displacement[first][used], cells)
 
 
 # A simulated body: its surface before and after the deformation, and what moves inside.

@@ -29,7 +29,6 @@ from study.laboratory.registration.rigid import (
     limits_of_agreement,
     on_a_line,
     rotation_of,
-    rotation_vector,
     target_registration_error,
 )
 from study.laboratory.tracker.tracker_recording import (
@@ -654,6 +653,7 @@ def _lever_arm(
     moving: Array, fixed: Array, turned: Array | None, fit: PairedFit
 ) -> LeverArm | None:
     """Estimate the arm with the registration, and judge by left-out poses what it is worth."""
+    from scipy.spatial.transform import Rotation
     from scipy.stats import f as f_distribution
 
     n = len(moving)
@@ -670,10 +670,8 @@ def _lever_arm(
             moving[others], fixed[others], turned[others], motion
         )
         errors.append(arm_without(moving[k : k + 1])[0] - fixed[k] - turned[k] @ own_arm)
-    # rotation nearest to all in the sense of least squares
-    u, _, v = np.linalg.svd(turned.mean(axis=0))
-    mean = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
-    angles = [np.linalg.norm(rotation_vector(mean.T @ turn)) for turn in turned]
+    rotations = Rotation.from_matrix(turned)
+    angles = (rotations.mean().inv() * rotations).magnitude()
     return LeverArm(
         arm_mm=arm,
         uncertainty_mm=np.sqrt(np.diag(covariance)),

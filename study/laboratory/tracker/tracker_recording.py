@@ -150,9 +150,7 @@ class TrackingFile:
     recording: RecordingTable
     #: What the tracker is compared with; at least one is there.
     distance: DistanceTable | None
-    #: What the tracker is compared with; at least one is there.
     displacement: DisplacementTable | None
-    #: What the tracker is compared with; at least one is there.
     reference: ReferenceTable | None
 
 
@@ -171,14 +169,15 @@ def load_tracking(path: str | Path) -> TrackingFile:
             faults.add(key, "unknown key", nearest(key, TABLES))
     tracking = read_table(TrackingTable, tables.get("tracking", {}), "tracking", faults)
     recording = read_table(RecordingTable, tables.get("recording"), "recording", faults)
-    distance = displacement = reference = None
-    if "distance" in tables:
-        distance = read_table(DistanceTable, tables["distance"], "distance", faults)
-    if "displacement" in tables:
-        displacement = read_table(DisplacementTable, tables["displacement"], "displacement", faults)
-    if "reference" in tables:
-        reference = read_table(ReferenceTable, tables["reference"], "reference", faults)
-    file = TrackingFile(tracking, recording, distance, displacement, reference)
+
+    def compared(kind: type[T]) -> T | None:
+        name = kind.__name__.removesuffix("Table").lower()
+        return read_table(kind, tables[name], name, faults) if name in tables else None
+
+    file = TrackingFile(
+        tracking, recording, compared(DistanceTable), compared(DisplacementTable),
+        compared(ReferenceTable),
+    )  # fmt: skip
     if not faults:
         faults.extend(_across(file))
     if faults:
