@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -22,16 +21,8 @@ from study.mechanics.setup.declaration import (
     word,
 )
 from study.mechanics.setup.geometry import FaceMotion, Gravity, Indenter
-from study.mechanics.setup.test_kind import Interface, Test, TestKind
-from study.mechanics.setup.test_kinds import COMPRESSION, GAUGE_SECTIONS, INDENTATION, PLATE_MOTION
-
-#: every kind of test by its name in a file
-TEST_KINDS: Mapping[str, TestKind] = {
-    "compression": COMPRESSION,
-    "indentation": INDENTATION,
-    "plate-motion": PLATE_MOTION,
-    **GAUGE_SECTIONS,
-}
+from study.mechanics.setup.test_kind import Interface, Test
+from study.mechanics.setup.test_kinds import TEST_KINDS
 
 _CONDITIONS = "frictionless", "bonded"
 _SYNONYMS = {"lubricated": "frictionless"}
