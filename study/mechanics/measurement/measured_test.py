@@ -164,21 +164,6 @@ class Measurements:
                 counts.append(rows if test in chosen else RowCount(rows.read, 0, aside))
         return RowCount.sum_of(counts)
 
-    def curves(
-        self, block: str | None = None, **where: Label
-    ) -> list[tuple[dict[str, str], Curve]]:
-        """Every matching group (labels, averaged curve), repeats averaged."""
-        keys = dict.fromkeys(
-            tuple((k, v) for k, v in test.groups.items() if k not in self.average)
-            for test in self._matching(block, where)
-        )
-        out = []
-        for groups in map(dict, keys):
-            rest = {k: v for k, v in groups.items() if k != self.block}
-            label = groups.get(self.block) if self.block else None
-            out.append((groups, self.curve(label, **{**where, **rest}).curve))
-        return out
-
     def pairs(self, block: str | None = None) -> list[tuple[MeasuredTest, MeasuredTest]]:
         """Pair fit with score for a block: one pair, or two where they also change places.
 
