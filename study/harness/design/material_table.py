@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from statistics import NormalDist
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -36,9 +37,6 @@ from study.mechanics.setup.material_section import (
     MaterialSection,
     RelaxationKey,
 )
-
-if TYPE_CHECKING:
-    from scipy.stats.distributions import rv_frozen
 
 # The key ``material.relaxation``: terms by which the stress fades, or a grid of their times.
 
@@ -284,32 +282,37 @@ class InputDistribution:
     low: float
     high: float
 
-    @property
-    def _whole(self) -> rv_frozen:
-        """Distribution before anything is cut off."""
-        from scipy import stats
-
-        a, b = self.numbers[0], self.numbers[-1]
-        width, mode = b - a, self.numbers[1]
-        made: rv_frozen = {
-            "normal": lambda: stats.norm(a, b),
-            "lognormal": lambda: stats.lognorm(math.log(b), scale=a),
-            "uniform": lambda: stats.uniform(a, width),
-            "triangular": lambda: stats.triang((mode - a) / width, a, width),
-        }[self.kind]()
-        return made
+    def below(self, value: float) -> float:
+        """Probability of less than a value, before anything is cut off."""
+        a, b = self.numbers[0], self.numbers[1]
+        if self.kind == "normal":
+            return NormalDist(a, b).cdf(value)
+        if self.kind == "lognormal":
+            return NormalDist(math.log(a), math.log(b)).cdf(math.log(value)) if value > 0 else 0.0
+        if self.kind == "uniform":
+            return min(max((value - a) / (b - a), 0.0), 1.0)
+        return _below_triangle(value, *self.numbers)
 
     @property
     def outside(self) -> float:
         """Probability that is cut off."""
-        whole = self._whole
-        return float(whole.cdf(self.low) + whole.sf(self.high))
+        return self.below(self.low) + 1.0 - self.below(self.high)
 
     def quantile(self, shares: Array) -> Array:
         """Values, in the unit of the range, below which such shares of the distribution lie."""
-        whole = self._whole
-        first, last = whole.cdf([self.low, self.high])
-        quantiles = whole.ppf(first + shares * (last - first))
+        from scipy import special
+
+        first, last = self.below(self.low), self.below(self.high)
+        p = first + shares * (last - first)
+        a, b = self.numbers[0], self.numbers[1]
+        if self.kind == "normal":
+            quantiles = a + b * special.ndtri(p)
+        elif self.kind == "lognormal":
+            quantiles = a * np.exp(math.log(b) * special.ndtri(p))
+        elif self.kind == "uniform":
+            quantiles = a + p * (b - a)
+        else:
+            quantiles = _triangle(p, *self.numbers)
         return np.asarray(np.clip(quantiles, self.low, self.high))
 
     def halved(self) -> InputDistribution:
@@ -332,3 +335,19 @@ class InputDistribution:
         parts = [f"{name} {v:.4g}" + ("" if name == "factor" or not unit else f" {unit}")
                 for name, v in named]  # fmt: skip
         return ", ".join([self.kind, *parts])
+
+
+def _below_triangle(x: float, low: float, mode: float, high: float) -> float:
+    if x <= low:
+        return 0.0
+    if x >= high:
+        return 1.0
+    if x <= mode:
+        return (x - low) ** 2 / ((high - low) * (mode - low))
+    return 1.0 - (high - x) ** 2 / ((high - low) * (high - mode))
+
+
+def _triangle(p: Array, low: float, mode: float, high: float) -> Array:
+    rising = low + np.sqrt(p * (high - low) * (mode - low))
+    falling = high - np.sqrt((1.0 - p) * (high - low) * (high - mode))
+    return np.asarray(np.where(p < (mode - low) / (high - low), rising, falling))
