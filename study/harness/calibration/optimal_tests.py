@@ -28,7 +28,7 @@ from study.mechanics.material.energy import poisson_from_bulk
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, is_dimensionless, unit_shown
 from study.mechanics.setup.geometry import Sphere
-from study.mechanics.setup.test_section import TEST_KINDS
+from study.mechanics.setup.test_kinds import TEST_KINDS
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -149,14 +149,9 @@ class NextTests:
     conditions: Conditions
 
     @property
-    def is_due(self) -> bool:
-        """Whether a constant is badly known."""
-        return bool(np.any(~(self.standard_error <= KNOWN * np.abs(self.values))))
-
-    @property
     def sentence(self) -> str:
         """The best test in words; empty where all constants are known."""
-        if not self.is_due:
+        if np.all(self.standard_error <= KNOWN * np.abs(self.values)):
             return ""
         best = self.tests[0]
         says = " and ".join(self._cut(name, best) for name in self.sought)
