@@ -133,7 +133,7 @@ def _sticks(config: Config) -> bool:
     """Whether an indenter holds what it touches where it meets it: load steps matter then."""
     from study.harness.design.cell import CellProblem
     from study.mechanics.setup.test_kind import IndenterContact
-    from study.mechanics.setup.test_section import TEST_KINDS
+    from study.mechanics.setup.test_kinds import TEST_KINDS
 
     made = CellProblem.of(config).setup.test.to_depth(1.0)
     contacts = TEST_KINDS[made.kind].contacts(made)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 from study.ground.errors import InputError
 from study.harness.design import cell as content
 from study.harness.design import load, overview, spec
-from study.harness.design.overlay import lay
 
 BASE = """
 schema = 1
@@ -131,14 +128,6 @@ def test_a_preset_of_a_table_is_laid_over_it() -> None:
     assert ogden.cell.document()["material"]["constants"] == {"mu1": 0.005, "alpha1": 3.0}
 
 
-def test_a_key_takes_away_what_cannot_stand_beside_it() -> None:
-    tables = {"model": {"mesh": "fine"}, "material": {"poisson_ratio": 0.4, "C10": "5 kPa"}}
-    assert lay(tables, {"model.mesh_size": "2 mm"})["model"] == {"mesh_size": "2 mm"}
-    laid = lay(tables, {"material.bulk_modulus": "1 MPa", "material.model": "ogden"})
-    assert laid["material"] == {"bulk_modulus": "1 MPa", "model": "ogden"}
-    assert tables["material"] == {"poisson_ratio": 0.4, "C10": "5 kPa"}
-
-
 def test_indenters_as_presets() -> None:
     text = BASE.replace('"compression"', '"indentation"') + (
         '[presets.tip.cone]\ntest.indenter = { shape = "cone", half_angle = "30 deg" }\n'
@@ -155,12 +144,6 @@ def test_indenters_as_presets() -> None:
             "shaft_radius_mm": None,
         }
         assert ball.cell.document()["test"]["indenter"] == {"shape": "sphere", "radius_mm": 5.0}
-
-
-def test_indentation_is_one_computation_a_cell() -> None:
-    text = BASE.replace('"frictionless"', '"bonded"') + SPACES
-    assert len(overview.equivalent_groups(load.loads(text))) == 2
-    assert len(overview.equivalent_groups(load.loads(BASE + SPACES))) == 1
 
 
 @pytest.mark.parametrize(
@@ -233,22 +216,3 @@ def test_an_override_that_a_level_hides_is_refused(text: str, override: str) -> 
 def test_bad_overrides(override: str) -> None:
     with pytest.raises(InputError):
         load.loads(BASE + SPACES, overrides=[override])
-
-
-@given(st.data())
-def test_any_matrix_survives_a_round_trip(data: st.DataObject) -> None:
-    pool = {
-        "model.space": ["axisymmetric", "3d"],
-        "model.element_order": ["linear", "quadratic"],
-        "model.mesh": ["coarse", "medium", "fine"],
-        "test.steps": [4, 8, 16],
-        "material.C10": ["1 kPa", "2 kPa", "3 kPa"],
-        "specimen.radius": ["10 mm", "20 mm"],
-    }
-    names = data.draw(st.lists(st.sampled_from(sorted(pool)), min_size=1, max_size=3, unique=True))
-    rows = {n: data.draw(st.permutations(pool[n])) for n in names}
-    text = BASE + "[factors]\n" + "".join(f"'{n}' = {list(v)!r}\n" for n, v in rows.items())
-    study = load.loads(text)
-    assert load.loads(load.dump(study)) == study
-    expected = [" / ".join(map(str, c)) for c in itertools.product(*rows.values())]
-    assert [cell.label for cell in study.treatments] == expected

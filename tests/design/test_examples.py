@@ -121,16 +121,6 @@ def test_every_design_that_ships_is_read(path: Path) -> None:
         assert load.load(path).treatments
 
 
-def test_what_is_expected_of_the_needle(conical: Design) -> None:
-    kinds = [(one.kind, one.factors) for one in conical.expected]
-    both = ("material", "model.space")
-    assert kinds == [("larger", both), ("interact", both), ("best", ()), ("close", ())]
-    first, second = conical.expected[3].cells
-    assert first == {"material": "reduced-polynomial-2", "model.space": "3d"}
-    assert second["model.space"] == "axisymmetric"
-    assert {one.response for one in conical.expected} == {"relative_rms_force_error"}
-
-
 def test_what_nobody_measured_is_unknown_unless_said_otherwise() -> None:
     plain = load.load(DESIGNS / "demo.toml").roles
     assert plain == {"material": "choice", "plates": "unknown", "model.space": "choice"}

@@ -20,6 +20,7 @@ from study.mechanics.measurement.measurement_section import (
 )
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.setup.declaration import Bad
+from tests.measurement.layouts import german
 from tests.record.samples import Spec
 
 LINE = "d,f\n0,0\n1,2\n2,4\n3,6\n4,8\n"
@@ -116,6 +117,56 @@ def test_dress_of_the_file_does_not_matter(tmp_path, change):
     assert read(tmp_path, change(LINE)).curve().curve.force_N.tolist() == [0, 2, 4, 6, 8]
 
 
+FORCE_N = [0.0, 400.0, 800.0, 1200.5, 1600.0]
+
+
+def rows(cells: str) -> str:
+    return "".join(cells.format(d=d, f=f, g=f"{f:,.2f}") for d, f in enumerate(FORCE_N))
+
+
+DEGREE = "Zeit [s]\td\tf\tTemperatur [\u00b0C]\n"
+FILES: dict[str, tuple[bytes, dict[str, object]]] = {
+    "row of units": (("d,f\n(mm),(N)\n" + rows('"{d}","{f}"\n')).encode(), {}),
+    "units without brackets": (("t;d;f\n;mm;N\n" + rows("0;{d};{f}\n")).encode(), {}),
+    "units of pint": (
+        ("d,f\n[mm],[uN]\n" + rows("{d},{f}\n")).encode(),
+        {"units": {"displacement": "mm", "force": "uN"}},
+    ),
+    "thousands": (("d,f\n" + rows('{d},"{g}"\n')).encode(), {}),
+    "german thousands": (
+        german("d;f\n" + rows("{d};{g}\n")).encode(),
+        {"decimal": ","},
+    ),
+    "apostrophes": (("d,f\n" + rows("{d},{g}\n").replace(",1,", ",1'").replace(
+        "3,1,200", "3,1'200").replace("4,1,600", "4,1'600")).encode(), {}),
+    "narrow spaces": (
+        ("d;f\n" + rows("{d};{g}\n").replace(",", "\u202f").replace(".", ",")).encode(),
+        {"decimal": ","},
+    ),
+    "latin-1": ((DEGREE + rows("0\t{d}\t{f}\t23.1\n")).encode("latin-1"), {}),
+    "trailing tabs": ((DEGREE + rows("0\t{d}\t{f}\t23.1\t\n")).encode("latin-1"), {}),
+    "trailing comma of the header": (("d,f,,\n" + rows("{d},{f}\n")).encode(), {}),
+    "utf-16": (("d\tf\n" + rows("{d}\t{f}\n")).encode("utf-16"), {}),
+    "utf-16 big endian": (b"\xfe\xff" + ("d\tf\n" + rows("{d}\t{f}\n")).encode("utf-16-be"), {}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_recording_is_read_to_its_last_digit(tmp_path, name):
+    data, changes = FILES[name]
+    factor = 1e-6 if "units" in changes else 1.0
+    found = read(tmp_path, data, Spec(**changes)).curve().curve
+    assert found.force_N == pytest.approx(factor * np.array(FORCE_N), rel=1e-14)
+
+
+def test_what_the_reader_did_is_counted(tmp_path):
+    data = (DEGREE + "s\tmm\tN\t\u00b0C\n" + rows("0\t{d}\t{f}\t23.1\t\n")).encode("latin-1")
+    notes = "\n".join(read(tmp_path, data).notes)
+    assert "a.csv: read as Windows-1252" in notes
+    assert "a.csv:2: row of units" in notes
+    assert "empty cells at the ends of 5 rows removed" in notes
+
+
 def test_repeats_are_averaged_and_scatter_is_their_deviation(tmp_path):
     spec = Spec(block="s", average=("r",))
     found = read(tmp_path, REPEATS, spec)
@@ -124,7 +175,7 @@ def test_repeats_are_averaged_and_scatter_is_their_deviation(tmp_path):
     # ANALYTIC: slopes 1 and 2: mean 1.5 d, deviation d / sqrt(2)
     assert mean.curve.force_N.tolist() == [0, 1.5, 3, 4.5, 6]
     assert mean.scatter_N == pytest.approx(np.arange(5) / np.sqrt(2), rel=1e-14)
-    assert (mean.n_repeats, dict(mean.groups)) == (2, {"s": "A"})
+    assert mean.n_repeats == 2
 
 
 def test_fit_and_score_swap(tmp_path):
@@ -139,7 +190,6 @@ def test_a_column_that_is_not_averaged_must_be_chosen(tmp_path):
     found = read(tmp_path, REPEATS, Spec(average=("r",), fit={"s": "A"}, score={"s": "B"}))
     with pytest.raises(InputError, match="several tests match the study: s = A, B"):
         found.curve()
-    assert [g for g, _ in found.curves()] == [{"s": "A"}, {"s": "B"}]
     with pytest.raises(InputError, match="did you mean 's'|no grouping column 'sx'"):
         found.curve(sx="A")
     with pytest.raises(InputError, match="no test matches s = C"):
@@ -148,7 +198,7 @@ def test_a_column_that_is_not_averaged_must_be_chosen(tmp_path):
 
 def test_numbers_in_a_design_match_labels_in_a_file(tmp_path):
     found = read(tmp_path, REPEATS, Spec(average=("s",), fit={"r": 1}, score={"r": 2.0}))
-    assert found.curve(r=1).groups == {"r": "1"}
+    assert found.curve(r=1).n_repeats == 2
     assert found.curve(r=[1.0]).n_repeats == 2
 
 
@@ -217,6 +267,16 @@ BAD = {
     "latin-1": (LINE.replace("3,6", "\xb5,6").encode("latin-1"), "a.csv:5: column 'd'"),
     "broken gzip": (gzip.compress(LINE.encode())[:-9], "broken gzip"),
     "long line": ("d,f\n" + "1" * 100_001 + ",2\n", "at most 100000"),
+    # the comma may be either mark where no cell shows a decimal point
+    "a comma of two meanings": (b'd,f\n0,"1,200"\n1,"2,400"\n', "decimal comma"),
+    "units of the row": (b"d,f\nmm,kN\n0,0\n1,1\n2,2\n", "the row of units says kN, but N is"),
+    "first of both columns": (b"d,f\n0,x\ny,1\n", "a.csv:2: column 'f'"),
+    "both columns": (b"d,f\n0,x\ny,1\n", "a.csv:3: column 'd'"),
+    "preamble": (b"made by X,\nof 2020,\nd,f\n0,0\n", "line 3 names the columns"),
+    "half utf-8": ("d,f,\u00b0C\n".encode() + b"0,0,\xb0\n", "a.csv:2: byte 0xb0"),
+    "not text": (b"d,f\n0,\x81\n", "a.csv:2: byte 0x81"),
+    "filled beyond the header": (b"d,f\n0,0,\n1,1,5\n2,2,\n", "a.csv:3: has 3 cells"),
+    "no group of three": (b'd,f\n0,"1,20.5"\n1,2\n', "a.csv:2: column 'f'"),
 }
 
 
@@ -229,6 +289,13 @@ def test_bad_files_are_refused_by_place(tmp_path, case):
 def test_a_point_under_a_declared_comma_is_refused(tmp_path):
     words = refusal(tmp_path, "d;f\n0;0\n1.5;2,0\n2;4\n", Spec(decimal=","))
     assert "a point has no place here" in words
+
+
+def test_lines_are_those_of_the_file(tmp_path):
+    data = "made by X\nof 2020\nd,f\n0,0\n# pause\n1,x\n2,y\n"
+    words = refusal(tmp_path, data, Spec(skip_lines=2, comment="#"))
+    assert "a.csv:6: column 'f'" in words
+    assert "a.csv:7: column 'f'" in words
 
 
 def test_all_bad_cells_come_at_once(tmp_path):
@@ -320,13 +387,6 @@ ECOFLEX = Spec(
     score={"specimen": "B"},
     swap=True,
 )
-
-
-def test_ecoflex_is_read_whole(data_dir):
-    found = read_measurements(ECOFLEX, data_dir, 30.0)
-    assert len(found.blocks) == 9
-    assert len(found.tests) == 90
-    assert all(len(found.pairs(block)) == 2 for block in found.blocks)
 
 
 def test_ecoflex_force_at_6_mm_is_the_published_one(data_dir):

@@ -40,15 +40,6 @@ def test_volume_and_pressure() -> None:
     assert f == pytest.approx([6.48], rel=1e-12)
 
 
-def test_shear_to_the_left_is_turned() -> None:
-    sheared = Gauge(4.0, 20.0, "simple-shear", 1.0, True)
-    shear, stress = np.array([-0.2, 0.1]), np.array([-3.0, 1.0])
-    d, f = displacement_and_force("strain", shear, "stress", stress, sheared, "a.csv")
-    # in order, as a test to the right would have been recorded
-    assert d == pytest.approx([2.0, 4.0])
-    assert f == pytest.approx([4.0, 12.0])
-
-
 @pytest.mark.parametrize(
     ("kinematic", "kinetic", "gauge", "words"),
     [

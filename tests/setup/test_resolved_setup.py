@@ -10,9 +10,8 @@ from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
 from study.harness.design.diagnostics import Faults, read_table
 from study.laboratory.sensors.force_model import force_model
-from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.setup.declaration import Length, section
-from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat
+from study.mechanics.setup.geometry import Flat
 
 CONFIG: dict[str, Any] = {
     "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
@@ -26,16 +25,6 @@ def problem(**tables: Any) -> CellProblem:
     return CellProblem.of({**CONFIG, **tables})
 
 
-def test_every_section_arrives() -> None:
-    made = problem().at()
-    assert made.specimen == Cylinder(25.0, 30.0)
-    assert (made.test.interface, made.test.base, made.test.steps) == ("bonded", "bonded", 10)
-    assert made.material.constants == {"C10": 5e-3}
-    assert (made.model.space, made.model.element_order, made.model.mesh) == (
-        "3d", "linear", "coarse",
-    )  # fmt: skip
-
-
 def test_base_follows_interface_in_compression_and_holds_in_indentation() -> None:
     test = {"kind": "indentation", "displacement_mm": 2.0, "indenter": {"shape": "flat",
             "radius_mm": 3.0}}  # fmt: skip
@@ -47,16 +36,6 @@ def test_base_follows_interface_in_compression_and_holds_in_indentation() -> Non
 def test_the_model_of_a_force_reaches_beyond_the_end_of_its_test() -> None:
     """As far as a tracker with errors may tell."""
     assert force_model(problem().at(), 9.0).problem.test.depth_mm == 9.0
-
-
-def test_shapes_and_synonyms() -> None:
-    block = {"shape": "block", "width_mm": 1.0, "depth_mm": 2.0, "height_mm": 3.0}
-    assert problem(specimen=block).specimen == Block(1.0, 2.0, 3.0)
-    assert height_and_area(Block(1.0, 2.0, 3.0)) == (3.0, 2.0)
-    cone = {"shape": "cone", "half_angle_deg": 30.0, "tip_radius_mm": 1.0, "shaft_radius_mm": None}
-    assert problem(test={"kind": "indentation", "indenter": cone}).test.indenter == Cone(30.0, 1.0)
-    assert problem(model={"element_shape": "hexahedron"}).model.element_shape == "tensor"
-    assert problem(model={"mesh": None, "mesh_size_mm": 2.0}).model.mesh_size_mm == 2.0
 
 
 def test_what_is_missing_is_named() -> None:

@@ -26,7 +26,7 @@ from study.harness.calibration.measured_tests import (
     read_tests,
     warnings_of,
 )
-from study.harness.calibration.nuisance import predicted, with_nuisance
+from study.harness.calibration.nuisance import NuisancePredictions, with_nuisance
 from study.harness.calibration.optimal_tests import next_tests
 from study.harness.calibration.resampling import Starts, bootstrap, excluded, scattered
 from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
@@ -329,7 +329,8 @@ def _profiles(
 
     def predict(values: Array) -> list[Curve]:
         if fit.joint is not None:
-            return predicted(parts, setting.tests, ordered, setting.names, values)
+            model = NuisancePredictions(parts, setting.tests, ordered, setting.names)
+            return model(values, [param for param in model.parameters if param.is_fitted])
         return [curve for model in models for curve in model(values)]
 
     whole = fit.joint or fit

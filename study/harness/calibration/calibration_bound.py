@@ -153,18 +153,15 @@ def estimated_bound(
     A force that is wrong by e moves the estimates by -(J'J)^-1 J'e, as an error of a row does.
     """
     names, constants = fit.names, fit.values
-    is_simulated = [
-        part.method == "inverse-fem" and isinstance(model, InverseFem)
-        for part, model in zip(parts, models, strict=True)
-    ]
-    if not any(is_simulated) or not fit.curves:
+    simulated = [model if isinstance(model, InverseFem) else None for model in models]
+    if all(model is None for model in simulated) or not fit.curves:
         return None
     mesh: list[Array] = []
     steps: list[Array] = []
     nothing = np.full(len(names), np.nan)
     try:
-        for part, model, is_own in zip(parts, models, is_simulated, strict=True):
-            if not (is_own and isinstance(model, InverseFem)):
+        for part, model in zip(parts, simulated, strict=True):
+            if model is None:
                 zeros = [np.zeros(len(curve.curve)) for curve in part.measured]
                 mesh, steps = [*mesh, *zeros], [*steps, *zeros]
                 continue

@@ -389,18 +389,6 @@ def with_nuisance(
     return replace(_part(joint, first_fit.names), joint=joint, nuisance=estimates)
 
 
-def predicted(
-    parts: Sequence[FitPart],
-    tests: Sequence[CalibratedTest],
-    curves: Sequence[FitCurve],
-    names: Sequence[str],
-    values: Array,
-) -> list[Curve]:
-    """Curves of a fit for constants and fitted nuisance parameters; values (p + k,), MPa, mm, N."""
-    predictions = NuisancePredictions(parts, tests, curves, names)
-    return predictions(values, [param for param in predictions.parameters if param.is_fitted])
-
-
 def _settled(task: _Task, fitted: Sequence[NuisanceParameter], first_fit: Fit) -> tuple[Fit, Fit]:
     """Fit again until the weight of the pseudo-observations is that of the residuals left.
 

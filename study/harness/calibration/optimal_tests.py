@@ -28,7 +28,7 @@ from study.mechanics.material.energy import poisson_from_bulk
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, is_dimensionless, unit_shown
 from study.mechanics.setup.geometry import Sphere
-from study.mechanics.setup.test_section import TEST_KINDS
+from study.mechanics.setup.test_kinds import TEST_KINDS
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -84,6 +84,57 @@ class NextTest:
 
 
 @dataclass(frozen=True)
+class Conditions:
+    """What a further test has in common with those that were made."""
+
+    #: Standard deviation of a row, and the cross-section.
+    noise_N: float  # noqa: N815
+    area_mm2: float
+    rows: int
+    #: Share of the rows that their correlation leaves.
+    worth: float
+    strain: float
+    #: Largest nominal stress of a test that can be made, MPa.
+    stress_MPa: float  # noqa: N815
+
+    @property
+    def effective_rows(self) -> float:
+        """What the correlation of the rows leaves of them."""
+        return self.worth * self.rows
+
+    @classmethod
+    def of(
+        cls, fit: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
+    ) -> Conditions:
+        """Mean of the recordings; the first specimen that has a cross-section."""
+        specimens = [s for test in tests if (s := test.setup.specimen) is not None]
+        areas = [height_and_area(specimen)[1] for specimen in specimens]
+        serial, rows = fit.serial, fit.n
+        if serial is not None:
+            rows = serial.rows
+        # mean strains of the specimens that are not indented
+        strains = [
+            float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm
+            for curve in curves
+            if (setup := tests[curve.test].setup).height_mm is not None
+            and setup.test.indenter is None
+        ]
+        stresses = [
+            float(np.abs(curve.measured.curve.force_N).max()) / height_and_area(specimen)[1]
+            for curve in curves
+            if (specimen := tests[curve.test].setup.specimen) is not None
+        ]
+        return cls(
+            noise,
+            areas[0] if areas else _AREA,
+            max(1, round(rows / len(fit.curves))),
+            1.0 if serial is None else serial.effective_rows / serial.rows,
+            max([USUAL_STRAIN, *strains]),
+            max([STRESS_MPA, *(TIMES_MEASURED * stress for stress in stresses)]),
+        )
+
+
+@dataclass(frozen=True)
 class NextTests:
     """Tests that could be made, the best first."""
 
@@ -94,33 +145,23 @@ class NextTests:
     #: Those that are badly known, of which the tests shall tell; all where none is.
     sought: tuple[str, ...]
     tests: tuple[NextTest, ...]
-    #: Recorded rows of a test, and what their correlation leaves of them.
-    rows: float
-    effective_rows: float
-    #: Standard deviation of its forces, and its cross-section.
-    noise_N: float  # noqa: N815
-    area_mm2: float
-    #: Largest nominal stress of the tests that were weighed, MPa.
-    stress_MPa: float  # noqa: N815
-
-    @property
-    def is_due(self) -> bool:
-        """Whether a constant is badly known."""
-        return bool(np.any(~(self.standard_error <= KNOWN * np.abs(self.values))))
+    #: What they have in common with those that were made.
+    conditions: Conditions
 
     @property
     def sentence(self) -> str:
         """The best test in words; empty where all constants are known."""
-        if not self.is_due:
+        if np.all(self.standard_error <= KNOWN * np.abs(self.values)):
             return ""
         best = self.tests[0]
         says = " and ".join(self._cut(name, best) for name in self.sought)
         errors = "error" if len(self.sought) == 1 else "errors"
-        rows = f"{self.rows:.0f} rows worth {self.effective_rows:.3g}"
+        at = self.conditions
+        rows = f"{at.rows:.0f} rows worth {at.effective_rows:.3g}"
         return (
             f"best next test: {best.words} would cut the standard {errors} {says} (as noisy "
-            f"as the tests made: {self.noise_N:.2g} N on {self.area_mm2:.3g} mm^2, {rows}, "
-            f"up to a nominal stress of {self.stress_MPa:.3g} MPa). "
+            f"as the tests made: {at.noise_N:.2g} N on {at.area_mm2:.3g} mm^2, {rows}, "
+            f"up to a nominal stress of {at.stress_MPa:.3g} MPa). "
             f"{self._reach(best)}"
         )
 
@@ -129,11 +170,10 @@ class NextTests:
         return {
             "sentence": self.sentence,
             "sought": list(self.sought),
-            "noise_N": self.noise_N,
-            "area_mm2": self.area_mm2,
-            "rows": self.rows,
-            "stress_MPa": self.stress_MPa,
-            "effective_rows": self.effective_rows,
+            **{
+                key: getattr(self.conditions, key)
+                for key in ("noise_N", "area_mm2", "rows", "stress_MPa", "effective_rows")
+            },
             "standard_error": in_shown_units(self.names, self.standard_error),
             "tests": [
                 {
@@ -183,7 +223,7 @@ def next_tests(
     noise = float(np.sqrt(left @ left / freedom)) if freedom > 0 else 0.0
     if not noise > 0:
         return None
-    conditions = _Conditions.of(fit, ordered, tests, noise)
+    conditions = Conditions.of(fit, ordered, tests, noise)
     information = _information(fit, weights[:, None] * slopes, weights * left, conditions.worth)
     now = _covariance(information)
     error = np.sqrt(np.diag(now))
@@ -197,56 +237,8 @@ def next_tests(
     return NextTests(
         fit.names, fit.values, error,
         tuple(n for n, is_sought in zip(fit.names, sought, strict=True) if is_sought),
-        tuple(candidate for _, candidate in ranked),
-        conditions.rows, conditions.worth * conditions.rows, noise, conditions.area_mm2,
-        conditions.stress_MPa,
+        tuple(candidate for _, candidate in ranked), conditions,
     )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Conditions:
-    """What a further test has in common with those that were made."""
-
-    #: Standard deviation of a row, and the cross-section.
-    noise_N: float  # noqa: N815
-    area_mm2: float
-    rows: int
-    #: Share of the rows that their correlation leaves.
-    worth: float
-    strain: float
-    #: Largest nominal stress of a test that can be made, MPa.
-    stress_MPa: float  # noqa: N815
-
-    @classmethod
-    def of(
-        cls, fit: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
-    ) -> _Conditions:
-        """Mean of the recordings; the first specimen that has a cross-section."""
-        specimens = [s for test in tests if (s := test.setup.specimen) is not None]
-        areas = [height_and_area(specimen)[1] for specimen in specimens]
-        serial, rows = fit.serial, fit.n
-        if serial is not None:
-            rows = serial.rows
-        # mean strains of the specimens that are not indented
-        strains = [
-            float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm
-            for curve in curves
-            if (setup := tests[curve.test].setup).height_mm is not None
-            and setup.test.indenter is None
-        ]
-        stresses = [
-            float(np.abs(curve.measured.curve.force_N).max()) / height_and_area(specimen)[1]
-            for curve in curves
-            if (specimen := tests[curve.test].setup.specimen) is not None
-        ]
-        return cls(
-            noise,
-            areas[0] if areas else _AREA,
-            max(1, round(rows / len(fit.curves))),
-            1.0 if serial is None else serial.effective_rows / serial.rows,
-            max([USUAL_STRAIN, *strains]),
-            max([STRESS_MPA, *(TIMES_MEASURED * stress for stress in stresses)]),
-        )
 
 
 @dataclass(frozen=True)
@@ -257,7 +249,7 @@ class _TestSearch:
     material: Material
     known: Array
     sought: NDArray[np.bool_]
-    conditions: _Conditions
+    conditions: Conditions
 
     def tests(self) -> Iterator[tuple[float, NextTest]]:
         """Every test that has an answer, with the log of the variance that it leaves."""
@@ -316,7 +308,7 @@ class _TestSearch:
         return np.asarray(at.worth / at.noise_N**2 * slopes.transpose(0, 2, 1) @ slopes)
 
 
-def _slopes(material: Material, kind: str, strain: Array, at: _Conditions) -> Array:
+def _slopes(material: Material, kind: str, strain: Array, at: Conditions) -> Array:
     """Differentiate the force by every constant, N / MPa, shape (n, p)."""
     if TEST_KINDS[kind].takes_indenter:
         radius = np.sqrt(at.area_mm2 / np.pi)

@@ -141,18 +141,6 @@ class CellProblem(ForwardCell):
         names = ("space", "element_order", "element_shape", "formulation")
         return " ".join(str(getattr(self.model, name)) for name in names)
 
-    def faults_in_design(self) -> list[tuple[str, str, str]]:
-        """Where, rule and mend of a course in time, of which a design has no response."""
-        rule, faults = "has no place in a design", []
-        mend = "responses compare curves over displacement: `study solve` follows a course"
-        for key, value in (("hold", self.test.hold_s), ("cycles", self.test.cycles)):
-            if value is not None:
-                faults.append((f"test.{key}", rule, mend))
-        if self.measurements is not None and self.measurements.columns.time is not None:
-            mend = "give test.speed, or fit the course by `study calibrate`"
-            faults.append(("measurements.columns.time", rule, mend))
-        return faults
-
     @cached_property
     def setup(self) -> Setup:
         """Specimen, test and discretization; a surface is read from where it was found."""

@@ -9,7 +9,7 @@ refines or reports a case asks the object, and needs to know none of its tables.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Self
 
@@ -124,7 +124,3 @@ class ForwardCell(ABC):
     def physical(self) -> dict[str, object]:
         """Part of the document that can change an answer: of a stranger's program all of it."""
         return self.document()
-
-    def faults_in_design(self) -> Sequence[tuple[str, str, str]]:
-        """Where, rule and mend of what has no place in a design of experiments."""
-        return ()

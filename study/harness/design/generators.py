@@ -323,8 +323,3 @@ def _words_of(word: Word, names: Sequence[str]) -> str:
     if len(word) == 1:
         return f"the effect of {names[word[0]]}"
     return "the interaction of " + " and ".join(names[i] for i in word)
-
-
-def clear_order(order: int | None) -> int | None:
-    """Highest order of terms that are free of one another at a resolution; None for all."""
-    return None if order is None else max(1, (order - 1) // 2)

@@ -201,28 +201,7 @@ def share_of(index: int, count: int) -> float:
     return (index + 0.5) / count
 
 
-# Table ``[design]``: which combinations of the levels are run.
-#     [design]
-#     kind = "fractional"        # full | fractional | plackett-burman | central-composite
-#                                # | box-behnken | latin-hypercube | sobol | adaptive
-#                                # | d-optimal | listed
-#     generators = ["model.element_order = material:plates"]     # fractional; or
-#     resolution = 4                                             # the smallest fraction that has it
-#     star = "inscribed"         # central-composite: or "faced"
-#     runs = 32                  # latin-hypercube, sobol (a power of two), d-optimal
-#     seed = 7                   # of these three; that of [study] by default
-#     start = 30                 # adaptive: cells of a Latin hypercube that it begins with,
-#     batch = 4                  # cells added at a time,
-#     budget = 60                # most cells in all,
-#     until = "verdict"          # what ends it earlier: every factor has a verdict; or "q2":
-#     q2 = 0.95                  # leave-one-out Q2 that is enough
-#     terms = 2                  # d-optimal: highest order of interaction, or a list of terms
-#     treatments = [{ material = "yeoh", plates = "bonded" }]    # listed: exactly these cells
-#     zip = [["specimen.height", "test.displacement"]]           # full: levels change together
-#     [[design.nested]]          # full: levels that exist only within a level of another factor
-#     factor = "model.mesh_size"
-#     within = "model.space"
-#     levels = { axisymmetric = ["1 mm", "2 mm"], 3d = ["3 mm", "4 mm"] }
+# Table ``[design]``: which combinations of the levels are run (docs/writing-designs.md).
 
 #: every kind of ``[design]`` by its name
 LAYOUTS: Mapping[str, type[Layout]] = {

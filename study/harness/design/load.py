@@ -17,7 +17,7 @@ from study.ground.contrast import sides_of
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import diagnostics, overlay, plausibility
 from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.design.cell import Cell
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.diagnostics import (
     Faults,
     Table,
@@ -97,13 +97,24 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
     if not faults:  # a level that cannot be read would be missed here once more
         _check_contrasts(design, faults)
     if not labels_of and cells:
-        for cell in cells:
-            for problem in (cell.problem, cell.fitted):
-                for where, rule, mend in problem.faults_in_design():
-                    faults.add(where, rule, mend)
+        _check_course(cells, faults)
         _check_same_names(design, cells, faults)
         _check_responses(design, cells, faults)
         check_replicates(design, cells, faults)
+
+
+def _check_course(cells: Sequence[Cell], faults: Faults) -> None:
+    """Refuse a course in time, of which a design has no response."""
+    rule, problems = "has no place in a design", (p for c in cells for p in (c.problem, c.fitted))
+    mend = "responses compare curves over displacement: `study solve` follows a course"
+    for problem in problems:
+        if isinstance(problem, CellProblem):
+            for key, value in (("hold", problem.test.hold_s), ("cycles", problem.test.cycles)):
+                if value is not None:
+                    faults.add(f"test.{key}", rule, mend)
+        if problem.measurements is not None and problem.measurements.columns.time is not None:
+            speed = "give test.speed, or fit the course by `study calibrate`"
+            faults.add("measurements.columns.time", rule, speed)
 
 
 def _check_contrasts(design: Design, faults: Faults) -> None:

@@ -25,8 +25,7 @@ from study.mechanics.setup.geometry import (
 )
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Setup
-from study.mechanics.setup.test_kinds import PlateMotion, buckling_strain
-from study.mechanics.setup.test_section import TEST_KINDS
+from study.mechanics.setup.test_kinds import TEST_KINDS, PlateMotion, buckling_strain
 
 #: place of a fault in the tables of a problem, such as ``"test.kind"``; rule and mend
 Broken = Iterator[tuple[str, str, str]]

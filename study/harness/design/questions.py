@@ -24,7 +24,7 @@ from study.harness.design.diagnostics import (
 )
 from study.harness.design.factors import grouped
 from study.harness.design.forward_section import TAKEN
-from study.harness.design.generators import clear_order, model_columns
+from study.harness.design.generators import model_columns
 from study.harness.design.layout_kinds import word_of, words_of
 from study.harness.design.material_table import DISTRIBUTION_KEYS, PARAMETERS, InputDistribution
 from study.harness.design.parameters import number_in
@@ -458,8 +458,9 @@ def default_model(scheme: Scheme, factors: Sequence[Factor]) -> Terms:
     if scheme.terms:
         return scheme.terms
     if scheme.kind == "fractional":
-        order = clear_order(scheme.resolution)
-        return "full" if order is None else min(order, len(factors))
+        if scheme.resolution is None:
+            return "full"
+        return min(max(1, (scheme.resolution - 1) // 2), len(factors))  # free of one another
     return 1
 
 

@@ -49,7 +49,8 @@ from study.mechanics.setup.calibration_table import (
 from study.mechanics.setup.declaration import shown, values_of, written_keys
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Specimen
 from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_section import TEST_KINDS, TestSection
+from study.mechanics.setup.test_kinds import TEST_KINDS
+from study.mechanics.setup.test_section import TestSection
 
 #: key of a table, rule and mend
 Broken = Iterator[tuple[str, str, str]]

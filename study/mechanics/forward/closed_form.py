@@ -255,10 +255,9 @@ def _prescribed(problem: Problem) -> Curve:
         raise InputError(_no_speed())
     if course is None:
         return between_rows(setup, material, np.linspace(0.0, test.depth_mm, test.steps + 1)[1:])
+    displacement_mm, time_s = course
     if test.hold_s is None and test.cycles is None:  # a curve over displacement
-        return between_rows(setup, material, course.displacement_mm)
-    begun = Curve(
-        np.append(0.0, course.displacement_mm), np.empty(0), time_s=np.append(0.0, course.time_s)
-    )
+        return between_rows(setup, material, displacement_mm)
+    begun = Curve(np.append(0.0, displacement_mm), np.empty(0), time_s=np.append(0.0, time_s))
     path = at_rows(setup, material, begun)
     return path.at_points(np.arange(1, len(path)))

@@ -266,7 +266,7 @@ def _check_begin(d: Array, f: Array, way: float, rules: Rules, where: str) -> No
     if rules.counts_from is None and rules.spec.direction == "auto" and rules.spec.toe is None:
         _check_zero(d, f, way, rules, where)
         if rules.judges_slack:
-            _check_slack(d, f, way, rules, where)
+            _check_slack(d, f, way, where)
     if _is_through_zero(d, f, rules) and rules.spec.zero != "none":
         rule = "the test runs through zero: neither its first row nor its first tenth is unloaded"
         mend = "subtract the reading of the unloaded load cell in the file, and leave zero out"
@@ -434,7 +434,7 @@ def slack_end(moved: Array, f: Array) -> float | None:
     return float(moved[0]) + place * travel if is_corner and is_late else None
 
 
-def _check_slack(d: Array, f: Array, way: float, rules: Rules, where: str) -> None:
+def _check_slack(d: Array, f: Array, way: float, where: str) -> None:
     """Refuse a specimen that is not loaded for some way from the recorded zero on."""
     order = np.argsort(d, kind="stable")
     order = order[d[order] >= 0]

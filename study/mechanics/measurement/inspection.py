@@ -230,7 +230,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         columns = _numbered(columns, chosen, block, table, notes)
     table["columns"] = {q: columns[k].name for q, k in chosen.items()}
     table["units"] = {quantity: unit for quantity, unit in units.items() if unit}
-    groups = _groups(columns, block, numbers_of, table)
+    groups = _groups(columns, block, table)
     phases: tuple[Phase, ...] = ()
     kinematic = next((q for q in KINEMATIC if q in chosen), None)
     kinetic = next((q for q in KINETIC if q in chosen), None)
@@ -563,10 +563,7 @@ def _unit_for(
 
 
 def _groups(
-    columns: Sequence[InspectedColumn],
-    block: _Block,
-    numbers: Sequence[Array],
-    table: dict[str, object],
+    columns: Sequence[InspectedColumn], block: _Block, table: dict[str, object]
 ) -> list[int]:
     """Columns whose labels tell tests apart; ``block`` and ``average`` go into the table."""
     counted = [Counter(block.column(k)) for k in range(len(columns))]

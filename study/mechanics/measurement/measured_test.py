@@ -39,7 +39,6 @@ class SingleTest:
 
     groups: Mapping[str, str]
     force_N: Array
-    notes: tuple[str, ...] = ()
     recorded: Curve | None = None
     #: All of its rows, as the file has them and in the coordinates of the specimen.
     specimen: SpecimenRows | None = None
@@ -54,10 +53,6 @@ class MeasuredTest:
     #: shape (points,); standard deviation of the repeats at each point; None for a single test.
     scatter_N: Array | None
     n_repeats: int
-    #: Labels that all averaged tests share.
-    groups: Mapping[str, str] = field(default_factory=dict)
-    #: What was done to the rows of these tests.
-    notes: tuple[str, ...] = ()
     #: Rows as recorded, of every test averaged.
     recordings: tuple[Curve, ...] = ()
     #: Every test averaged, in both of its stages.
@@ -111,9 +106,9 @@ class Measurements:
     def curve(self, block: str | None = None, **where: Label) -> MeasuredTest:
         """Average of the tests of one block that match ``where``."""
         chosen = self._matching(block, where)
-        every = chosen[0].groups.items()
-        shared = {n: v for n, v in every if all(test.groups[n] == v for test in chosen)}
-        loose = [n for n in chosen[0].groups if n not in shared and n not in self.average]
+        first = chosen[0].groups
+        differing = [n for n, v in first.items() if any(t.groups[n] != v for t in chosen)]
+        loose = [n for n in differing if n not in self.average]
         if loose:
             values = ", ".join(dict.fromkeys(t.groups[loose[0]] for t in chosen))
             rule = f"several tests match {_words(block, where)}: {loose[0]} = {values}"
@@ -123,11 +118,8 @@ class Measurements:
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
         recordings = tuple(test.recorded for test in chosen if test.recorded is not None)
         curve = Curve(places, forces.mean(axis=0), time_s=time, recorded=recordings)
-        notes = tuple(note for test in chosen for note in test.notes)
         rows = self._row_count(block, chosen)
-        return MeasuredTest(
-            curve, scatter, len(chosen), shared, notes, recordings, tuple(chosen), rows
-        )
+        return MeasuredTest(curve, scatter, len(chosen), recordings, tuple(chosen), rows)
 
     def _rows_of(self, chosen: Sequence[SingleTest]) -> tuple[Array, Array, Array | None]:
         """Displacements, forces and times of tests that are averaged."""
@@ -163,21 +155,6 @@ class Measurements:
                 aside = {"of tests that were not chosen": rows.read}
                 counts.append(rows if test in chosen else RowCount(rows.read, 0, aside))
         return RowCount.sum_of(counts)
-
-    def curves(
-        self, block: str | None = None, **where: Label
-    ) -> list[tuple[dict[str, str], Curve]]:
-        """Every matching group (labels, averaged curve), repeats averaged."""
-        keys = dict.fromkeys(
-            tuple((k, v) for k, v in test.groups.items() if k not in self.average)
-            for test in self._matching(block, where)
-        )
-        out = []
-        for groups in map(dict, keys):
-            rest = {k: v for k, v in groups.items() if k != self.block}
-            label = groups.get(self.block) if self.block else None
-            out.append((groups, self.curve(label, **{**where, **rest}).curve))
-        return out
 
     def pairs(self, block: str | None = None) -> list[tuple[MeasuredTest, MeasuredTest]]:
         """Pair fit with score for a block: one pair, or two where they also change places.

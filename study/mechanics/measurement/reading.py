@@ -80,11 +80,9 @@ def read_measurements(
             continue
         done.append(result)
         test_notes += did
-        notes_of_test = tuple(f"{recording.where}: {n} {what}" for what, n in result.counts.items())
         tests.append(
-            SingleTest(dict(recording.groups), result.force_N, notes_of_test, result.recorded,
-                       result.specimen)
-        )  # fmt: skip
+            SingleTest(dict(recording.groups), result.force_N, result.recorded, result.specimen)
+        )
     mend = "give each its own name in braces in `files`, or name what differs"
     faults.extend(
         Fault("measurements", f"{n} files hold the same test: {dict(key)}", mend)

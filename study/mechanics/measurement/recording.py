@@ -201,9 +201,10 @@ def locate(name: str, root: Path, *, citation: str = "", where: str = "measureme
 
 
 def locate_pattern(
-    pattern: str, root: Path, *, citation: str = "", where: str = "measurements.files"
+    pattern: str, root: Path, *, citation: str = ""
 ) -> list[tuple[str, dict[str, str]]]:
     """Files below the data root that match a pattern such as ``"compression-{specimen}.csv"``."""
+    where = "measurements.files"
     check_relative(pattern, where)
     matches = sorted(_walk(root, "", list(PurePosixPath(pattern).parts), {}))
     if not matches:

@@ -80,21 +80,8 @@ class Block:
         return min(self.width_mm, self.depth_mm) / 2
 
 
-class Enclosed:
-    """Body that triangles enclose: the whole of it is meshed, in 3D with tetrahedra."""
-
-    #: Every point below is held.
-    clamp_below_mm: Coordinate | None
-    #: Where the loading axis is; the middle of the bounding box by default.
-    press_x_mm: Coordinate | None
-    press_y_mm: Coordinate | None
-    #: Faces so near to the highest and lowest point lie in the plates; 1e-4 of the height by
-    #: default.
-    plate_tolerance_mm: float | None
-
-
 @section
-class Surface(Enclosed):
+class Surface:
     """Closed surface read from a file, standing on its lowest points."""
 
     #: STL, PLY or OBJ file.
@@ -115,7 +102,7 @@ class Surface(Enclosed):
 
 
 @section
-class Brain(Enclosed):
+class Brain:
     """Brain-shaped phantom that is made from five numbers, lying on its base (mm)."""
 
     #: Extents from back to front (x), from side to side (y) and from base to top (z).
@@ -330,6 +317,8 @@ class Homogeneous:
         return math.sqrt(self.area_mm2) / 2
 
 
+#: Bodies that triangles enclose: the whole of them is meshed, in 3D with tetrahedra.
+Enclosed = Surface | Brain
 Specimen = Cylinder | Block | Surface | Brain | Homogeneous
 Indenter = Flat | Cone | Sphere
 #: every shape by its name in a file

@@ -65,12 +65,8 @@ class RelaxationKey:
     @classmethod
     def of(cls, document: Mapping[str, object]) -> RelaxationKey:
         """Inverse of :meth:`document`."""
-        share, ends = document["share"], cast("list[float] | None", document.get("range_s"))
-        return cls(
-            None if share is None else cast(float, share),
-            cast(float, document["time_s"]),
-            None if ends is None else (ends[0], ends[1]),
-        )
+        ends = document.get("range_s")
+        return cls(**{**document, "range_s": ends and tuple(ends)})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

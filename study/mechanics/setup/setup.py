@@ -11,6 +11,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.setup.declaration import DERIVED, Length, section, word
 from study.mechanics.setup.geometry import Enclosed, Specimen
 from study.mechanics.setup.test_kind import (
+    AroundContact,
     Contact,
     FaceCondition,
     MeshGrading,
@@ -18,8 +19,9 @@ from study.mechanics.setup.test_kind import (
     StepSettings,
     Test,
     TestKind,
+    TowardsPlates,
 )
-from study.mechanics.setup.test_section import TEST_KINDS
+from study.mechanics.setup.test_kinds import TEST_KINDS, indenter_of_test
 
 Space = Literal["axisymmetric", "3d"]
 Order = Literal["linear", "quadratic"]
@@ -99,8 +101,11 @@ class Setup:
 
     @cached_property
     def grading(self) -> MeshGrading:
-        """Where elements are small."""
-        return self.kind.grading(self.test)
+        """Where elements are small: under an indenter, else at the rims of faces that are held."""
+        if self.kind.takes_indenter:
+            return AroundContact(indenter_of_test(self.test), self.test.depth_mm)
+        held = {face.face for face in self.faces if face.is_held}
+        return TowardsPlates("top" in held, "base" in held)
 
     @property
     def has_middle_plane(self) -> bool:

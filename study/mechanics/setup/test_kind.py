@@ -3,7 +3,7 @@
 A test (:class:`Test`) says what one specimen goes through. Its kind (:class:`TestKind`) turns that
 into conditions, contacts and sizes, and is all that the finite-element model knows of it. A kind
 is added as a module beside :mod:`study.mechanics.setup.test_kinds` and an entry of
-:data:`study.mechanics.setup.test_section.TEST_KINDS`.
+:data:`study.mechanics.setup.test_kinds.TEST_KINDS`.
 """
 
 from __future__ import annotations
@@ -264,10 +264,6 @@ class TestKind(ABC):
         """Whether the lower half is the mirror image of the upper one."""
         return False
 
-    @abstractmethod
-    def grading(self, test: Test) -> MeshGrading:
-        """Where elements are small."""
-
     def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
         """Load steps of a specimen of some height: shares of it."""
         largest = settings.largest * height_mm
@@ -282,8 +278,8 @@ class TestKind(ABC):
         """Axial stretches in which the material must be stable, shape (n,)."""
 
     def singularities(self, test: Test) -> tuple[Singularity, ...]:
-        """Corners and edges that limit the order of the force."""
-        return ()
+        """Corners and edges that limit the order of the force: usually rims of held faces."""
+        return (ClampedCorner(),) if any(face.is_held for face in self.faces(test)) else ()
 
     @abstractmethod
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:

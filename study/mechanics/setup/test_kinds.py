@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +12,6 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.material.homogeneous import sheared_stretches
 from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion, Indenter, Specimen
 from study.mechanics.setup.test_kind import (
-    AroundContact,
-    ClampedCorner,
     ContactRim,
     FaceCondition,
     IndenterContact,
@@ -26,11 +24,10 @@ from study.mechanics.setup.test_kind import (
     StepSettings,
     Test,
     TestKind,
-    TowardsPlates,
 )
 
 #: points of a range of stretches at which stability is looked at
-COMPRESSION_STRETCHES = 41
+_STRETCHES = 41
 
 #: stretch of a cube whose surface folds under its own compression (Biot 1963): no column is
 #: pressed further before something else gives way
@@ -56,18 +53,11 @@ class Compression(TestKind):
 
     def contacts(self, test: Test) -> tuple[PlateContact, ...]:
         """Bulging sides may fold onto a plate, a round end comes to lie in it."""
-        return (
-            PlateContact("top", test.interface == "bonded"),
-            PlateContact("base", test.base == "bonded"),
-        )
+        return tuple(PlateContact(face.face, face.is_held) for face in self.faces(test))
 
     def has_middle_plane(self, test: Test) -> bool:
         """Between plates of one kind."""
         return test.interface == test.base
-
-    def grading(self, test: Test) -> TowardsPlates:
-        """Small at the rims of bonded faces."""
-        return TowardsPlates(test.interface == "bonded", test.base == "bonded")
 
     def is_homogeneous(self, test: Test) -> bool:
         """Between frictionless plates."""
@@ -75,11 +65,7 @@ class Compression(TestKind):
 
     def stretches(self, test: Test, height_mm: float) -> Array:
         """From the end of the test to none."""
-        return np.linspace(1 - test.depth_mm / height_mm, 1.0, COMPRESSION_STRETCHES)
-
-    def singularities(self, test: Test) -> tuple[ClampedCorner, ...]:
-        """Rim of a bonded face."""
-        return (ClampedCorner(),) if "bonded" in (test.interface, test.base) else ()
+        return np.linspace(1 - test.depth_mm / height_mm, 1.0, _STRETCHES)
 
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
         """Plates cannot meet."""
@@ -92,9 +78,6 @@ def beyond_height(test: Test, height_mm: float) -> Iterator[Fault]:
     if depth >= height_mm:
         rule = f"{depth:g} mm is not smaller than the specimen's height, {height_mm:g} mm"
         yield Fault("test.displacement", rule, "press less deep")
-
-
-COMPRESSION = Compression()
 
 
 def buckling_strain(test: Test, specimen: Specimen) -> float | None:
@@ -123,7 +106,6 @@ def buckling_strain(test: Test, specimen: Specimen) -> float | None:
 #: stretches around an indenter in which a material must at least be stable
 LOWEST_STRETCH = 0.8
 HIGHEST_STRETCH = 1.2
-INDENTATION_STRETCHES = 41
 
 
 @dataclass(frozen=True)
@@ -147,10 +129,6 @@ class Indentation(TestKind):
             return ()
         return (IndenterContact(test.indenter, test.interface == "bonded"),)
 
-    def grading(self, test: Test) -> AroundContact:
-        """Small under the indenter."""
-        return AroundContact(indenter_of_test(test), test.depth_mm)
-
     def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
         """Shares of the indenter's own length; those of what sticks are small and even."""
         length = test.depth_mm
@@ -165,7 +143,7 @@ class Indentation(TestKind):
 
     def stretches(self, test: Test, height_mm: float) -> Array:
         """About none: larger ones are reached at single places only."""
-        return np.linspace(LOWEST_STRETCH, HIGHEST_STRETCH, INDENTATION_STRETCHES)
+        return np.linspace(LOWEST_STRETCH, HIGHEST_STRETCH, _STRETCHES)
 
     def singularities(self, test: Test) -> tuple[Singularity, ...]:
         """Edge of a flat face, or the rim of a smooth contact."""
@@ -179,11 +157,7 @@ class Indentation(TestKind):
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
         """Depth, shape of the indenter, and what it could touch."""
         yield from beyond_height(test, height_mm)
-        pressed = test.indenter
-        if pressed is None:
-            mend = "give shape and radius"
-            yield Fault("test.indenter", "an indentation needs an indenter", mend)
-            return
+        pressed = indenter_of_test(test)
         yield from pressed.faults()
         reach = pressed.reach_mm(test.depth_mm)
         if reach > half_width_mm:
@@ -205,14 +179,8 @@ def indenter_of_test(test: Test) -> Indenter:
     return test.indenter
 
 
-INDENTATION = Indentation()
-
-
 # Tests of material on a gauge section that deforms the same everywhere: a closed form for every
 # energy, no elements.
-
-#: points of a range of stretches at which stability is looked at
-GAUGE_SECTION_STRETCHES = 41
 
 
 @dataclass(frozen=True)
@@ -234,10 +202,6 @@ class GaugeSection(TestKind):
         """Every plane is one."""
         return True
 
-    def grading(self, test: Test) -> TowardsPlates:
-        """Even."""
-        return TowardsPlates(False, False)
-
     def is_homogeneous(self, test: Test) -> bool:
         """By definition."""
         return True
@@ -247,25 +211,13 @@ class GaugeSection(TestKind):
         share = self.sense * test.depth_mm / height_mm
         if self.shears:
             longest = sheared_stretches(np.array([share]), test.prestretch or 1.0)[0]
-            return np.linspace(1.0, longest[0], GAUGE_SECTION_STRETCHES)
-        return np.linspace(1.0, 1.0 + share, GAUGE_SECTION_STRETCHES)
+            return np.linspace(1.0, longest[0], _STRETCHES)
+        return np.linspace(1.0, 1.0 + share, _STRETCHES)
 
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
         """Elements were asked for."""
         rule = "is a test of a gauge section and has a closed form, which finite elements are not"
         yield Fault("test.kind", rule, 'write specimen.shape = "homogeneous"')
-
-
-#: every test of material by its name in a file
-GAUGE_SECTIONS = {
-    "tension": GaugeSection(),
-    "equibiaxial": GaugeSection(mode="equibiaxial"),
-    "planar": GaugeSection(mode="planar"),
-    "biaxial": GaugeSection(mode="biaxial"),
-    "simple-shear": GaugeSection(mode="simple-shear", shears=True),
-    "volumetric": GaugeSection(mode="volumetric", sense=-1.0),
-    "confined-compression": GaugeSection(mode="confined", sense=-1.0),
-}
 
 
 # Compression by a plate that also shifts and turns, and on which the face may spread: a rigid
@@ -295,17 +247,17 @@ class PlateMotion(Compression):
             FaceCondition("base", 0.0, test.base == "bonded"),
         )
 
-    def contacts(self, test: Test) -> tuple[PlateContact, ...]:
-        """Bulging sides may fold onto a plate; the loaded face is held in either case."""
-        return (PlateContact("top", True), PlateContact("base", test.base == "bonded"))
 
-    def grading(self, test: Test) -> TowardsPlates:
-        """Small at the rims of faces that are held."""
-        return TowardsPlates(True, test.base == "bonded")
-
-    def singularities(self, test: Test) -> tuple[ClampedCorner, ...]:
-        """Rim of the loaded face."""
-        return (ClampedCorner(),)
-
-
-PLATE_MOTION = PlateMotion()
+#: every kind of test by its name in a file
+TEST_KINDS: Mapping[str, TestKind] = {
+    "compression": Compression(),
+    "indentation": Indentation(),
+    "plate-motion": PlateMotion(),
+    "tension": GaugeSection(),
+    "equibiaxial": GaugeSection(mode="equibiaxial"),
+    "planar": GaugeSection(mode="planar"),
+    "biaxial": GaugeSection(mode="biaxial"),
+    "simple-shear": GaugeSection(mode="simple-shear", shears=True),
+    "volumetric": GaugeSection(mode="volumetric", sense=-1.0),
+    "confined-compression": GaugeSection(mode="confined", sense=-1.0),
+}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -22,16 +20,8 @@ from study.mechanics.setup.declaration import (
     word,
 )
 from study.mechanics.setup.geometry import FaceMotion, Gravity, Indenter
-from study.mechanics.setup.test_kind import Interface, Test, TestKind
-from study.mechanics.setup.test_kinds import COMPRESSION, GAUGE_SECTIONS, INDENTATION, PLATE_MOTION
-
-#: every kind of test by its name in a file
-TEST_KINDS: Mapping[str, TestKind] = {
-    "compression": COMPRESSION,
-    "indentation": INDENTATION,
-    "plate-motion": PLATE_MOTION,
-    **GAUGE_SECTIONS,
-}
+from study.mechanics.setup.test_kind import Interface, Test
+from study.mechanics.setup.test_kinds import TEST_KINDS
 
 _CONDITIONS = "frictionless", "bonded"
 _SYNONYMS = {"lubricated": "frictionless"}
@@ -91,23 +81,16 @@ class TestSection:
 _FIRST_OF_HOLD = 1e-3
 
 
-@dataclass(frozen=True)
-class Course:
-    """Displacements at the times of rows; linear in between, at rest before."""
+def course_of(test: Test) -> tuple[Array, Array] | None:
+    """Displacements and times that a test prescribes; None without a speed.
 
-    #: shape (n,); the unloaded begin at 0 s is left out.
-    displacement_mm: Array
-    time_s: Array
-
-
-def course_of(test: Test) -> Course | None:
-    """Course that a test prescribes; None without a speed.
+    Displacement is linear between the rows; the unloaded begin at 0 s is left out.
+    Shapes: returns (n,), mm and s.
 
     Examples
     --------
     >>> ramp = Test("tension", 4.0, steps=2, speed_mm_per_s=0.5, cycles=1)
-    >>> found = course_of(ramp)
-    >>> found.displacement_mm, found.time_s
+    >>> course_of(ramp)
     (array([2., 4., 2., 0.]), array([ 4.,  8., 12., 16.]))
     """
     speed = test.speed_mm_per_s
@@ -118,10 +101,10 @@ def course_of(test: Test) -> Course | None:
     if test.cycles is not None:
         once = np.concatenate([share, 1 - share])
         time = (np.arange(2 * test.cycles)[:, None] + share).ravel() * ramp
-        return Course(test.depth_mm * np.tile(once, test.cycles), time)
+        return test.depth_mm * np.tile(once, test.cycles), time
     displacement, time = test.depth_mm * share, ramp * share
     if test.hold_s is not None:
         held = test.hold_s * np.geomspace(_FIRST_OF_HOLD, 1.0, test.steps)
         displacement = np.append(displacement, np.full(test.steps, test.depth_mm))
         time = np.append(time, ramp + held)
-    return Course(displacement, time)
+    return displacement, time
