@@ -22,13 +22,13 @@ from study.statistics.analysis.comparisons import (
     LevelPair,
     block_multiplier,
     studentized_range_cdf,
+    t_quantile,
 )
 from study.statistics.analysis.data import Crossed
 from study.statistics.analysis.effects import (
     group_errors,
     own_critical,
     pooled_critical,
-    t_quantile,
 )
 from study.statistics.analysis.linear_model import (
     Term,
