@@ -263,33 +263,6 @@ def test_a_split_plot_gives_the_strata_of_its_table() -> None:
         assert term.p == pytest.approx(row.p, rel=1e-7)
 
 
-def test_f_is_scaled_where_whole_plots_lack_some_subplots() -> None:
-    """Without the scaling F and its degrees of freedom do not belong together."""
-    random = np.random.default_rng(8)
-    plot = random.normal(0, 1.5, (6, 3))
-    rows = [
-        (b, b * 3 + a, a, c, 2.0 * (c == 1) + 3 * b + plot[b, a] + random.normal(0, 0.7))
-        for b, a, c in product(range(6), range(3), range(4))
-        if (b + 2 * a + 3 * c) % 5
-    ]
-    table = pd.DataFrame(rows, columns=["b", "plot", "a", "c", "y"])
-    found = study.mixed_model(table, "y", ["a", "c"], block="b", random=["a"])
-    a, c = (np.eye(k)[table[n]] @ np.vstack([np.eye(k - 1), -np.ones(k - 1)]) for n, k in
-            (("a", 3), ("c", 4)))  # fmt: skip
-    both = (a[:, :, None] * c[:, None, :]).reshape(len(table), -1)
-    x = np.hstack([np.ones((len(table), 1)), a, c, both])
-    codes = [np.unique(table[n], return_inverse=True)[1] for n in ("b", "plot")]
-    v = np.array([component.sd**2 for component in found.components])
-    dense = Dense(x, table["y"].to_numpy(), codes, v)
-    for term, columns in zip(found.terms, (slice(1, 3), slice(3, 6), slice(6, 12)), strict=True):
-        test = dense.f_test(np.eye(12)[:, columns])
-        assert (term.f, term.df_error, term.p) == pytest.approx(test, rel=1e-6)
-        wald = dense.beta[columns] @ np.linalg.solve(
-            dense.phi[columns, columns], dense.beta[columns]
-        )
-        assert term.f < float(wald) / term.df
-
-
 def test_no_scatter_between_blocks_is_the_boundary() -> None:
     table = blocked(3)
     table["y"] -= table.groupby("block")["y"].transform("mean")

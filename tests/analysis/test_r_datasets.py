@@ -72,14 +72,6 @@ def test_the_split_plot_of_oats(rows: Path) -> None:
         assert found.anova.row(term).f == pytest.approx(FIGURES["oats", term, "f"], rel=1e-9)
 
 
-def test_a_split_plot_that_lost_plots_is_a_mixed_model(rows: Path) -> None:
-    found = study.analyze(rows / "oats_lost.csv", "Y ~ N + V + Error(B/V)", exact=False)
-    row = found.anova.row("N")
-    assert row.f == pytest.approx(FIGURES["oats_lost", "N", "f"], rel=1e-6)
-    assert row.df_error == pytest.approx(FIGURES["oats_lost", "N", "df_error"], rel=1e-6)
-    assert "B, B:V and the rest" in found.error_term.reason
-
-
 @pytest.mark.parametrize(
     ("name", "response", "block", "random", "model", "sds", "term"),
     [

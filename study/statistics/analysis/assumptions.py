@@ -408,7 +408,7 @@ def add_robustness(out: AnalysisOutcome) -> AnalysisOutcome:
 def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:
     """Own interactions (three corrections), interactions pooled, and the log of the response."""
     kind = out.anova.type
-    model = out.cell_model or factorize(model_matrix(table.layout, out.terms))
+    model = factorize(model_matrix(table.layout, out.terms))
     tests = _tests(out, model, table, kind)
     p: dict[str, Mapping[str, float | None]] = {
         "own interaction, Greenhouse-Geisser": _p(tests, "gg"),
