@@ -201,7 +201,7 @@ def _multipliers(estimates: Sequence[_Estimate], alpha: float, seed: int) -> lis
     if len(blocks) == len(estimates) > 1 and len({b.size for b in blocks}) == 1:
         m, b = len(blocks), blocks[0].size
         df = np.full(m, b - 1.0)
-        return block_multiplier(np.array(blocks), alpha, seed, [np.arange(b)], df).tolist()
+        return [*map(float, block_multiplier(np.array(blocks), alpha, seed, [np.arange(b)], df))]
     each = alpha / (2 * max(len(estimates), 1))
     return [0.0 if one.df is None else t_quantile(each, one.df) for one in estimates]
 
