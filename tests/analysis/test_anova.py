@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import json
 from typing import Any
 
 import numpy as np
@@ -12,20 +10,7 @@ import pytest
 
 from study.ground.errors import InputError, RefusedError
 from study.statistics.analysis.anova import anova
-
-
-def factorial(shape: dict[str, int], repeats: int, seed: int) -> pd.DataFrame:
-    rng = np.random.default_rng(seed)
-    rows = [
-        {**dict(zip(shape, (f"L{i}" for i in cell), strict=True)), "rep": str(r)}
-        for cell in itertools.product(*(range(k) for k in shape.values()))
-        for r in range(repeats)
-    ]
-    table = pd.DataFrame(rows)
-    table["y"] = rng.normal(size=len(table)) + sum(
-        table[f].str[1:].astype(int) * (i + 1) / 3 for i, f in enumerate(shape)
-    )
-    return table
+from tests.analysis.test_faults import factorial
 
 
 def test_records_take_own_interactions_and_group_copies() -> None:
@@ -161,32 +146,6 @@ def test_verdicts(gap: float, u_num: float | None, verdict: str) -> None:
     result = anova(table, "y", ["a"], practical=0.3, u_num=u_num, exact=False)
     assert result.effect("a").verdict == verdict
     assert result.verdicts()[0]["verdict"] == verdict
-
-
-def test_json_keys_are_the_contract() -> None:
-    result = anova(factorial({"a": 2, "b": 2}, 3, 1), "y", ["a", "b"], practical=1.0)
-    document = json.loads(json.dumps(result.to_json(), allow_nan=False))
-    assert {"error_term", "anova", "normality", "variance", "effects", "warnings"} <= set(document)
-    assert {"source", "question", "df"} <= set(document["error_term"])
-    assert set(document["anova"]["rows"][0]) >= {
-        "term",
-        "df",
-        "ss",
-        "ms",
-        "f",
-        "p",
-        "error",
-        "df_error",
-        "epsilon_gg",
-        "p_gg",
-        "omega_sq",
-        "partial_eta_sq",
-        "share",
-    }
-    assert document["anova"]["rows"][-1]["term"] == "residual"
-    assert set(document["normality"]) >= {"rj", "n", "p_minitab", "p_exact"}
-    assert set(document["variance"]["bartlett"]) >= {"statistic", "df", "p"}
-    assert set(document["effects"][0]) >= {"term", "levels", "mean", "ci95", "range", "verdict"}
 
 
 def test_names_are_never_code(tmp_path) -> None:

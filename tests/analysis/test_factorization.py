@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from study.ground.arrays import Array
-from study.statistics.analysis.comparisons import ASYMPTOTIC_BLOCKS, block_multiplier
+from study.statistics.analysis.comparisons import ASYMPTOTIC_BLOCKS
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import (
     model_matrix,
 )
 from study.statistics.analysis.sums_of_squares import factor, influence, two_way
 from study.statistics.analysis.unreplicated import group_cells
+from tests.analysis.test_simple_effects import of_blocks
 
 
 def layout(sizes: tuple[int, ...], rows: int | None, seed: int) -> Layout:
@@ -84,7 +85,7 @@ def test_the_multiplier_of_many_blocks_holds_its_level() -> None:
     assert b >= ASYMPTOTIC_BLOCKS
     contrasts = rng.normal(size=(30, b)) * np.exp(-np.arange(30) / 10)[:, None]
     contrasts[10:] += 2 * contrasts[0]
-    found = block_multiplier(contrasts, 0.05, 1)
+    found = of_blocks(contrasts)
     z = contrasts - contrasts.mean(axis=1, keepdims=True)
     z = np.linalg.qr((z / np.linalg.norm(z, axis=1)[:, None]).T, mode="r").T
     inside = 0

@@ -33,21 +33,6 @@ def test_the_lady_tasting_tea() -> None:
     assert p_of(independent({"milk": (3, 4), "tea": (1, 4)})) == pytest.approx(34 / 70)
 
 
-def test_more_than_two_levels_agree_with_the_enumeration_of_all_tables() -> None:
-    table = {"a": (5, 6), "b": (2, 7), "c": (1, 8), "d": (2, 5)}
-    total, bad = [n for _, n in table.values()], [b for b, _ in table.values()]
-
-    def chance(drawn: tuple[int, ...]) -> float:
-        ways = math.prod(math.comb(n, b) for n, b in zip(total, drawn, strict=True))
-        return ways / math.comb(sum(total), sum(bad))
-
-    every = itertools.product(*(range(n + 1) for n in total))
-    chances = [chance(drawn) for drawn in every if sum(drawn) == sum(bad)]
-    assert sum(chances) == pytest.approx(1.0)
-    exact = sum(c for c in chances if c <= chance(tuple(bad)) * (1 + 1e-9))
-    assert p_of(independent(table)) == pytest.approx(exact, rel=1e-9)
-
-
 def design(bad: set[tuple[str, str, str]], blocks: int) -> list[CaseFate]:
     return [
         CaseFate(

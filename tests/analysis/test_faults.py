@@ -17,7 +17,9 @@ from study.statistics.analysis.anova import anova
 from study.statistics.analysis.equal_variance import levene
 
 
-def factorial(shape: dict[str, int], repeats: int, seed: int, **effect: float) -> pd.DataFrame:
+def factorial(
+    shape: dict[str, int], repeats: int = 1, seed: int = 0, **effect: float
+) -> pd.DataFrame:
     """Full grid with unit normal scatter and a slope along some factors."""
     rows = [
         {**dict(zip(shape, (f"L{i}" for i in cell), strict=True)), "rep": r}

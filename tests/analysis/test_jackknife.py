@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,8 +13,6 @@ from study.statistics.analysis.analysis_request import (
     Threshold,
 )
 from study.statistics.analysis.anova import analyze
-from study.statistics.analysis.anova_table import Effect
-from study.statistics.analysis.simple_effects import without_each
 
 TABLE = pd.DataFrame(
     [(a, c, b) for a in "hl" for c in "xy" for b in ("s1", "s2", "s3", "s4", "s5", "s6")],
@@ -57,24 +52,3 @@ def test_the_quick_analysis_claims_no_more(seeds: int, fewest: int) -> None:
             assert effect.lost_without == lost
             differs += len(lost) > 0
     assert differs >= fewest
-
-
-def test_the_exact_analysis_is_asked_only_where_the_quick_one_loses_a_claim() -> None:
-    table = measured(3)
-    effects = [replace(e, verdict="matters") for e in analyze(table, request(0.4)).effects[:1]]
-    asked: list[str] = []
-
-    def analysis(name: str, verdicts: Sequence[str]) -> Callable[[pd.DataFrame], list[Effect]]:
-        given = iter(verdicts)
-
-        def of(_rows: pd.DataFrame) -> list[Effect]:
-            asked.append(name)
-            return [replace(effects[0], verdict=next(given))]
-
-        return of
-
-    quick = analysis("quick", ["matters", "cannot tell", "cannot tell", *["matters"] * 3])
-    exact = analysis("exact", ["matters", "cannot tell"])
-    (found,) = without_each(table, "block", effects, (quick, exact))
-    assert found.lost_without == ("s3",)
-    assert asked.count("exact") == 2

@@ -13,17 +13,7 @@ from study.ground.errors import InputError
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.error_ledger import REMEDIES
 from study.statistics.analysis.simple_effects import CANNOT_TELL
-
-
-def grid(shape: dict[str, int], repeats: int = 1, seed: int = 0) -> pd.DataFrame:
-    rows = [
-        {**dict(zip(shape, (f"L{i}" for i in cell), strict=True)), "rep": f"r{r}"}
-        for cell in itertools.product(*(range(k) for k in shape.values()))
-        for r in range(repeats)
-    ]
-    table = pd.DataFrame(rows)
-    return table.assign(y=10 + np.random.default_rng(seed).normal(size=len(table)))
-
+from tests.analysis.test_faults import factorial
 
 LEDGER: list[tuple[str, dict[str, int], int, dict[str, Any], str]] = [
     ("E0", {"a": 2, "b": 2}, 3, {}, "run-to-run scatter"),
@@ -43,7 +33,7 @@ LEDGER: list[tuple[str, dict[str, int], int, dict[str, Any], str]] = [
 def test_every_source_is_taken_and_says_what_its_p_answers(
     source: str, shape: dict[str, int], repeats: int, options: dict[str, Any], question: str
 ) -> None:
-    result = anova(grid(shape, repeats), "y", list(shape), exact=False, **options)
+    result = anova(factorial(shape, repeats), "y", list(shape), exact=False, **options)
     assert result.error_term.source == source
     assert question in result.error_term.question
     assert result.error_term.reason
@@ -55,7 +45,7 @@ def test_every_source_is_taken_and_says_what_its_p_answers(
 
 
 def test_the_override_is_obeyed_and_reported() -> None:
-    table = grid({"a": 3, "b": 2}, 6, 1)
+    table = factorial({"a": 3, "b": 2}, 6, 1)
     pooled = anova(table, "y", ["a", "b"], block="rep", records=True, error="pooled", exact=False)
     own = anova(table, "y", ["a", "b"], block="rep", error="own", exact=False)
     assert pooled.anova.row("a").error == "residual"
@@ -94,7 +84,7 @@ def test_resampled_noise_is_not_averaged_by_more_resamples() -> None:
 
 
 def test_seed_columns_declare_the_repeats() -> None:
-    table = grid({"a": 3, "b": 2}, 3, 5)
+    table = factorial({"a": 3, "b": 2}, 3, 5)
     seeds = anova(table.assign(mesh_seed=table["rep"]), "y", ["a", "b"], records=True)
     assert seeds.error_term.source == "E3"
     assert any("3 mesh seeds a cell" in w for w in seeds.notes)
@@ -104,7 +94,7 @@ def test_seed_columns_declare_the_repeats() -> None:
 
 
 def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
-    table = grid({"a": 2, "b": 2, "c": 2}, 1, 3)
+    table = factorial({"a": 2, "b": 2, "c": 2}, 1, 3)
     table["y"] += 4 * (table["a"] == "L1")
     result = anova(table, "y", ["a", "b", "c"], records=True, u_num=0.002, practical=1.0)
     effect = result.effect("a")
@@ -117,7 +107,7 @@ def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
 
 
 def test_blocked_spread_tests_have_a_p_of_their_own_design() -> None:
-    result = anova(grid({"a": 3}, 8, 6), "y", ["a"], block="rep", error="pooled")
+    result = anova(factorial({"a": 3}, 8, 6), "y", ["a"], block="rep", error="pooled")
     assert result.assumptions.bartlett is not None
     assert result.assumptions.levene is not None
     assert result.assumptions.bartlett.approximate
@@ -134,7 +124,7 @@ def test_blocked_monte_carlo_p_holds_its_size() -> None:
     from study.statistics.analysis.equal_variance import ResidualDesign, bartlett
     from study.statistics.analysis.error_ledger import additive_fit
 
-    table = grid({"a": 4}, 5, 1)
+    table = factorial({"a": 4}, 5, 1)
     rng = np.random.default_rng(21)
     p, plain = [], []
     for _ in range(600):
@@ -149,7 +139,7 @@ def test_blocked_monte_carlo_p_holds_its_size() -> None:
 
 
 def test_influence_and_robustness_are_part_of_the_result() -> None:
-    table = grid({"a": 3, "b": 2}, 4, 8)
+    table = factorial({"a": 3, "b": 2}, 4, 8)
     table.loc[7, "y"] += 60.0
     result = anova(table, "y", ["a", "b"], exact=False)
     assert result.assumptions.influence is not None
@@ -169,11 +159,11 @@ def test_influence_and_robustness_are_part_of_the_result() -> None:
     document = result.to_json()
     assert document["robustness"]["agreement"]["a"].endswith("of 4 analyses")
     assert document["box_cox"]["ci95"][0] < document["box_cox"]["exponent"]
-    own = anova(grid({"a": 3, "b": 2}, 6, 8), "y", ["a", "b"], block="rep", error="own")
+    own = anova(factorial({"a": 3, "b": 2}, 6, 8), "y", ["a", "b"], block="rep", error="own")
     assert own.assumptions.robustness is not None
     row = own.assumptions.robustness.p["a"]
     assert row["own interaction, Greenhouse-Geisser"] == own.anova.row("a").p_gg
-    table = grid({"a": 3, "b": 2}, 6, 8)
+    table = factorial({"a": 3, "b": 2}, 6, 8)
     pooled = anova(table, "y", ["a", "b"], block="rep", error="pooled", exact=False)
     assert row["interactions pooled"] == pytest.approx(pooled.anova.row("a").p, rel=1e-9)
     assert len(row) == 4
@@ -181,7 +171,7 @@ def test_influence_and_robustness_are_part_of_the_result() -> None:
 
 def test_repeats_within_a_block_are_never_independent() -> None:
     """Five rows on each of four specimens in every cell: 3 x 4 - 3 - 4 + 1 = 6 residual df."""
-    table = grid({"a": 3, "s": 4}, 5, 11)
+    table = factorial({"a": 3, "s": 4}, 5, 11)
     result = anova(table, "y", ["a"], block="s", error="pooled", exact=False)
     assert result.anova.row("residual").df == 6
     assert any("repeats of a cell within a block are averaged" in w for w in result.notes)
@@ -221,7 +211,7 @@ def test_a_saturated_fraction_is_judged_by_its_own_contrasts() -> None:
 
 def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
     """Unreplicated 2^4: the interval of an effect is effect +- the simultaneous margin."""
-    table = grid({"a": 2, "b": 2, "c": 2, "d": 2}, 1, 5)
+    table = factorial({"a": 2, "b": 2, "c": 2, "d": 2}, 1, 5)
     table["y"] += 9.0 * (table["a"] == "L1")
     result = anova(table, "y", list("abcd"), practical=2.0)
     assert result.variation.lenth is not None
@@ -232,7 +222,7 @@ def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
     assert effect.verdict == "matters"
     pair = result.effect("a:b")
     assert pair.ci95 == pytest.approx(((pair.range or 0) - margin, (pair.range or 0) + margin))
-    mixed = anova(grid({"a": 2, "b": 5}, 1, 5), "y", ["a", "b"], practical=0.1)
+    mixed = anova(factorial({"a": 2, "b": 5}, 1, 5), "y", ["a", "b"], practical=0.1)
     assert mixed.error_term.source == "E6"
     assert mixed.effect("a").ci95 is None
     assert mixed.effect("a").verdict == "cannot tell"
@@ -240,7 +230,7 @@ def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
 
 @pytest.mark.parametrize("options", [{}, {"error": "own"}, {"records": True}])
 def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, Any]) -> None:
-    table = grid({"a": 3, "s": 4}, 5, 11)
+    table = factorial({"a": 3, "s": 4}, 5, 11)
     table["specimen"] = table["a"] + table["s"]
     result = anova(table, "y", ["a"], block="specimen", exact=False, **options)
     unit = anova(table, "y", ["a"], unit="specimen", exact=False)
@@ -256,7 +246,7 @@ def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, A
 
 
 def test_spread_of_two_cells_in_blocks_is_not_tested() -> None:
-    table = grid({"a": 2}, 6, 9)
+    table = factorial({"a": 2}, 6, 9)
     result = anova(table, "y", ["a"], block="rep", error="pooled")
     assert result.assumptions.bartlett is not None
     assert result.assumptions.levene is not None

@@ -164,14 +164,6 @@ def test_a_term_is_no_picture(capsys: pytest.CaptureFixture[str]) -> None:
     ]  # fmt: skip
 
 
-def test_frames_come_out() -> None:
-    table = pd.read_csv(DESIGNS / "crossed.csv")
-    result = anova(table, "y", ["a", "b"], exact=False)
-    frame = result.anova.to_frame().set_index("term")
-    assert frame.loc["a", "f"] == result.anova.row("a").f
-    assert frame.loc["residual", "df"] == 30
-
-
 def test_pairs_are_tukey_intervals_and_letters_follow_them() -> None:
     """Balanced: difference +- q(0.95; 3, 30) sqrt(MSE / 12), q by scipy."""
     q = pytest.importorskip("scipy.stats").studentized_range.ppf(0.95, 3, 30)

@@ -21,25 +21,14 @@ from study.statistics.analysis.normality import (
     critical_values,
     ryan_joiner,
     shapiro_wilk,
-    statistic,
 )
 from study.statistics.analysis.sums_of_squares import factor, influence
 from study.statistics.analysis.unreplicated import lenth_of
-from study.statistics.convergence.grid_convergence import grid_convergence
 
 pytestmark = pytest.mark.verify
 
-# digits of F asked for: lower sets 12, average ones 10, higher ones 4 (the stored doubles)
-DIGITS = {
-    "SiRstv": 12,
-    "SmLs01": 12,
-    "SmLs03": 12,
-    "AtmWtAg": 10,
-    "SmLs04": 10,
-    "SmLs06": 10,
-    "SmLs07": 4,
-    "SmLs09": 4,
-}
+# digits of F asked for: sets of the lower level 12, of the average one 10
+DIGITS = {"SiRstv": 12, "AtmWtAg": 10}
 
 
 def log_relative_error(got: float, certified: float) -> float:
@@ -98,34 +87,6 @@ def _deviations(values: np.ndarray) -> np.ndarray:
     exact = [Fraction(v) for v in values.tolist()]
     mean = sum(exact, Fraction(0)) / len(exact)
     return np.array([float(v - mean) for v in exact])
-
-
-def test_kidney_types_ii_and_iii() -> None:
-    """R car::Anova, as statsmodels' own tests quote it (7 digits printed)."""
-    datasets = pytest.importorskip("statsmodels.stats.tests.test_anova")
-    kidney = datasets.kidney_table.copy()
-    kidney["y"] = np.log(kidney["Days"] + 1)
-    balanced = anova(kidney, "y", ["Duration", "Weight"], type="II", exact=False)
-    expected = {"Duration": 2.339693, "Weight": 16.97129, "Duration:Weight": 0.6356584}
-    for term, ss in expected.items():
-        assert balanced.anova.row(term).ss == pytest.approx(ss, rel=1e-6)
-    dropped = kidney.drop([0, 1, 2])
-    two = anova(dropped, "y", ["Duration", "Weight"], type="II", exact=False)
-    for term, ss in {
-        "Duration": 3.067066,
-        "Weight": 13.27205,
-        "Duration:Weight": 0.1905093,
-        "residual": 27.60181,
-    }.items():
-        assert two.anova.row(term).ss == pytest.approx(ss, rel=1e-6)
-    three = anova(dropped, "y", ["Duration", "Weight"], type="III", exact=False)
-    for term, ss, f in [
-        ("Duration", 2.904723, 5.367071),
-        ("Weight", 13.45718, 12.43245),
-        ("Duration:Weight", 0.1905093, 0.1760025),
-    ]:
-        assert three.anova.row(term).ss == pytest.approx(ss, rel=1e-6)
-        assert three.anova.row(term).f == pytest.approx(f, rel=1e-6)
 
 
 def test_box_poison(data_dir: Path) -> None:
@@ -202,26 +163,12 @@ def test_ryan_joiner_published(data_dir: Path) -> None:
 
 def test_ryan_joiner_worked_example() -> None:
     weights = [148, 154, 158, 160, 161, 162, 166, 170, 182, 195, 236]
-    assert statistic(weights) == pytest.approx(0.8782835189, rel=1e-9)
     assert critical_values(11) == pytest.approx((0.93872, 0.92301, 0.88798), abs=6e-6)
     assert critical_values(40) == pytest.approx((0.97670384, 0.97148399, 0.95968573), abs=1e-8)
     assert ryan_joiner(weights).p_minitab == "< 0.010"
     shapiro = shapiro_wilk(weights)
     assert shapiro.statistic == pytest.approx(0.78881, abs=1e-5)
     assert shapiro.p == pytest.approx(0.00670, abs=1e-5)
-
-
-def test_nasa_grid_convergence(data_dir: Path) -> None:
-    case = json.loads((data_dir / "gci" / "expected.json").read_text())["cases"][0]
-    # the tutorial's theoretical order; without one the factor is 3
-    sizes, values = case["h_fine_to_coarse"], case["phi_fine_to_coarse"]
-    result = grid_convergence(sizes, values, formal_order=2.0)
-    again = case["recomputed"]
-    assert result.observed_order == pytest.approx(again["p"], abs=1e-9)
-    assert result.extrapolated == pytest.approx(again["phi_ext21"], abs=1e-9)
-    assert result.gci_fine == pytest.approx(again["gci_fine21"], abs=1e-9)
-    assert result.gci_coarse == pytest.approx(again["gci_32"], abs=1e-9)
-    assert result.asymptotic_ratio == pytest.approx(again["asymptotic"], abs=1e-9)
 
 
 def test_real_factorial_against_r(data_dir: Path) -> None:
@@ -239,20 +186,6 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     assert result.assumptions.bartlett.statistic == pytest.approx(expected["bartlett_K2"], rel=1e-8)
     assert result.assumptions.bartlett.df == expected["bartlett_df"]
     assert result.assumptions.normality is not None
-    nested = anova(
-        table,
-        "F_at_6mm_N",
-        ["family", "thinner_pct"],
-        unit="specimen",
-        transform="log",
-        exact=False,
-    )
-    # two specimens in each of 15 cells: 15 residual df instead of 135
-    assert nested.anova.row("residual").df == 15
-    means = table.groupby(["family", "thinner_pct", "specimen"])["y"].mean().reset_index()
-    by_hand = anova(means, "y", ["family", "thinner_pct"], exact=False)
-    assert nested.anova.row("family").f == pytest.approx(by_hand.anova.row("family").f, rel=1e-9)
-    assert any("independent would have given F(2, 135)" in w for w in nested.notes)
     # R's sf.test is the same statistic squared, with ppoints(): 3/8 and 1/4 as here
     assert result.assumptions.normality.rj == pytest.approx(
         expected["ryan_joiner_residuals"], rel=1e-7
@@ -288,20 +221,8 @@ def simon_lesage(pairs: int, large: float) -> pd.DataFrame:
     ],
 )
 def test_the_whole_nist_family(name: str, pairs: int, large: float, f: float, digits: int) -> None:
-    """Certified F of all nine sets, six of which are shared."""
+    """Certified F of all nine sets: 12 digits of the lower, 10 of the average, 4 of the higher."""
     table = simon_lesage(pairs, large)
     row = anova(table, "y", ["treatment"], exact=False).anova.row("treatment")
     assert row.f is not None
     assert log_relative_error(row.f, f) >= digits
-
-
-@pytest.mark.parametrize(
-    ("name", "pairs", "large"),
-    [("SmLs01", 10, 0.0), ("SmLs06", 1000, 999_999.0), ("SmLs09", 1000, 999_999_999_999.0)],
-)
-def test_the_nist_family_is_made_as_nist_made_it(
-    name: str, pairs: int, large: float, data_dir: Path
-) -> None:
-    shared = nist_table(data_dir / "nist_anova" / f"{name}.dat")
-    made = simon_lesage(pairs, large)
-    assert np.array_equal(np.sort(shared["y"].to_numpy()), np.sort(made["y"].to_numpy()))

@@ -72,46 +72,23 @@ def test_the_split_plot_of_oats(rows: Path) -> None:
         assert found.anova.row(term).f == pytest.approx(FIGURES["oats", term, "f"], rel=1e-9)
 
 
-def test_a_split_plot_that_lost_plots_is_a_mixed_model(rows: Path) -> None:
-    found = study.analyze(rows / "oats_lost.csv", "Y ~ N + V + Error(B/V)", exact=False)
-    row = found.anova.row("N")
-    assert row.f == pytest.approx(FIGURES["oats_lost", "N", "f"], rel=1e-6)
-    assert row.df_error == pytest.approx(FIGURES["oats_lost", "N", "df_error"], rel=1e-6)
-    assert "B, B:V and the rest" in found.error_term.reason
-
-
 @pytest.mark.parametrize(
-    ("name", "response", "factors", "random", "sds"),
+    ("name", "response", "block", "random", "model", "sds", "term"),
     [
-        ("oats_lost", "Y", ["N", "V"], ["B", "B:V"], {"B": "B", "B:V": "V:B"}),
-        ("Pastes", "strength", [], ["batch", "batch:cask"],
-         {"batch": "batch", "batch:cask": "cask:batch"}),
-        ("Dyestuff", "Yield", [], ["Batch"], {"Batch": "Batch"}),
+        ("oats_lost", "Y", "B", ["V"], ["N", "V"], {"B": "B", "B:V": "V:B"}, "N"),
+        ("CO2", "uptake", "Plant", [], ["Type", "Treatment", "conc", "Type:Treatment"],
+         {"Plant": "Plant"}, "conc"),
     ],
 )  # fmt: skip
-def test_variances_of_mixed_models(
-    rows: Path, name: str, response: str, factors: list[str], random: list[str],
-    sds: dict[str, str],
+def test_mixed_models(
+    rows: Path, name: str, response: str, block: str, random: list[str], model: list[str],
+    sds: dict[str, str], term: str,
 ) -> None:  # fmt: skip
-    table = pd.read_csv(rows / f"{name}.csv")
-    blocks = "B" if factors else None
-    inner = ["V"] if factors else random
-    found = mixed_model(table, response, factors, block=blocks, random=inner, model=1)
+    table, factors = pd.read_csv(rows / f"{name}.csv"), [term for term in model if ":" not in term]
+    found = mixed_model(table, response, factors, block=block, random=random, model=model)
     sd = {c.source: c.sd for c in found.components}
     for ours, theirs in sds.items():
         assert sd[ours] == pytest.approx(FIGURES[name, theirs, "sd"], rel=1e-6)
-    if name == "oats_lost":
-        term = next(t for t in found.terms if t.term == "N")
-        assert term.f == pytest.approx(FIGURES[name, "N", "f"], rel=1e-6)
-        assert term.df_error == pytest.approx(FIGURES[name, "N", "df_error"], rel=1e-6)
-
-
-def test_plants_that_take_up_carbon(rows: Path) -> None:
-    table = pd.read_csv(rows / "CO2.csv")
-    model = ["Type", "Treatment", "conc", "Type:Treatment"]
-    found = mixed_model(table, "uptake", ["Type", "Treatment", "conc"], block="Plant", model=model)
-    sd = {c.source: c.sd for c in found.components}
-    assert sd["Plant"] == pytest.approx(FIGURES["CO2", "Plant", "sd"], rel=1e-6)
-    term = next(t for t in found.terms if t.term == "conc")
-    assert term.f == pytest.approx(FIGURES["CO2", "conc", "f"], rel=1e-6)
-    assert term.df_error == pytest.approx(FIGURES["CO2", "conc", "df_error"], rel=1e-6)
+    test = next(t for t in found.terms if t.term == term)
+    assert test.f == pytest.approx(FIGURES[name, term, "f"], rel=1e-6)
+    assert test.df_error == pytest.approx(FIGURES[name, term, "df_error"], rel=1e-6)

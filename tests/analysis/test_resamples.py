@@ -66,7 +66,7 @@ def test_more_resamples_narrow_no_interval(resamples: int) -> None:
     half = (effect.ci95[1] - effect.ci95[0]) / 2
     # variance of a difference of two pair means: 2 (0.975 - 0.3) = 1.35; sd of 25: 14 %
     assert half == pytest.approx(2.0 * np.sqrt(1.35), rel=0.3)
-    (own,) = [c for c in coefficient_table(result).coefficients if c.term == "energy[a]"]
+    (own,) = [c for c in coefficient_table(result) if c.term == "energy[a]"]
     assert own.t**2 == pytest.approx(result.anova.row("energy").f)  # nor a coefficient's error
     assert not result.detection.power  # nor does a plan promise that they would
 

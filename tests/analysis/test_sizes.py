@@ -7,10 +7,6 @@ Every test prints expected, got and error. The studies are null: a test at 5 % m
 from __future__ import annotations
 
 import itertools
-import resource
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -153,38 +149,3 @@ def whole(table: Crossed):
     ]
     factors = list(table.layout.levels)
     return anova(pd.DataFrame(rows), "y", factors, block="mix", error="own", model=1, exact=False)
-
-
-def test_ten_thousand_rows_in_a_second() -> None:
-    """5 factors, all two-way terms, without the exact p: under 1 s of computing."""
-    rng = np.random.default_rng(0)
-    table = pd.DataFrame({f: rng.integers(0, 3, 10_000).astype(str) for f in "abcde"})
-    table["y"] = 10 + rng.normal(size=10_000)
-    anova(table[:500], "y", list("abc"), model=1, exact=False)
-    wall, cpu = [], []
-    for _ in range(3):
-        start, begin = time.perf_counter(), time.process_time()
-        anova(table, "y", list("abcde"), model=2, exact=False)
-        wall.append(time.perf_counter() - start)
-        cpu.append(time.process_time() - begin)
-    print(f"\n10,000 rows x 5 factors: expected < 1 s, got {min(cpu):.2f} s ({min(wall):.2f} wall)")
-    # processor time, because other programs may share the cores
-    assert min(cpu) < 1.0
-
-
-def test_analyze_from_a_cold_start() -> None:
-    """A fresh process on a small CSV: under 4 s of computing, imports and exact p included."""
-    program = "import sys; from study.cli.app import main; main(sys.argv[1:])"
-    command = [sys.executable, "-c", program, "analyze", str(CROSSED)]
-    command += ["--response", "y", "--factors", "a,b,c"]
-    taken = []
-    for _ in range(2):
-        before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        assert done.returncode == 0, done.stderr
-        cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        taken.append((cpu, time.perf_counter() - start))
-    cpu, wall = min(taken)
-    print(f"\nstudy anova, cold start: expected < 4 s, got {cpu:.2f} s ({wall:.2f} wall)")
-    assert cpu < 4.0

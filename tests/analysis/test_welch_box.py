@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from scipy.linalg import helmert
 from scipy.special import fdtrc
-from scipy.stats import ttest_ind
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.statistics.analysis.comparisons import holm_family
-from study.statistics.analysis.linear_model import CellLayout as Layout
-from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import helmert_contrasts
 from study.statistics.analysis.repeats import common_seeds
-from study.statistics.analysis.sums_of_squares import epsilon_gg, welch_box
+from study.statistics.analysis.sums_of_squares import welch_box
+from tests.analysis.test_row_normality import LAYOUT, TERMS
 
 DIFFERENCE = np.array([1.0, -1.0])
 FULL = [pytest.mark.slow, pytest.mark.verify]
@@ -27,25 +25,6 @@ def p_of_one_group(rows: Array) -> float:
     """P of one group of blocks."""
     f, df1, df2 = welch_box([rows], np.ones(1))
     return float(fdtrc(df1, df2, f))
-
-
-def test_one_group_is_greenhouse_geisser() -> None:
-    z = np.random.default_rng(1).standard_normal((3, 7)) * [[1], [2], [3]] + 0.5
-    f_found, df1, df2 = welch_box([z], np.ones(1))
-    s = np.cov(z)
-    epsilon = epsilon_gg(s)
-    f = 7 * np.sum(z.mean(axis=1) ** 2) / np.trace(s)
-    assert (f_found, df1, df2) == pytest.approx((f, 3 * epsilon, 18 * epsilon))
-
-
-def test_one_contrast_of_two_groups_is_welchs_t() -> None:
-    rng = np.random.default_rng(2)
-    a, b = rng.standard_normal((1, 5)), 3 * rng.standard_normal((1, 9)) + 1
-    f, df1, df2 = welch_box([a, b], DIFFERENCE)
-    welch = ttest_ind(a[0], b[0], equal_var=False)
-    assert (f, df2, fdtrc(df1, df2, f)) == pytest.approx(
-        (welch.statistic**2, welch.df, welch.pvalue)
-    )
 
 
 def test_several_weight_vectors_by_their_definition() -> None:
@@ -134,20 +113,11 @@ def test_seeds_as_blocks_find_what_they_should() -> None:
 
 def table_rates(spherical: bool, n: int, seed: int) -> tuple[float, float]:
     """Worst size of a term, and chance that Holm rejects anything, 4 x 2 x 2 cells, 6 blocks."""
-    names = ("A", "B", "C")
-    layout = grid(
-        Layout(
-            {"A": tuple("1234"), "B": tuple("12"), "C": tuple("12")},
-            {f: np.zeros(1, dtype=np.int64) for f in names},
-        ),
-        names,
-    )
     rng = np.random.default_rng(seed)
     sd = np.ones((16, 1)) if spherical else np.geomspace(0.1, 3, 16)[:, None]
-    terms = terms_of(names)
-    raw, familywise = np.zeros(len(terms)), 0
+    raw, familywise = np.zeros(len(TERMS)), 0
     for _ in range(n):
-        contrasts = helmert_contrasts(layout, terms, sd * rng.standard_normal((16, 6)))
+        contrasts = helmert_contrasts(LAYOUT, TERMS, sd * rng.standard_normal((16, 6)))
         p = {term: p_of_one_group(rows) for term, rows in contrasts.items()}
         raw += np.array([value < 0.05 for value in p.values()])
         family = holm_family({"y": p})

@@ -36,9 +36,20 @@ def borehole(x: Array) -> Array:
     )
 
 
-def sobol_g(x: Array, a: tuple[float, ...] = (0.0, 1.0, 4.5, 9.0)) -> Array:
+SOBOL_G = np.array([0.0, 1.0, 4.5, 9.0])
+
+
+def sobol_g(x: Array) -> Array:
     """Sobol' 1993, on the unit box."""
-    return np.asarray(np.prod((np.abs(4.0 * x - 2.0) + a) / (1.0 + np.array(a)), axis=1))
+    return np.asarray(np.prod((np.abs(4.0 * x - 2.0) + SOBOL_G) / (1.0 + SOBOL_G), axis=1))
+
+
+def sobol_g_indices() -> tuple[Array, Array]:
+    """First-order and total indices in closed form (Saltelli et al. 2008, section 5.9)."""
+    parts = 1.0 / (3.0 * (1.0 + SOBOL_G) ** 2)
+    whole = float(np.prod(1.0 + parts)) - 1.0
+    others = np.array([np.prod(np.delete(1.0 + parts, j)) for j in range(4)])
+    return parts / whole, parts * others / whole
 
 
 def friedman(x: Array) -> Array:

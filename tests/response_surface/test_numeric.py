@@ -72,30 +72,6 @@ def test_no_p_is_printed_of_a_deterministic_surface(tmp_path: Path) -> None:
     assert [t["p"] for t in terms] == [None] * 6
 
 
-@pytest.mark.parametrize(
-    ("function", "k", "n", "s"),
-    [
-        (functions.ishigami, 3, 200, functions.ISHIGAMI_S),
-        (functions.borehole, 8, 50, functions.BOREHOLE_S),
-        # parts 100 * .1487, 20^2/180, 10^2/12, 5^2/12: only the additive inputs are closed forms
-        (functions.friedman, 5, 100, None),
-    ],
-)
-def test_sensitivity_through_the_verb(
-    tmp_path: Path, function: Callable[[Array], Array], k: int, n: int, s: Array | None
-) -> None:
-    path = table(tmp_path / "t.csv", function, k, n)
-    found = analyze(path, ",".join(f"x{j + 1}" for j in range(k)), "--json").json
-    assert found["surface"]["kind"] == "emulator"
-    assert found["surface"]["q2"] > 0.9
-    told = [item["S"] for item in found["sensitivity"]]
-    if s is not None:
-        assert told == pytest.approx(s, abs=0.03)
-    else:
-        # inputs 4 and 5 are linear, with variances 10^2/12 and 5^2/12
-        assert told[3] / told[4] == pytest.approx(4.0, rel=0.1)
-
-
 def test_few_runs_give_no_indices(tmp_path: Path) -> None:
     answer = analyze(table(tmp_path / "t.csv", functions.ishigami, 3, 50), "x1,x2,x3", "--json")
     assert answer.json["sensitivity"] == []

@@ -37,6 +37,8 @@ from study.statistics.surfaces.emulator import GIVEN, RANKED
 from study.statistics.surfaces.surface_profile import FittedSurface
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import NestedUnits
     from study.statistics.analysis.comparisons import Comparisons
@@ -44,9 +46,7 @@ if TYPE_CHECKING:
     from study.statistics.analysis.mixed_model import MixedModel
     from study.statistics.analysis.post_hoc import (
         Coefficient,
-        CoefficientTable,
         PairwiseDifference,
-        UnusualObservations,
     )
 
 
@@ -116,10 +116,8 @@ def model_summary(analysis: AnalysisResult) -> Table | None:
     return Table("Model Summary", columns, (row,), note=note, raw=raw)
 
 
-def coefficients(table: CoefficientTable, facts: Facts) -> Table | None:
+def coefficients(fitted: tuple[Coefficient, ...], facts: Facts) -> Table | None:
     """Coefficient, standard error, t, p and variance inflation factor of every column."""
-    if not table.coefficients:
-        return None
     columns: dict[str, Callable[[Coefficient], str]] = {
         "term": lambda c: clean(c.term),
         "coefficient": lambda c: significant(c.estimate, 4),
@@ -127,15 +125,14 @@ def coefficients(table: CoefficientTable, facts: Facts) -> Table | None:
         "t": lambda c: significant(c.t),
         "p": lambda c: p_value(c.p),
     }
-    if any(c.vif is not None for c in table.coefficients):
+    if any(c.vif is not None for c in fitted):
         columns["VIF"] = lambda c: "" if c.vif is None else significant(c.vif)
     scale = " of the log" if facts.ratio else ""
     note = (
         f"Sum-to-zero coding: a coefficient{scale} is the distance of a level from the mean of "
         "all; the last level of a factor is minus the sum of the others."
     )
-    name, fitted = "Coefficients", table.coefficients
-    return Table.of(name, fitted, columns, note=note, raw=plain).first()
+    return Table.of("Coefficients", fitted, columns, note=note, raw=plain).first()
 
 
 def means(facts: Facts, data: ReportData) -> Table:
@@ -356,9 +353,9 @@ def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Tabl
     return Table(name, columns, shown, 2, raw=raw)
 
 
-def unusual(unusual_rows: UnusualObservations | None) -> Table | None:
+def unusual(unusual_rows: pd.DataFrame | None) -> Table | None:
     """Rows with a large residual, a high leverage or a large Cook's distance."""
-    if unusual_rows is None or unusual_rows.rows.empty:
+    if unusual_rows is None or unusual_rows.empty:
         return None
     numbers = {
         "response": "response", "fit": "fitted", "residual": "residual",
@@ -375,7 +372,7 @@ def unusual(unusual_rows: UnusualObservations | None) -> Table | None:
     }
     return Table.of(
         "Unusual observations",
-        unusual_rows.rows.to_dict("records"),
+        unusual_rows.to_dict("records"),
         columns,
         left=0,
         tail=1,

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from study.reporting.results.study_result import ReportData
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.comparisons import Comparisons
-    from study.statistics.analysis.post_hoc import UnusualObservations
 
 
 #: Cells beyond which their spreads, and rows beyond which their values, are not drawn one by one.
@@ -67,8 +66,7 @@ def prepare(
     from study.reporting.figures import registry
 
     (item,) = facts(data)
-    unusual = unusual_observations(analysis)
-    figures = _figures(analysis, data, item, rows, unusual)
+    figures = _figures(analysis, data, item, rows)
     stem, lines = _stem(analysis, data), sentences.answer(data, (item,))
     effects, name = registry.overview(data, (item,)), capital(item.title)
     first = study_page.first_page(data, (item,), stem, name, effects, rows="rows.csv")
@@ -85,7 +83,7 @@ def prepare(
             *_variance(analysis, data, item),
             *_means(data, item, figures),
             *_comparisons(analysis, data, item, reference),
-            *_residuals(analysis, data, figures, unusual),
+            *_residuals(analysis, data, figures),
             Heading("Assumptions", 2, "assumptions"),
             analysis_content.checks(analysis),
             figures.get("spread"),
@@ -131,10 +129,11 @@ def _variance(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterat
     sizes = "Sizes of the effects as shares of the variation"
     yield Folded(sizes, (tables.anova(item, data),))
     fitted = coefficient_table(analysis)
-    if not fitted.coefficients:
+    if isinstance(fitted, str):
         yield Heading("Coefficients")
-        yield Sentence(f"No table of coefficients: {fitted.reason}.")
-    yield from titled(analysis_content.coefficients(fitted, item))
+        yield Sentence(f"No table of coefficients: {fitted}.")
+    else:
+        yield from titled(analysis_content.coefficients(fitted, item))
     yield from titled(analysis_content.robustness(analysis, data))
 
 
@@ -160,10 +159,7 @@ def _comparisons(
 
 
 def _residuals(
-    analysis: AnalysisResult,
-    data: ReportData,
-    figures: Mapping[str, Figure],
-    unusual: UnusualObservations | None,
+    analysis: AnalysisResult, data: ReportData, figures: Mapping[str, Figure]
 ) -> Iterator[Block | None]:
     yield Heading("Residuals", 2, "residuals")
     shown = list(study_page.drawn(figures, "four-in-one", "against-factors", "influence"))
@@ -175,7 +171,7 @@ def _residuals(
     yield from shown
     if not shown:
         yield Sentence("Nothing is left over by the model, so there are no residuals to look at.")
-    table = analysis_content.unusual(unusual)
+    table = analysis_content.unusual(unusual_observations(analysis))
     yield from titled(table)
     if table is None and "influence" in figures:
         yield Sentence(
@@ -185,11 +181,7 @@ def _residuals(
 
 
 def _figures(
-    analysis: AnalysisResult,
-    data: ReportData,
-    item: Facts,
-    rows: pd.DataFrame | None,
-    unusual: UnusualObservations | None,
+    analysis: AnalysisResult, data: ReportData, item: Facts, rows: pd.DataFrame | None
 ) -> dict[str, Figure]:
     """Figures of a study's response, with Minitab's residual plots for the study's."""
     from study.reporting.figures import registry, residual_figures
@@ -203,7 +195,8 @@ def _figures(
     if rows is None or not item.terms:
         return drawn
     points = residual_figures.residual_points(rows)
-    limit = None if unusual is None else unusual.cook_limit
+    influence = analysis.assumptions.influence
+    limit = None if influence is None else influence.limit
     plots: dict[str, Plot] = {
         "four-in-one": (
             "Residual plots",

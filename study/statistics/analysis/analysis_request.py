@@ -23,7 +23,7 @@ from study.statistics.analysis.anova_table import (
 )
 from study.statistics.analysis.data import Crossed, Data, Structure
 from study.statistics.analysis.effects import MOST_LEVELS, Scale
-from study.statistics.analysis.linear_model import Factorization, Model, Term, term_name
+from study.statistics.analysis.linear_model import Model, Term, term_name
 from study.statistics.analysis.sums_of_squares import Factored, SphericityResult, TwoWayFit
 from study.statistics.analysis.unreplicated import CopyGroups, LenthResult
 from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds, bound_of
@@ -327,7 +327,6 @@ class AnalysisOutcome:
     fit: Factored | TwoWayFit | None = None
     lenth: LenthResult | None = None
     crossed: Crossed | None = None
-    cell_model: Factorization | None = None
     plots: Ints | None = None
     replicates: str = "runs"
     structure: Structure = field(default_factory=Structure)

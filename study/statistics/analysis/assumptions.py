@@ -115,22 +115,20 @@ def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
         tests, warnings = _by_contrast(out, out.crossed)
         warnings = (*out.warnings, *warnings)
     else:
-        residuals, normality, groups = _of_residuals(out)
-        equal, spread = _spread_tests(residuals, groups)
-        warnings = (*residuals.warnings, *_inapplicable(bartlett=equal, levene=spread))
-        rank = None if groups is None or groups.approximate else fligner(groups.groups)
-        tests = Assumptions(normality, bartlett=equal, levene=spread, fligner=rank)
-    fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
-    if fit is not None:
+        out, tests = _of_residuals(out)
+        warnings = out.warnings
+    tests = replace(
+        tests, sphericity=out.sphericity, robustness=out.robustness, box_cox=out.box_cox
+    )
+    if out.fit is not None and out.fit.df_residual > 0:
         tests = replace(
             tests,
-            non_additivity=non_additivity(fit),
-            anderson_darling=anderson_darling(fit.residual),
-            shapiro_wilk=shapiro_wilk(fit.residual),
-            influence=influential(fit),
+            non_additivity=non_additivity(out.fit),
+            anderson_darling=anderson_darling(out.fit.residual),
+            shapiro_wilk=shapiro_wilk(out.fit.residual),
+            influence=influential(out.fit),
         )
-    tests = replace(tests, sphericity=out.sphericity, robustness=out.robustness)
-    return replace(tests, box_cox=out.box_cox), warnings
+    return tests, warnings
 
 
 # -------------------------------------------------------------------------------------------------
@@ -195,37 +193,8 @@ def is_representative(out: AnalysisOutcome) -> Flags:
     return np.isin(out.data.cell, out.copies.representatives)
 
 
-def _inapplicable(**tests: SpreadTest | None) -> list[str]:
-    return [
-        f"{name}: not applicable: {test.reason}"
-        for name, test in tests.items()
-        if test is not None and test.reason
-    ]
-
-
-def _spread_tests(
-    out: AnalysisOutcome, groups: error_ledger.CellGroups | None
-) -> tuple[SpreadTest | None, SpreadTest | None]:
-    if groups is None:
-        return None, None
-    # residuals of a blocked fit are correlated: their own design is simulated
-    n = groups.index.size
-    # of more rows than are tested, the residuals are as good as independent
-    near = groups.basis is None or n > MOST_TESTED
-    design = None if near or groups.basis is None else ResidualDesign(groups.basis, groups.index)
-    count = int(min(_MONTE_CARLO, _MOST_NUMBERS / n)) if out.request.exact else 0
-    rough, seed = groups.approximate, out.request.seed
-    return (
-        bartlett(groups.groups, approximate=rough, simulations=count, seed=seed, design=design),
-        levene(
-            groups.groups,
-            center="auto" if out.request.exact or design else "median",
-            approximate=rough,
-            simulations=count if design else 0,
-            seed=seed,
-            design=design,
-        ),
-    )
+def _inapplicable(**tests: SpreadTest) -> list[str]:
+    return [f"{name}: not applicable: {test.reason}" for name, test in tests.items() if test.reason]
 
 
 def _ryan_joiner(
@@ -252,19 +221,14 @@ def _ryan_joiner(
     return out.warn(note), result
 
 
-def _of_residuals(
-    out: AnalysisOutcome,
-) -> tuple[AnalysisOutcome, RyanJoinerResult | None, error_ledger.CellGroups | None]:
-    """Ryan-Joiner on one representative of each computation, and the groups for Bartlett."""
+def _of_residuals(out: AnalysisOutcome) -> tuple[AnalysisOutcome, Assumptions]:
+    """Ryan-Joiner on one representative of each computation, and the tests of equal spread."""
     rows = np.flatnonzero(is_representative(out))
     if out.fit is None or out.fit.df_residual == 0:
-        reason = "there are no residuals"
-        return (
-            out.warn(f"normality: not applicable: {reason}", f"variance: not applicable: {reason}"),
-            None,
-            None,
-        )
-    if out.data.block is not None:
+        reason = "not applicable: there are no residuals"
+        return out.warn(f"normality: {reason}", f"variance: {reason}"), Assumptions()
+    blocked = out.data.block is not None
+    if blocked:
         # of more rows than are tested, nobody asks for the columns of the model
         fit_of = error_ledger.within_fit if rows.size > MOST_TESTED else error_ledger.additive_fit
         fit: Factored | TwoWayFit = fit_of(out.data, out.y, rows, plots=out.plots)
@@ -274,18 +238,34 @@ def _of_residuals(
         extra: list[Term] = [(name,) for name in out.data.blocks]
         reduced = model_matrix(out.data.layout.take(rows), out.terms, extra=extra)
         fit = factor(reduced, out.y[rows])
-    out, result = _ryan_joiner(out, fit)
-    if not result.applicable:
-        out = out.warn(f"normality: not applicable: {result.reason}")
-    if result.warning:
-        out = out.warn(result.warning)
-    values = out.y[rows] if out.data.block is None else fit.residual
-    cells, names = out.data.cell[rows], out.data.cell_names()
-    present, index = np.unique(cells, return_inverse=True)
+    out, normality = _ryan_joiner(out, fit)
+    if not normality.applicable:
+        out = out.warn(f"normality: not applicable: {normality.reason}")
+    if normality.warning:
+        out = out.warn(normality.warning)
+    values = fit.residual if blocked else out.y[rows]
+    names = out.data.cell_names()
+    present, index = np.unique(out.data.cell[rows], return_inverse=True)
     groups = {names[c]: values[index == i] for i, c in enumerate(present)}
-    blocked = out.data.block is not None
-    basis = fit.q if blocked and isinstance(fit, Factored) else None
-    return out, result, error_ledger.CellGroups(groups, blocked, basis, index)
+    # residuals of a blocked fit are correlated: their own design is simulated; of more rows than
+    # are tested, they are as good as independent
+    design = None
+    if blocked and isinstance(fit, Factored) and index.size <= MOST_TESTED:
+        design = ResidualDesign(fit.q, index)
+    count = int(min(_MONTE_CARLO, _MOST_NUMBERS / index.size)) if out.request.exact else 0
+    seed = out.request.seed
+    equal = bartlett(groups, approximate=blocked, simulations=count, seed=seed, design=design)
+    spread = levene(
+        groups,
+        center="auto" if out.request.exact or design else "median",
+        approximate=blocked,
+        simulations=count if design else 0,
+        seed=seed,
+        design=design,
+    )
+    rank = None if blocked else fligner(groups)
+    out = out.warn(*_inapplicable(bartlett=equal, levene=spread))
+    return out, Assumptions(normality, bartlett=equal, levene=spread, fligner=rank)
 
 
 # -------------------------------------------------------------------------------------------------
@@ -428,7 +408,7 @@ def add_robustness(out: AnalysisOutcome) -> AnalysisOutcome:
 def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:
     """Own interactions (three corrections), interactions pooled, and the log of the response."""
     kind = out.anova.type
-    model = out.cell_model or factorize(model_matrix(table.layout, out.terms))
+    model = factorize(model_matrix(table.layout, out.terms))
     tests = _tests(out, model, table, kind)
     p: dict[str, Mapping[str, float | None]] = {
         "own interaction, Greenhouse-Geisser": _p(tests, "gg"),

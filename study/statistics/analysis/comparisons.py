@@ -261,43 +261,29 @@ _AT_ONCE = 500_000
 
 
 @overload
-def bonferroni(contrasts: int, df: float, alpha: float) -> float: ...
+def t_quantile(upper: float, df: float) -> float: ...
 @overload
-def bonferroni(contrasts: int, df: Array, alpha: float) -> Array: ...
-def bonferroni(contrasts: int, df: float | Array, alpha: float) -> float | Array:
-    """Multiplier that holds whatever the dependence.
-
-    Shapes: df (m,).
-    """
+def t_quantile(upper: float, df: Array) -> Array: ...
+def t_quantile(upper: float, df: float | Array) -> float | Array:
+    """Upper quantile of Student's t: Bonferroni's multiplier of m intervals at alpha / (2 m)."""
     from scipy.special import stdtrit
 
-    quantile = stdtrit(df, 1 - alpha / (2 * contrasts))
+    quantile = stdtrit(df, 1 - upper)
     return np.asarray(quantile) if np.ndim(quantile) else float(quantile)
 
 
-@overload
-def block_multiplier(contrasts: Array, alpha: float, seed: int | None) -> float: ...
-@overload
 def block_multiplier(
     contrasts: Array, alpha: float, seed: int | None, groups: Sequence[Ints], df: Array
-) -> Array: ...
-def block_multiplier(
-    contrasts: Array,
-    alpha: float,
-    seed: int | None,
-    groups: Sequence[Ints] = (),
-    df: Array | None = None,
-) -> float | Array:
+) -> Array:
     """Multiplier of the standard errors for simultaneous intervals of all contrasts.
 
     Shapes: contrasts (m, b); df (m,); returns (m,).
     """
     m, b = contrasts.shape
-    parts = list(groups) or [np.arange(b)]
-    safe = bonferroni(max(m, 1), b - 1 if df is None else df, alpha)
-    if seed is None or m <= 1 or min(len(part) for part in parts) < FEWEST_BLOCKS:
+    safe = t_quantile(alpha / (2 * max(m, 1)), df)
+    if seed is None or m <= 1 or min(len(part) for part in groups) < FEWEST_BLOCKS:
         return safe
-    blocks = [contrasts[:, part] for part in parts]
+    blocks = [contrasts[:, part] for part in groups]
     # roots of the covariance of each group: z z' is their covariance
     z = np.concatenate(
         [(v - v.mean(axis=1, keepdims=True)) / math.sqrt(v.shape[1] - 1) for v in blocks], axis=1
@@ -307,13 +293,12 @@ def block_multiplier(
     if not len(z):
         return safe
     z = np.unique((z / np.sqrt(np.sum(z**2, axis=1))[:, None]).round(9), axis=0)
-    ends = np.cumsum([len(part) for part in parts])[:-1]
-    if len(parts) == 1 and b >= ASYMPTOTIC_BLOCKS:
+    ends = np.cumsum([len(part) for part in groups])[:-1]
+    if len(groups) == 1 and b >= ASYMPTOTIC_BLOCKS:
         largest = _largest_of_many(z, b, seed)
     else:
-        largest = _largest_t(np.split(z, ends, axis=1), [len(part) for part in parts], seed)
-    simulated = float(np.quantile(largest, 1 - SHARPER * alpha))
-    return np.minimum(safe, simulated) if isinstance(safe, np.ndarray) else min(safe, simulated)
+        largest = _largest_t(np.split(z, ends, axis=1), [len(part) for part in groups], seed)
+    return np.minimum(safe, np.quantile(largest, 1 - SHARPER * alpha))
 
 
 def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Array:
@@ -383,7 +368,7 @@ def pooled_multiplier(
     Westfall 2008), simulated; never above Bonferroni's.
     """
     estimated = np.flatnonzero(length > 1e-12 * length.max(initial=0.0))
-    safe = bonferroni(max(len(estimated), 1), df, alpha)
+    safe = t_quantile(alpha / (2 * max(len(estimated), 1)), df)
     if len(estimated) <= 1 or seed is None:
         return safe
     # first of every set that is one but for its unit: what is equal has the same product with any

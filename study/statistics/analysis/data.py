@@ -217,25 +217,19 @@ class Crossed:
 
 
 def crossed(data: Data, y: Array) -> Crossed:
-    """Cells against blocks; incomplete cells and blocks are left out, and said.
+    """Cells against blocks, one row each; incomplete cells and blocks are left out, and said.
 
     Shapes: y (n,).
     """
     block = data.block or ""
     names = data.layout.levels[block]
     cells, start, index = np.unique(data.cell, return_index=True, return_inverse=True)
-    shape = (cells.size, len(names))
-    total, count = np.zeros(shape), np.zeros(shape)
-    at = (index, data.layout.codes[block])
-    shift = float(y[0])
-    np.add.at(total, at, y - shift)
-    np.add.at(count, at, 1.0)
+    table = np.full((cells.size, len(names)), np.nan)
+    table[index, data.layout.codes[block]] = y
+    filled = np.isfinite(table)
     warnings = []
-    if count.max() > 1:
-        warnings.append("repeats of a cell within a block are averaged: they are nested in it")
-    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan) + shift
-    keep_cells = (count > 0).mean(axis=1) > 0.5
-    keep_blocks = (count[keep_cells] > 0).all(axis=0)
+    keep_cells = filled.mean(axis=1) > 0.5
+    keep_blocks = filled[keep_cells].all(axis=0)
     if not keep_cells.all():
         labels = data.cell_names()
         lost = [labels[c] for c in cells[~keep_cells]]
@@ -252,7 +246,7 @@ def crossed(data: Data, y: Array) -> Crossed:
         {f: present[f][1].astype(np.int64) for f in data.factors},
     )
     return Crossed(
-        mean[np.ix_(keep_cells, keep_blocks)],
+        table[np.ix_(keep_cells, keep_blocks)],
         cells[keep_cells],
         only,
         tuple(n for n, complete in zip(names, keep_blocks, strict=True) if complete),

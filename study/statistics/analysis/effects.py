@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
-from typing import overload
 
 import numpy as np
 
@@ -14,10 +13,10 @@ from study.ground.arrays import Array, Ints
 from study.statistics.analysis.anova_table import Effect, PairDifference, SimpleEffect
 from study.statistics.analysis.comparisons import (
     block_multiplier,
-    bonferroni,
     letters,
     pooled_multiplier,
     studentized_range_quantile,
+    t_quantile,
 )
 from study.statistics.analysis.linear_model import CellLayout, Term, grid, model_matrix, term_name
 from study.statistics.analysis.simple_effects import (
@@ -161,18 +160,6 @@ def sampled_estimate(
 def settings_of(layout: CellLayout, term: Term) -> tuple[tuple[str, ...], ...]:
     """Levels of the factors of a term in every combination, in the order of its components."""
     return tuple(product(*(layout.levels[name] for name in term)))
-
-
-@overload
-def t_quantile(upper: float, df: float) -> float: ...
-@overload
-def t_quantile(upper: float, df: Array) -> Array: ...
-def t_quantile(upper: float, df: float | Array) -> float | Array:
-    """Upper quantile of Student's t."""
-    from scipy.special import stdtrit
-
-    quantile = stdtrit(df, 1 - upper)
-    return np.asarray(quantile) if np.ndim(quantile) else float(quantile)
 
 
 def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
@@ -347,7 +334,7 @@ def with_sources(
         rows = differences.rows
         value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
         error, df = by_components(shares(rows @ fit.inverse), variance, free)
-        wide = bonferroni(max(len(value), 1), df, alpha)
+        wide = t_quantile(alpha / (2 * max(len(value), 1)), df)
         if ranges:
             wide = games_howell_multiplier(differences, df, alpha)
         return Estimates(value, error, t_quantile(alpha / 2, df), wide)
@@ -361,7 +348,7 @@ def games_howell_multiplier(differences: Differences, df: Array, alpha: float) -
     Shapes: df (m,).
     """
     m = len(df)
-    safe = np.asarray(bonferroni(max(m, 1), df, alpha))
+    safe = t_quantile(alpha / (2 * max(m, 1)), df)
     levels = len(differences.settings)
     if m > MOST_RANGES or m != levels * (levels - 1) // 2:
         return safe

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -298,16 +298,6 @@ def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
 
 # -------------------------------------------------------------------------------------------------
 # Fits whose residuals are judged: cells and blocks, or the terms of a reduced model.
-
-
-@dataclass(frozen=True)
-class CellGroups:
-    """Values that Bartlett and Levene compare."""
-
-    groups: dict[str, Array]
-    approximate: bool
-    basis: Array | None
-    index: Ints
 
 
 def additive_fit(

@@ -209,14 +209,9 @@ def _independent(failed: Array, levels: Ints, rng: np.random.Generator) -> tuple
     """Fisher's test of independent cases, exact wherever its tables can be listed."""
     bad = np.asarray(np.bincount(levels, failed), dtype=float)
     total = np.asarray(np.bincount(levels), dtype=float)
-    if total.size == 2:
-        # loaded here: the import of all distributions takes 0.6 s of every verb
-        from scipy.stats import fisher_exact
-
-        table = np.stack([bad, total - bad]).astype(int)
-        return float(fisher_exact(table).pvalue), "Fisher's exact test"
     if math.prod(int(n) + 1 for n in total[:-1]) <= MOST_TABLES:
-        return _freeman_halton(bad, total), "Freeman and Halton's exact test"
+        name = "Fisher" if total.size == 2 else "Freeman and Halton"
+        return _freeman_halton(bad, total), f"{name}'s exact test"
     drawn = rng.multivariate_hypergeometric(total.astype(int), int(bad.sum()), size=SAMPLES)
     p = _tail(_weight(bad, total), _weight(drawn.astype(float), total))
     return p, f"Fisher's test by {SAMPLES:,} random tables"

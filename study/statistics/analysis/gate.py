@@ -16,13 +16,13 @@ import numpy as np
 
 from study.ground.arrays import Array, Ints
 from study.statistics.analysis.analysis_request import AnalysisOutcome
+from study.statistics.analysis.comparisons import t_quantile
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
     Scale,
     cell_welch,
     over_groups,
-    t_quantile,
     with_pooled_error,
     with_pseudo_error,
 )

@@ -18,13 +18,12 @@ from study.ground.arrays import Array
 from study.ground.contrast import Setting, sides_of
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.anova_table import Effect
-from study.statistics.analysis.comparisons import block_multiplier, bonferroni, holm
+from study.statistics.analysis.comparisons import block_multiplier, holm, t_quantile
 from study.statistics.analysis.effects import (
     UNEQUAL,
     Scale,
     by_components,
     group_errors,
-    t_quantile,
 )
 from study.statistics.analysis.equal_variance import doubted_variances
 from study.statistics.analysis.simple_effects import (
@@ -200,11 +199,11 @@ def _multipliers(estimates: Sequence[_Estimate], alpha: float, seed: int) -> lis
         if estimate.by_block is not None and estimate.error
     ]
     if len(blocks) == len(estimates) > 1 and len({b.size for b in blocks}) == 1:
-        return [block_multiplier(np.array(blocks), alpha, seed)] * len(estimates)
-    return [
-        0.0 if estimate.df is None else bonferroni(len(estimates), estimate.df, alpha)
-        for estimate in estimates
-    ]
+        m, b = len(blocks), blocks[0].size
+        df = np.full(m, b - 1.0)
+        return [*map(float, block_multiplier(np.array(blocks), alpha, seed, [np.arange(b)], df))]
+    each = alpha / (2 * max(len(estimates), 1))
+    return [0.0 if one.df is None else t_quantile(each, one.df) for one in estimates]
 
 
 def _judged(

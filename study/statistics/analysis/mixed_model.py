@@ -21,14 +21,13 @@ from study.ground.contrast import Setting
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
 from study.statistics.analysis.analysis_request import Practical, alpha_faults, threshold
-from study.statistics.analysis.comparisons import bonferroni, pooled_multiplier
+from study.statistics.analysis.comparisons import pooled_multiplier, t_quantile
 from study.statistics.analysis.data import Data, prepare
 from study.statistics.analysis.effects import (
     UNEQUAL,
     Scale,
     sampled_estimate,
     size,
-    t_quantile,
 )
 from study.statistics.analysis.gate import Rival, judge_terms
 from study.statistics.analysis.linear_contrast import Cells, Contrast, with_holm
@@ -236,7 +235,7 @@ def _unequal_rows(cells: MixedCells, y: Array) -> Rival:
     def estimate(differences: Differences) -> Estimates:
         estimates = cells.sample(differences)
         error, df = sandwich.errors(cells.along(differences.rows))
-        every = bonferroni(max(len(df), 1), df, cells.alpha)
+        every = t_quantile(cells.alpha / (2 * max(len(df), 1)), df)
         return Estimates(estimates.value, error, t_quantile(cells.alpha / 2, df), every)
 
     return Rival(UNEQUAL, estimate)

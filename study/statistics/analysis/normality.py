@@ -16,7 +16,6 @@ from study.ground.errors import Fault, InputError
 from study.statistics.analysis.comparisons import holm
 from study.statistics.analysis.linear_model import CellLayout, Term, balanced, span, term_name
 
-SCORES = "Phi^-1((r - 3/8)/(n + 1/4)), tied values share the average rank"
 _ALPHAS = (0.10, 0.05, 0.01)
 _CRITICAL = (
     (1.0071, -0.1371, -0.3682, 0.7780),
@@ -46,7 +45,6 @@ class RyanJoinerResult:
     reason: str
     decision: str
     warning: str = ""
-    scores: str = SCORES
 
     def to_json(self) -> dict[str, object] | None:
         """JSON document; None where the test does not apply."""
@@ -103,18 +101,15 @@ def statistic(values: ArrayLike) -> float:
     from scipy.stats import rankdata
 
     x = np.asarray(values, dtype=float)
-    return _correlation(x - x[0], _scores(rankdata(x), x.size))
+    scores, x = _scores(rankdata(x), x.size), x - x[0]
+    scores, x = scores - scores.mean(), x - x.mean()
+    return min(1.0, float(x @ scores) / math.sqrt(float(x @ x) * float(scores @ scores)))
 
 
 def _scores(ranks: ArrayLike, n: int) -> Array:
     from scipy.special import ndtri
 
     return np.asarray(ndtri((np.asarray(ranks, float) - 0.375) / (n + 0.25)))
-
-
-def _correlation(x: Array, b: Array) -> float:
-    x, b = x - x.mean(), b - b.mean()
-    return min(1.0, float(x @ b) / math.sqrt(float(x @ x) * float(b @ b)))
 
 
 @one_thread

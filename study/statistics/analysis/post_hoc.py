@@ -22,13 +22,13 @@ from study.statistics.analysis.comparisons import (
     LevelPair,
     block_multiplier,
     studentized_range_cdf,
+    t_quantile,
 )
 from study.statistics.analysis.data import Crossed
 from study.statistics.analysis.effects import (
     group_errors,
     own_critical,
     pooled_critical,
-    t_quantile,
 )
 from study.statistics.analysis.linear_model import (
     Term,
@@ -65,16 +65,8 @@ class Coefficient:
     vif: float | None
 
 
-@dataclass(frozen=True)
-class CoefficientTable:
-    """Coefficients in the order of the model; without any, ``reason`` says why."""
-
-    coefficients: tuple[Coefficient, ...] = ()
-    reason: str = ""
-
-
-def coefficient_table(analysis: AnalysisResult) -> CoefficientTable:
-    """Give the coefficients of the model that an analysis fitted.
+def coefficient_table(analysis: AnalysisResult) -> tuple[Coefficient, ...] | str:
+    """Give the coefficients of the model that an analysis fitted, or why there are none.
 
     With a pooled error they are those of least squares. Where effects are tested against their
     own interactions with the blocks, the model is fitted to each block alone, and a standard
@@ -83,37 +75,36 @@ def coefficient_table(analysis: AnalysisResult) -> CoefficientTable:
     tested = {row.error for row in analysis.anova.rows if row.f is not None}
     terms = terms_of(analysis.request.factors, analysis.request.model)
     if not tested:
-        return CoefficientTable(reason="there is no error term to judge a coefficient by")
+        return "there is no error term to judge a coefficient by"
     if nested_in(terms):
-        return CoefficientTable(
-            reason="the levels of a nested factor have no contrasts of their own"
-        )
+        return "the levels of a nested factor have no contrasts of their own"
     levels = {effect.term: effect.levels for effect in analysis.effects}
     if any(len(levels.get(name, ())) < 2 for name in analysis.request.factors):
-        return CoefficientTable(reason="a level of a factor has no row")
+        return "a level of a factor has no row"
     names: tuple[str, ...] = ("Constant",)
     for term in terms:  # every level but the last ones
         every = product(*(levels[name][:-1] for name in term))
         names += tuple(f"{':'.join(term)}[{' '.join(combination)}]" for combination in every)
     if len(names) > MOST_COEFFICIENTS:
-        return CoefficientTable(reason=f"{len(names)} coefficients are more than anyone reads")
+        return f"{len(names)} coefficients are more than anyone reads"
     block = analysis.data.block
     if analysis.data.model_matrix is not None and all(":" not in str(error) for error in tested):
         return _pooled(analysis, names)
     crossed = analysis.data.crossed
     if crossed is not None and all(str(error).startswith(f"{block}:") for error in tested):
         return _own(crossed, terms, names)
-    return CoefficientTable(reason="the strata of the table have different errors")
+    return "the strata of the table have different errors"
 
 
-def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> CoefficientTable:
+def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> tuple[Coefficient, ...] | str:
     matrix, residual = analysis.data.model_matrix, analysis.anova.row("residual")
     if matrix is None or not residual.ms:
-        return CoefficientTable(reason="nothing is left over to estimate an error from")
-    y = _working(analysis, analysis.data.residuals["response"].to_numpy(float))
+        return "nothing is left over to estimate an error from"
+    y = analysis.data.residuals["response"].to_numpy(float)
+    y = np.log(y) if analysis.request.scale.is_log else y
     fit = fitted(factorize_columns(matrix), y)
     if not fit.is_full:
-        return CoefficientTable(reason="some terms are aliased with others")
+        return "some terms are aliased with others"
     beta = fit.coefficients()
     beta[0] += fit.shift
     spread = np.diag(fit.unscaled_covariance)
@@ -125,12 +116,14 @@ def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> CoefficientTabl
     return _table(names, beta[of_factors], error[of_factors], residual.df, inflation[of_factors])
 
 
-def _own(table: Crossed, terms: tuple[Term, ...], names: tuple[str, ...]) -> CoefficientTable:
+def _own(
+    table: Crossed, terms: tuple[Term, ...], names: tuple[str, ...]
+) -> tuple[Coefficient, ...] | str:
     """Mean of the blocks' own coefficients, and its standard error."""
     values = table.y
     matrix = model_matrix(table.layout, terms).columns
     if np.linalg.matrix_rank(matrix) < matrix.shape[1]:
-        return CoefficientTable(reason="some terms are aliased with others")
+        return "some terms are aliased with others"
     shift = float(values[0, 0])
     beta = np.linalg.lstsq(matrix, values - shift, rcond=None)[0]
     beta[0] += shift
@@ -139,13 +132,9 @@ def _own(table: Crossed, terms: tuple[Term, ...], names: tuple[str, ...]) -> Coe
     return _table(names, beta.mean(axis=1), error, blocks - 1.0, None)
 
 
-def _working(analysis: AnalysisResult, y: Array) -> Array:
-    return np.log(y) if analysis.request.scale.is_log else y
-
-
 def _table(
     names: tuple[str, ...], beta: Array, error: Array, df: float, inflation: Array | None
-) -> CoefficientTable:
+) -> tuple[Coefficient, ...]:
     rows = []
     for i, name in enumerate(names):
         se = float(error[i])
@@ -154,7 +143,7 @@ def _table(
         p = None if t is None else two_sided(t, df)
         vif = None if inflation is None or i == 0 else float(inflation[i])
         rows.append(Coefficient(name, float(beta[i]), se if has_error else None, t, p, df, vif))
-    return CoefficientTable(tuple(rows))
+    return tuple(rows)
 
 
 # -------------------------------------------------------------------------------------------------
@@ -390,22 +379,6 @@ LARGE_LEVERAGE = 3.0
 EXACT = 1 - 1e-10
 
 
-@dataclass(frozen=True)
-class UnusualObservations:
-    """Rows to look at, and how well the model predicts what it was not fitted to."""
-
-    #: ``row`` (from 1), ``response``, ``fitted``, ``residual``, ``standardized``, ``leverage``,
-    #: ``cook``, ``press`` (residual of the row predicted from all others), ``why``; the largest
-    #: standardized residual first.
-    rows: pd.DataFrame
-    #: Sum of the squared PRESS residuals; None where a row cannot be predicted.
-    press: float | None
-    #: 1 - PRESS / total sum of squares.
-    r_sq_pred: float | None
-    #: Median of F(p, n - p): beyond it a row moves the fit (Cook 1977).
-    cook_limit: float | None
-
-
 def diagnosed_rows(analysis: AnalysisResult) -> pd.DataFrame | None:
     """Every row with its standardized and PRESS residual; None where nothing was left over."""
     rows = analysis.data.residuals
@@ -428,25 +401,21 @@ def diagnosed_rows(analysis: AnalysisResult) -> pd.DataFrame | None:
     )
 
 
-def unusual_observations(analysis: AnalysisResult) -> UnusualObservations | None:
-    """List the rows with a large residual, leverage or Cook's distance."""
+def unusual_observations(analysis: AnalysisResult) -> pd.DataFrame | None:
+    """List the rows with a large residual, leverage or Cook's distance, the largest residual first.
+
+    ``press`` is the residual of a row predicted from all others; ``why`` says what is large.
+    """
     rows = diagnosed_rows(analysis)
     if rows is None:
         return None
-    limit = None if analysis.assumptions.influence is None else analysis.assumptions.influence.limit
-    leverage = rows["leverage"]
-    why = _reasons(rows, min(LARGE_LEVERAGE * float(leverage.mean()), 0.99), limit)
+    influence = analysis.assumptions.influence
+    limit = None if influence is None else influence.limit
+    why = _reasons(rows, min(LARGE_LEVERAGE * float(rows["leverage"].mean()), 0.99), limit)
     columns = ("row", "response", "fitted", "residual", "standardized", "leverage", "cook", "press")
     listed = rows[list(columns)].assign(why=why)[np.array([bool(text) for text in why])]
     order = listed["standardized"].abs().sort_values(ascending=False, kind="stable").index
-    summary = analysis.variation.summary
-    press = float(np.sum(rows["press"].to_numpy(float) ** 2))
-    return UnusualObservations(
-        listed.loc[order].reset_index(drop=True),
-        press if math.isfinite(press) else None,
-        None if summary is None else summary.r_sq_pred,
-        limit,
-    )
+    return listed.loc[order].reset_index(drop=True)
 
 
 def _reasons(rows: pd.DataFrame, leverage: float, cook: float | None) -> list[str]:

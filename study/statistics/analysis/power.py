@@ -131,7 +131,7 @@ class PlannedVerdicts:
 
 
 def verdict_probabilities(
-    blocks: int, sd: float, practical: float, truth: float, *, u: float = 0.0, alpha: float = 0.05
+    blocks: int, sd: float, practical: float, truth: float, *, u: float = 0.0
 ) -> VerdictProbabilities:
     """Probability of each verdict of a contrast.
 
@@ -143,20 +143,20 @@ def verdict_probabilities(
     _verdict_power_check(blocks, sd, practical, u)
     if blocks == 1:
         return VerdictProbabilities(0.0, 0.0, 0.0, 1.0)
-    matters, none = _claimed(blocks, sd, practical, truth, u, alpha)
-    able = _claimed(blocks, sd, practical, truth, 0.0, alpha)
+    matters, none = _claimed(blocks, sd, practical, truth, u)
+    able = _claimed(blocks, sd, practical, truth, 0.0)
     unresolved = max(0.0, sum(able) - matters - none)
     return VerdictProbabilities(matters, none, unresolved, max(0.0, 1 - sum(able)))
 
 
 def _claimed(
-    blocks: int, sd: float, practical: float, truth: float, u: float, alpha: float
+    blocks: int, sd: float, practical: float, truth: float, u: float
 ) -> tuple[float, float]:
     """Probability of *matters* and of *no practical difference*."""
     from scipy.special import ndtr, stdtrit
 
     error = sd / math.sqrt(blocks)
-    t = float(stdtrit(blocks - 1, 1 - alpha / 2)) * error
+    t = float(stdtrit(blocks - 1, 0.975)) * error
     s, weights = scale_rule(blocks - 1)
     outer = practical + u + t * s
     above = ndtr((truth - outer) / error) + ndtr((-outer - truth) / error)

@@ -10,8 +10,8 @@ import numpy as np
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.anova_table import Anova, NaiveTerm, NestedUnits
+from study.statistics.analysis.comparisons import t_quantile
 from study.statistics.analysis.data import prepare
-from study.statistics.analysis.effects import t_quantile
 
 if TYPE_CHECKING:
     import pandas as pd

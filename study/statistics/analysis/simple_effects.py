@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -141,12 +141,8 @@ class Differences:
         return np.asarray(values[self.first] - values[self.second])
 
 
-class Sample(Protocol):
-    """What is known of linear combinations of the coefficients of the model."""
-
-    def __call__(self, differences: Differences) -> Estimates:
-        """Estimate some differences."""
-        ...
+#: What is known of linear combinations of the coefficients of the model.
+Sample = Callable[[Differences], Estimates]
 
 
 @dataclass(frozen=True)

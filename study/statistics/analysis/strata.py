@@ -439,7 +439,6 @@ def own(out: AnalysisOutcome, plots: Plots | None = None) -> AnalysisOutcome | N
         sphericity=tests.sphericity,
         fit=error_ledger.within_fit(data, out.y),
         crossed=table if plots is None else None,
-        cell_model=cells if plots is None else None,
         plots=None if plots is None else plots.code,
     )  # fmt: skip
 

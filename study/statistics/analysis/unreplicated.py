@@ -84,14 +84,18 @@ def pseudo_standard_error(contrasts: ArrayLike) -> Array:
     return np.asarray(1.5 * np.nanmedian(inert, axis=-1))
 
 
+#: simulated studies without effects behind the limits
+NULL_STUDIES = 20_000
+
+
 @lru_cache(maxsize=32)
-def _null(m: int, simulations: int, seed: int) -> tuple[Array, Array]:
+def _null(m: int, seed: int) -> tuple[Array, Array]:
     """Sorted null |contrast| / PSE, of one contrast and of the largest of ``m``."""
     rng = np.random.default_rng(seed)
     chunk = max(1, int(1e6 // m))
     singles, largest = [], []
-    for start in range(0, simulations, chunk):
-        z = rng.standard_normal((min(chunk, simulations - start), m))
+    for start in range(0, NULL_STUDIES, chunk):
+        z = rng.standard_normal((min(chunk, NULL_STUDIES - start), m))
         ratio = np.abs(z) / pseudo_standard_error(z)[:, None]
         # contrasts of a row are exchangeable: all of them serve as draws of one
         singles.append(ratio.ravel())
@@ -103,9 +107,7 @@ def lenth(
     contrasts: ArrayLike,
     names: Sequence[str] | None = None,
     *,
-    alpha: float = 0.05,
     seed: int = 2011,
-    simulations: int = 20_000,
 ) -> LenthResult:
     """Lenth's method with simulated critical values.
 
@@ -123,7 +125,7 @@ def lenth(
     m = values.size
     labels = tuple(names) if names is not None else tuple(str(i + 1) for i in range(m))
     pse = float(pseudo_standard_error(values))
-    single, largest = _null(m, simulations, seed)
+    single, largest = _null(m, seed)
     if pse > 0:
         above = single.size - np.searchsorted(single, np.abs(values) / pse)
         p = (1 + above) / (single.size + 1)
@@ -133,12 +135,12 @@ def lenth(
         labels,
         tuple(values.tolist()),
         pse,
-        pse * float(np.quantile(single, 1 - alpha)),
-        pse * float(np.quantile(largest, 1 - alpha)),
+        pse * float(np.quantile(single, 0.95)),
+        pse * float(np.quantile(largest, 0.95)),
         tuple(np.asarray(p).tolist()),
         # half-normal scores Phi^-1(0.5 + 0.5 (r - 0.5)/m) of the absolute values (Daniel 1959)
         tuple(ndtri(0.5 + 0.5 * (rankdata(np.abs(values)) - 0.5) / m).tolist()),
-        simulations,
+        NULL_STUDIES,
         seed,
     )
 

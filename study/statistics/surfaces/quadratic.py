@@ -434,38 +434,38 @@ class QuadraticSurface:
         return values, np.full(values.shape, self.half_width)
 
 
-def fit_quadratic(runs: Runs, alpha: float = 0.05) -> QuadraticSurface:
+def fit_quadratic(runs: Runs) -> QuadraticSurface:
     """Fit a quadratic surface."""
     if len(set(runs.blocks)) > 1:
-        return _with_blocks(runs, alpha)
+        return _with_blocks(runs)
     settings, which = runs.distinct()
     means = np.bincount(which, weights=runs.response) / np.bincount(which)
     scatter = float(np.abs(runs.response - means[which]).max())
     if scatter > 1e-12 * float(np.abs(runs.response).max()):
-        return _with_replicates(runs, which, alpha)
+        return _with_replicates(runs, which)
     # copies of a deterministic run are one run: counted twice, they would only weigh more
     single = replace(runs, coded=settings, response=means, blocks=(), u_num=None)
     columns = factorize(second_order(single.levels()), settings)
     notes = ["no p: a deterministic surface has misfit, not noise"]
     copies = runs.response.size - means.size
     notes += [f"{copies} copies of deterministic runs count once"] if copies else []
-    return _surface(runs, columns, means, "none", alpha, notes=notes)
+    return _surface(runs, columns, means, "none", notes=notes)
 
 
 def _with_replicates(
-    runs: Runs, which: Ints, alpha: float, columns: ModelColumns | None = None
+    runs: Runs, which: Ints, columns: ModelColumns | None = None
 ) -> QuadraticSurface:
     columns = columns or factorize(second_order(runs.levels()), runs.coded)
     fit = lack_of_fit(columns, runs.response, which)
     notes = []
-    if fit is not None and fit.p < alpha:
+    if fit is not None and fit.p < UNFIT:
         notes.append(
             "lack of fit: p and intervals of the terms rest on a surface that does not fit"
         )
-    return _surface(runs, columns, runs.response, "replicates", alpha, lack=fit, notes=notes)
+    return _surface(runs, columns, runs.response, "replicates", lack=fit, notes=notes)
 
 
-def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
+def _with_blocks(runs: Runs) -> QuadraticSurface:
     settings, which = runs.distinct()
     names = tuple(dict.fromkeys(runs.blocks))
     rows = np.array([names.index(b) for b in runs.blocks])
@@ -480,7 +480,7 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
             mend = "complete the blocks, or leave --block out"
             raise RefusedError(str(Fault("blocks", rule, mend)))
         cells = np.unique(which * len(names) + rows, return_inverse=True)[1]
-        return _shifted_by_blocks(runs, rows, cells, alpha)
+        return _shifted_by_blocks(runs, rows, cells)
     table = sums[:, whole] / counts[:, whole]
     columns = factorize(second_order(runs.levels()), settings)
     each = columns.coefficients(table)
@@ -490,7 +490,7 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
     if blocks <= len(runs.factors):
         notes.append("no region of the stationary point: it needs more blocks than factors")
     found = _surface(
-        runs, columns, table.mean(axis=1), "blocks", alpha,
+        runs, columns, table.mean(axis=1), "blocks",
         lack=against_blocks(columns.complement(), table), notes=notes,
         of_blocks=(np.atleast_2d(np.cov(each)) / blocks, blocks - 1),
     )  # fmt: skip
@@ -508,7 +508,7 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
     )
 
 
-def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints, alpha: float) -> QuadraticSurface:
+def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints) -> QuadraticSurface:
     """Blocks with different settings shift the response (Box and Hunter 1957, section 8).
 
     Shapes: block, which (n,): block, and setting within the block, of each run.
@@ -520,7 +520,7 @@ def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints, alpha: float) -> Qu
         rule = "no two have a run at every setting, and the settings do not tell their shifts"
         mend = "complete the blocks, or leave --block out"
         raise RefusedError(str(Fault("blocks", rule, mend)))
-    found = _with_replicates(runs, which, alpha, replace(terms, model=model))
+    found = _with_replicates(runs, which, replace(terms, model=model))
     note = "blocks hold different settings: each shifts the response by a constant"
     return replace(found, notes=(note, *found.notes))
 
@@ -546,7 +546,6 @@ def _surface(
     columns: ModelColumns,
     response: Array,
     error: Error,
-    alpha: float,
     *,
     lack: FRatioTest | None = None,
     notes: list[str],
@@ -587,7 +586,7 @@ def _surface(
         for term, c in zip(columns.terms, polynomial.coefficients.tolist(), strict=True)
     ]
     if covariance is not None and error != "none":
-        t = float(stdtrit(df, 1.0 - alpha / 2.0))
+        t = float(stdtrit(df, 0.975))
         for i, se in enumerate(np.sqrt(np.diag(covariance)).tolist()):
             c = terms[i].coefficient
             p = float(2.0 * stdtr(df, -abs(c) / se)) if se > 0 else None

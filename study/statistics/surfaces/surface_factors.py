@@ -220,11 +220,11 @@ class Extreme:
         return bool(np.abs(self.at).max() >= 1.0 - BOUNDARY)
 
 
-def box_points(k: int, n: int, seed: int = 0) -> Array:
+def box_points(k: int, n: int) -> Array:
     """Points that fill the box [-1, 1]^k evenly, shape (n, k); n is a power of two."""
     from scipy.stats import qmc
 
-    return np.asarray(2.0 * qmc.Sobol(k, seed=seed).random(n) - 1.0)
+    return np.asarray(2.0 * qmc.Sobol(k, seed=0).random(n) - 1.0)
 
 
 def extremes(value: Callable[[Array], Array], k: int) -> tuple[Array, Array]:

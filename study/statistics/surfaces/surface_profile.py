@@ -26,7 +26,6 @@ from study.statistics.surfaces.surface_result import SurfaceAnalysis, SurfacePre
 
 if TYPE_CHECKING:
     from study.statistics.surfaces.surface_propagation import Propagated
-    from study.statistics.surfaces.surface_result import Sensitivity
 
 
 #: points of a profile, and along each side of a contour
@@ -252,8 +251,23 @@ class FittedSurface:
     @property
     def verdicts(self) -> list[dict[str, object]]:
         """One row a numeric factor, with the keys of a study's verdicts."""
-        told = () if self.found is None else self.found.sensitivity
-        return [self._row(item) for item in told]
+        rows: list[dict[str, object]] = []
+        for item in () if self.found is None else self.found.sensitivity:
+            effect = item.range
+            low = 0.0 if effect is None else max(0.0, effect.value - effect.bound)
+            rows.append({
+                "response": self.response,
+                "factor": item.factor,
+                "at": dict(self.labels),
+                "verdict": "cannot tell" if effect is None else effect.told,
+                "effect": effect and effect.value,
+                "ci95": effect and [low, effect.value + effect.bound],
+                "practical": self.practical,
+                "u_num": self.bound,
+                "U": self.bound,
+                "p": None,
+            })  # fmt: skip
+        return rows
 
     @property
     def unconfirmed(self) -> list[dict[str, float]]:
@@ -282,20 +296,3 @@ class FittedSurface:
         if self.uncertain is not None:
             told["uncertainty"] = self.uncertain.to_json() | {"distributions": dict(self.inputs)}
         return told
-
-    def _row(self, item: Sensitivity) -> dict[str, object]:
-        effect = item.range
-        return {
-            "response": self.response,
-            "factor": item.factor,
-            "at": dict(self.labels),
-            "verdict": "cannot tell" if effect is None else effect.told,
-            "effect": None if effect is None else effect.value,
-            "ci95": None
-            if effect is None
-            else [max(0.0, effect.value - effect.bound), effect.value + effect.bound],
-            "practical": self.practical,
-            "u_num": self.bound,
-            "U": self.bound,
-            "p": None,
-        }

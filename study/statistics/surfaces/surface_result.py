@@ -252,15 +252,13 @@ def _of_emulator(
         return (), [f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all", *unrun]
     indices = found.indices()
     order = np.argsort([-index.total for index in indices]).tolist()
-    ranks = {j: rank for rank, j in enumerate(order, 1)}
+    ranks = [order.index(j) + 1 for j in range(len(names))]
     if found.gate == "ranking only":
         note = f"Q2 {found.q2:.2f} is below .9: ranking only; add runs, {twice} in all"
-        ranked = tuple(Sensitivity(name, ranks[j], None, None) for j, name in enumerate(names))
-        return ranked, [note, *unrun]
+        ranked = zip(names, ranks, strict=True)
+        return tuple(Sensitivity(name, rank, None, None) for name, rank in ranked), [note, *unrun]
     ranges = found.ranges(practical, u)
-    judged = tuple(
-        Sensitivity(name, ranks[j], indices[j], ranges[j]) for j, name in enumerate(names)
-    )
+    judged = tuple(map(Sensitivity, names, ranks, indices, ranges))
     notes = [
         *unrun,
         "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings",
