@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure as Canvas
 
 from study.reporting.content.effect_words import (
@@ -171,7 +170,10 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
     sns.scatterplot(means, x="cell_mean", y="rank", zorder=3, legend=False, ax=ax, **diamonds)
 
 
-# The interaction matrix: lines above the diagonal, cell means below.
+# Interactions: a panel for every pair of factors.
+
+#: levels that a panel names
+_MOST_NAMED = 7
 
 
 def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
@@ -190,119 +192,44 @@ def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
 
 
 def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
-    """Draw a matrix: lines above the diagonal, the same means as numbers below it."""
-    factors = data.factors
-    k = len(factors)
-    figure = style.canvas(0.7 + 1.45 * k)
-    axes = figure.subplots(k, k, squeeze=False)
-    low, high = float(frame["mean"].min()), float(frame["mean"].max())
-    pad = 0.08 * (high - low or abs(high) or 1.0)
-    names = list(factors)
-    for i, first in enumerate(names):
-        _diagonal(axes[i][i], name_of(first, data.labels), factors[first])
-        for j in range(i + 1, k):
-            second = names[j]
-            pair = frame[(frame["factor"] == first) & (frame["other"] == second)]
-            # a combination that has no mean is NaN: no point, no number
-            table = pair.pivot_table(index="level", columns="other_level", values="mean").reindex(
-                index=list(factors[first]), columns=list(factors[second])
-            )
-            upper, lower = axes[i][j], axes[j][i]
-            _lines(upper, table)
-            upper.set_ylim(low - pad, high + pad)
-            _upper_ticks(upper, i, j, k, factors[second])
-            _numbers(lower, table.T, low, high)
-            _lower_ticks(lower, factors[first], j == k - 1)
-    figure.suptitle(style.labeled(facts.title, facts.unit), x=0.01, ha="left")
+    """Draw a panel a pair of factors: a line for each level of one over the levels of the other."""
+    pairs = list(frame.groupby(["factor", "other"], sort=False))
+    figure, axes = style.panels(len(pairs), 3, 2.1, 0.3, sharey=True)
+    for ax, ((first, second), pair) in zip(axes, pairs, strict=True):
+        levels, across = data.factors[first], data.factors[second]
+        _connect_pairs(ax, pair, levels, across)
+        named = [f" {clean(level, 24)}" for level in levels[:_MOST_NAMED]]
+        title = clean(name_of(first, data.labels), 22)
+        ax.legend(ax.lines[: len(named)], named, title=title, fontsize=7, title_fontsize=7)
+        narrow = max(int(26 / len(across)), 6)
+        ax.set_xticks(range(len(across)), [style.wrap(level, narrow, 24) for level in across])
+        ax.tick_params(axis="x", labelsize=7, length=0)
+        ax.set(xlabel=clean(name_of(second, data.labels), 30), ylabel="")
+        ax.grid(axis="y")
+    figure.supylabel(style.labeled(facts.title, facts.unit))
     return figure
 
 
-def _diagonal(ax: Axes, name: str, levels: Sequence[str]) -> None:
-    ax.set_axis_off()
-    ax.set_xlim(0, 1)
-    ax.set_ylim(0, 1)
-    shown = list(levels)[:7]
-    step = min(0.15, 0.7 / len(shown))
-    top = 0.5 + step * (len(shown) + 0.4) / 2
-    ax.text(0.02, top, clean(name, 22), fontweight="bold", va="center")
-    for index, shown_level in enumerate(shown):
-        y = top - step * (index + 1.2)
-        look = {
-            "color": style.color_of(index),
-            "linestyle": style.DASHES[index % len(style.DASHES)],
-        }
-        ax.plot([0.03, 0.17], [y, y], marker=style.MARKERS[index % 7], markersize=3.5, **look)
-        ax.text(0.22, y, clean(shown_level, 24), va="center", fontsize=7.5)
-
-
-def _lines(ax: Axes, table: pd.DataFrame) -> None:
-    """Draw a line for every row of a table of means, a point for every column."""
+def _connect_pairs(
+    ax: Axes, pair: pd.DataFrame, levels: Sequence[str], across: Sequence[str]
+) -> None:
+    """Draw the lines of a pair; a combination that has no mean is a gap."""
     import seaborn as sns
 
-    rows, columns = table.shape
+    numbers = range(len(levels))
     sns.pointplot(
-        x=np.tile(np.arange(columns), rows),
-        y=table.to_numpy(float).ravel(),
-        hue=np.repeat(np.asarray(table.index, dtype=object), columns),
-        hue_order=list(table.index),
-        palette=[style.color_of(index) for index in range(rows)],
-        markers=[style.MARKERS[index % 7] for index in range(rows)],
-        linestyles=[style.DASHES[index % len(style.DASHES)] for index in range(rows)],
+        x=pair["other_level"].map({level: place for place, level in enumerate(across)}),
+        y=pair["mean"],
+        hue=pair["level"].map({level: number for number, level in enumerate(levels)}),
+        hue_order=numbers,
+        order=range(len(across)),
+        palette=[style.color_of(index) for index in numbers],
+        markers=[style.MARKERS[index % 7] for index in numbers],
+        linestyles=[style.DASHES[index % len(style.DASHES)] for index in numbers],
         markersize=4,
         ax=ax,
-        **_JOINED,
+        **_JOINED | {"native_scale": False},
     )
-    ax.set_xlim(-0.35, columns - 0.65)
-    ax.grid(axis="y")
-
-
-def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> None:
-    ax.xaxis.tick_top()
-    ax.spines["top"].set_visible(True)
-    ax.spines["bottom"].set_visible(False)
-    narrow = max(int(26 / len(levels)), 6)
-    ax.set_xticks(range(len(levels)), [style.wrap(v, narrow, 24) for v in levels] if i == 0 else [])
-    ax.tick_params(axis="x", labelsize=7, length=0)
-    ax.yaxis.tick_right()
-    ax.spines["left"].set_visible(False)
-    ax.spines["right"].set_visible(j == k - 1)
-    if j < k - 1:
-        ax.tick_params(axis="y", length=0, labelright=False)
-
-
-def _numbers(ax: Axes, table: pd.DataFrame, low: float, high: float) -> None:
-    """Write a table of means, the larger the darker."""
-    import seaborn as sns
-
-    shades = [to_rgba("#0072B2", 0.04), to_rgba("#0072B2", 0.34)]
-    sns.heatmap(
-        table.to_numpy(float),
-        vmin=low,
-        vmax=high,
-        cmap=LinearSegmentedColormap.from_list("means", shades),
-        annot=table.map(significant).to_numpy(),
-        fmt="",
-        annot_kws={"color": style.INK, "fontsize": 7.5 if table.shape[1] < 5 else 6.5},
-        linewidths=2,
-        linecolor="white",
-        cbar=False,
-        xticklabels=False,
-        yticklabels=False,
-        ax=ax,
-    )
-    names = [style.wrap(level, 12, 24) for level in table.index]
-    style.name_rows(ax, 0.5 + np.arange(len(table)), names, 7)
-    ax.tick_params(length=0, pad=2)
-
-
-def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
-    narrow = max(27 // len(levels), 6)
-    names = [style.wrap(v, narrow, 24) if len(levels) < 4 else clean(v, 24) for v in levels]
-    places = 0.5 + np.arange(len(levels))
-    ax.set_xticks(places, names if last else [])
-    if last and len(levels) > 3:
-        ax.set_xticks(places, names, rotation=35, ha="right", rotation_mode="anchor")
-    ax.tick_params(axis="x", labelsize=7)
 
 
 # The figure of the first page: every effect of every response against what matters.
