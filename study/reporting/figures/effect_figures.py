@@ -289,30 +289,28 @@ def _deciding_setting(effect: Effect) -> SimpleEffect | None:
     return effect.deciding_simple
 
 
-def _unit(effect: Effect) -> float:
-    """Smallest difference that matters on the scale of the analysis; 1 without any."""
-    if not effect.practical:
-        return 1.0
-    return (math.log(effect.practical) if effect.is_ratio else effect.practical) or 1.0
-
-
 def _multiples(values: Sequence[float | None], u: float | None, effect: Effect) -> dict[str, float]:
     """Difference, both ends of its interval and its numerical bound, over what matters."""
-    unit = _unit(effect)
 
-    def multiple(value: float | None) -> float:
+    def scaled(value: float | None) -> float:
         if value is None or not math.isfinite(value) or (effect.is_ratio and value <= 0):
             return math.nan
-        return (math.log(value) if effect.is_ratio else value) / unit
+        return math.log(value) if effect.is_ratio else value
 
-    columns = zip(("difference", "low", "high"), map(multiple, values), strict=True)
+    unit = (scaled(effect.practical) if effect.practical else 0.0) or 1.0
+    multiples = (scaled(value) / unit for value in values)
+    columns = zip(("difference", "low", "high"), multiples, strict=True)
     return {**dict(columns), "bound": (u or 0.0) * effect.u_unit / unit}
 
 
 def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canvas:
     """Draw a row a term, the responses below each other, on the band of what does not matter."""
     several = len(all_facts) > 1
-    places, heads = _rows_of(frame, several)
+    # above the rows of a response stands its name, where there are several
+    group = frame.groupby("response", sort=False).ngroup().to_numpy()
+    places = (np.arange(len(frame)) + (group + 1 if several else 0)).tolist()
+    firsts = np.flatnonzero(np.diff(group, prepend=-1)) if several else ()
+    heads = [(places[k] - 1, str(frame["response"].iloc[k])) for k in firsts]
     height = max(places) + 1
     figure, ax = style.one_panel(0.75 + 0.27 * height)
     limited = bool(frame["limited"].all())
@@ -324,13 +322,11 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     ax.axvline(0, color=style.MUTED, linewidth=0.7)
     _mark_multiples(ax, frame, places)
     by_name = {facts.name: facts for facts in all_facts}
-    names = list(frame["name"])
-    rows = [*zip(places, (style.wrap(name, 40, 80) for name in names), strict=True)]
     for place, response in heads:
         edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
         bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
         style.note(ax, clean(by_name[response].title, 60), (0, place), (-3.5, 0), **bold)
-    style.name_rows(ax, [place for place, _ in rows], [name for _, name in rows], 8)
+    style.name_rows(ax, places, [style.wrap(name, 40, 80) for name in frame["name"]], 8)
     for place, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
         style.at_right(
             ax, f"{verdict}:  {words}" if verdict else words, place, _WORD_COLOR.get(verdict)
@@ -339,20 +335,6 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     _scale_of_multiples(ax, frame, limited, all_facts)
     style.clean_left(ax)
     return figure
-
-
-def _rows_of(frame: pd.DataFrame, several: bool) -> tuple[list[int], list[tuple[int, str]]]:
-    """Place of every row, and of the name of every response above its rows."""
-    places: list[int] = []
-    heads: list[tuple[int, str]] = []
-    place = 0
-    for response, rows in frame.groupby("response", sort=False):
-        if several:
-            heads.append((place, str(response)))
-            place += 1
-        places += range(place, place + len(rows))
-        place += len(rows)
-    return places, heads
 
 
 def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> None:
