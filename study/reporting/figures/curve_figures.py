@@ -184,7 +184,7 @@ def draw_layers(frame: pd.DataFrame) -> Canvas:
         )  # fmt: skip
         floor = part["floor_mm"].dropna()
         if len(floor):
-            look = {"color": style.MUTED, "linewidth": 0.8, "linestyle": "--"}
+            look: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.8, "linestyle": "--"}
             ax.axhline(float(floor.iloc[0]), label="floor", **look)
         ticks = part[["place", "layer"]].drop_duplicates()
         ax.set_xticks(ticks["place"], [clean(v, 8) for v in ticks["layer"]])

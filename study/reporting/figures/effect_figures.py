@@ -195,7 +195,8 @@ def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Ca
     """Draw a panel a pair of factors: a line for each level of one over the levels of the other."""
     pairs = list(frame.groupby(["factor", "other"], sort=False))
     figure, axes = style.panels(len(pairs), 3, 2.1, 0.3, sharey=True)
-    for ax, ((first, second), pair) in zip(axes, pairs, strict=True):
+    for ax, (names, pair) in zip(axes, pairs, strict=True):
+        first, second = map(str, names)
         levels, across = data.factors[first], data.factors[second]
         _connect_pairs(ax, pair, levels, across)
         named = [f" {clean(level, 24)}" for level in levels[:_MOST_NAMED]]

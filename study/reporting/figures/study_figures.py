@@ -162,8 +162,8 @@ def draw_failures(frame: pd.DataFrame) -> Canvas:
         if status == "converged":
             marker, color, big = ".", "#c4cad1", 4
         x, y = some["block"].map(columns.index), some["cell"].map(rows.index)
-        look = {"marker": marker, "color": color, "markersize": big}
-        ax.plot(x, y, linestyle="none", label=clean(status, 24), **look)
+        shown = clean(status, 24)
+        ax.plot(x, y, marker, color=color, markersize=big, linestyle="none", label=shown)
     ax.set_xticks(range(len(columns)), [style.wrap(c, 10, 20) for c in columns], fontsize=7.5)
     style.name_rows(ax, range(len(rows)), [style.wrap(r, 80, 70) for r in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)

@@ -165,8 +165,8 @@ def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
     ax.barh(places, percents["total"], color=style.color_of(0), height=0.55, alpha=0.35)
     low, high = percents["low"].clip(0), percents["high"].clip(0, 100)
     ax.hlines(places, low, high, color=style.INK, linewidth=1.4)
-    look = {"markerfacecolor": "none", "color": style.color_of(1), "markersize": 6}
-    ax.plot(percents["alone"], places, "o", **look)
+    color = style.color_of(1)
+    ax.plot(percents["alone"], places, "o", markerfacecolor="none", color=color, markersize=6)
     style.name_rows(
         ax, places, [style.wrap(name_of(str(n), data.labels), 30) for n in frame["factor"]], 8
     )
