@@ -112,10 +112,13 @@ def test_sections_stand_in_the_order_of_the_design(first: str, second: str):
     assert " ".join(re.findall(r'<section id="([^"]+)"', second)) == SECTIONS
 
 
-@pytest.mark.parametrize("which", ["first", "second"])
-def test_page_is_self_contained_and_small(which: str, request: pytest.FixtureRequest):
-    html = request.getfixturevalue(which)
+@pytest.mark.parametrize("which", [0, 1])
+def test_page_is_self_contained_and_small(both: tuple[str, str], which: int):
+    html = both[which]
     page = parsed(html)
+    assert len(page.ids) == len(set(page.ids))
+    assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
+    assert (f"#{tables.CELL}1" in page.links) is bool(which)
     assert not page.tags & {"link", "img", "iframe", "object", "embed", "image"}
     assert only_our_script(html)
     assert all(is_local(link) for link in page.links)
@@ -126,15 +129,6 @@ def test_page_is_self_contained_and_small(which: str, request: pytest.FixtureReq
     addresses = set(re.findall(r"https?://[^\s\"'<]+", html))
     assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
     assert len(html.encode()) < 3_000_000
-
-
-@pytest.mark.parametrize("which", ["first", "second"])
-def test_ids_are_unique_and_links_lead_somewhere(which: str, request: pytest.FixtureRequest):
-    html = request.getfixturevalue(which)
-    page = parsed(html)
-    assert len(page.ids) == len(set(page.ids))
-    assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
-    assert (f"#{tables.CELL}1" in page.links) is (which == "second")
 
 
 def test_no_number_is_longer_than_a_reader_can_use(html: str):
