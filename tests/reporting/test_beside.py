@@ -131,15 +131,6 @@ def test_names_of_users_are_escaped(data: ReportData) -> None:
     assert "&lt;script&gt;" in section(page)
 
 
-def test_no_other_study_no_section(html: str) -> None:
-    assert 'id="beside"' not in html
-
-
-def test_table_is_part_of_the_prepared_report(data: ReportData) -> None:
-    small = replace(data, beside=example(), curves=(), fits=(), responses=())
-    assert set(prepare(small).tables) >= {"beside", "changes"}
-
-
 def test_csv_rows_hold_unrounded_numbers_of_every_term() -> None:
     raw = comparison_content.table(example()).raw
     assert len(raw) == 2 * 6

@@ -1,19 +1,26 @@
-"""What figures compute: numbers without pixels."""
+"""What figures compute and draw: numbers without pixels."""
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
 from scipy import stats
 
 from study.ground.curve import Curve
 from study.reporting.content.recommendation import cost_front
-from study.reporting.content.report_facts import cells, facts
+from study.reporting.content.report_facts import Facts, cells, facts
 from study.reporting.figures import (
     axes,
+    convergence_figures,
     curve_figures,
     effect_figures,
     registry,
@@ -225,3 +232,190 @@ def test_words_can_be_read(color: str):
         contrast = (luminance(ground) + 0.05) / (luminance(color) + 0.05)
         # words of a figure are small: level AA asks for 4.5; on the band for large ones, 3
         assert contrast >= (4.5 if ground == "#ffffff" else 3.0)
+
+
+# Figures show what stands in their frames.
+
+
+@pytest.fixture(scope="module")
+def error(data: ReportData) -> Facts:
+    return facts(data)[0]
+
+
+def points(ax: Axes) -> list[np.ndarray]:
+    """Places of the points of every scatter that has any, each of shape (n, 2)."""
+    scatters = (found for found in ax.collections if isinstance(found, PathCollection))
+    return [np.asarray(found.get_offsets()) for found in scatters if len(found.get_offsets())]
+
+
+def heights(ax: Axes) -> list[float]:
+    """Finite heights of the lines that have markers."""
+    lines = [line for line in ax.lines if line.get_marker() not in ("None", "", None)]
+    return [y for line in lines for y in line.get_ydata() if np.isfinite(y)]
+
+
+def test_main_effects(data: ReportData, error: Facts):
+    frame = effect_figures.level_means(error)
+    (ax,) = effect_figures.draw_level_means(frame, error, data).axes
+    assert heights(ax) == frame["mean"].tolist()
+    assert ax.get_xlabel() == ""
+
+
+def test_effects_stand_at_their_multiples_of_what_matters(data: ReportData):
+    both = facts(data)
+    frame = effect_figures.against_limits(both, data.labels)
+    (ax,) = effect_figures.draw_against_limits(frame, both).axes
+    drawn = [float(line.get_xdata()[0]) for line in ax.lines if line.get_marker() in ("o", "s")]
+    assert drawn == frame["difference"].tolist()
+    first = both[0].effects[0]
+    assert first.range is not None
+    assert first.practical is not None
+    assert frame["difference"][0] == pytest.approx(first.range / first.practical)
+    last = both[1].effects[0]  # of a log response: a ratio
+    assert last.range is not None
+    assert last.practical is not None
+    of_last = (frame["response"] == both[1].name) & (frame["term"] == last.term)
+    row = next(frame[of_last].itertuples())  # what follows is its deciding setting
+    assert row.difference == pytest.approx(math.log(last.range) / math.log(last.practical))
+
+
+def test_effects_without_an_interval_are_drawn_with_their_mesh_error(data: ReportData):
+    both = facts(data)
+    frame = effect_figures.against_limits(both, data.labels).assign(low=np.nan, high=np.nan)
+    (ax,) = effect_figures.draw_against_limits(frame, both).axes
+    assert np.isfinite(ax.get_xlim()).all()
+    (left, _), (right, _) = ax.collections[0].get_segments()[0]
+    assert right - left == pytest.approx(2 * frame["bound"][0])
+
+
+def test_cells(data: ReportData, error: Facts):
+    frame = effect_figures.cell_points(data, error)
+    (ax,) = effect_figures.draw_cells(frame, error, 0.5).axes
+    *strips, means = points(ax)
+    assert np.vstack(strips).tolist() == frame[["value", "rank"]].to_numpy(float).tolist()
+    first = frame.drop_duplicates("rank")
+    assert means.tolist() == first[["cell_mean", "rank"]].to_numpy(float).tolist()
+    assert len(ax.lines) == frame["block"].nunique()
+
+
+def test_cells_of_a_design_without_blocks_have_no_lines(data: ReportData, error: Facts):
+    """A column of blocks that holds none: parameters alone, each cell computed once."""
+    frame = effect_figures.cell_points(data, error).drop_duplicates("rank").assign(block=None)
+    (ax,) = effect_figures.draw_cells(frame, error, 0.5).axes
+    assert not ax.lines
+    *strips, _ = points(ax)
+    assert len(np.vstack(strips)) == len(frame)
+
+
+def test_interactions(data: ReportData, error: Facts):
+    frame = effect_figures.pair_means(data, error)
+    gap = frame.index[0]
+    panels = effect_figures.draw_interactions(frame.drop(gap), error, data).axes
+    first, level, other, other_level, _ = frame.loc[gap]
+    pairs = frame.groupby(["factor", "other"], sort=False)
+    for ax, ((a, b), pair) in zip(panels, pairs, strict=True):
+        means = pair.set_index(["level", "other_level"])["mean"]
+        for line, name in zip(ax.lines, data.factors[a], strict=True):
+            expected = [means[name, across] for across in data.factors[b]]
+            if (a, b, name) == (first, other, level):  # the line breaks where the mean is missing
+                expected[data.factors[b].index(other_level)] = np.nan
+            np.testing.assert_array_equal(line.get_ydata(), expected)
+
+
+def test_residuals(data: ReportData, error: Facts):
+    frame = residual_figures.diagnostic_residual_points(error)
+    figure = residual_figures.draw_residuals(frame, error, data)
+    _, fitted, histogram, factors = figure.axes
+    (line,) = [one for one in fitted.lines if one.get_marker() == "o"]
+    assert line.get_xydata().tolist() == frame[["fitted", "residual"]].to_numpy(float).tolist()
+    sturges = math.ceil(1 + math.log2(len(frame)))
+    counts, edges = np.histogram(frame["residual"], bins=sturges)
+    assert [bar.get_height() for bar in histogram.patches] == counts.tolist()
+    assert [bar.get_x() for bar in histogram.patches] == pytest.approx(edges[:-1])
+    drawn = np.vstack(points(factors))
+    # every residual once for each factor
+    expected = np.sort(np.tile(frame["residual"], len(data.factors)))
+    assert np.sort(drawn[:, 1]).tolist() == expected.tolist()
+
+
+def test_spread(data: ReportData, error: Facts):
+    frame = residual_figures.spread_of_cells(error, 0.05)
+    (ax,) = residual_figures.draw_spread(frame, error).axes
+    (drawn,) = points(ax)
+    assert drawn[:, 0].tolist() == frame["sd"].tolist()
+
+
+def test_contrasts():
+    once = unreplicated()
+    found = facts(once)[0]
+    frame = residual_figures.contrasts(found, once)
+    pareto, half = residual_figures.draw_contrasts(frame, found).axes
+    bars = sorted(pareto.patches, key=lambda bar: bar.get_y())
+    assert [bar.get_width() for bar in bars] == frame["size"].tolist()
+    (drawn,) = points(half)
+    assert drawn.tolist() == frame[["score", "size"]].to_numpy(float).tolist()
+
+
+# Logarithmic axes and legends.
+
+
+def seen(ax, axis: str) -> list[str]:
+    low, high = sorted(ax.get_xlim() if axis == "x" else ax.get_ylim())
+    target = ax.xaxis if axis == "x" else ax.yaxis
+    ax.figure.canvas.draw()
+    labels = zip(target.get_majorticklocs(), target.get_majorticklabels(), strict=True)
+    return [label.get_text() for place, label in labels if low <= place <= high]
+
+
+@pytest.mark.parametrize("low", [1e-9, 0.0031, 0.97, 9.9, 12345.0])
+@pytest.mark.parametrize("ratio", [1.001, 1.05, 1.7, 3.3, 9.0, 11.0, 1e3, 1e12])
+def test_a_logarithmic_axis_shows_two_different_labels(low: float, ratio: float):
+    ax = axes.canvas(3, 6).subplots()
+    ax.loglog([low, low * ratio], [0.07, 0.07 * ratio])
+    axes.log_ticks(ax)
+    for axis in "xy":
+        labels = seen(ax, axis)
+        assert 2 <= len(set(labels)) == len(labels) <= 10
+        assert all(labels)
+
+
+@pytest.mark.parametrize("spread", [1.001, 1.3, 50.0])
+def test_figures_of_convergence_label_both_axes(spread: float):
+    error = 0.03 * np.geomspace(1, spread, 3)
+    frame = pd.DataFrame(
+        {"cell": "a", "mesh_size": [1.0, 1.5, 2.25], "error": error, "formal_order": np.nan}
+    )
+    (ax,) = convergence_figures.draw_errors(frame).axes
+    assert len(seen(ax, "y")) >= 2
+    front = pd.DataFrame({"cell": "a", "seconds": 2.0 * np.geomspace(1, spread, 3), "error": error})
+    (ax,) = convergence_figures.draw_front(front, 0.029).axes
+    assert len(seen(ax, "x")) >= 2
+    assert len(seen(ax, "y")) >= 2
+
+
+@pytest.mark.parametrize("levels", [2, 14, 40])
+def test_cost_against_accuracy_of_many_levels(levels: int):
+    ranges = [f"{k} %" for k in range(levels)]
+    factors = {"material": ["neo-hookean", "reduced-polynomial-3"], "range": ranges}
+    frame = pd.DataFrame(
+        [(m, r) for m in factors["material"] for r in ranges], columns=["material", "range"]
+    )
+    frame["cell"] = frame["material"] + frame["range"]
+    frame["seconds"] = np.geomspace(0.05, 0.2, len(frame))
+    frame["mean"] = np.linspace(6.0, 3.0, len(frame))
+    frame["front"] = True
+    facts: Any = SimpleNamespace(better="lower", title="relative RMS force error", unit="%")
+    data: Any = SimpleNamespace(factors=factors, labels={})
+    found = []
+
+    def draw() -> Any:
+        found.append(study_figures.draw_front(frame, facts, data, 0.5))
+        return found[0]
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # matplotlib gives up a layout with a warning
+        axes.render(draw, "front", "Cost against accuracy")
+    (ax,) = found[0].axes
+    legend = ax.get_legend().get_window_extent()
+    assert legend.x1 <= found[0].bbox.x1
+    assert ax.get_position().height * found[0].get_figheight() > 1.5

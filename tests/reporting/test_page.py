@@ -23,23 +23,10 @@ from study.statistics.analysis.simple_effects import MATTERS
 from tests.reporting.example import FACTORS, build, undrawn, with_failures, words_of
 
 FIRST = ["answer", "effects", "card", "curves", "recommendation"]
-SECTIONS = [
-    "answer",
-    "study",
-    "checks",
-    "numerics",
-    "error",
-    "r-relative-rms-force-error",
-    "r-mu0",
-    "assumptions",
-    "curves",
-    "constants",
-    "failures",
-    "cost",
-    "methods",
-    "provenance",
-    "glossary",
-]
+SECTIONS = (
+    "answer study checks numerics error r-relative-rms-force-error r-mu0 assumptions curves "
+    "constants failures cost methods provenance glossary"
+)
 
 CORPUS = [
     "<script>alert(1)</script>",
@@ -122,13 +109,16 @@ def test_an_unfinished_study_says_so_at_the_top(data: ReportData, html: str):
 
 def test_sections_stand_in_the_order_of_the_design(first: str, second: str):
     assert re.findall(r'<section id="([^"]+)"', first) == FIRST
-    assert re.findall(r'<section id="([^"]+)"', second) == SECTIONS
+    assert " ".join(re.findall(r'<section id="([^"]+)"', second)) == SECTIONS
 
 
-@pytest.mark.parametrize("which", ["first", "second"])
-def test_page_is_self_contained_and_small(which: str, request: pytest.FixtureRequest):
-    html = request.getfixturevalue(which)
+@pytest.mark.parametrize("which", [0, 1])
+def test_page_is_self_contained_and_small(both: tuple[str, str], which: int):
+    html = both[which]
     page = parsed(html)
+    assert len(page.ids) == len(set(page.ids))
+    assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
+    assert (f"#{tables.CELL}1" in page.links) is bool(which)
     assert not page.tags & {"link", "img", "iframe", "object", "embed", "image"}
     assert only_our_script(html)
     assert all(is_local(link) for link in page.links)
@@ -139,15 +129,6 @@ def test_page_is_self_contained_and_small(which: str, request: pytest.FixtureReq
     addresses = set(re.findall(r"https?://[^\s\"'<]+", html))
     assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
     assert len(html.encode()) < 3_000_000
-
-
-@pytest.mark.parametrize("which", ["first", "second"])
-def test_ids_are_unique_and_links_lead_somewhere(which: str, request: pytest.FixtureRequest):
-    html = request.getfixturevalue(which)
-    page = parsed(html)
-    assert len(page.ids) == len(set(page.ids))
-    assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
-    assert (f"#{tables.CELL}1" in page.links) is (which == "second")
 
 
 def test_no_number_is_longer_than_a_reader_can_use(html: str):
@@ -353,18 +334,9 @@ def hostile(data: ReportData, evil: str) -> ReportData:
         block=table["block"].replace("EF10_1", evil + "1"),
     )
     factors = {"material": (evil, "mooney-rivlin"), evil: FACTORS["plates"]}
-    result = None
+    options = {"block": "block", "records": True, "exact": False, "tolerance": 1e-7}
     try:
-        result = anova(
-            table,
-            "mu0",
-            list(factors),
-            block="block",
-            records=True,
-            exact=False,
-            tolerance=1e-7,
-            practical="1 kPa",
-        )
+        result = anova(table, "mu0", list(factors), practical="1 kPa", **options)
     except Exception:  # whatever the analysis makes of such names, the page must be safe
         result = None
     curves = tuple(
@@ -373,28 +345,17 @@ def hostile(data: ReportData, evil: str) -> ReportData:
     )
     return replace(
         data,
-        name=evil,
-        question=evil,
+        **dict.fromkeys(("name", "question", "block", "citation", "design_text"), evil),
+        **dict.fromkeys(("inputs", "assumed", "provenance"), {evil: evil}),
+        **dict.fromkeys(("blocks", "commands", "data_notes", "warnings"), (evil,)),
+        **dict.fromkeys(("controls", "fits", "numerical"), ()),
         factors=factors,
         table=table,
         curves=curves,
         responses=(ResponseAnalysis("mu0", evil, result, 1.0, title=evil, better="lower"),),
-        block=evil,
-        blocks=(evil,),
-        inputs={evil: evil},
-        assumed={evil: evil},
-        citation=evil,
         exclusions=((evil, evil),),
         checks=(Check(evil, "fail", evil, evil),),
-        controls=(),
         failures=(Failure(evil, {"material": evil}, evil, evil, evil),),
-        fits=(),
-        numerical=(),
-        provenance={evil: evil},
-        commands=(evil,),
-        data_notes=(evil,),
-        warnings=(evil,),
-        design_text=evil,
     )
 
 

@@ -104,18 +104,14 @@ RATIO = {"range": 1.373, "ci95": (1.36, 1.38), "practical": 1.1, "scale": "ratio
          "Plates: no practical difference in the relative RMS force error; the largest is "
          "0.020 pp (95 % interval 0.010 to 0.030 pp), within 0.5 pp (repeatable, p < .001, but "
          "too small to matter)."),
+        (effect(CANNOT_TELL, ci95=(0.1, 2.3), p=0.0001, why="the interval crosses"), error(),
+         "Plates: these data cannot show whether it matters for the relative RMS force error; the "
+         "largest difference is 1.20 pp (95 % interval 0.10 to 2.30 pp) against 0.5 pp that "
+         "matters (the interval crosses)."),
     ],
 )  # fmt: skip
 def test_a_verdict_names_levels_difference_and_interval(one: Effect, facts_of: Facts, text: str):
     assert flat(effect_words.verdict(one, facts_of)) == text
-
-
-def test_cannot_tell_is_said_whatever_p_is():
-    one = effect(CANNOT_TELL, ci95=(0.1, 2.3), p=0.0001, why="the interval crosses")
-    text = effect_words.verdict(one, error())
-    assert "these data cannot show whether it matters" in text
-    assert "matters:" not in text
-    assert "the interval crosses" in text
 
 
 @pytest.mark.parametrize(
@@ -140,36 +136,34 @@ def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
     assert table.rows[0][:3] == ("normality", "Ryan-Joiner (n = 30)", "0.9871")
 
 
-def test_tests_that_do_not_apply_say_why():
-    missing = SpreadTest(None, None, None, False, "group a has zero variance")
-    tested = replace(with_result(error(), Assumptions(bartlett=missing)), terms=(effect(MATTERS),))
-    found = {g.name: g.items[0] for g in analysis_content.all_checks(EMPTY, (tested,)).groups}
-    normal, spread = (
-        found[name]
-        for name in ("Residuals as from a normal distribution", "Equal spread of the cells")
-    )
-    assert (normal.outcome, spread.outcome) == ("not applicable", "not applicable")
-    assert normal.finding == "Ryan-Joiner: there are no residuals to test"
-    assert spread.finding == (
-        "neither Bartlett's nor Levene's test applies: group a has zero variance"
-    )
+NORMAL, SPREAD = "Residuals as from a normal distribution", "Equal spread of the cells"
+MISSING = SpreadTest(None, None, None, False, "group a has zero variance")
+LEVENE = SpreadTest(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
+
+
+@pytest.mark.parametrize(
+    ("tests", "name", "outcome", "finding"),
+    [
+        (Assumptions(bartlett=MISSING), NORMAL, "not applicable",
+         "Ryan-Joiner: there are no residuals to test"),
+        (Assumptions(bartlett=MISSING), SPREAD, "not applicable",
+         "neither Bartlett's nor Levene's test applies: group a has zero variance"),
+        # the simulated p decides
+        (Assumptions(levene=LEVENE), SPREAD, "pass", "not rejected (Levene p = .200)"),
+    ],
+)  # fmt: skip
+def test_a_check_says_why(tests: Assumptions, name: str, outcome: str, finding: str):
+    tested = replace(with_result(error(), tests), terms=(effect(MATTERS),))
+    checks = analysis_content.all_checks(EMPTY, (tested,)).groups
+    (check,) = next(group.items for group in checks if group.name == name)
+    assert (check.outcome, check.finding) == (outcome, finding)
     assert tested.result is not None
-    assert analysis_content.checks(tested.result) is None
-
-
-def test_monte_carlo_p_decides_the_spread():
-    found = SpreadTest(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
-    assert not effect_words.rejects(found)
-    tested = replace(with_result(error(), Assumptions(levene=found)), terms=(effect(MATTERS),))
-    groups = analysis_content.all_checks(EMPTY, (tested,)).groups
-    (check,) = next(group.items for group in groups if "spread" in group.name)
-    assert (check.outcome, check.finding) == ("pass", "not rejected (Levene p = .200)")
+    shown = analysis_content.checks(tested.result)
+    assert (shown is None) is (tests.levene is None)
 
 
 def test_methods_name_the_tests_that_ran_and_no_other():
-    levene = SpreadTest(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
-    missing = SpreadTest(None, None, None, False, "group a has zero variance")
-    tests = Assumptions(bartlett=missing, levene=levene)
+    tests = Assumptions(bartlett=MISSING, levene=LEVENE)
     one = replace(with_result(error(), tests), terms=(effect(MATTERS),))
     none = replace(with_result(modulus(), Assumptions()), terms=(effect(MATTERS),))
     assert methods.residual_tests((none,), EMPTY) == ""
@@ -250,14 +244,8 @@ def test_copies_are_one_computation_and_named_together(data: ReportData):
     assert sum(map(len, ranked)) == 32
     assert [g.mean for g in ranked] == sorted(g.mean for g in ranked)
     spaces, orders = ("axisymmetric", "3d"), ("linear", "quadratic")
-    four = Group(
-        1.0,
-        tuple(
-            dict(zip(data.factors, ("mooney-rivlin", "frictionless", s, o), strict=True))
-            for s in spaces
-            for o in orders
-        ),
-    )
+    cells = (("mooney-rivlin", "frictionless", s, o) for s in spaces for o in orders)
+    four = Group(1.0, tuple(dict(zip(data.factors, cell, strict=True)) for cell in cells))
     assert describe(four, data) == "mooney-rivlin, frictionless, any space, any element order"
     odd = Group(1.0, (*four.members[:2], {**four.members[3], "material": "neo-hookean"}))
     assert describe(odd, data).endswith("(and 2 cells that agree with it in every phantom)")
@@ -330,22 +318,17 @@ def test_a_factor_that_the_mesh_leaves_open_names_the_setting_and_the_bound_ther
         "below \u00d7 1.07."
     )
     pair = SimpleEffect("b", "c", (), 1.03, (1.02, 1.04), None, 2.0, NOT_RESOLVED)
-    of_three = replace(order, largest=("a", "c"), simple_effects=(pair,))
-    assert "; between b and c it is \u00d7 1.030, and the numerical uncertainty there" in flat(
-        effect_words.verdict(of_three, modulus())
-    )
-    unknown = replace(
-        order, simple_effects=(*settings, replace(settings[1], difference=1.03, u=None))
-    )
-    assert (
-        "at plates bonded, material yeoh it is \u00d7 1.030, and the numerical uncertainty there, "
-        "which these meshes do not bound, would have to be below \u00d7 1.07."
-        in flat(effect_words.verdict(unknown, modulus()))
-    )
-    alone = replace(order, simple_effects=())
-    assert "and its numerical uncertainty \u00d7 1.02 would have to be below" in flat(
-        effect_words.verdict(alone, modulus())
-    )
+    unknown = (*settings, replace(settings[1], difference=1.03, u=None))
+    for other, words in (
+        (replace(order, largest=("a", "c"), simple_effects=(pair,)),
+         "; between b and c it is \u00d7 1.030, and the numerical uncertainty there"),
+        (replace(order, simple_effects=unknown),
+         "at plates bonded, material yeoh it is \u00d7 1.030, and the numerical uncertainty "
+         "there, which these meshes do not bound, would have to be below \u00d7 1.07."),
+        (replace(order, simple_effects=()),
+         "and its numerical uncertainty \u00d7 1.02 would have to be below"),
+    ):  # fmt: skip
+        assert words in flat(effect_words.verdict(other, modulus()))
 
 
 def test_what_would_change_an_effect_that_the_mesh_leaves_open(data: ReportData):

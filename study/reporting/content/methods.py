@@ -91,7 +91,8 @@ def _scores(data: ReportData) -> str:
 
 
 def _intervals(data: ReportData, all_facts: Sequence[Facts]) -> str:
-    if not any(effect.low is not None for facts in all_facts for effect in facts.terms):
+    has_ends = any(effect.low is not None for facts in all_facts for effect in facts.terms)
+    if data.is_table or not has_ends:
         return ""
     return sentence(
         f"intervals have a level of {level(data.alpha)} and, over the differences of one effect, "

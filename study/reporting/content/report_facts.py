@@ -212,28 +212,19 @@ def _places(data: ReportData, facts: Facts, frame: pd.DataFrame) -> list[int]:
 
 def describe(group: Group, data: ReportData) -> str:
     """Name a group by its levels, or by its first cell where it is no full crossing."""
-    chosen = {name: _levels(group, name, data) for name in data.factors}
-    total = 1
-    for levels in chosen.values():
-        total *= len(levels)
-    if total != len(group):
+    present = {name: {member[name] for member in group.members} for name in data.factors}
+    if math.prod(map(len, present.values())) != len(group):
         first = ", ".join(clean(level) for level in group.members[0].values())
         block = clean(data.block) or "block"
         others = len(group) - 1
         agree = f"{count(others, 'cell')} that agree{'s' * (others == 1)} with it in every {block}"
         return f"{first} (and {agree})"
-    return ", ".join(_words(name, levels, data) for name, levels in chosen.items())
-
-
-def _levels(group: Group, name: str, data: ReportData) -> Sequence[str]:
-    present = {member[name] for member in group.members}
-    return [level for level in data.factors[name] if level in present]
-
-
-def _words(name: str, levels: Sequence[str], data: ReportData) -> str:
-    if len(levels) == len(data.factors[name]) > 1:
-        return f"any {name_of(name, data.labels)}"
-    return listing([clean(level) for level in levels], "or")
+    return ", ".join(
+        f"any {name_of(name, data.labels)}"
+        if len(present[name]) == len(levels) > 1
+        else listing([clean(level) for level in levels if level in present[name]], "or")
+        for name, levels in data.factors.items()
+    )
 
 
 def grouped_inputs(inputs: Mapping[str, str]) -> dict[str, str]:

@@ -182,7 +182,12 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
         several = len(large) > 1
         parts.append(f"the choice{'s' * several} of {listed} matter{'s' * (not several)}")
     if small := named.pop(NO_DIFFERENCE, []):
-        names = listing([_with_doubt(e, facts, data) for e in small], "or")
+        doubts = (
+            f" (not shown if {blocks_needed(e, facts)} is left out)" if e.lost_without else ""
+            for e in small
+        )
+        named_small = [_label(e, data) + doubt for e, doubt in zip(small, doubts, strict=True)]
+        names = listing(named_small, "or")
         choice = "that of" if parts else "the choice of"
         parts.append(f"{choice} {names} makes no practical difference")
     for verdict in (NOT_RESOLVED, CANNOT_TELL):
@@ -198,14 +203,6 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
 
 def _label(effect: Effect, data: ReportData) -> str:
     return term_name(effect.term, data.labels)
-
-
-def _with_doubt(effect: Effect, facts: Facts, data: ReportData) -> str:
-    """Name of a factor without practical difference, and what that claim hangs on."""
-    if not effect.lost_without:
-        return _label(effect, data)
-    needed = blocks_needed(effect, facts)
-    return f"{_label(effect, data)} (not shown if {needed} is left out)"
 
 
 def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:

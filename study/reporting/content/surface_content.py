@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from study.reporting.results.study_answers import Confirmed, Inverted, Recommendation
     from study.reporting.results.study_result import ReportData
     from study.statistics.surfaces.quadratic import SurfaceTerm
-    from study.statistics.surfaces.surface_factors import Extreme
     from study.statistics.surfaces.surface_profile import FittedSurface
     from study.statistics.surfaces.surface_result import Sensitivity, SurfaceAnalysis
 
@@ -208,11 +207,14 @@ def extremes(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
     found = one.found
     if found is None:
         return ()
-    return tuple(
-        f"The {word} prediction in these ranges is {_extreme(extreme, one)} at "
-        f"{settings(found.runs.settings(extreme.at), one, data)}."
-        for word, extreme in (("smallest", found.smallest), ("largest", found.largest))
-    )
+    lines = []
+    for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):
+        value = quantity(extreme.value, clean(one.unit))
+        if extreme.half_width == extreme.half_width:  # NaN where no run can be left out
+            value += f" \N{PLUS-MINUS SIGN} {significant(extreme.half_width, 2)}"
+        at = settings(found.runs.settings(extreme.at), one, data)
+        lines.append(f"The {word} prediction in these ranges is {value} at {at}.")
+    return tuple(lines)
 
 
 def surface_lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
@@ -418,13 +420,6 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
 def _share(value: float, ends: tuple[float, float]) -> str:
     low, high = (max(0.0, min(1.0, end)) for end in ends)
     return f"{percent(max(value, 0.0))} [{percent(low)}, {percent(high)}]"
-
-
-def _extreme(extreme: Extreme, one: FittedSurface) -> str:
-    value = quantity(extreme.value, clean(one.unit))
-    if extreme.half_width != extreme.half_width:  # NaN where no run can be left out
-        return value
-    return f"{value} \N{PLUS-MINUS SIGN} {significant(extreme.half_width, 2)}"
 
 
 def _table_name(kind: str, one: FittedSurface) -> str:

@@ -428,7 +428,10 @@ def failure_sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tup
             f"Every case failed ({causes}): no setting of this study gives an answer, so none of "
             "its factors can be blamed.",
         )
-    where = "; ".join(_rule(rule, labels) for rule in pattern.rules)
+    where = "; ".join(
+        f"{', '.join(_settings(rule, labels))}: {rule.failed:,} of {rule.total:,}"
+        for rule in pattern.rules
+    )
     bad, rest = pattern.elsewhere
     if where and rest:
         text = f"Where cases fail: {where}; elsewhere {bad:,} of {rest:,}."
@@ -442,12 +445,8 @@ def failure_sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tup
     return text, f"Causes: {causes}.", _blamed(pattern, labels)
 
 
-def _rule(rule: FailureRule, labels: Mapping[str, str]) -> str:
-    """Write the settings of a rule and how many of its cases failed."""
-    settings = [
-        f"{name_of(factor, labels)} {clean(level)}" for factor, level in rule.settings.items()
-    ]
-    return f"{', '.join(settings)}: {rule.failed:,} of {rule.total:,}"
+def _settings(rule: FailureRule, labels: Mapping[str, str]) -> list[str]:
+    return [f"{name_of(factor, labels)} {clean(level)}" for factor, level in rule.settings.items()]
 
 
 def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
@@ -457,12 +456,7 @@ def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
         if test.p_holm < _ALPHA
     ]
     pairs = [rule for rule in pattern.rules if len(rule.settings) > 1]
-    joint = " and of ".join(
-        listing(
-            [f"{name_of(name, labels)} {clean(level)}" for name, level in rule.settings.items()]
-        )
-        for rule in pairs
-    )
+    joint = " and of ".join(listing(_settings(rule, labels)) for rule in pairs)
     if pairs:
         alone = f"; {listing(blamed)} differ already by themselves" if blamed else ""
         return f"What fails is the combination of {joint}{alone}."

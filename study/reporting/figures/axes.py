@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import re
 import textwrap
 import warnings
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
 
 #: width of a figure, inches
 WIDTH_IN = 9.6
-#: labels of a logarithmic axis beyond which some are left out
-_MOST_TICKS = 9
 
 
 def labeled(words: str, unit: str | None) -> str:
@@ -66,39 +63,17 @@ def name_rows(
             note(ax, line, (0, place), (-3.5, higher), **look)
 
 
-def log_places(low: float, high: float) -> list[float]:
-    """Places of the ticks of a logarithmic axis: at least two, as round as that allows.
-
-    Examples
-    --------
-    >>> log_places(0.02, 300.0)
-    [0.1, 1.0, 10.0, 100.0]
-    >>> log_places(1.5, 6.0)
-    [2.0, 5.0]
-    >>> log_places(2.1, 2.4)
-    [2.1, 2.2, 2.3, 2.4]
-    """
-    from matplotlib.ticker import MaxNLocator
-
-    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    for digits in ((1,), (1, 2, 5), range(1, 10)):
-        places = [float(f"{digit}e{exponent}") for exponent in exponents for digit in digits]
-        inside = [place for place in places if low <= place <= high]
-        if len(inside) >= 2:
-            return inside[:: -(-len(inside) // _MOST_TICKS)]
-    steps = MaxNLocator(4).tick_values(low, high)
-    rounded = [float(f"{place:.6g}") for place in steps]
-    return [place for place in rounded if low * (1 - 1e-9) <= place <= high * (1 + 1e-9)]
-
-
 def log_ticks(ax: Axes, axes: str = "xy", label: Callable[[float], str] = "{:g}".format) -> None:
     """Label logarithmic axes, whose limits are final, at two places at least."""
-    from matplotlib.ticker import NullFormatter
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
     for name in axes:
         axis = ax.xaxis if name == "x" else ax.yaxis
         low, high = sorted(axis.get_view_interval())
-        places = log_places(low, high)
+        # within a decade powers of ten are too few
+        steps = (1.0, 2.0, 5.0) if high < 1000 * low else (1.0,)
+        locator = LogLocator(subs=steps, numticks=9) if high > 10 * low else MaxNLocator(4)
+        places = [place for place in locator.tick_values(low, high) if low <= place <= high]
         axis.set_ticks(places, labels=[label(place) for place in places])
         axis.set_minor_formatter(NullFormatter())
 
@@ -297,7 +272,11 @@ def _inline(text: str, name: str, title: str) -> str:
             # ids that nothing refers to only make the page longer
             element.attrib.pop("id", None)
         for key in element.attrib.keys() & {"d", "x", "y"}:
-            element.attrib[key] = _DECIMALS.sub(_shorter, element.attrib[key])
+            # hundredths of a point are finer than any screen or printer
+            element.attrib[key] = _DECIMALS.sub(
+                lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."),
+                element.attrib[key],
+            )
         if element.tag.endswith("}text"):
             element.attrib["style"] = _FAMILY.sub("", element.attrib["style"])
             if element.attrib.get("transform", "").startswith("rotate(-0 "):
@@ -306,11 +285,6 @@ def _inline(text: str, name: str, title: str) -> str:
         root.attrib.pop(dimension, None)
     root.attrib.update({"role": "img", "aria-label": title})
     return ElementTree.tostring(root, encoding="unicode")
-
-
-def _shorter(number: re.Match[str]) -> str:
-    """Hundredths of a point are finer than any screen or printer."""
-    return f"{float(number.group()):.2f}".rstrip("0").rstrip(".")
 
 
 # A figure is its title, its points, its drawing and its caption, or why it is missing.

@@ -154,7 +154,7 @@ def layer_points(data: ReportData) -> pd.DataFrame:
     """RMS error of every layer of every case, all markers fitted with the freest plate."""
     rows = [
         {
-            "state": case.state, "group": next(iter(case.levels.values()), "all"),
+            "state": case.state, "group": clean(next(iter(case.levels.values()), "all"), 30),
             "cell": " / ".join(case.levels.values()), "place": place, "layer": layer,
             "error_mm": math.nan if error is None else error, "floor_mm": case.floor_mm,
         }
@@ -170,34 +170,31 @@ def layer_points(data: ReportData) -> pd.DataFrame:
 
 def draw_layers(frame: pd.DataFrame) -> Canvas:
     """Draw a panel a state: a line for each cell, colored by the first factor."""
+    import seaborn as sns
+
     states = list(dict.fromkeys(frame["state"]))
     figure, axes = style.panels(len(states), len(states), 2.6, 0.0, sharey=True)
     groups = list(dict.fromkeys(frame["group"]))
+    colors = {group: style.color_of(number) for number, group in enumerate(groups)}
     for ax, state in zip(axes, states, strict=True):
-        _marker_layers_panel(ax, frame[frame["state"] == state], groups)
+        part = frame[frame["state"] == state]
+        sns.lineplot(
+            part, x="place", y="error_mm", hue="group", palette=colors, units="cell",
+            estimator=None, linewidth=0.9, legend=ax is axes[0], ax=ax,
+        )  # fmt: skip
+        floor = part["floor_mm"].dropna()
+        if len(floor):
+            look: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.8, "linestyle": "--"}
+            ax.axhline(float(floor.iloc[0]), label="floor", **look)
+        ticks = part[["place", "layer"]].drop_duplicates()
+        ax.set_xticks(ticks["place"], [clean(v, 8) for v in ticks["layer"]])
         ax.set_title(clean(state, 30), fontsize=8)
+        ax.set(xlabel="", ylabel="")
     axes[0].set_ylabel("RMS error of markers (mm)", fontsize=8.5)
-    axes[0].legend(fontsize=6.5, frameon=False, loc="upper left")
+    axes[0].legend(fontsize=6.5, loc="upper left")
     axes[0].set_ylim(bottom=0.0)
     figure.supxlabel("layer of markers, from the base up")
     return figure
-
-
-def _marker_layers_panel(ax: Axes, part: pd.DataFrame, groups: list[str]) -> None:
-    for number, group in enumerate(groups):
-        rows = part[part["group"] == group]
-        for k, (_, line) in enumerate(rows.groupby("cell", sort=False)):
-            label = clean(group, 30) if k == 0 else None
-            ax.plot(
-                line["place"], line["error_mm"], color=style.color_of(number), lw=0.9, label=label
-            )
-    floor = part["floor_mm"].dropna()
-    if len(floor):
-        ax.axhline(
-            float(floor.iloc[0]), color=style.MUTED, linewidth=0.8, linestyle="--", label="floor"
-        )
-    ticks = part[["place", "layer"]].drop_duplicates()
-    ax.set_xticks(ticks["place"], [clean(v, 8) for v in ticks["layer"]])
 
 
 def caption(frame: pd.DataFrame) -> str:

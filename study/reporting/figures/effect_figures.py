@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure as Canvas
 
 from study.reporting.content.effect_words import (
@@ -171,7 +170,10 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
     sns.scatterplot(means, x="cell_mean", y="rank", zorder=3, legend=False, ax=ax, **diamonds)
 
 
-# The interaction matrix: lines above the diagonal, cell means below.
+# Interactions: a panel for every pair of factors.
+
+#: levels that a panel names
+_MOST_NAMED = 7
 
 
 def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
@@ -190,119 +192,45 @@ def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
 
 
 def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
-    """Draw a matrix: lines above the diagonal, the same means as numbers below it."""
-    factors = data.factors
-    k = len(factors)
-    figure = style.canvas(0.7 + 1.45 * k)
-    axes = figure.subplots(k, k, squeeze=False)
-    low, high = float(frame["mean"].min()), float(frame["mean"].max())
-    pad = 0.08 * (high - low or abs(high) or 1.0)
-    names = list(factors)
-    for i, first in enumerate(names):
-        _diagonal(axes[i][i], name_of(first, data.labels), factors[first])
-        for j in range(i + 1, k):
-            second = names[j]
-            pair = frame[(frame["factor"] == first) & (frame["other"] == second)]
-            # a combination that has no mean is NaN: no point, no number
-            table = pair.pivot_table(index="level", columns="other_level", values="mean").reindex(
-                index=list(factors[first]), columns=list(factors[second])
-            )
-            upper, lower = axes[i][j], axes[j][i]
-            _lines(upper, table)
-            upper.set_ylim(low - pad, high + pad)
-            _upper_ticks(upper, i, j, k, factors[second])
-            _numbers(lower, table.T, low, high)
-            _lower_ticks(lower, factors[first], j == k - 1)
-    figure.suptitle(style.labeled(facts.title, facts.unit), x=0.01, ha="left")
+    """Draw a panel a pair of factors: a line for each level of one over the levels of the other."""
+    pairs = list(frame.groupby(["factor", "other"], sort=False))
+    figure, axes = style.panels(len(pairs), 3, 2.1, 0.3, sharey=True)
+    for ax, (names, pair) in zip(axes, pairs, strict=True):
+        first, second = map(str, names)
+        levels, across = data.factors[first], data.factors[second]
+        _connect_pairs(ax, pair, levels, across)
+        named = [f" {clean(level, 24)}" for level in levels[:_MOST_NAMED]]
+        title = clean(name_of(first, data.labels), 22)
+        ax.legend(ax.lines[: len(named)], named, title=title, fontsize=7, title_fontsize=7)
+        narrow = max(int(26 / len(across)), 6)
+        ax.set_xticks(range(len(across)), [style.wrap(level, narrow, 24) for level in across])
+        ax.tick_params(axis="x", labelsize=7, length=0)
+        ax.set(xlabel=clean(name_of(second, data.labels), 30), ylabel="")
+        ax.grid(axis="y")
+    figure.supylabel(style.labeled(facts.title, facts.unit))
     return figure
 
 
-def _diagonal(ax: Axes, name: str, levels: Sequence[str]) -> None:
-    ax.set_axis_off()
-    ax.set_xlim(0, 1)
-    ax.set_ylim(0, 1)
-    shown = list(levels)[:7]
-    step = min(0.15, 0.7 / len(shown))
-    top = 0.5 + step * (len(shown) + 0.4) / 2
-    ax.text(0.02, top, clean(name, 22), fontweight="bold", va="center")
-    for index, shown_level in enumerate(shown):
-        y = top - step * (index + 1.2)
-        look = {
-            "color": style.color_of(index),
-            "linestyle": style.DASHES[index % len(style.DASHES)],
-        }
-        ax.plot([0.03, 0.17], [y, y], marker=style.MARKERS[index % 7], markersize=3.5, **look)
-        ax.text(0.22, y, clean(shown_level, 24), va="center", fontsize=7.5)
-
-
-def _lines(ax: Axes, table: pd.DataFrame) -> None:
-    """Draw a line for every row of a table of means, a point for every column."""
+def _connect_pairs(
+    ax: Axes, pair: pd.DataFrame, levels: Sequence[str], across: Sequence[str]
+) -> None:
+    """Draw the lines of a pair; a combination that has no mean is a gap."""
     import seaborn as sns
 
-    rows, columns = table.shape
+    numbers = range(len(levels))
     sns.pointplot(
-        x=np.tile(np.arange(columns), rows),
-        y=table.to_numpy(float).ravel(),
-        hue=np.repeat(np.asarray(table.index, dtype=object), columns),
-        hue_order=list(table.index),
-        palette=[style.color_of(index) for index in range(rows)],
-        markers=[style.MARKERS[index % 7] for index in range(rows)],
-        linestyles=[style.DASHES[index % len(style.DASHES)] for index in range(rows)],
+        x=pair["other_level"].map({level: place for place, level in enumerate(across)}),
+        y=pair["mean"],
+        hue=pair["level"].map({level: number for number, level in enumerate(levels)}),
+        hue_order=numbers,
+        order=range(len(across)),
+        palette=[style.color_of(index) for index in numbers],
+        markers=[style.MARKERS[index % 7] for index in numbers],
+        linestyles=[style.DASHES[index % len(style.DASHES)] for index in numbers],
         markersize=4,
         ax=ax,
-        **_JOINED,
+        **_JOINED | {"native_scale": False},
     )
-    ax.set_xlim(-0.35, columns - 0.65)
-    ax.grid(axis="y")
-
-
-def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> None:
-    ax.xaxis.tick_top()
-    ax.spines["top"].set_visible(True)
-    ax.spines["bottom"].set_visible(False)
-    narrow = max(int(26 / len(levels)), 6)
-    ax.set_xticks(range(len(levels)), [style.wrap(v, narrow, 24) for v in levels] if i == 0 else [])
-    ax.tick_params(axis="x", labelsize=7, length=0)
-    ax.yaxis.tick_right()
-    ax.spines["left"].set_visible(False)
-    ax.spines["right"].set_visible(j == k - 1)
-    if j < k - 1:
-        ax.tick_params(axis="y", length=0, labelright=False)
-
-
-def _numbers(ax: Axes, table: pd.DataFrame, low: float, high: float) -> None:
-    """Write a table of means, the larger the darker."""
-    import seaborn as sns
-
-    shades = [to_rgba("#0072B2", 0.04), to_rgba("#0072B2", 0.34)]
-    sns.heatmap(
-        table.to_numpy(float),
-        vmin=low,
-        vmax=high,
-        cmap=LinearSegmentedColormap.from_list("means", shades),
-        annot=table.map(significant).to_numpy(),
-        fmt="",
-        annot_kws={"color": style.INK, "fontsize": 7.5 if table.shape[1] < 5 else 6.5},
-        linewidths=2,
-        linecolor="white",
-        cbar=False,
-        xticklabels=False,
-        yticklabels=False,
-        ax=ax,
-    )
-    names = [style.wrap(level, 12, 24) for level in table.index]
-    style.name_rows(ax, 0.5 + np.arange(len(table)), names, 7)
-    ax.tick_params(length=0, pad=2)
-
-
-def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
-    narrow = max(27 // len(levels), 6)
-    names = [style.wrap(v, narrow, 24) if len(levels) < 4 else clean(v, 24) for v in levels]
-    places = 0.5 + np.arange(len(levels))
-    ax.set_xticks(places, names if last else [])
-    if last and len(levels) > 3:
-        ax.set_xticks(places, names, rotation=35, ha="right", rotation_mode="anchor")
-    ax.tick_params(axis="x", labelsize=7)
 
 
 # The figure of the first page: every effect of every response against what matters.
@@ -362,30 +290,28 @@ def _deciding_setting(effect: Effect) -> SimpleEffect | None:
     return effect.deciding_simple
 
 
-def _unit(effect: Effect) -> float:
-    """Smallest difference that matters on the scale of the analysis; 1 without any."""
-    if not effect.practical:
-        return 1.0
-    return (math.log(effect.practical) if effect.is_ratio else effect.practical) or 1.0
-
-
 def _multiples(values: Sequence[float | None], u: float | None, effect: Effect) -> dict[str, float]:
     """Difference, both ends of its interval and its numerical bound, over what matters."""
-    unit = _unit(effect)
 
-    def multiple(value: float | None) -> float:
+    def scaled(value: float | None) -> float:
         if value is None or not math.isfinite(value) or (effect.is_ratio and value <= 0):
             return math.nan
-        return (math.log(value) if effect.is_ratio else value) / unit
+        return math.log(value) if effect.is_ratio else value
 
-    columns = zip(("difference", "low", "high"), map(multiple, values), strict=True)
+    unit = (scaled(effect.practical) if effect.practical else 0.0) or 1.0
+    multiples = (scaled(value) / unit for value in values)
+    columns = zip(("difference", "low", "high"), multiples, strict=True)
     return {**dict(columns), "bound": (u or 0.0) * effect.u_unit / unit}
 
 
 def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canvas:
     """Draw a row a term, the responses below each other, on the band of what does not matter."""
     several = len(all_facts) > 1
-    places, heads = _rows_of(frame, several)
+    # above the rows of a response stands its name, where there are several
+    group = frame.groupby("response", sort=False).ngroup().to_numpy()
+    places = (np.arange(len(frame)) + (group + 1 if several else 0)).tolist()
+    firsts = np.flatnonzero(np.diff(group, prepend=-1)) if several else ()
+    heads = [(places[k] - 1, str(frame["response"].iloc[k])) for k in firsts]
     height = max(places) + 1
     figure, ax = style.one_panel(0.75 + 0.27 * height)
     limited = bool(frame["limited"].all())
@@ -397,13 +323,11 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     ax.axvline(0, color=style.MUTED, linewidth=0.7)
     _mark_multiples(ax, frame, places)
     by_name = {facts.name: facts for facts in all_facts}
-    names = list(frame["name"])
-    rows = [*zip(places, (style.wrap(name, 40, 80) for name in names), strict=True)]
     for place, response in heads:
         edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
         bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
         style.note(ax, clean(by_name[response].title, 60), (0, place), (-3.5, 0), **bold)
-    style.name_rows(ax, [place for place, _ in rows], [name for _, name in rows], 8)
+    style.name_rows(ax, places, [style.wrap(name, 40, 80) for name in frame["name"]], 8)
     for place, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
         style.at_right(
             ax, f"{verdict}:  {words}" if verdict else words, place, _WORD_COLOR.get(verdict)
@@ -412,20 +336,6 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     _scale_of_multiples(ax, frame, limited, all_facts)
     style.clean_left(ax)
     return figure
-
-
-def _rows_of(frame: pd.DataFrame, several: bool) -> tuple[list[int], list[tuple[int, str]]]:
-    """Place of every row, and of the name of every response above its rows."""
-    places: list[int] = []
-    heads: list[tuple[int, str]] = []
-    place = 0
-    for response, rows in frame.groupby("response", sort=False):
-        if several:
-            heads.append((place, str(response)))
-            place += 1
-        places += range(place, place + len(rows))
-        place += len(rows)
-    return places, heads
 
 
 def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> None:

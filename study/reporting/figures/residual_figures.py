@@ -55,8 +55,7 @@ def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Pointwise 95 % envelope of ``m`` sorted null contrasts, the largest first."""
     z = np.abs(np.random.default_rng(seed).standard_normal((_HALF_NORMAL_SIMULATIONS, m)))
     z *= pse / pseudo_standard_error(z)[:, None]
-    z = np.sort(z, axis=1)[:, ::-1]
-    low, high = np.quantile(z, [0.025, 0.975], axis=0)
+    low, high = np.quantile(np.sort(z, axis=1)[:, ::-1], [0.025, 0.975], axis=0)
     return low, high
 
 
@@ -268,18 +267,13 @@ def draw_residuals(
     fits.set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
     _histogram(histogram, points["residual"].to_numpy(float), label)
     if ordered:
-        _in_order(last, shown, label)
+        _against(last, shown["row"], shown["residual"])
+        if len(shown) <= MOST_JOINED:
+            last.lines[-1].set(linestyle="-", linewidth=0.7)
+        last.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
     else:
         _against_factors(last, shown, data, label)
     return figure
-
-
-def _in_order(ax: Axes, shown: pd.DataFrame, label: str) -> None:
-    """Draw the residuals in the order of the rows, joined where they are few."""
-    ax.axhline(0, color=style.MUTED, linewidth=0.7)
-    ax.plot(shown["row"], shown["residual"], "o-" if len(shown) <= MOST_JOINED else "o",
-            markersize=3.2, linewidth=0.7, color=style.color_of(0), markeredgewidth=0)  # fmt: skip
-    ax.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
 
 
 def _probability(

@@ -158,15 +158,12 @@ def draw_failures(frame: pd.DataFrame) -> Canvas:
     figure, ax = style.one_panel(0.9 + 0.2 * len(rows))
     for index, status in enumerate(statuses):
         some = frame[frame["status"] == status]
-        good = status == "converged"
-        x, y = map(columns.index, some["block"]), map(rows.index, some["cell"])
         marker, color, big = style.MARKERS[(index + 1) % 7], style.color_of(index), 7
-        if good:
+        if status == "converged":
             marker, color, big = ".", "#c4cad1", 4
-        ax.plot(
-            list(x), list(y), linestyle="none", marker=marker, color=color, markersize=big,
-            label=clean(status, 24),
-        )  # fmt: skip
+        x, y = some["block"].map(columns.index), some["cell"].map(rows.index)
+        shown = clean(status, 24)
+        ax.plot(x, y, marker, color=color, markersize=big, linestyle="none", label=shown)
     ax.set_xticks(range(len(columns)), [style.wrap(c, 10, 20) for c in columns], fontsize=7.5)
     style.name_rows(ax, range(len(rows)), [style.wrap(r, 80, 70) for r in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)
@@ -207,9 +204,7 @@ def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
     ax.set_xlabel("scored to a displacement of (mm)")
     what = "ratio" if facts.ratio else f"difference ({facts.difference_unit})"
     ax.set_ylabel(f"largest {what} between levels")
-    ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0))
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return figure
 
 

@@ -30,7 +30,7 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
     surface = fitted.found
     if surface is None:
         return {}
-    pair = strongest(surface)[:2]
+    pair, errors = strongest(surface)[:2], left_out(surface) or ()
     plots: dict[str, Plot] = {
         "shares": (
             "Shares of the variance",
@@ -52,7 +52,7 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
         ),
         "left-out": (
             "Runs predicted from the others",
-            lambda: _left_out(surface),
+            lambda: pd.DataFrame(dict(zip(("simulated", "predicted"), errors, strict=True))),
             lambda frame: _draw_left_out(frame, fitted, data),
             lambda frame: _left_out_caption(frame, fitted, data),
         ),
@@ -60,13 +60,12 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
     has = {
         "shares": any(item.index is not None for item in surface.sensitivity),
         "contours": len(surface.runs.factors) > 1,
-        "left-out": left_out(surface) is not None,
+        "left-out": bool(errors),
     }
     return {kind: plot for kind, plot in plots.items() if has.get(kind, True)}
 
 
 def _profiles(surface: SurfaceAnalysis) -> pd.DataFrame:
-
     by_factor = profiles(surface)
     return pd.concat(
         pd.DataFrame({"factor": n, "setting": at, "value": p.value, "low": p.low, "high": p.high})
@@ -100,7 +99,6 @@ def _draw_profiles(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData)
 
 
 def _contours(surface: SurfaceAnalysis, pair: Sequence[str]) -> pd.DataFrame:
-
     grid = contour(surface, pair)
     x, y = np.meshgrid(grid.x, grid.y)
     return pd.DataFrame({pair[0]: x.ravel(), pair[1]: y.ravel(), "value": grid.value.ravel()})
@@ -167,14 +165,8 @@ def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
     ax.barh(places, percents["total"], color=style.color_of(0), height=0.55, alpha=0.35)
     low, high = percents["low"].clip(0), percents["high"].clip(0, 100)
     ax.hlines(places, low, high, color=style.INK, linewidth=1.4)
-    ax.plot(
-        percents["alone"],
-        places,
-        "o",
-        markerfacecolor="none",
-        color=style.color_of(1),
-        markersize=6,
-    )
+    color = style.color_of(1)
+    ax.plot(percents["alone"], places, "o", markerfacecolor="none", color=color, markersize=6)
     style.name_rows(
         ax, places, [style.wrap(name_of(str(n), data.labels), 30) for n in frame["factor"]], 8
     )
@@ -182,14 +174,6 @@ def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
     ax.set_xlim(left=0)
     ax.set_xlabel("share of the variance (%)")
     return figure
-
-
-def _left_out(surface: SurfaceAnalysis) -> pd.DataFrame:
-
-    errors = left_out(surface)
-    if errors is None:
-        raise ValueError("no run can be left out")
-    return pd.DataFrame(dict(zip(("simulated", "predicted"), errors, strict=True)))
 
 
 def _left_out_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:

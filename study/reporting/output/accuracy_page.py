@@ -15,7 +15,6 @@ from study.laboratory.tracker.tracker_error import (
     DistanceResult,
     LeverArm,
     ReferenceResult,
-    StageDistance,
     TrackerAccuracy,
 )
 from study.reporting.content.blocks import Table
@@ -251,15 +250,12 @@ def _stages(distance: DistanceResult, alpha: float) -> Table:
                 MISSING if stage.interval_mm is None else interval(*stage.interval_mm, "", 6)
             ),
         },
-        raw=_raw_stage,
-    )
-
-
-def _raw_stage(stage: StageDistance) -> dict[str, object]:
-    """Figures of a stage for the CSV, the ends of its interval in columns of their own."""
-    low, high = stage.interval_mm or (math.nan, math.nan)
-    figures = {k: v for k, v in vars(stage).items() if k != "interval_mm"}
-    return figures | {"interval_low_mm": low, "interval_high_mm": high}
+        raw=lambda stage: {
+            **{name: value for name, value in vars(stage).items() if name != "interval_mm"},
+            **dict(zip(("interval_low_mm", "interval_high_mm"),
+                       stage.interval_mm or (math.nan, math.nan), strict=True)),
+        },
+    )  # fmt: skip
 
 
 def _stops(displacement: DisplacementResult) -> Table:

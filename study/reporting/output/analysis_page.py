@@ -56,6 +56,7 @@ Reference = tuple[str, "Comparisons"]
 def prepare(
     analysis: AnalysisResult,
     data: ReportData,
+    stem: str,
     rows: pd.DataFrame | None,
     reference: Reference | None = None,
 ) -> Pages:
@@ -67,7 +68,7 @@ def prepare(
 
     (item,) = facts(data)
     figures = _figures(analysis, data, item, rows)
-    stem, lines = _stem(analysis, data), sentences.answer(data, (item,))
+    lines = sentences.answer(data, (item,))
     effects, name = registry.overview(data, (item,)), capital(item.title)
     first = study_page.first_page(data, (item,), stem, name, effects, rows="rows.csv")
     warnings = [sentence(clean(text)) for text in dict.fromkeys((*data.warnings, *analysis.notes))]
@@ -92,7 +93,7 @@ def prepare(
     if warnings:
         blocks += [Heading("Warnings", 2, "warnings"), Points(warnings)]
     blocks += [
-        *study_page.methods_to_paste(_methods(data, item)),
+        *study_page.methods_to_paste(methods.paragraph(data, (item,))),
         *study_page.provenance(replace(data, data_notes=()), ()),
         *study_page.GLOSSARY,
     ]
@@ -227,18 +228,6 @@ def _figures(
     return drawn | made(plots, slug(item.name), item.title)
 
 
-def _stem(analysis: AnalysisResult, data: ReportData) -> str:
-    """Begin of the names of the files of a report."""
-    return slug(f"{data.name} {analysis.request.response}")
-
-
-def _methods(data: ReportData, item: Facts) -> str:
-    """Methods of a table: those of a study but what only simulations have."""
-    parts = [methods._design(data), methods._measurements(data), methods._statistics(item, data)]
-    parts += [methods.residual_tests((item,), data), methods._software(data)]
-    return " ".join(part for part in parts if part)
-
-
 #: tables that LaTeX has
 _IN_LATEX = ("verdicts", "anova", "Coefficients", "Means", "pairwise comparisons")
 
@@ -252,8 +241,9 @@ def write_analysis(
 ) -> Path:
     """Write the page of an analysis and its numbers into a folder; return its main file."""
     chosen = write.checked_formats(formats)
-    folder, stem, rows = Path(out_dir), _stem(analysis, data), diagnosed_rows(analysis)
-    pages = prepare(analysis, data, rows, reference)
+    folder, rows = Path(out_dir), diagnosed_rows(analysis)
+    stem = slug(f"{data.name} {analysis.request.response}")
+    pages = prepare(analysis, data, stem, rows, reference)
     files = write.write_pages(folder, stem, pages, chosen)
     write.write_numbers(files, analysis.to_json())
     rows = analysis.data.residuals if rows is None else rows
@@ -264,6 +254,6 @@ def write_analysis(
         if reference is not None:
             shown.append(analysis_content.against_reference(*reference, data))
         captions = [(table.name.capitalize(), table) for table in shown]
-        text = write.document(captions, _methods(data, facts(data)[0]))
+        text = write.document(captions, methods.paragraph(data, facts(data)))
         replace_file(latex, text)
     return {"html": html, "pdf": html, "tex": latex, "csv": files / "rows.csv"}[chosen[0]]

@@ -339,15 +339,12 @@ def part_points(sensors: SensorRequirement) -> pd.DataFrame:
 
 def draw_parts(frame: pd.DataFrame) -> Canvas:
     """Draw a group of bars for each error, a bar for each quantity."""
-    errors, names = list(dict.fromkeys(frame["error"])), list(dict.fromkeys(frame["quantity"]))
-    figure, ax = style.one_panel(0.8 + 0.22 * len(errors) * (len(names) + 0.6))
-    height = 0.8 / len(names)
-    for k, name in enumerate(names):
-        part = frame[frame["quantity"] == name].set_index("error")["percent"]
-        places = np.arange(len(errors)) + (k - (len(names) - 1) / 2) * height
-        ax.barh(places, [part[e] for e in errors], height, color=style.color_of(k), label=name)
-    ax.set_yticks(range(len(errors)), errors)
-    ax.invert_yaxis()
-    ax.set_xlabel("standard uncertainty, percent of the value")
+    import seaborn as sns
+
+    bars, names = len(frame), list(dict.fromkeys(frame["quantity"]))
+    figure, ax = style.one_panel(0.8 + 0.22 * bars * (1 + 0.6 / len(names)))
+    colors = [style.color_of(k) for k in range(len(names))]
+    sns.barplot(frame, x="percent", y="error", hue="quantity", palette=colors, saturation=1, ax=ax)
+    ax.set(xlabel="standard uncertainty, percent of the value", ylabel="")
     ax.legend(loc="lower right")
     return figure

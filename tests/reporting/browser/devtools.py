@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 import subprocess
 import time
 from collections.abc import Iterator
@@ -12,8 +13,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
-from study.reporting.output.write import browser
+import pytest
 
+from study.reporting.output.write import BROWSERS, browser
+
+#: marks of tests that need a browser
+IN_A_BROWSER = [
+    pytest.mark.slow,
+    pytest.mark.verify,
+    pytest.mark.skipif(
+        not any(map(shutil.which, BROWSERS)), reason="no Chromium or Chrome is installed"
+    ),
+]
+#: pixels by which a page is wider than the screen
+OVERFLOW = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 Message = dict[str, object]
 # Seconds that one command of the protocol may take on a busy machine.
 PATIENCE = 600

@@ -27,7 +27,7 @@ from study.reporting.output import write
 from tests.cli.small import PROBLEM
 from tests.cli.test_labels_and_numbers import table as mixed_table
 from tests.cli.test_require import PLATES
-from tests.reporting.browser.devtools import Browser, running
+from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
 from tests.tracker_accuracy.test_tracking import distance_study
 
 
@@ -43,11 +43,7 @@ def axe() -> Path | None:
 
 
 pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.verify,
-    pytest.mark.skipif(
-        not any(map(shutil.which, write.BROWSERS)), reason="no Chromium or Chrome is installed"
-    ),
+    *IN_A_BROWSER,
     pytest.mark.skipif(
         axe() is None,
         reason="axe-core is not installed: npm install --global axe-core, or AXE_CORE names it",
@@ -59,7 +55,6 @@ axe.run(document, {resultTypes: ["violations"]}).then((found) => found.violation
   (one) => [one.id, one.impact, one.help, one.nodes.slice(0, 5).map((node) =>
     [node.target.join(" "), node.any.concat(node.all).map((check) => check.message).join("; ")])]))
 """
-OVERFLOW = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 
 
 def violations(tab: Browser) -> object:
@@ -69,12 +64,6 @@ def violations(tab: Browser) -> object:
     tab.ask(path.read_text(encoding="utf-8") + ";0")
     tab.ask("document.querySelectorAll('details').forEach((one) => { one.open = true; });0")
     return tab.ask(RUN)
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with running(tmp_path_factory.mktemp("profile")) as found:
-        yield found
 
 
 @pytest.fixture(scope="module")
@@ -97,79 +86,36 @@ def server(demo: Path) -> Iterator[StudyServer]:
     made.server_close()
 
 
-@pytest.mark.parametrize(("width", "scheme"), VIEWS)
-def test_the_report_of_the_demo(tab: Browser, demo: Path, width: int, scheme: str) -> None:
-    pages = sorted(demo.glob("reports/*/*.html"))
-    assert len(pages) == 2
-    for page in pages:
-        tab.open(page, width, scheme)
-        assert violations(tab) == []
-        assert tab.ask(OVERFLOW) <= 0
-
-
-@pytest.mark.parametrize(("width", "scheme"), VIEWS)
-def test_a_report_with_every_part(
-    tab: Browser, tmp_path: Path, html: str, width: int, scheme: str
-) -> None:
-    page = tmp_path / "report.html"
-    page.write_text(html, "utf-8")
-    tab.open(page, width, scheme)
-    assert violations(tab) == []
-
-
-@pytest.mark.parametrize(("width", "scheme"), VIEWS)
-def test_the_pages_of_a_table_and_of_a_series(
-    tab: Browser, tmp_path: Path, width: int, scheme: str
-) -> None:
+@pytest.fixture(scope="module")
+def pages(demo: Path, html: str, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Every kind of page: studies, a table, a series, surfaces and instruments."""
+    folder = tmp_path_factory.mktemp("pages")
+    (folder / "report.html").write_text(html, "utf-8")
     rows = [(b, m, 1 + 0.1 * b + (m == "stiff") + 0.01 * k) for b in (1, 2, 3)
             for k, m in enumerate(("soft", "stiff"))]  # fmt: skip
     table = pd.DataFrame(rows, columns=["specimen", "material", "force"])
     found = api.analyze(table, "force", ["material"], block="specimen", practical=0.5)
-    (tmp_path / "problem.toml").write_text(PROBLEM)
-    api.converge(tmp_path / "problem.toml", results=tmp_path, reports=tmp_path / "series")
-    first = found.report(tmp_path / "table")
-    series = next(tmp_path.glob("series/**/*.html"))
-    for page in (first, first.with_stem(f"{first.stem}-details"), series):
-        tab.open(page, width, scheme)
-        assert violations(tab) == []
-
-
-@pytest.mark.parametrize(("width", "scheme"), VIEWS)
-def test_the_pages_of_surfaces_and_of_a_tracker(
-    tab: Browser, tmp_path: Path, width: int, scheme: str
-) -> None:
-    runs, _ = mixed_table(tmp_path)
-    found = api.fit_surfaces(runs, "force", ["tip", "depth"], ["material"], practical=1.0)
-    surface = write.write(table_data(found, Source(runs, {})), tmp_path / "surface", ["html"])
-    tracked = api.tracking(distance_study(tmp_path, 1), reports=tmp_path / "tracker").report
-    assert tracked is not None
-    for page in (surface, Path(tracked)):
-        tab.open(page, width, scheme)
-        assert violations(tab) == []
-        assert tab.ask(OVERFLOW) <= 0
-
-
-@pytest.fixture(scope="module")
-def pages_of_instruments(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Pages of a force law and of what sensors must be."""
-    folder = tmp_path_factory.mktemp("instruments")
+    found.report(folder / "table")
     (folder / "problem.toml").write_text(PROBLEM)
     (folder / "plates.toml").write_text(PLATES)
+    api.converge(folder / "problem.toml", results=folder, reports=folder / "series")
+    runs, _ = mixed_table(folder)
+    surfaces = api.fit_surfaces(runs, "force", ["tip", "depth"], ["material"], practical=1.0)
+    write.write(table_data(surfaces, Source(runs, {})), folder / "surface", ["html"])
+    api.tracking(distance_study(folder, 1), reports=folder / "tracker")
     api.export(folder / "problem.toml", out=folder / "law")
     api.require(folder / "plates.toml", jobs=1, out=folder / "sensors")
-    found = sorted(folder.rglob("*.html"))
-    assert len(found) == 2
-    return found
+    made = [*demo.glob("reports/*/*.html"), *sorted(folder.rglob("*.html"))]
+    assert len(made) == 11
+    return made
 
 
 @pytest.mark.parametrize(("width", "scheme"), VIEWS)
-def test_the_pages_of_a_force_law_and_of_sensors(
-    tab: Browser, pages_of_instruments: list[Path], width: int, scheme: str
-) -> None:
-    for page in pages_of_instruments:
+def test_every_kind_of_page(tab: Browser, pages: list[Path], width: int, scheme: str) -> None:
+    for page in pages:
         tab.open(page, width, scheme)
-        assert violations(tab) == []
-        assert tab.ask(OVERFLOW) <= 0
+        assert violations(tab) == [], page
+        assert tab.ask(OVERFLOW) <= 0, page
 
 
 @pytest.mark.parametrize(("width", "scheme"), VIEWS)

@@ -5,26 +5,18 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from study.reporting.output import write
 from study.reporting.results.study_result import ReportData
-from tests.reporting.browser.devtools import Browser, running
+from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
 from tests.reporting.example import build
 from tests.reporting.test_page import hostile
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.verify,
-    pytest.mark.skipif(
-        not any(map(shutil.which, write.BROWSERS)), reason="no Chromium or Chrome is installed"
-    ),
-]
+pytestmark = IN_A_BROWSER
 
-OVERFLOW = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 EMPTY_FIGURES = """
 [...document.querySelectorAll("figure svg, figure img")].filter((one) => {
   const box = one.getBoundingClientRect();
@@ -56,12 +48,6 @@ HOSTILE = (
     r"$\frac{a}{b}$",
     "\u05e9\u05dc\u05d5\u05dd",
 )
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with running(tmp_path_factory.mktemp("profile")) as found:
-        yield found
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -15,26 +14,12 @@ import pytest
 from study import api
 from study.api.serving import Folders, StudyServer
 from study.harness.record.store import Store
-from study.reporting.output import write
 from tests.cli.small import DESIGN, write_files
-from tests.reporting.browser.devtools import Browser, running
+from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
 from tests.waiting import CAP_S
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.verify,
-    pytest.mark.skipif(
-        not any(map(shutil.which, write.BROWSERS)), reason="no Chromium or Chrome is installed"
-    ),
-]
-OVERFLOW = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+pytestmark = IN_A_BROWSER
 HOSTILE = "<script>document.title='run'</script><img src=x onerror=document.title='run'>"
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with running(tmp_path_factory.mktemp("profile")) as found:
-        yield found
 
 
 @pytest.fixture(scope="module")
