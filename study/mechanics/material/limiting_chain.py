@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,81 +18,75 @@ from study.mechanics.material.energy import (
     Law,
     PointLaw,
 )
-from study.mechanics.material.polynomial import Curvatures, InvariantEnergy, Slopes, TableEnergy
+from study.mechanics.material.polynomial import (
+    Curvatures,
+    Form,
+    FormEnergy,
+    InvariantEnergy,
+    Slopes,
+    Table,
+)
 
 # Energies of chains that end: W has a pole where e (I1 - 3) = 1. ``dW/dI1 = A1 s + A2 s^2 + A3
 # s^3`` with ``s = 1 / (1 - e (I1 - 3))`` serves them all; a state beyond the pole has no stress
 # (NaN).
 
 
-class FiniteExtensibilityEnergy(InvariantEnergy):
-    """Energy with such a pole."""
+@dataclass(frozen=True)
+class Pole(Form):
+    """Energy with such a pole, or its derivative by a constant."""
 
-    @abstractmethod
-    def poles(self, constants: Constants) -> Array:
-        """Return e (plain) and A1, A2, A3 (MPa) of W, shape (4,)."""
+    #: Plain.
+    e: float
+    #: A1, A2 and A3, MPa.
+    first: float
+    second: float = 0.0
+    third: float = 0.0
 
-    @abstractmethod
-    def pole_rates(self, constants: Constants, name: str) -> Array:
-        """Return e and A1, A2, A3 of the derivative of W by a constant, shape (4,)."""
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """By the first invariant alone."""
+        s = self._inverse_gap(a)
+        return Slopes(s * (self.first + s * (self.second + s * self.third)))
 
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
-        """Of W."""
-        return _slopes(self.poles(constants), a)
-
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
         """ds/da = e s^2."""
-        e, first, second, third = self.poles(constants)
-        s = _inverse_gap(e, a)
-        return Curvatures(e * s**2 * (first + 2 * second * s + 3 * third * s**2))
+        s = self._inverse_gap(a)
+        by_s = self.first + 2 * self.second * s + 3 * self.third * s**2
+        return Curvatures(self.e * s**2 * by_s)
 
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """Of the derivatives."""
-        return {n: _slopes(self.pole_rates(constants, n), a) for n in constants}
-
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+    def law(self) -> Law:
         """Hand over e, A1, A2, A3 in one column."""
-        return Law(PointLaw.FINITE_EXTENSIBILITY, self.poles(constants)[:, None])
+        column = np.array([[self.e], [self.first], [self.second], [self.third]])
+        return Law(PointLaw.FINITE_EXTENSIBILITY, column)
 
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Hand over those of the derivative."""
-        return Law(PointLaw.FINITE_EXTENSIBILITY, self.pole_rates(constants, name)[:, None])
-
-
-def _slopes(poles: Array, a: Array) -> Slopes:
-    e, first, second, third = poles
-    s = _inverse_gap(e, a)
-    return Slopes(s * (first + s * (second + s * third)))
-
-
-def _inverse_gap(e: float, a: Array) -> Array:
-    """1 / (1 - e a); NaN at the pole and beyond."""
-    gap = 1 - e * np.asarray(a, float)
-    return np.where(gap > 0, 1 / np.where(gap > 0, gap, 1.0), np.nan)
+    def _inverse_gap(self, a: Array) -> Array:
+        """1 / (1 - e a); NaN at the pole and beyond."""
+        gap = 1 - self.e * np.asarray(a, float)
+        return np.where(gap > 0, 1 / np.where(gap > 0, gap, 1.0), np.nan)
 
 
 #: Jm that a fit starts from: of natural rubber, which tears before a uniaxial stretch of 10
 STARTING_LIMIT = 100.0
 
 
-class Gent(DeclaredConstants, FiniteExtensibilityEnergy):
+class Gent(DeclaredConstants, FormEnergy):
     """Initial shear modulus mu and limit Jm of I1 - 3; neo-Hookean where Jm is large."""
 
     name = "gent"
     shear_modulus_formula = "mu"
     declared = (Constant("mu", 0.0, np.inf), Constant("Jm", 1e-4, 1e7, True))
 
-    def poles(self, constants: Constants) -> Array:
+    def form(self, constants: Constants) -> Pole:
         """dW/dI1 = mu / 2 Jm / (Jm - I1 + 3)."""
-        return np.array([1 / constants["Jm"], constants["mu"] / 2, 0.0, 0.0])
+        return Pole(1 / constants["Jm"], constants["mu"] / 2)
 
-    def pole_rates(self, constants: Constants, name: str) -> Array:
+    def form_rate(self, constants: Constants, name: str) -> Pole:
         """By Jm it is -mu / 2 a e^2 s^2, and a e s = s - 1."""
         e = 1 / constants["Jm"]
         if name == "mu":
-            return np.array([e, 0.5, 0.0, 0.0])
+            return Pole(e, 0.5)
         half = constants["mu"] * e / 2
-        return np.array([e, half, -half, 0.0])
+        return Pole(e, half, -half)
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Whether it is a convex function of the stretches, as far as it reaches."""
@@ -118,25 +112,25 @@ for _k in range(1, 6):
 STARTING_STRETCH = 5.0
 
 
-class ArrudaBoyce(DeclaredConstants, TableEnergy):
+class ArrudaBoyce(DeclaredConstants, FormEnergy):
     """Modulus mu and locking stretch lambda_m; mu0 is larger than mu."""
 
     name = "arruda-boyce"
     shear_modulus_formula = "mu (1 + 3/(5 lambda_m^2) + 99/(175 lambda_m^4) + ...)"
     declared = (Constant("mu", 0.0, np.inf), Constant("lambda_m", 1.0, 1e3, True))
 
-    def table(self, constants: Constants) -> Array:
+    def form(self, constants: Constants) -> Table:
         """Expand the powers of I1 about 3."""
         weights = SERIES * constants["lambda_m"] ** (-2.0 * np.arange(5))
-        return np.asarray(constants["mu"] * weights @ POWERS)[:, None]
+        return Table(np.asarray(constants["mu"] * weights @ POWERS)[:, None])
 
-    def table_rate(self, constants: Constants, name: str) -> Array:
+    def form_rate(self, constants: Constants, name: str) -> Table:
         """Differentiate each power of lambda_m."""
         if name == "mu":
-            return self.table({**constants, "mu": 1.0})
+            return self.form({**constants, "mu": 1.0})
         stretch, powers = constants["lambda_m"], -2.0 * np.arange(5)
         weights = SERIES * powers * stretch ** (powers - 1)
-        return np.asarray(constants["mu"] * weights @ POWERS)[:, None]
+        return Table(np.asarray(constants["mu"] * weights @ POWERS)[:, None])
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Every term is convex and rises."""
@@ -145,7 +139,7 @@ class ArrudaBoyce(DeclaredConstants, TableEnergy):
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """Chains that are far from their end."""
         unit = {"mu": 1.0, "lambda_m": STARTING_STRETCH}
-        scale = 2 * float(self.table(unit)[1, 0])
+        scale = 2 * float(self.form(unit).coefficients[1, 0])
         return unit | {"mu": shear_modulus / scale}
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import functools
 import re
-from abc import abstractmethod
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -153,87 +152,100 @@ def _shear(slopes: Slopes) -> float:
     return float(2 * (np.ravel(slopes.by_a)[0] + np.ravel(slopes.by_b)[0]))
 
 
+class Form(ABC):
+    """Function of both invariants that one compiled law serves, with its coefficients."""
+
+    @abstractmethod
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """First derivatives."""
+
+    @abstractmethod
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
+        """Second derivatives."""
+
+    @abstractmethod
+    def law(self) -> Law:
+        """Coefficients as the compiled law takes them."""
+
+
+class FormEnergy(InvariantEnergy):
+    """Energy that has one form, in which its derivatives by the constants are, too."""
+
+    @abstractmethod
+    def form(self, constants: Constants) -> Form:
+        """W."""
+
+    @abstractmethod
+    def form_rate(self, constants: Constants, name: str) -> Form:
+        """Differentiate W by a constant."""
+
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Hand over the coefficients of W."""
+        return self.form(constants).law()
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Hand over those of the derivative."""
+        return self.form_rate(constants, name).law()
+
+    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
+        """Of W."""
+        return _forms(self, tuple(constants.items()))[0].slopes(a, b)
+
+    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
+        """Of W."""
+        return _forms(self, tuple(constants.items()))[0].curvatures(a, b)
+
+    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
+        """Of the derivatives."""
+        rates = _forms(self, tuple(constants.items()))[1]
+        return {name: rate.slopes(a, b) for name, rate in rates.items()}
+
+
+@functools.lru_cache(maxsize=64)
+def _forms(
+    energy: FormEnergy, constants: tuple[tuple[str, float], ...]
+) -> tuple[Form, dict[str, Form]]:
+    """W and its derivatives by the constants, once for all the states at which they are needed."""
+    named = dict(constants)
+    return energy.form(named), {name: energy.form_rate(named, name) for name in named}
+
+
 #: coefficients of a polynomial in two variables, as :func:`_columns` orders them
 Coefficients = tuple[tuple[float, ...], ...]
 #: name of a constant: the power of the first invariant less 3, then a digit for the second
 _NAME = re.compile(r"C(\d|[1-9]\d+)(\d)", re.ASCII)
 
 
-class TableEnergy(InvariantEnergy):
-    """Polynomial of I1 - 3 and I2 - 3, whose coefficients may be any functions of its constants."""
+class Table(Form):
+    """Polynomial of I1 - 3 and I2 - 3."""
 
-    @abstractmethod
-    def table(self, constants: Constants) -> Array:
-        """Coefficients in MPa of (I1 - 3)^i (I2 - 3)^j, shape (ni, nj)."""
+    def __init__(self, coefficients: Array) -> None:
+        #: shape (ni, nj); of (I1 - 3)^i (I2 - 3)^j, MPa.
+        self.coefficients = coefficients
 
-    @abstractmethod
-    def table_rate(self, constants: Constants, name: str) -> Array:
-        """Differentiate :meth:`table` by a constant."""
+    @functools.cached_property
+    def _first(self) -> list[Coefficients]:
+        return [_columns(_derivative(self.coefficients, axis)) for axis in (0, 1)]
 
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+    @functools.cached_property
+    def _second(self) -> list[Coefficients]:
+        by_a, by_b = (_derivative(self.coefficients, axis) for axis in (0, 1))
+        return [_columns(_derivative(*pair)) for pair in ((by_a, 0), (by_a, 1), (by_b, 1))]
+
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """By Horner's rule."""
+        return Slopes(*(_value(columns, a, b) for columns in self._first))
+
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
+        """By Horner's rule."""
+        return Curvatures(*(_value(columns, a, b) for columns in self._second))
+
+    def law(self) -> Law:
         """Hand over the table."""
-        return Law(PointLaw.POLYNOMIAL, self.table(constants))
-
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Hand over the derivative of the table."""
-        return Law(PointLaw.POLYNOMIAL, self.table_rate(constants, name))
-
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
-        """Slopes of the table."""
-        differentiated = _differentiated(self, tuple(constants.items()))
-        return Slopes(_value(differentiated.by_a, a, b), _value(differentiated.by_b, a, b))
-
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
-        """Slopes of the table's derivatives."""
-        differentiated = _differentiated(self, tuple(constants.items()))
-        return Curvatures(
-            *(
-                _value(table, a, b)
-                for table in (differentiated.aa, differentiated.ab, differentiated.bb)
-            )
-        )
-
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """Slopes of the derivatives of the table."""
-        differentiated = _differentiated(self, tuple(constants.items()))
-        return {
-            name: Slopes(_value(by_a, a, b), _value(by_b, a, b))
-            for name, (by_a, by_b) in differentiated.rates.items()
-        }
+        return Law(PointLaw.POLYNOMIAL, self.coefficients)
 
 
-@dataclass(frozen=True)
-class _Differentiated:
-    """Derivatives of a table by both invariants, and those of its derivative by each constant."""
-
-    by_a: Coefficients
-    by_b: Coefficients
-    aa: Coefficients
-    ab: Coefficients
-    bb: Coefficients
-    rates: Mapping[str, tuple[Coefficients, Coefficients]]
-
-
-@functools.lru_cache(maxsize=64)
-def _differentiated(
-    energy: TableEnergy, constants: tuple[tuple[str, float], ...]
-) -> _Differentiated:
-    """Differentiate a table once for all the states at which its constants are asked for."""
-    named = dict(constants)
-    table = energy.table(named)
-    by_a, by_b = _derivative(table, 0), _derivative(table, 1)
-    rates = {name: energy.table_rate(named, name) for name in named}
-    return _Differentiated(
-        _columns(by_a),
-        _columns(by_b),
-        _columns(_derivative(by_a, 0)),
-        _columns(_derivative(by_a, 1)),
-        _columns(_derivative(by_b, 1)),
-        {n: (_columns(_derivative(r, 0)), _columns(_derivative(r, 1))) for n, r in rates.items()},
-    )
-
-
-class PolynomialEnergy(TableEnergy):
+class PolynomialEnergy(FormEnergy):
     """What all polynomials of the invariants have in common."""
 
     shear_modulus_formula = "2 (C10 + C01)"
@@ -250,15 +262,15 @@ class PolynomialEnergy(TableEnergy):
         """Constants of any sign."""
         return FREE
 
-    def table(self, constants: Constants) -> Array:
+    def form(self, constants: Constants) -> Table:
         """C_ij themselves."""
-        return coefficient_table(constants)
+        return Table(coefficient_table(constants))
 
-    def table_rate(self, constants: Constants, name: str) -> Array:
+    def form_rate(self, constants: Constants, name: str) -> Table:
         """1 in the place of the constant: W is linear in them."""
         table = np.zeros_like(coefficient_table(constants))
         table[index_pair(name)] = 1.0
-        return table
+        return Table(table)
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Positive constants of the first invariant alone and of the second invariant itself."""
