@@ -19,7 +19,7 @@ from study.mechanics.material.energy import (
     Law,
     PointLaw,
 )
-from study.mechanics.material.polynomial import Curvatures, Form, FormEnergy, Slopes
+from study.mechanics.material.polynomial import Curvatures, Form, InvariantEnergy, Slopes
 
 #: k a beyond which a state has no stress: e^500 is near the largest number there is
 LARGEST_EXPONENT = 500.0
@@ -66,7 +66,7 @@ class Exponential(Form):
 FUNG_STARTING_STIFFENING = 0.1
 
 
-class Fung(DeclaredConstants, FormEnergy):
+class Fung(DeclaredConstants, InvariantEnergy):
     """Initial shear modulus mu and stiffening b; neo-Hookean as b goes to zero."""
 
     name = "fung"
@@ -101,7 +101,7 @@ class Fung(DeclaredConstants, FormEnergy):
 VERONDA_WESTMANN_STARTING_STIFFENING = 0.1
 
 
-class VerondaWestmann(DeclaredConstants, FormEnergy):
+class VerondaWestmann(DeclaredConstants, InvariantEnergy):
     """Modulus C1 and stiffening C2; mu0 = C1 C2.
 
     At small strain W falls with I2, so that it may be unstable in equibiaxial tension where C2

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import polynomial
 
 from study.ground.arrays import Array
 from study.mechanics.material.energy import (
-    Compressibility,
     Constant,
     Constants,
     DeclaredConstants,
@@ -21,7 +19,6 @@ from study.mechanics.material.energy import (
 from study.mechanics.material.polynomial import (
     Curvatures,
     Form,
-    FormEnergy,
     InvariantEnergy,
     Slopes,
     Table,
@@ -69,7 +66,7 @@ class Pole(Form):
 STARTING_LIMIT = 100.0
 
 
-class Gent(DeclaredConstants, FormEnergy):
+class Gent(DeclaredConstants, InvariantEnergy):
     """Initial shear modulus mu and limit Jm of I1 - 3; neo-Hookean where Jm is large."""
 
     name = "gent"
@@ -112,7 +109,7 @@ for _k in range(1, 6):
 STARTING_STRETCH = 5.0
 
 
-class ArrudaBoyce(DeclaredConstants, FormEnergy):
+class ArrudaBoyce(DeclaredConstants, InvariantEnergy):
     """Modulus mu and locking stretch lambda_m; mu0 is larger than mu."""
 
     name = "arruda-boyce"
@@ -159,6 +156,68 @@ _REST = 1e-30
 _ROOT_HALF = np.sqrt(0.5)
 
 
+@dataclass(frozen=True)
+class Chains(Form):
+    """dW/dI = p / (1 - eta) + q eta / (1 - eta)^2 + s sqrt(I - 3)."""
+
+    #: lambda_m^2 - 3, and the mixture; plain.
+    room: float
+    beta: float
+    #: MPa.
+    p: float
+    q: float = 0.0
+    s: float = 0.0
+
+    def slope(self, a: Array, b: Array) -> Array:
+        """dW/dI in MPa."""
+        x, eta = self._state(a, b)
+        return np.asarray(self.p / (1 - eta) + self.q * eta / (1 - eta) ** 2 + self.s * np.sqrt(x))
+
+    def curvature(self, a: Array, b: Array) -> Array:
+        """d2W/dI2 in MPa, where q is zero, as it is of W; 0 at rest, where it is not finite."""
+        x, eta = self._state(a, b)
+        moved = x > _REST
+        root = np.sqrt(np.where(moved, x, 1.0))
+        chains = self.p / (np.sqrt(self.room) * (1 - eta) ** 2)
+        return np.where(moved, 0.5 * (chains + self.s) / root, 0.0)
+
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """By the mixture of both."""
+        slope = self.slope(a, b)
+        return Slopes((1 - self.beta) * slope, self.beta * slope)
+
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
+        """By the mixture of both."""
+        curvature, first, second = self.curvature(a, b), 1 - self.beta, self.beta
+        return Curvatures(first**2 * curvature, first * second * curvature, second**2 * curvature)
+
+    def law(self) -> Law:
+        """Room and mixture, p and q, s."""
+        table = [[self.room, self.beta], [self.p, self.q], [self.s, 0.0]]
+        return Law(PointLaw.VAN_DER_WAALS, np.array(table))
+
+    def _state(self, a: Array, b: Array) -> tuple[Array, Array]:
+        """Mixed invariant less 3, and eta, NaN from 1 on."""
+        # rounding may leave it a little below zero at rest
+        mixed = (1 - self.beta) * np.asarray(a, float) + self.beta * np.asarray(b, float)
+        x = np.maximum(mixed, 0.0)
+        eta = np.sqrt(x / self.room)
+        return x, np.where(eta < 1, eta, np.nan)
+
+
+class MixtureRate(Chains):
+    """Derivative of W by the mixture, which turns both of its slopes."""
+
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """Differentiate the mixture, and the invariant in it."""
+        slope, turned = self.slope(a, b), self.curvature(a, b) * (b - a)
+        return Slopes((1 - self.beta) * turned - slope, self.beta * turned + slope)
+
+    def law(self) -> Law:
+        """Coefficients of W, of another law."""
+        return Law(PointLaw.VAN_DER_WAALS_BY_MIXTURE, super().law().constants)
+
+
 class VanDerWaals(DeclaredConstants, InvariantEnergy):
     """Initial shear modulus mu, locking stretch lambda_m, interaction a, mixture beta."""
 
@@ -172,45 +231,21 @@ class VanDerWaals(DeclaredConstants, InvariantEnergy):
         Constant("beta", 0.0, 1.0, True),
     )
 
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
+    def form(self, constants: Constants) -> Chains:
         """dW/dI = mu / 2 (1 / (1 - eta) - a sqrt((I - 3) / 2))."""
-        return _mixed(_State.of(constants, a, b).slope(constants), constants["beta"])
+        half, room = 0.5 * constants["mu"], constants["lambda_m"] ** 2 - 3
+        return Chains(room, constants["beta"], half, s=-half * constants["a"] * _ROOT_HALF)
 
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
-        """d2W/dI2, not finite at rest, where it meets the square of a strain."""
-        curvature, beta = _State.of(constants, a, b).curvature(constants), constants["beta"]
-        return Curvatures(
-            (1 - beta) ** 2 * curvature, (1 - beta) * beta * curvature, beta**2 * curvature
-        )
-
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """By each constant; beta also turns the mixture."""
-        at, beta, half = _State.of(constants, a, b), constants["beta"], 0.5 * constants["mu"]
-        slope, turned = at.slope(constants), at.curvature(constants) * (b - a)
-        crowding = -half * constants["lambda_m"] / at.room * at.eta / (1 - at.eta) ** 2
-        return {
-            "mu": _mixed(at.slope({**constants, "mu": 1.0}), beta),
-            "lambda_m": _mixed(crowding, beta),
-            "a": _mixed(-half * np.sqrt(0.5 * at.x), beta),
-            "beta": Slopes((1 - beta) * turned - slope, beta * turned + slope),
-        }
-
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
-        """P / (1 - eta) + Q eta / (1 - eta)^2 + S sqrt(I - 3) is dW/dI."""
-        mu = constants["mu"]
-        return _law(constants, 0.5 * mu, 0.0, -0.5 * mu * constants["a"] * _ROOT_HALF)
-
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Of the same form, but for beta."""
-        mu, room = constants["mu"], constants["lambda_m"] ** 2 - 3
+    def form_rate(self, constants: Constants, name: str) -> Chains:
+        """Of the same form, but for beta, which also turns the mixture."""
+        whole, half = self.form(constants), 0.5 * constants["mu"]
         if name == "mu":
-            return self.law({**constants, "mu": 1.0}, compressibility)
+            return self.form({**constants, "mu": 1.0})
         if name == "lambda_m":
-            return _law(constants, 0.0, -0.5 * mu * constants["lambda_m"] / room, 0.0)
+            return replace(whole, p=0.0, q=-half * constants["lambda_m"] / whole.room, s=0.0)
         if name == "a":
-            return _law(constants, 0.0, 0.0, -0.5 * mu * _ROOT_HALF)
-        kind = PointLaw.VAN_DER_WAALS_BY_MIXTURE
-        return Law(kind, self.law(constants, compressibility).constants)
+            return replace(whole, p=0.0, s=-half * _ROOT_HALF)
+        return MixtureRate(whole.room, whole.beta, whole.p, whole.q, whole.s)
 
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """Chains that are far from their end, and hardly interact."""
@@ -218,41 +253,3 @@ class VanDerWaals(DeclaredConstants, InvariantEnergy):
             "mu": shear_modulus, "lambda_m": STARTING_LOCKING_STRETCH,
             "a": STARTING_INTERACTION, "beta": 0.0,
         }  # fmt: skip
-
-
-class _State(NamedTuple):
-    """Mixed invariant less 3, room lambda_m^2 - 3 for it, and eta, NaN from 1 on."""
-
-    x: Array
-    room: float
-    eta: Array
-
-    @classmethod
-    def of(cls, constants: Constants, a: Array, b: Array) -> _State:
-        beta, room = constants["beta"], constants["lambda_m"] ** 2 - 3
-        # rounding may leave it a little below zero at rest
-        x = np.maximum((1 - beta) * np.asarray(a, float) + beta * np.asarray(b, float), 0.0)
-        eta = np.sqrt(x / room)
-        return cls(x, room, np.where(eta < 1, eta, np.nan))
-
-    def slope(self, constants: Constants) -> Array:
-        """dW/dI in MPa."""
-        attraction = constants["a"] * np.sqrt(0.5 * self.x)
-        return np.asarray(0.5 * constants["mu"] * (1 / (1 - self.eta) - attraction))
-
-    def curvature(self, constants: Constants) -> Array:
-        """d2W/dI2 in MPa; 0 at rest."""
-        moved = self.x > _REST
-        root = np.sqrt(np.where(moved, self.x, 1.0))
-        chains = 0.5 / (np.sqrt(self.room) * root * (1 - self.eta) ** 2)
-        attraction = 0.25 * constants["a"] / (_ROOT_HALF * root)
-        return np.where(moved, 0.5 * constants["mu"] * (chains - attraction), 0.0)
-
-
-def _mixed(slope: Array, beta: float) -> Slopes:
-    return Slopes((1 - beta) * slope, beta * slope)
-
-
-def _law(constants: Constants, p: float, q: float, s: float) -> Law:
-    room = constants["lambda_m"] ** 2 - 3
-    return Law(PointLaw.VAN_DER_WAALS, np.array([[room, constants["beta"]], [p, q], [s, 0.0]]))

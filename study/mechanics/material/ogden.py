@@ -24,7 +24,7 @@ from study.mechanics.material.energy import (
     PointLaw,
 )
 from study.mechanics.material.limiting_chain import Pole
-from study.mechanics.material.polynomial import FormEnergy
+from study.mechanics.material.polynomial import InvariantEnergy
 
 #: Bounds of an exponent: beyond, powers of a stretch of 0.5 only overfit.
 EXPONENT: Bounds = (-30.0, 30.0)
@@ -282,7 +282,7 @@ STARTING_EXPONENT = 0.5
 STARTING_INEXTENSIBILITY = 0.05
 
 
-class ExtendedTube(DeclaredConstants, FormEnergy):
+class ExtendedTube(DeclaredConstants, InvariantEnergy):
     """Moduli Gc and Ge, exponent beta of entanglements, inextensibility delta of crosslinks."""
 
     name = "extended-tube"

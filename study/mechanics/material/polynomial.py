@@ -63,61 +63,78 @@ class Invariants(NamedTuple):
         return cls(b, i1, i1 - 3, i2 - 3)
 
 
+class Form(ABC):
+    """Function of both invariants that one compiled law serves, with its coefficients."""
+
+    @abstractmethod
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """First derivatives."""
+
+    @abstractmethod
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
+        """Second derivatives."""
+
+    @abstractmethod
+    def law(self) -> Law:
+        """Coefficients as the compiled law takes them."""
+
+
 class InvariantEnergy(IsochoricEnergy):
     """Energy of the isochoric invariants; NaN beyond a limit of the stretch, where it has one."""
 
     @abstractmethod
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
-        """First derivatives of W."""
+    def form(self, constants: Constants) -> Form:
+        """W."""
 
     @abstractmethod
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
-        """Second derivatives of W."""
+    def form_rate(self, constants: Constants, name: str) -> Form:
+        """Differentiate W by a constant."""
 
-    @abstractmethod
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """Differentiate the slopes by every constant."""
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Hand over the coefficients of W."""
+        return self.form(constants).law()
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Hand over those of the derivative."""
+        return self.form_rate(constants, name).law()
+
+    def _forms(self, constants: Constants) -> tuple[Form, dict[str, Form]]:
+        return _differentiated(self, tuple(constants.items()))
 
     def principal_stress(self, constants: Constants, bar: Array) -> Array:
         """2 b_i (W_1 + W_2 (I1 - b_i)) with b_i = bar_i^2."""
         at = Invariants.of(bar)
-        return _stress(at, self.slopes(constants, at.a, at.b))
+        return _stress(at, self._forms(constants)[0].slopes(at.a, at.b))
 
     def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
         """Differentiate by the chain rule through both invariants."""
-        at = Invariants.of(bar)
-        slopes = self.slopes(constants, at.a, at.b)
-        return _stress_slope(at, slopes, self.curvatures(constants, at.a, at.b), direction)
+        at, (form, _) = Invariants.of(bar), self._forms(constants)
+        return _stress_slope(at, form.slopes(at.a, at.b), form.curvatures(at.a, at.b), direction)
 
     def stress_and_slope(
         self, constants: Constants, bar: Array, direction: Array
     ) -> tuple[Array, Array]:
         """Both from the same invariants and slopes of W."""
-        at = Invariants.of(bar)
-        slopes = self.slopes(constants, at.a, at.b)
-        curvatures = self.curvatures(constants, at.a, at.b)
+        at, (form, _) = Invariants.of(bar), self._forms(constants)
+        slopes, curvatures = form.slopes(at.a, at.b), form.curvatures(at.a, at.b)
         return _stress(at, slopes), _stress_slope(at, slopes, curvatures, direction)
 
     def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
         """Stress of each derivative of W."""
-        at = Invariants.of(bar)
-        rates = self.slope_gradients(constants, at.a, at.b)
-        return {name: _stress(at, rates[name]) for name in constants}
+        at, (_, rates) = Invariants.of(bar), self._forms(constants)
+        return {name: _stress(at, rate.slopes(at.a, at.b)) for name, rate in rates.items()}
 
     def initial_shear_modulus(
         self, constants: Constants, compressibility: Compressibility
     ) -> float:
         """2 (W_1 + W_2) at rest."""
-        rest = np.zeros(1)
-        return _shear(self.slopes(constants, rest, rest))
+        return _shear(self._forms(constants)[0])
 
     def initial_shear_modulus_gradient(
         self, constants: Constants, compressibility: Compressibility
     ) -> dict[str, float]:
         """Differentiate 2 (W_1 + W_2) at rest."""
-        rest = np.zeros(1)
-        rates = self.slope_gradients(constants, rest, rest)
-        return {name: _shear(rates[name]) for name in constants}
+        return {name: _shear(rate) for name, rate in self._forms(constants)[1].items()}
 
 
 def _stress(at: Invariants, slopes: Slopes) -> Array:
@@ -148,62 +165,14 @@ def _vanish(*derivatives: Array | float) -> bool:
     return all(isinstance(value, float) and value == 0.0 for value in derivatives)
 
 
-def _shear(slopes: Slopes) -> float:
+def _shear(form: Form) -> float:
+    slopes = form.slopes(np.zeros(1), np.zeros(1))
     return float(2 * (np.ravel(slopes.by_a)[0] + np.ravel(slopes.by_b)[0]))
 
 
-class Form(ABC):
-    """Function of both invariants that one compiled law serves, with its coefficients."""
-
-    @abstractmethod
-    def slopes(self, a: Array, b: Array) -> Slopes:
-        """First derivatives."""
-
-    @abstractmethod
-    def curvatures(self, a: Array, b: Array) -> Curvatures:
-        """Second derivatives."""
-
-    @abstractmethod
-    def law(self) -> Law:
-        """Coefficients as the compiled law takes them."""
-
-
-class FormEnergy(InvariantEnergy):
-    """Energy that has one form, in which its derivatives by the constants are, too."""
-
-    @abstractmethod
-    def form(self, constants: Constants) -> Form:
-        """W."""
-
-    @abstractmethod
-    def form_rate(self, constants: Constants, name: str) -> Form:
-        """Differentiate W by a constant."""
-
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
-        """Hand over the coefficients of W."""
-        return self.form(constants).law()
-
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Hand over those of the derivative."""
-        return self.form_rate(constants, name).law()
-
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
-        """Of W."""
-        return _forms(self, tuple(constants.items()))[0].slopes(a, b)
-
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
-        """Of W."""
-        return _forms(self, tuple(constants.items()))[0].curvatures(a, b)
-
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """Of the derivatives."""
-        rates = _forms(self, tuple(constants.items()))[1]
-        return {name: rate.slopes(a, b) for name, rate in rates.items()}
-
-
 @functools.lru_cache(maxsize=64)
-def _forms(
-    energy: FormEnergy, constants: tuple[tuple[str, float], ...]
+def _differentiated(
+    energy: InvariantEnergy, constants: tuple[tuple[str, float], ...]
 ) -> tuple[Form, dict[str, Form]]:
     """W and its derivatives by the constants, once for all the states at which they are needed."""
     named = dict(constants)
@@ -245,7 +214,7 @@ class Table(Form):
         return Law(PointLaw.POLYNOMIAL, self.coefficients)
 
 
-class PolynomialEnergy(FormEnergy):
+class PolynomialEnergy(InvariantEnergy):
     """What all polynomials of the invariants have in common."""
 
     shear_modulus_formula = "2 (C10 + C01)"
