@@ -20,8 +20,8 @@ from study.mechanics.material.polynomial import (
     Curvatures,
     Form,
     InvariantEnergy,
+    PolynomialTable,
     Slopes,
-    Table,
 )
 
 # Energies of chains that end: W has a pole where e (I1 - 3) = 1. ``dW/dI1 = A1 s + A2 s^2 + A3
@@ -116,18 +116,18 @@ class ArrudaBoyce(DeclaredConstants, InvariantEnergy):
     shear_modulus_formula = "mu (1 + 3/(5 lambda_m^2) + 99/(175 lambda_m^4) + ...)"
     declared = (Constant("mu", 0.0, np.inf), Constant("lambda_m", 1.0, 1e3, True))
 
-    def form(self, constants: Constants) -> Table:
+    def form(self, constants: Constants) -> PolynomialTable:
         """Expand the powers of I1 about 3."""
         weights = SERIES * constants["lambda_m"] ** (-2.0 * np.arange(5))
-        return Table(np.asarray(constants["mu"] * weights @ POWERS)[:, None])
+        return PolynomialTable(np.asarray(constants["mu"] * weights @ POWERS)[:, None])
 
-    def form_rate(self, constants: Constants, name: str) -> Table:
+    def form_rate(self, constants: Constants, name: str) -> PolynomialTable:
         """Differentiate each power of lambda_m."""
         if name == "mu":
             return self.form({**constants, "mu": 1.0})
         stretch, powers = constants["lambda_m"], -2.0 * np.arange(5)
         weights = SERIES * powers * stretch ** (powers - 1)
-        return Table(np.asarray(constants["mu"] * weights @ POWERS)[:, None])
+        return PolynomialTable(np.asarray(constants["mu"] * weights @ POWERS)[:, None])
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Every term is convex and rises."""

@@ -149,7 +149,7 @@ def _stress_slope(
 ) -> Array:
     """Differentiate the stress along one direction or several, shape (..., 3, n)."""
     b = at.squares
-    (w1, w2), (w11, w12, w22) = slopes, curvatures
+    (w1, w2), w11, w12, w22 = slopes, curvatures.aa, curvatures.ab, curvatures.bb
     db = 2 * b * direction[..., None]
     di1 = np.add.reduce(db, axis=-2, keepdims=True)
     if _vanish(w2, w12, w22):
@@ -185,7 +185,7 @@ Coefficients = tuple[tuple[float, ...], ...]
 _NAME = re.compile(r"C(\d|[1-9]\d+)(\d)", re.ASCII)
 
 
-class Table(Form):
+class PolynomialTable(Form):
     """Polynomial of I1 - 3 and I2 - 3."""
 
     def __init__(self, coefficients: Array) -> None:
@@ -231,15 +231,15 @@ class PolynomialEnergy(InvariantEnergy):
         """Constants of any sign."""
         return FREE
 
-    def form(self, constants: Constants) -> Table:
+    def form(self, constants: Constants) -> PolynomialTable:
         """C_ij themselves."""
-        return Table(coefficient_table(constants))
+        return PolynomialTable(coefficient_table(constants))
 
-    def form_rate(self, constants: Constants, name: str) -> Table:
+    def form_rate(self, constants: Constants, name: str) -> PolynomialTable:
         """1 in the place of the constant: W is linear in them."""
         table = np.zeros_like(coefficient_table(constants))
         table[index_pair(name)] = 1.0
-        return Table(table)
+        return PolynomialTable(table)
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Positive constants of the first invariant alone and of the second invariant itself."""
