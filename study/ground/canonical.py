@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import Field, fields, is_dataclass
-from typing import ClassVar, Protocol, TypeAlias, cast, overload
+from typing import ClassVar, Protocol, TypeAlias, overload
 
 import numpy as np
 
@@ -56,20 +56,16 @@ def plain(value: object) -> Json: ...
 
 def plain(value: object) -> Json:
     """Value made of JSON types alone; a number that is not finite becomes None."""
-    return _plain(value)
-
-
-def _plain(value: object) -> Json:
     if isinstance(value, Keyed):
         value = value.keyed()
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        value = value.tolist()
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
@@ -81,8 +77,8 @@ def _plain(value: object) -> Json:
 
 def canonical(value: object) -> Json:
     """Plain JSON values with one spelling per number: ``1`` and ``1.0`` are the same."""
-    if value is None or type(value) in (str, bool):
-        return cast("Json", value)
+    if value is None or isinstance(value, (bool, str)):
+        return value
     if isinstance(value, Mapping):
         # where a file lies on this machine is no content; its sha256 stands beside it
         return {str(k): canonical(v) for k, v in value.items() if k != "path"}
@@ -90,8 +86,6 @@ def canonical(value: object) -> Json:
         # a curve is a list of floats, which are canonical as they stand
         only_floats = set(map(type, value)) == {float}
         return list(value) if only_floats else [canonical(v) for v in value]
-    if isinstance(value, bool) or value is None or isinstance(value, str):
-        return value
     if isinstance(value, (int, float)):
         return float(value)
     if isinstance(value, (np.ndarray, np.generic)):

@@ -428,7 +428,6 @@ def _number_mend(cell: str, decimal: str, declared_by: str) -> str:
 
 # Tidy tables of responses, read strictly: one row a case, one column a factor.
 
-_NUMBER = NUMBER
 #: Cells that stand for a missing response, in small letters.
 MISSING = frozenset({"", "na", "n/a", "nan", "null", "*", "."})
 

@@ -6,7 +6,7 @@ import pytest
 from study.ground.curve import Curve
 from study.ground.errors import InputError, RefusedError
 from study.mechanics.calibration.covariance import scaled_condition
-from study.mechanics.calibration.fit import aicc, fit
+from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.identifiability import profile
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
@@ -72,24 +72,12 @@ def test_planar_data_leave_mooney_rivlin_rank_one():
     assert np.all(np.isnan(found.standard_error))
 
 
-def test_reduced_polynomials_are_identifiable_with_a_caution():
-    predict, d = predictor(*RP3, depth=6.0)
-    rng = np.random.default_rng(2011)
-    data = virtual(predict, [7e-3, -0.5e-3, 0.3e-3], d, noise=1e-4, rng=rng)
-    found = fit(predict, data, RP3[1], [5e-3, 0.0, 0.0])
-    assert found.identifiable == (np.abs(np.triu(found.correlation, 1)).max() <= 0.99)
+def test_a_reduced_polynomial_is_identifiable():
     predict, d = predictor(*RP2, depth=6.0)
+    rng = np.random.default_rng(2011)
     found = fit(predict, virtual(predict, [7e-3, 1e-3], d, 1e-3, rng), RP2[1], [5e-3, 0.0])
     assert found.identifiable
     assert found.ci95[0, 0] < 7e-3 < found.ci95[0, 1]
-
-
-def test_wide_interval_is_not_identifiable():
-    predict, d = predictor(*RP2, depth=2.0, points=12)
-    rng = np.random.default_rng(3)
-    found = fit(predict, virtual(predict, [7e-3, 1e-3], d, 0.5, rng), RP2[1], [5e-3, 0.0])
-    assert not found.identifiable
-    assert "move together" in found.reason or "times as wide as its value" in found.reason
 
 
 def test_as_many_points_as_constants():
@@ -101,8 +89,12 @@ def test_as_many_points_as_constants():
     assert found.aicc == np.inf
 
 
-def _coverage(fits):
-    """Share of 95 % intervals that hold the truth, per constant, and the mean of chi^2/dof."""
+@pytest.mark.parametrize(
+    ("fits", "apart"),
+    [(500, 0.02), pytest.param(5000, 0.008, marks=[pytest.mark.slow, pytest.mark.verify])],
+)
+def test_coverage_of_intervals(fits, apart):
+    """V42: two binomial standard deviations of 500 fits are 2 points."""
     true, noise = np.array([7e-3, 1e-3]), 5e-3
     predict, d = predictor(*RP2, depth=9.0, points=30)
     clean = predict(true)[0].force_N
@@ -115,23 +107,9 @@ def _coverage(fits):
         assert found.converged
         covered += (found.ci95[:, 0] <= true) & (true <= found.ci95[:, 1])
         chi += found.rss / found.degrees_of_freedom
-    return covered / fits, chi / fits
-
-
-def test_coverage_of_intervals():
-    """V42: 500 fits; two binomial standard deviations are 2 points."""
-    covered, chi = _coverage(500)
-    assert covered == pytest.approx([0.95, 0.95], abs=0.02)
-    # the mean of 500 chi^2/28 has a standard deviation of sqrt(2/28/500) = 0.012
-    assert chi == pytest.approx(1, abs=0.036)
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-def test_coverage_of_intervals_over_5000_fits():
-    covered, _ = _coverage(5000)
-    print(f"\n95 % intervals of C10 and C20 hold the truth in {100 * covered} % of 5000 fits")
-    assert np.all((covered >= 0.942) & (covered <= 0.958))
+    assert covered / fits == pytest.approx([0.95, 0.95], abs=apart)
+    # three standard deviations of the mean of so many chi^2/28
+    assert chi / fits == pytest.approx(1, abs=3 * np.sqrt(2 / 28 / fits))
 
 
 def test_doubled_weights_change_nothing():
@@ -287,8 +265,3 @@ def _measured(force, label="A"):
 def test_data_that_cannot_answer(measured, words):
     with pytest.raises(InputError, match=words):
         fit(predictor(*RP2, depth=9.0)[0], measured, RP2[1], [5e-3, 0.0])
-
-
-def test_aicc_prefers_fewer_constants_for_the_same_sum_of_squares():
-    assert aicc(1.0, 30, 2) < aicc(1.0, 30, 3)
-    assert aicc(1.0, 4, 2) == np.inf

@@ -168,9 +168,11 @@ def test_friction_between_two_plates_is_the_mixture_of_both(tmp_path):
     assert friction.shares["C10"] > 0.5  # bonded plates and a stiffer solid are much alike
 
 
-def coverage(tmp_path, studies, seed=2011):
+@pytest.mark.slow
+@pytest.mark.verify
+def test_coverage_is_92_to_98_percent(tmp_path):
     """Share of intervals that hold the truth, offset, zero and radius drawn from their priors."""
-    rng, hits = np.random.default_rng(seed), np.zeros(2)
+    rng, hits, studies = np.random.default_rng(2011), np.zeros(2), 1000
     write(tmp_path / "a.csv", "reduced-polynomial", RP2)
     declared = 'displacement_offset = "0.1 mm"\nforce_zero = "0.1 N"\nspecimen.radius = "0.1 mm"'
     path = nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "28 %"]'})
@@ -189,20 +191,7 @@ def coverage(tmp_path, studies, seed=2011):
         found = calibrate(config, tmp_path).fit
         truth = np.array(list(RP2.values()))
         hits += (found.ci95[:, 0] <= truth) & (truth <= found.ci95[:, 1])
-    return hits / studies
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-def test_intervals_cover_with_nuisances_drawn_from_their_priors(tmp_path):
-    # 40 of 95 %: fewer than 34 in one of 300
-    assert np.all(coverage(tmp_path, 40) >= 34 / 40)
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-def test_coverage_is_92_to_98_percent(tmp_path):
-    found = coverage(tmp_path, 1000)
+    found = hits / studies
     assert np.all((found >= 0.92) & (found <= 0.98)), found
 
 
@@ -251,12 +240,12 @@ def test_a_radius_of_an_indenter_moves_the_modulus_as_hertz_says(tmp_path):
     assert found.nuisance[0].shares["C10"] > 0.99
 
 
-def shifted(tmp_path, offset, zero, rng):
+def shifted(tmp_path, offset, rng):
     """Compression of 5 kPa with an offset of the plate and a zero of the load cell, .02 N noise."""
     d = np.linspace(0.1, 9.0, 60)
     material = Material("neo-hookean", {"C10": 5e-3}, incompressible=True)
     force = -np.pi * 25**2 * response(material, "uniaxial", 1 - (d + offset) / 30).stress
-    force = force + zero + 0.02 * rng.normal(size=d.size)
+    force = force + 0.15 + 0.02 * rng.normal(size=d.size)
     rows = "\n".join(f"{a:.9g},{b:.9g},1" for a, b in zip(d, force, strict=True))
     (tmp_path / "a.csv").write_text(f"d,f,r\n{rows}\n", encoding="utf-8")
     text = 'displacement_offset = "0.5 mm"\nforce_zero = "0.2 N"'
@@ -269,7 +258,7 @@ def shifted(tmp_path, offset, zero, rng):
 def test_an_offset_is_found_wherever_its_prior_lets_it_be(tmp_path, sigmas):
     rng = np.random.default_rng(int(10 + sigmas))
     for _ in range(3):
-        found = shifted(tmp_path, 0.5 * sigmas, 0.15, rng)
+        found = shifted(tmp_path, 0.5 * sigmas, rng)
         offset, zero = found.fit.nuisance
         assert found.converged
         # noise of .02 N against .2 N: the rows find all three; four standard errors
@@ -277,21 +266,3 @@ def test_an_offset_is_found_wherever_its_prior_lets_it_be(tmp_path, sigmas):
         assert abs(zero.value - 0.15) < 4 * zero.standard_error
         assert abs(found.fit.values[0] - 5e-3) < 4 * found.fit.standard_error[0]
         assert found.fit.standard_error[0] < 0.03 * 5e-3
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-def test_fifty_draws_of_offsets_and_zeros_of_both_signs(tmp_path):
-    rng, inside = np.random.default_rng(99), np.zeros(3)
-    for k in range(52):
-        true = (0.5 * [-2, -1, 1, 2][k % 4], [0.15, -0.15, 0.3, -0.3][(k // 4) % 4])
-        found = shifted(tmp_path, *true, rng)
-        errors = [
-            (one.value - value) / one.standard_error
-            for one, value in zip(found.fit.nuisance, true, strict=True)
-        ]
-        errors.append((found.fit.values[0] - 5e-3) / found.fit.standard_error[0])
-        assert np.abs(errors).max() < 4
-        inside += np.abs(errors) < 2
-    # 47 of 50 by the first run; 52 at 95 % are fewer than 44 in 0.5 %
-    assert inside.min() >= 44

@@ -30,38 +30,36 @@ def autoregression(rho, rng, rows=ROWS):
     return error
 
 
-def coverage(model, points, rho, tests, noise_N=0.1, seed=2011):
-    """Share of 95 % intervals that hold the truth, shape (p,); ``points`` 0 fits the rows."""
+MANY = [
+    pytest.param(model, points, rho, 1500, 0.92, 0.98, marks=[pytest.mark.slow, pytest.mark.verify])
+    for model in ENERGIES
+    for points in (0, 60, 200, 1000)
+    for rho in (0.0, 0.9)
+]
+# 60 tests of 95 %: fewer than 52 or so in one of 200 simulations; 35 % would hit 21
+FEW = [
+    ("neo-hookean", points, rho, 60, 52 / 60, 1.0)
+    for points, rho in ((0, 0.0), (1000, 0.0), (200, 0.9))
+]
+
+
+# one binomial standard deviation of 1500 tests is 0.6 points
+@pytest.mark.parametrize(("model", "points", "rho", "tests", "least", "most"), [*FEW, *MANY])
+def test_intervals_cover_the_constants(model, points, rho, tests, least, most):
+    """Share of 95 % intervals that hold the truth; ``points`` 0 fits the rows."""
     names, truth = tuple(ENERGIES[model]), np.array(list(ENERGIES[model].values()))
     at_rows, d = predictor(model, names, DEPTH, points=ROWS)
     exact = at_rows(truth)[0].force_N
     places = np.linspace(0.3, DEPTH, points) if points else d  # 60 of them are not the rows
     predict = predictor(model, names, DEPTH, places=places)[0]
-    rng, hits = np.random.default_rng(seed), np.zeros(truth.size)
+    rng, hits = np.random.default_rng(2011), np.zeros(truth.size)
     for _ in range(tests):
-        rows = Curve(d, exact + noise_N * autoregression(rho, rng))
+        rows = Curve(d, exact + 0.1 * autoregression(rho, rng))
         curve = Curve(places, np.interp(places, d, rows.force_N))
         measured = [MeasuredCurve("virtual", curve, recordings=(rows,))]
         found = with_serial_correlation(fit(predict, measured, names, truth), measured)
         hits += (found.ci95[:, 0] <= truth) & (truth <= found.ci95[:, 1])
-    return hits / tests
-
-
-@pytest.mark.parametrize(("points", "rho"), [(0, 0.0), (1000, 0.0), (200, 0.9)])
-def test_intervals_cover_the_constant(points, rho):
-    # 60 tests of 95 %: fewer than 52 or so in one of 200 simulations; 35 % would hit 21
-    assert coverage("neo-hookean", points, rho, 60)[0] >= 52 / 60
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-@pytest.mark.parametrize("model", ENERGIES)
-@pytest.mark.parametrize("points", [0, 60, 200, 1000])
-@pytest.mark.parametrize("rho", [0.0, 0.9])
-def test_coverage_is_92_to_98_percent(model, points, rho):
-    # one binomial standard deviation of 1500 tests is 0.6 points
-    found = coverage(model, points, rho, 1500)
-    assert np.all((found >= 0.92) & (found <= 0.98)), found
+    assert np.all((hits / tests >= least) & (hits / tests <= most)), hits / tests
 
 
 def test_long_recording_gives_the_error_that_its_correlation_is_known_to_give():

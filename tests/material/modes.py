@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
-from study.mechanics.material.homogeneous import (
-    CONFINED,
-    EQUIBIAXIAL,
-    PLANAR,
-    UNIAXIAL,
-    first_piola,
-    response,
-)
+from study.mechanics.material.homogeneous import MODES, first_piola, response
 from study.mechanics.material.material import Material
 
 #: a foam, whose volume change belongs to all of its energy
@@ -22,30 +17,18 @@ FOAM = Material(
 )
 
 
-def uniaxial(material: Material, stretch: ArrayLike) -> Array:
-    """Nominal stress in MPa under uniaxial load, sides free (V01, V04)."""
-    return _shaped(response(material, UNIAXIAL, stretch).stress, stretch)
+def stress(mode: str, material: Material, stretch: ArrayLike) -> Array:
+    """Nominal stress in MPa, sides free but in the confined mode (V01 to V04, V06)."""
+    return _shaped(response(material, mode, stretch).stress, stretch)
 
 
-def equibiaxial(material: Material, stretch: ArrayLike) -> Array:
-    """Nominal stress in MPa under two equal stretches (V02)."""
-    return _shaped(response(material, EQUIBIAXIAL, stretch).stress, stretch)
-
-
-def planar(material: Material, stretch: ArrayLike) -> Array:
-    """Nominal stress in MPa in planar tension (pure shear): l, 1, free (V03)."""
-    return _shaped(response(material, PLANAR, stretch).stress, stretch)
-
-
-def confined(material: Material, stretch: ArrayLike) -> Array:
-    """Nominal stress in MPa in confined compression: l, 1, 1 (V06)."""
-    return _shaped(response(material, CONFINED, stretch).stress, stretch)
+uniaxial, equibiaxial, planar, confined = (partial(stress, mode) for mode in MODES)
 
 
 def uniaxial_gradient(material: Material, stretch: ArrayLike) -> dict[str, Array]:
     """Total derivative of :func:`uniaxial` with respect to every constant, K(nu) included."""
     # Units: returns MPa.
-    gradient = response(material, UNIAXIAL, stretch).gradient
+    gradient = response(material, "uniaxial", stretch).gradient
     return {name: _shaped(value, stretch) for name, value in gradient.items()}
 
 

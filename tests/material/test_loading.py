@@ -21,14 +21,6 @@ SOLIDS = [
 ]
 
 
-def test_simple_shear_of_a_mooney_rivlin_solid_is_linear():
-    """P12 = 2 (C10 + C01) g at any K (Rivlin 1948), odd in g."""
-    shear = np.array([-0.9, -0.2, 0.0, 0.4, 1.3])
-    found = LOADINGS["simple-shear"].nominal(MR, shear)
-    assert found.stress == pytest.approx(1.0 * shear, abs=1e-14)
-    assert found.gradient["C10"] == pytest.approx(2 * shear, abs=1e-14)
-
-
 @pytest.mark.parametrize("material", SOLIDS, ids=lambda m: m.model)
 def test_simple_shear_is_that_of_the_full_stress_tensor(material):
     for shear in (-0.6, 0.3, 1.1):
@@ -58,17 +50,10 @@ def test_an_incompressible_solid_has_no_volumetric_test():
         LOADINGS["volumetric"].nominal(fixed, np.array([0.9]))
 
 
-def test_beyond_the_end_of_chains_there_is_nothing():
-    short = Material("gent", {"mu": 0.8, "Jm": 1.0}, poisson_ratio=0.49)
-    found = LOADINGS["simple-shear"].nominal(short, np.array([0.5, 1.5]))
-    assert np.isfinite(found.stress[0])
-    assert np.isnan(found.stress[1])
-
-
 @pytest.mark.parametrize("prestretch", [0.75, 1.0, 1.25])
 def test_a_stretched_specimen_is_sheared(prestretch):
     """Mooney-Rivlin: I1 = 2/l + l^2 + g^2 and I2 = 2 l + 1/l^2 + g^2/l, P_12 = dW/dg."""
-    shear = np.array([-0.3, 0.0, 0.1, 0.5])
+    shear = np.array([-0.9, -0.3, 0.0, 0.1, 1.3])
     found = loading_in("simple-shear", prestretch).nominal(MR, shear)
     by = {"C10": 2 * shear, "C01": 2 * shear / prestretch}
     exact = sum(MR.constants[name] * by[name] for name in by)

@@ -121,13 +121,6 @@ def test_bad_orders(order):
         constant_names("neo-hookean", 2)
 
 
-def test_abaqus():
-    material = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000)
-    assert convert(material, "abaqus").constants == {"C10": 0.4, "C01": 0.1, "D1": 0.002}
-    free = Material("neo-hookean", {"C10": 0.4}, incompressible=True)
-    assert convert(free, "abaqus").constants["D1"] == 0
-
-
 def test_ogden_classical_round_trip():
     # V44: Treloar's rubber, mu0 = 1/2 sum m a = 0.4225 MPa
     # classical: W = sum m / a (sum l^a - 3) (Ogden 1972), so mu = m a / 2
@@ -141,42 +134,53 @@ def test_ogden_classical_round_trip():
     assert [back["m1"], back["m2"], back["m3"]] == pytest.approx([0.63, 0.0012, -0.01], rel=1e-14)
 
 
-def test_febio():
-    ogden = Material("ogden", {"mu1": 0.5, "alpha1": 4.0}, bulk_modulus=100)
-    assert convert(ogden, "febio").constants == {"c1": 1.0, "m1": 4.0, "k": 100}
-    yeoh = Material("reduced-polynomial", {"C10": 1, "C20": 2, "C30": 3}, bulk_modulus=100)
-    assert convert(yeoh, "febio").constants == {"c1": 1, "c2": 2, "c3": 3, "k": 100}
-    assert "ln J" in convert(yeoh, "febio").note
-    with pytest.raises(InputError, match="no energy with"):
-        convert(Material("polynomial", {"C11": 1.0}, incompressible=True), "febio")
-    with pytest.raises(InputError, match="did you mean 'abaqus'"):
-        convert(yeoh, "abacus")
-    with pytest.raises(InputError, match="for ogden materials"):
-        convert(yeoh, "ogden-classical")
+YEOH = {"C10": 1.0, "C20": 2.0, "C30": 3.0}
+WAALS = {"mu": 0.7, "lambda_m": 6.0, "a": 0.3, "beta": 0.2}
 
 
-def test_new_energies_in_other_conventions():
-    """FEBio counts links N = lambda_m^2 and calls Gent's modulus G; Abaqus has D = 2/K."""
-    chains = Material("arruda-boyce", {"mu": 0.8, "lambda_m": 3.0}, bulk_modulus=50.0)
-    assert convert(chains, "febio").constants == pytest.approx({"mu": 0.8, "N": 9.0, "k": 50.0})
-    assert convert(chains, "abaqus").constants == {"mu": 0.8, "lambda_m": 3.0, "D": 0.04}
-    assert "ln J" in convert(chains, "abaqus").note
-    gent = Material("gent", {"mu": 0.8, "Jm": 30.0}, bulk_modulus=50.0)
-    assert convert(gent, "febio").constants == {"G": 0.8, "Jm": 30.0, "k": 50.0}
-    skin = Material("veronda-westmann", {"C1": 0.4, "C2": 1.7}, bulk_modulus=50.0)
-    assert convert(skin, "febio").constants == {"c1": 0.4, "c2": 1.7, "k": 50.0}
-    yeoh = Material("yeoh", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, incompressible=True)
-    assert convert(yeoh, "abaqus").keyword == "*Hyperelastic, yeoh"
-    waals = Material(
-        "van-der-waals", {"mu": 0.7, "lambda_m": 6.0, "a": 0.3, "beta": 0.2}, incompressible=True
-    )
-    assert convert(waals, "abaqus").constants["D"] == 0.0
-    for material in (gent, skin):
-        with pytest.raises(InputError, match="abaqus has no energy"):
-            convert(material, "abaqus")
-    for material in (waals, Material("fung", {"mu": 0.6, "b": 1.3}, incompressible=True)):
-        with pytest.raises(InputError, match="febio has no energy"):
-            convert(material, "febio")
+@pytest.mark.parametrize(
+    ("model", "constants", "bulk", "convention", "expected"),
+    [
+        # Abaqus has D = 2 / K
+        ("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, 1000.0, "abaqus",
+         {"C10": 0.4, "C01": 0.1, "D1": 0.002}),
+        ("neo-hookean", {"C10": 0.4}, None, "abaqus", {"C10": 0.4, "D1": 0.0}),
+        ("arruda-boyce", {"mu": 0.8, "lambda_m": 3.0}, 50.0, "abaqus",
+         {"mu": 0.8, "lambda_m": 3.0, "D": 0.04}),
+        ("van-der-waals", WAALS, None, "abaqus", {**WAALS, "D": 0.0}),
+        ("ogden", {"mu1": 0.5, "alpha1": 4.0}, 100.0, "febio", {"c1": 1.0, "m1": 4.0, "k": 100.0}),
+        ("reduced-polynomial", YEOH, 100.0, "febio", {"c1": 1.0, "c2": 2.0, "c3": 3.0, "k": 100.0}),
+        # FEBio counts links N = lambda_m^2 and calls Gent's modulus G
+        ("arruda-boyce", {"mu": 0.8, "lambda_m": 3.0}, 50.0, "febio",
+         {"mu": 0.8, "N": 9.0, "k": 50.0}),
+        ("gent", {"mu": 0.8, "Jm": 30.0}, 50.0, "febio", {"G": 0.8, "Jm": 30.0, "k": 50.0}),
+        ("veronda-westmann", {"C1": 0.4, "C2": 1.7}, 50.0, "febio",
+         {"c1": 0.4, "c2": 1.7, "k": 50.0}),
+    ],
+)  # fmt: skip
+def test_constants_of_other_codes(model, constants, bulk, convention, expected):
+    material = Material(model, constants, bulk_modulus=bulk, incompressible=bulk is None)
+    converted = convert(material, convention)
+    assert converted.constants == pytest.approx(expected, rel=1e-14)
+    logarithmic = convention == "febio" or model == "arruda-boyce"
+    assert ("ln J" in converted.note) is (logarithmic and bulk is not None)
+
+
+@pytest.mark.parametrize(
+    ("model", "constants", "convention", "words"),
+    [
+        ("polynomial", {"C11": 1.0}, "febio", "febio has no energy with"),
+        ("reduced-polynomial", YEOH, "abacus", "did you mean 'abaqus'"),
+        ("reduced-polynomial", YEOH, "ogden-classical", "for ogden materials"),
+        ("gent", {"mu": 0.8, "Jm": 30.0}, "abaqus", "abaqus has no energy"),
+        ("veronda-westmann", {"C1": 0.4, "C2": 1.7}, "abaqus", "abaqus has no energy"),
+        ("van-der-waals", WAALS, "febio", "febio has no energy"),
+        ("fung", {"mu": 0.6, "b": 1.3}, "febio", "febio has no energy"),
+    ],
+)
+def test_what_other_codes_have_not(model, constants, convention, words):
+    with pytest.raises(InputError, match=words):
+        convert(Material(model, constants, incompressible=True), convention)
 
 
 @pytest.mark.parametrize("model", ["arruda-boyce", "gent", "extended-tube", "van-der-waals",

@@ -6,36 +6,35 @@ derivatives by their constants, so that one compiled law serves them all.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Collection
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.mechanics.material.energy import (
-    Compressibility,
     Constant,
     Constants,
     DeclaredConstants,
     Law,
     PointLaw,
 )
-from study.mechanics.material.polynomial import Curvatures, InvariantEnergy, Slopes
+from study.mechanics.material.polynomial import Curvatures, Form, InvariantEnergy, Slopes
 
 #: k a beyond which a state has no stress: e^500 is near the largest number there is
 LARGEST_EXPONENT = 500.0
 
 
-class Exponential(NamedTuple):
-    """Coefficients of an exponential energy, or of its derivative by a constant."""
+@dataclass(frozen=True)
+class Exponential(Form):
+    """Exponential energy, or its derivative by a constant."""
 
     #: Of the exponential function and of a times it, MPa.
     p: float
     q: float
     k: float
-    #: Of the second invariant, MPa.
-    d: float = 0.0
+    #: Of the second invariant, MPa; None where that does not enter.
+    d: float | None = None
 
     def growth(self, a: Array) -> Array:
         """exp(k a); NaN beyond :data:`LARGEST_EXPONENT`."""
@@ -43,50 +42,21 @@ class Exponential(NamedTuple):
         within = exponent < LARGEST_EXPONENT
         return np.where(within, np.exp(np.where(within, exponent, 0.0)), np.nan)
 
-    def slopes(self, a: Array) -> Slopes:
+    def slopes(self, a: Array, b: Array) -> Slopes:
         """By I1 and I2."""
-        return Slopes((self.q + self.k * (self.p + self.q * a)) * self.growth(a), self.d)
+        by_a = (self.q + self.k * (self.p + self.q * a)) * self.growth(a)
+        return Slopes(by_a, self.d or 0.0)
 
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
+        """By the first invariant alone, where q is zero, as it is of W."""
+        return Curvatures(self.k**2 * self.p * self.growth(a))
 
-class ExponentialEnergy(InvariantEnergy):
-    """Energy of this form."""
-
-    #: Whether the second invariant enters.
-    has_second_invariant = False
-
-    @abstractmethod
-    def coefficients(self, constants: Constants) -> Exponential:
-        """Those of W; q is zero."""
-
-    @abstractmethod
-    def coefficient_rates(self, constants: Constants, name: str) -> Exponential:
-        """Those of the derivative of W by a constant."""
-
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
-        """Of W."""
-        return self.coefficients(constants).slopes(a)
-
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
-        """By the first invariant alone."""
-        c = self.coefficients(constants)
-        return Curvatures(c.k**2 * c.p * c.growth(a))
-
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """Of the derivatives."""
-        return {n: self.coefficient_rates(constants, n).slopes(a) for n in constants}
-
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+    def law(self) -> Law:
         """Hand over p, q, k, and d in a second column where it enters."""
-        return self._law(self.coefficients(constants))
-
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Hand over those of the derivative."""
-        return self._law(self.coefficient_rates(constants, name))
-
-    def _law(self, c: Exponential) -> Law:
-        table = np.array([[c.p, c.d], [c.q, 0.0], [c.k, 0.0]])
-        columns = 2 if self.has_second_invariant else 1
-        return Law(PointLaw.EXPONENTIAL, np.ascontiguousarray(table[:, :columns]))
+        column = np.array([[self.p], [self.q], [self.k]])
+        if self.d is not None:
+            column = np.hstack([column, [[self.d], [0.0], [0.0]]])
+        return Law(PointLaw.EXPONENTIAL, column)
 
 
 # Isotropic exponential energy of soft tissue: W = mu / (2 b) (exp(b (I1 - 3)) - 1), Fung's law
@@ -96,19 +66,19 @@ class ExponentialEnergy(InvariantEnergy):
 FUNG_STARTING_STIFFENING = 0.1
 
 
-class Fung(DeclaredConstants, ExponentialEnergy):
+class Fung(DeclaredConstants, InvariantEnergy):
     """Initial shear modulus mu and stiffening b; neo-Hookean as b goes to zero."""
 
     name = "fung"
     shear_modulus_formula = "mu"
     declared = (Constant("mu", 0.0, np.inf), Constant("b", 1e-6, 1e4, True))
 
-    def coefficients(self, constants: Constants) -> Exponential:
+    def form(self, constants: Constants) -> Exponential:
         """Return mu / (2 b) of the exponential function."""
         mu, b = constants["mu"], constants["b"]
         return Exponential(0.5 * mu / b, 0.0, b)
 
-    def coefficient_rates(self, constants: Constants, name: str) -> Exponential:
+    def form_rate(self, constants: Constants, name: str) -> Exponential:
         """Differentiate mu / (2 b) exp(b a)."""
         mu, b = constants["mu"], constants["b"]
         if name == "mu":
@@ -131,7 +101,7 @@ class Fung(DeclaredConstants, ExponentialEnergy):
 VERONDA_WESTMANN_STARTING_STIFFENING = 0.1
 
 
-class VerondaWestmann(DeclaredConstants, ExponentialEnergy):
+class VerondaWestmann(DeclaredConstants, InvariantEnergy):
     """Modulus C1 and stiffening C2; mu0 = C1 C2.
 
     At small strain W falls with I2, so that it may be unstable in equibiaxial tension where C2
@@ -140,15 +110,14 @@ class VerondaWestmann(DeclaredConstants, ExponentialEnergy):
 
     name = "veronda-westmann"
     shear_modulus_formula = "C1 C2"
-    has_second_invariant = True
     declared = (Constant("C1", 0.0, np.inf), Constant("C2", 1e-6, 1e4, True))
 
-    def coefficients(self, constants: Constants) -> Exponential:
+    def form(self, constants: Constants) -> Exponential:
         """C1 of the exponential function, -C1 C2 / 2 of the second invariant."""
         c1, c2 = constants["C1"], constants["C2"]
         return Exponential(c1, 0.0, c2, -0.5 * c1 * c2)
 
-    def coefficient_rates(self, constants: Constants, name: str) -> Exponential:
+    def form_rate(self, constants: Constants, name: str) -> Exponential:
         """Differentiate W by each."""
         c1, c2 = constants["C1"], constants["C2"]
         if name == "C1":

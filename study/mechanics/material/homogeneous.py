@@ -83,20 +83,26 @@ MODES: dict[str, Mode] = {m.name: m for m in (UNIAXIAL, EQUIBIAXIAL, PLANAR, CON
 
 
 @dataclass(frozen=True)
-class StressResponse:
+class Loaded:
+    """Nominal stress of one loading."""
+
+    #: shape (n,); over the reference area in the loaded direction, MPa; tension is positive. NaN
+    #: where the material has no equilibrium state (an unstable one can have none).
+    stress: Array
+    #: shape (n,); total derivative with respect to every constant.
+    gradient: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class StressResponse(Loaded):
     """State of a homogeneous test at every stretch."""
 
-    #: shape (n,); nominal stress in the loaded direction, MPa; NaN where the material has no
-    #: equilibrium state (an unstable one can have none).
-    stress: Array
     #: shape (n,); its derivative with respect to the stretch.
     slope: Array
     #: shape (n,); stretch of the free direction (1 if there is none).
     free_stretch: Array
     #: shape (n,); J.
     volume_ratio: Array
-    #: shape (n,); total derivative of the stress with respect to every constant.
-    gradient: dict[str, Array]
 
 
 def response(material: Material, mode: Mode | str, stretch: ArrayLike) -> StressResponse:
@@ -142,7 +148,7 @@ def _balanced(
         if not free.any():
             tau, dtau = kirchhoff[0] + bulk * J * (J - 1), along_x[0] + volumetric
             gradient = {n: (g[0] + dbulk[n] * J * (J - 1)) / stretch for n, g in partial.items()}
-            return StressResponse(tau / stretch, (dtau - tau) / stretch**2, np.exp(z), J, gradient)
+            return StressResponse(tau / stretch, gradient, (dtau - tau) / stretch**2, np.exp(z), J)
         # the free direction's total stress is zero, so K (J-1) J = -kirchhoff[t] without cancelling
         t = int(free.argmax())
         tau, tau_x, tau_z = (q[0] - q[t] for q in (kirchhoff, along_x, along_z))
@@ -153,7 +159,7 @@ def _balanced(
             dz = {n: -(g[t] + dbulk[n] * J * (J - 1)) / by_z for n, g in partial.items()}
         gradient = {n: (g[0] - g[t] + tau_z * dz[n]) / stretch for n, g in partial.items()}
         slope = (tau_x + tau_z * dz_dx - tau) / stretch**2
-        return StressResponse(tau / stretch, slope, np.exp(z), J, gradient)
+        return StressResponse(tau / stretch, gradient, slope, np.exp(z), J)
 
 
 def _bulk_beside(material: Material) -> tuple[float, dict[str, float]]:
@@ -249,7 +255,7 @@ def _linear(material: Material, mode: Mode, stretch: Array) -> StressResponse:
     free = 1 + lateral.get(mode.name, 0.0) * strain
     J = stretch ** sum(mode.loaded) * free ** sum(mode.free)
     gradient = {n: (by_mu * dmu[n] + by_bulk * dbulk[n]) * strain for n in material.names}
-    return StressResponse(modulus * strain, np.full_like(strain, modulus), free, J, gradient)
+    return StressResponse(modulus * strain, gradient, np.full_like(strain, modulus), free, J)
 
 
 def _modulus(mode: Mode, mu: complex, bulk: complex) -> complex:
@@ -266,16 +272,6 @@ def _modulus(mode: Mode, mu: complex, bulk: complex) -> complex:
 
 # Nominal stress of a homogeneous specimen in every loading that a measured test may have, by the
 # stretch of the loaded direction or the amount of shear.
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """Nominal stress of one loading."""
-
-    #: shape (n,); over the reference area, MPa; tension is positive. NaN where there is none.
-    stress: Array
-    #: shape (n,); total derivative with respect to every constant.
-    gradient: Mapping[str, Array]
 
 
 @dataclass(frozen=True)
@@ -296,12 +292,12 @@ class Loading:
         return share if self.is_shear else 1.0 + share
 
 
-def _principal(mode: Mode, *, is_volumetric: bool = False) -> Loading:
-    def nominal(material: Material, stretch: Array) -> Loaded:
-        state = response(material, mode, stretch)
-        return Loaded(state.stress, state.gradient)
-
-    return Loading(nominal, mode=mode, is_volumetric=is_volumetric)
+def _principal(mode: Mode) -> Loading:
+    return Loading(
+        lambda material, stretch: response(material, mode, stretch),
+        mode=mode,
+        is_volumetric=mode is CONFINED,
+    )
 
 
 def _simple_shear(material: Material, shear: Array, prestretch: float = 1.0) -> Loaded:
@@ -370,8 +366,7 @@ def _biaxial(material: Material, stretch: Array) -> Loaded:
     x = np.log(stretch)
     fixed = np.stack([x, np.roll(x, stretch.size // 2), np.zeros_like(x)])
     along, free = np.eye(3)[[0, 2]]
-    state = _balanced(material, along, free, fixed, -fixed.sum(0))
-    return Loaded(state.stress, state.gradient)
+    return _balanced(material, along, free, fixed, -fixed.sum(0))
 
 
 def _volumetric(material: Material, stretch: Array) -> Loaded:
@@ -400,7 +395,7 @@ LOADINGS: Mapping[str, Loading] = {
     "equibiaxial": _principal(EQUIBIAXIAL),
     "planar": _principal(PLANAR),
     "biaxial": Loading(_biaxial),
-    "confined": _principal(CONFINED, is_volumetric=True),
+    "confined": _principal(CONFINED),
     "simple-shear": Loading(_simple_shear, is_shear=True),
     "volumetric": Loading(_volumetric, is_volumetric=True),
 }

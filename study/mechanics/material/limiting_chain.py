@@ -2,97 +2,88 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Collection
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import polynomial
 
 from study.ground.arrays import Array
 from study.mechanics.material.energy import (
-    Compressibility,
     Constant,
     Constants,
     DeclaredConstants,
     Law,
     PointLaw,
 )
-from study.mechanics.material.polynomial import Curvatures, InvariantEnergy, Slopes, TableEnergy
+from study.mechanics.material.polynomial import (
+    Curvatures,
+    Form,
+    InvariantEnergy,
+    PolynomialTable,
+    Slopes,
+)
 
 # Energies of chains that end: W has a pole where e (I1 - 3) = 1. ``dW/dI1 = A1 s + A2 s^2 + A3
 # s^3`` with ``s = 1 / (1 - e (I1 - 3))`` serves them all; a state beyond the pole has no stress
 # (NaN).
 
 
-class FiniteExtensibilityEnergy(InvariantEnergy):
-    """Energy with such a pole."""
+@dataclass(frozen=True)
+class Pole(Form):
+    """Energy with such a pole, or its derivative by a constant."""
 
-    @abstractmethod
-    def poles(self, constants: Constants) -> Array:
-        """Return e (plain) and A1, A2, A3 (MPa) of W, shape (4,)."""
+    #: Plain.
+    e: float
+    #: A1, A2 and A3, MPa.
+    first: float
+    second: float = 0.0
+    third: float = 0.0
 
-    @abstractmethod
-    def pole_rates(self, constants: Constants, name: str) -> Array:
-        """Return e and A1, A2, A3 of the derivative of W by a constant, shape (4,)."""
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """By the first invariant alone."""
+        s = self._inverse_gap(a)
+        return Slopes(s * (self.first + s * (self.second + s * self.third)))
 
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
-        """Of W."""
-        return _slopes(self.poles(constants), a)
-
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
         """ds/da = e s^2."""
-        e, first, second, third = self.poles(constants)
-        s = _inverse_gap(e, a)
-        return Curvatures(e * s**2 * (first + 2 * second * s + 3 * third * s**2))
+        s = self._inverse_gap(a)
+        by_s = self.first + 2 * self.second * s + 3 * self.third * s**2
+        return Curvatures(self.e * s**2 * by_s)
 
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """Of the derivatives."""
-        return {n: _slopes(self.pole_rates(constants, n), a) for n in constants}
-
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+    def law(self) -> Law:
         """Hand over e, A1, A2, A3 in one column."""
-        return Law(PointLaw.FINITE_EXTENSIBILITY, self.poles(constants)[:, None])
+        column = np.array([[self.e], [self.first], [self.second], [self.third]])
+        return Law(PointLaw.FINITE_EXTENSIBILITY, column)
 
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Hand over those of the derivative."""
-        return Law(PointLaw.FINITE_EXTENSIBILITY, self.pole_rates(constants, name)[:, None])
-
-
-def _slopes(poles: Array, a: Array) -> Slopes:
-    e, first, second, third = poles
-    s = _inverse_gap(e, a)
-    return Slopes(s * (first + s * (second + s * third)))
-
-
-def _inverse_gap(e: float, a: Array) -> Array:
-    """1 / (1 - e a); NaN at the pole and beyond."""
-    gap = 1 - e * np.asarray(a, float)
-    return np.where(gap > 0, 1 / np.where(gap > 0, gap, 1.0), np.nan)
+    def _inverse_gap(self, a: Array) -> Array:
+        """1 / (1 - e a); NaN at the pole and beyond."""
+        gap = 1 - self.e * np.asarray(a, float)
+        return np.where(gap > 0, 1 / np.where(gap > 0, gap, 1.0), np.nan)
 
 
 #: Jm that a fit starts from: of natural rubber, which tears before a uniaxial stretch of 10
 STARTING_LIMIT = 100.0
 
 
-class Gent(DeclaredConstants, FiniteExtensibilityEnergy):
+class Gent(DeclaredConstants, InvariantEnergy):
     """Initial shear modulus mu and limit Jm of I1 - 3; neo-Hookean where Jm is large."""
 
     name = "gent"
     shear_modulus_formula = "mu"
     declared = (Constant("mu", 0.0, np.inf), Constant("Jm", 1e-4, 1e7, True))
 
-    def poles(self, constants: Constants) -> Array:
+    def form(self, constants: Constants) -> Pole:
         """dW/dI1 = mu / 2 Jm / (Jm - I1 + 3)."""
-        return np.array([1 / constants["Jm"], constants["mu"] / 2, 0.0, 0.0])
+        return Pole(1 / constants["Jm"], constants["mu"] / 2)
 
-    def pole_rates(self, constants: Constants, name: str) -> Array:
+    def form_rate(self, constants: Constants, name: str) -> Pole:
         """By Jm it is -mu / 2 a e^2 s^2, and a e s = s - 1."""
         e = 1 / constants["Jm"]
         if name == "mu":
-            return np.array([e, 0.5, 0.0, 0.0])
+            return Pole(e, 0.5)
         half = constants["mu"] * e / 2
-        return np.array([e, half, -half, 0.0])
+        return Pole(e, half, -half)
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Whether it is a convex function of the stretches, as far as it reaches."""
@@ -118,25 +109,25 @@ for _k in range(1, 6):
 STARTING_STRETCH = 5.0
 
 
-class ArrudaBoyce(DeclaredConstants, TableEnergy):
+class ArrudaBoyce(DeclaredConstants, InvariantEnergy):
     """Modulus mu and locking stretch lambda_m; mu0 is larger than mu."""
 
     name = "arruda-boyce"
     shear_modulus_formula = "mu (1 + 3/(5 lambda_m^2) + 99/(175 lambda_m^4) + ...)"
     declared = (Constant("mu", 0.0, np.inf), Constant("lambda_m", 1.0, 1e3, True))
 
-    def table(self, constants: Constants) -> Array:
+    def form(self, constants: Constants) -> PolynomialTable:
         """Expand the powers of I1 about 3."""
         weights = SERIES * constants["lambda_m"] ** (-2.0 * np.arange(5))
-        return np.asarray(constants["mu"] * weights @ POWERS)[:, None]
+        return PolynomialTable(np.asarray(constants["mu"] * weights @ POWERS)[:, None])
 
-    def table_rate(self, constants: Constants, name: str) -> Array:
+    def form_rate(self, constants: Constants, name: str) -> PolynomialTable:
         """Differentiate each power of lambda_m."""
         if name == "mu":
-            return self.table({**constants, "mu": 1.0})
+            return self.form({**constants, "mu": 1.0})
         stretch, powers = constants["lambda_m"], -2.0 * np.arange(5)
         weights = SERIES * powers * stretch ** (powers - 1)
-        return np.asarray(constants["mu"] * weights @ POWERS)[:, None]
+        return PolynomialTable(np.asarray(constants["mu"] * weights @ POWERS)[:, None])
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Every term is convex and rises."""
@@ -145,7 +136,7 @@ class ArrudaBoyce(DeclaredConstants, TableEnergy):
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """Chains that are far from their end."""
         unit = {"mu": 1.0, "lambda_m": STARTING_STRETCH}
-        scale = 2 * float(self.table(unit)[1, 0])
+        scale = 2 * float(self.form(unit).coefficients[1, 0])
         return unit | {"mu": shear_modulus / scale}
 
 
@@ -165,6 +156,68 @@ _REST = 1e-30
 _ROOT_HALF = np.sqrt(0.5)
 
 
+@dataclass(frozen=True)
+class Chains(Form):
+    """dW/dI = p / (1 - eta) + q eta / (1 - eta)^2 + s sqrt(I - 3)."""
+
+    #: lambda_m^2 - 3, and the mixture; plain.
+    room: float
+    beta: float
+    #: MPa.
+    p: float
+    q: float = 0.0
+    s: float = 0.0
+
+    def slope(self, a: Array, b: Array) -> Array:
+        """dW/dI in MPa."""
+        x, eta = self._state(a, b)
+        return np.asarray(self.p / (1 - eta) + self.q * eta / (1 - eta) ** 2 + self.s * np.sqrt(x))
+
+    def curvature(self, a: Array, b: Array) -> Array:
+        """d2W/dI2 in MPa, where q is zero, as it is of W; 0 at rest, where it is not finite."""
+        x, eta = self._state(a, b)
+        moved = x > _REST
+        root = np.sqrt(np.where(moved, x, 1.0))
+        chains = self.p / (np.sqrt(self.room) * (1 - eta) ** 2)
+        return np.where(moved, 0.5 * (chains + self.s) / root, 0.0)
+
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """By the mixture of both."""
+        slope = self.slope(a, b)
+        return Slopes((1 - self.beta) * slope, self.beta * slope)
+
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
+        """By the mixture of both."""
+        curvature, first, second = self.curvature(a, b), 1 - self.beta, self.beta
+        return Curvatures(first**2 * curvature, first * second * curvature, second**2 * curvature)
+
+    def law(self) -> Law:
+        """Room and mixture, p and q, s."""
+        table = [[self.room, self.beta], [self.p, self.q], [self.s, 0.0]]
+        return Law(PointLaw.VAN_DER_WAALS, np.array(table))
+
+    def _state(self, a: Array, b: Array) -> tuple[Array, Array]:
+        """Mixed invariant less 3, and eta, NaN from 1 on."""
+        # rounding may leave it a little below zero at rest
+        mixed = (1 - self.beta) * np.asarray(a, float) + self.beta * np.asarray(b, float)
+        x = np.maximum(mixed, 0.0)
+        eta = np.sqrt(x / self.room)
+        return x, np.where(eta < 1, eta, np.nan)
+
+
+class MixtureRate(Chains):
+    """Derivative of W by the mixture, which turns both of its slopes."""
+
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """Differentiate the mixture, and the invariant in it."""
+        slope, turned = self.slope(a, b), self.curvature(a, b) * (b - a)
+        return Slopes((1 - self.beta) * turned - slope, self.beta * turned + slope)
+
+    def law(self) -> Law:
+        """Coefficients of W, of another law."""
+        return Law(PointLaw.VAN_DER_WAALS_BY_MIXTURE, super().law().constants)
+
+
 class VanDerWaals(DeclaredConstants, InvariantEnergy):
     """Initial shear modulus mu, locking stretch lambda_m, interaction a, mixture beta."""
 
@@ -178,45 +231,21 @@ class VanDerWaals(DeclaredConstants, InvariantEnergy):
         Constant("beta", 0.0, 1.0, True),
     )
 
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
+    def form(self, constants: Constants) -> Chains:
         """dW/dI = mu / 2 (1 / (1 - eta) - a sqrt((I - 3) / 2))."""
-        return _mixed(_State.of(constants, a, b).slope(constants), constants["beta"])
+        half, room = 0.5 * constants["mu"], constants["lambda_m"] ** 2 - 3
+        return Chains(room, constants["beta"], half, s=-half * constants["a"] * _ROOT_HALF)
 
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
-        """d2W/dI2, not finite at rest, where it meets the square of a strain."""
-        curvature, beta = _State.of(constants, a, b).curvature(constants), constants["beta"]
-        return Curvatures(
-            (1 - beta) ** 2 * curvature, (1 - beta) * beta * curvature, beta**2 * curvature
-        )
-
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """By each constant; beta also turns the mixture."""
-        at, beta, half = _State.of(constants, a, b), constants["beta"], 0.5 * constants["mu"]
-        slope, turned = at.slope(constants), at.curvature(constants) * (b - a)
-        crowding = -half * constants["lambda_m"] / at.room * at.eta / (1 - at.eta) ** 2
-        return {
-            "mu": _mixed(at.slope({**constants, "mu": 1.0}), beta),
-            "lambda_m": _mixed(crowding, beta),
-            "a": _mixed(-half * np.sqrt(0.5 * at.x), beta),
-            "beta": Slopes((1 - beta) * turned - slope, beta * turned + slope),
-        }
-
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
-        """P / (1 - eta) + Q eta / (1 - eta)^2 + S sqrt(I - 3) is dW/dI."""
-        mu = constants["mu"]
-        return _law(constants, 0.5 * mu, 0.0, -0.5 * mu * constants["a"] * _ROOT_HALF)
-
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Of the same form, but for beta."""
-        mu, room = constants["mu"], constants["lambda_m"] ** 2 - 3
+    def form_rate(self, constants: Constants, name: str) -> Chains:
+        """Of the same form, but for beta, which also turns the mixture."""
+        whole, half = self.form(constants), 0.5 * constants["mu"]
         if name == "mu":
-            return self.law({**constants, "mu": 1.0}, compressibility)
+            return self.form({**constants, "mu": 1.0})
         if name == "lambda_m":
-            return _law(constants, 0.0, -0.5 * mu * constants["lambda_m"] / room, 0.0)
+            return replace(whole, p=0.0, q=-half * constants["lambda_m"] / whole.room, s=0.0)
         if name == "a":
-            return _law(constants, 0.0, 0.0, -0.5 * mu * _ROOT_HALF)
-        kind = PointLaw.VAN_DER_WAALS_BY_MIXTURE
-        return Law(kind, self.law(constants, compressibility).constants)
+            return replace(whole, p=0.0, s=-half * _ROOT_HALF)
+        return MixtureRate(whole.room, whole.beta, whole.p, whole.q, whole.s)
 
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """Chains that are far from their end, and hardly interact."""
@@ -224,41 +253,3 @@ class VanDerWaals(DeclaredConstants, InvariantEnergy):
             "mu": shear_modulus, "lambda_m": STARTING_LOCKING_STRETCH,
             "a": STARTING_INTERACTION, "beta": 0.0,
         }  # fmt: skip
-
-
-class _State(NamedTuple):
-    """Mixed invariant less 3, room lambda_m^2 - 3 for it, and eta, NaN from 1 on."""
-
-    x: Array
-    room: float
-    eta: Array
-
-    @classmethod
-    def of(cls, constants: Constants, a: Array, b: Array) -> _State:
-        beta, room = constants["beta"], constants["lambda_m"] ** 2 - 3
-        # rounding may leave it a little below zero at rest
-        x = np.maximum((1 - beta) * np.asarray(a, float) + beta * np.asarray(b, float), 0.0)
-        eta = np.sqrt(x / room)
-        return cls(x, room, np.where(eta < 1, eta, np.nan))
-
-    def slope(self, constants: Constants) -> Array:
-        """dW/dI in MPa."""
-        attraction = constants["a"] * np.sqrt(0.5 * self.x)
-        return np.asarray(0.5 * constants["mu"] * (1 / (1 - self.eta) - attraction))
-
-    def curvature(self, constants: Constants) -> Array:
-        """d2W/dI2 in MPa; 0 at rest."""
-        moved = self.x > _REST
-        root = np.sqrt(np.where(moved, self.x, 1.0))
-        chains = 0.5 / (np.sqrt(self.room) * root * (1 - self.eta) ** 2)
-        attraction = 0.25 * constants["a"] / (_ROOT_HALF * root)
-        return np.where(moved, 0.5 * constants["mu"] * (chains - attraction), 0.0)
-
-
-def _mixed(slope: Array, beta: float) -> Slopes:
-    return Slopes((1 - beta) * slope, beta * slope)
-
-
-def _law(constants: Constants, p: float, q: float, s: float) -> Law:
-    room = constants["lambda_m"] ** 2 - 3
-    return Law(PointLaw.VAN_DER_WAALS, np.array([[room, constants["beta"]], [p, q], [s, 0.0]]))

@@ -23,7 +23,8 @@ from study.mechanics.material.energy import (
     Law,
     PointLaw,
 )
-from study.mechanics.material.limiting_chain import FiniteExtensibilityEnergy
+from study.mechanics.material.limiting_chain import Pole
+from study.mechanics.material.polynomial import InvariantEnergy
 
 #: Bounds of an exponent: beyond, powers of a stretch of 0.5 only overfit.
 EXPONENT: Bounds = (-30.0, 30.0)
@@ -281,7 +282,7 @@ STARTING_EXPONENT = 0.5
 STARTING_INEXTENSIBILITY = 0.05
 
 
-class ExtendedTube(DeclaredConstants, FiniteExtensibilityEnergy):
+class ExtendedTube(DeclaredConstants, InvariantEnergy):
     """Moduli Gc and Ge, exponent beta of entanglements, inextensibility delta of crosslinks."""
 
     name = "extended-tube"
@@ -293,21 +294,21 @@ class ExtendedTube(DeclaredConstants, FiniteExtensibilityEnergy):
         Constant("delta", 1e-4, 0.7, True),
     )
 
-    def poles(self, constants: Constants) -> Array:
+    def form(self, constants: Constants) -> Pole:
         """dW/dI1 = Gc / 2 ((1 - e) s^2 - e s) with e = delta^2."""
         half, e = constants["Gc"] / 2, constants["delta"] ** 2
-        return np.array([e, -half * e, half * (1 - e), 0.0])
+        return Pole(e, -half * e, half * (1 - e))
 
-    def pole_rates(self, constants: Constants, name: str) -> Array:
+    def form_rate(self, constants: Constants, name: str) -> Pole:
         """By delta with ds/de = (s^2 - s) / e."""
         delta = constants["delta"]
         e = delta**2
         if name == "Gc":
-            return np.array([e, -e / 2, (1 - e) / 2, 0.0])
+            return Pole(e, -e / 2, (1 - e) / 2)
         if name == "delta":
             third = 2 * constants["Gc"] * (1 - e) / delta
-            return np.array([e, 0.0, -third - 2 * constants["Gc"] * delta, third])
-        return np.array([e, 0.0, 0.0, 0.0])
+            return Pole(e, 0.0, -third - 2 * constants["Gc"] * delta, third)
+        return Pole(e, 0.0)
 
     def principal_stress(self, constants: Constants, bar: Array) -> Array:
         """Of crosslinks and entanglements."""
@@ -344,9 +345,8 @@ class ExtendedTube(DeclaredConstants, FiniteExtensibilityEnergy):
 
     def law(self, constants: Constants, compressibility: Compressibility) -> Law:
         """One column: e, A1, A2, A3 of the crosslinks, then Ge and -beta."""
-        tubes = [constants["Ge"], -constants["beta"]]
-        column = np.append(self.poles(constants), tubes)[:, None]
-        return Law(PointLaw.EXTENDED_TUBE, np.ascontiguousarray(column))
+        tubes = [[constants["Ge"]], [-constants["beta"]]]
+        return Law(PointLaw.EXTENDED_TUBE, np.vstack([self.form(constants).law().constants, tubes]))
 
     def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
         """Of crosslinks or of entanglements: no constant belongs to both."""

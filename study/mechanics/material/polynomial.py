@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import functools
 import re
-from abc import abstractmethod
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -64,61 +63,78 @@ class Invariants(NamedTuple):
         return cls(b, i1, i1 - 3, i2 - 3)
 
 
+class Form(ABC):
+    """Function of both invariants that one compiled law serves, with its coefficients."""
+
+    @abstractmethod
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """First derivatives."""
+
+    @abstractmethod
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
+        """Second derivatives."""
+
+    @abstractmethod
+    def law(self) -> Law:
+        """Coefficients as the compiled law takes them."""
+
+
 class InvariantEnergy(IsochoricEnergy):
     """Energy of the isochoric invariants; NaN beyond a limit of the stretch, where it has one."""
 
     @abstractmethod
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
-        """First derivatives of W."""
+    def form(self, constants: Constants) -> Form:
+        """W."""
 
     @abstractmethod
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
-        """Second derivatives of W."""
+    def form_rate(self, constants: Constants, name: str) -> Form:
+        """Differentiate W by a constant."""
 
-    @abstractmethod
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """Differentiate the slopes by every constant."""
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Hand over the coefficients of W."""
+        return self.form(constants).law()
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Hand over those of the derivative."""
+        return self.form_rate(constants, name).law()
+
+    def _forms(self, constants: Constants) -> tuple[Form, dict[str, Form]]:
+        return _differentiated(self, tuple(constants.items()))
 
     def principal_stress(self, constants: Constants, bar: Array) -> Array:
         """2 b_i (W_1 + W_2 (I1 - b_i)) with b_i = bar_i^2."""
         at = Invariants.of(bar)
-        return _stress(at, self.slopes(constants, at.a, at.b))
+        return _stress(at, self._forms(constants)[0].slopes(at.a, at.b))
 
     def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
         """Differentiate by the chain rule through both invariants."""
-        at = Invariants.of(bar)
-        slopes = self.slopes(constants, at.a, at.b)
-        return _stress_slope(at, slopes, self.curvatures(constants, at.a, at.b), direction)
+        at, (form, _) = Invariants.of(bar), self._forms(constants)
+        return _stress_slope(at, form.slopes(at.a, at.b), form.curvatures(at.a, at.b), direction)
 
     def stress_and_slope(
         self, constants: Constants, bar: Array, direction: Array
     ) -> tuple[Array, Array]:
         """Both from the same invariants and slopes of W."""
-        at = Invariants.of(bar)
-        slopes = self.slopes(constants, at.a, at.b)
-        curvatures = self.curvatures(constants, at.a, at.b)
+        at, (form, _) = Invariants.of(bar), self._forms(constants)
+        slopes, curvatures = form.slopes(at.a, at.b), form.curvatures(at.a, at.b)
         return _stress(at, slopes), _stress_slope(at, slopes, curvatures, direction)
 
     def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
         """Stress of each derivative of W."""
-        at = Invariants.of(bar)
-        rates = self.slope_gradients(constants, at.a, at.b)
-        return {name: _stress(at, rates[name]) for name in constants}
+        at, (_, rates) = Invariants.of(bar), self._forms(constants)
+        return {name: _stress(at, rate.slopes(at.a, at.b)) for name, rate in rates.items()}
 
     def initial_shear_modulus(
         self, constants: Constants, compressibility: Compressibility
     ) -> float:
         """2 (W_1 + W_2) at rest."""
-        rest = np.zeros(1)
-        return _shear(self.slopes(constants, rest, rest))
+        return _shear(self._forms(constants)[0])
 
     def initial_shear_modulus_gradient(
         self, constants: Constants, compressibility: Compressibility
     ) -> dict[str, float]:
         """Differentiate 2 (W_1 + W_2) at rest."""
-        rest = np.zeros(1)
-        rates = self.slope_gradients(constants, rest, rest)
-        return {name: _shear(rates[name]) for name in constants}
+        return {name: _shear(rate) for name, rate in self._forms(constants)[1].items()}
 
 
 def _stress(at: Invariants, slopes: Slopes) -> Array:
@@ -133,7 +149,7 @@ def _stress_slope(
 ) -> Array:
     """Differentiate the stress along one direction or several, shape (..., 3, n)."""
     b = at.squares
-    (w1, w2), (w11, w12, w22) = slopes, curvatures
+    (w1, w2), w11, w12, w22 = slopes, curvatures.aa, curvatures.ab, curvatures.bb
     db = 2 * b * direction[..., None]
     di1 = np.add.reduce(db, axis=-2, keepdims=True)
     if _vanish(w2, w12, w22):
@@ -149,8 +165,18 @@ def _vanish(*derivatives: Array | float) -> bool:
     return all(isinstance(value, float) and value == 0.0 for value in derivatives)
 
 
-def _shear(slopes: Slopes) -> float:
+def _shear(form: Form) -> float:
+    slopes = form.slopes(np.zeros(1), np.zeros(1))
     return float(2 * (np.ravel(slopes.by_a)[0] + np.ravel(slopes.by_b)[0]))
+
+
+@functools.lru_cache(maxsize=64)
+def _differentiated(
+    energy: InvariantEnergy, constants: tuple[tuple[str, float], ...]
+) -> tuple[Form, dict[str, Form]]:
+    """W and its derivatives by the constants, once for all the states at which they are needed."""
+    named = dict(constants)
+    return energy.form(named), {name: energy.form_rate(named, name) for name in named}
 
 
 #: coefficients of a polynomial in two variables, as :func:`_columns` orders them
@@ -159,81 +185,36 @@ Coefficients = tuple[tuple[float, ...], ...]
 _NAME = re.compile(r"C(\d|[1-9]\d+)(\d)", re.ASCII)
 
 
-class TableEnergy(InvariantEnergy):
-    """Polynomial of I1 - 3 and I2 - 3, whose coefficients may be any functions of its constants."""
+class PolynomialTable(Form):
+    """Polynomial of I1 - 3 and I2 - 3."""
 
-    @abstractmethod
-    def table(self, constants: Constants) -> Array:
-        """Coefficients in MPa of (I1 - 3)^i (I2 - 3)^j, shape (ni, nj)."""
+    def __init__(self, coefficients: Array) -> None:
+        #: shape (ni, nj); of (I1 - 3)^i (I2 - 3)^j, MPa.
+        self.coefficients = coefficients
 
-    @abstractmethod
-    def table_rate(self, constants: Constants, name: str) -> Array:
-        """Differentiate :meth:`table` by a constant."""
+    @functools.cached_property
+    def _first(self) -> list[Coefficients]:
+        return [_columns(_derivative(self.coefficients, axis)) for axis in (0, 1)]
 
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+    @functools.cached_property
+    def _second(self) -> list[Coefficients]:
+        by_a, by_b = (_derivative(self.coefficients, axis) for axis in (0, 1))
+        return [_columns(_derivative(*pair)) for pair in ((by_a, 0), (by_a, 1), (by_b, 1))]
+
+    def slopes(self, a: Array, b: Array) -> Slopes:
+        """By Horner's rule."""
+        return Slopes(*(_value(columns, a, b) for columns in self._first))
+
+    def curvatures(self, a: Array, b: Array) -> Curvatures:
+        """By Horner's rule."""
+        return Curvatures(*(_value(columns, a, b) for columns in self._second))
+
+    def law(self) -> Law:
         """Hand over the table."""
-        return Law(PointLaw.POLYNOMIAL, self.table(constants))
-
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Hand over the derivative of the table."""
-        return Law(PointLaw.POLYNOMIAL, self.table_rate(constants, name))
-
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
-        """Slopes of the table."""
-        differentiated = _differentiated(self, tuple(constants.items()))
-        return Slopes(_value(differentiated.by_a, a, b), _value(differentiated.by_b, a, b))
-
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
-        """Slopes of the table's derivatives."""
-        differentiated = _differentiated(self, tuple(constants.items()))
-        return Curvatures(
-            *(
-                _value(table, a, b)
-                for table in (differentiated.aa, differentiated.ab, differentiated.bb)
-            )
-        )
-
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """Slopes of the derivatives of the table."""
-        differentiated = _differentiated(self, tuple(constants.items()))
-        return {
-            name: Slopes(_value(by_a, a, b), _value(by_b, a, b))
-            for name, (by_a, by_b) in differentiated.rates.items()
-        }
+        return Law(PointLaw.POLYNOMIAL, self.coefficients)
 
 
-@dataclass(frozen=True)
-class _Differentiated:
-    """Derivatives of a table by both invariants, and those of its derivative by each constant."""
-
-    by_a: Coefficients
-    by_b: Coefficients
-    aa: Coefficients
-    ab: Coefficients
-    bb: Coefficients
-    rates: Mapping[str, tuple[Coefficients, Coefficients]]
-
-
-@functools.lru_cache(maxsize=64)
-def _differentiated(
-    energy: TableEnergy, constants: tuple[tuple[str, float], ...]
-) -> _Differentiated:
-    """Differentiate a table once for all the states at which its constants are asked for."""
-    named = dict(constants)
-    table = energy.table(named)
-    by_a, by_b = _derivative(table, 0), _derivative(table, 1)
-    rates = {name: energy.table_rate(named, name) for name in named}
-    return _Differentiated(
-        _columns(by_a),
-        _columns(by_b),
-        _columns(_derivative(by_a, 0)),
-        _columns(_derivative(by_a, 1)),
-        _columns(_derivative(by_b, 1)),
-        {n: (_columns(_derivative(r, 0)), _columns(_derivative(r, 1))) for n, r in rates.items()},
-    )
-
-
-class PolynomialEnergy(TableEnergy):
+class PolynomialEnergy(InvariantEnergy):
     """What all polynomials of the invariants have in common."""
 
     shear_modulus_formula = "2 (C10 + C01)"
@@ -250,15 +231,15 @@ class PolynomialEnergy(TableEnergy):
         """Constants of any sign."""
         return FREE
 
-    def table(self, constants: Constants) -> Array:
+    def form(self, constants: Constants) -> PolynomialTable:
         """C_ij themselves."""
-        return coefficient_table(constants)
+        return PolynomialTable(coefficient_table(constants))
 
-    def table_rate(self, constants: Constants, name: str) -> Array:
+    def form_rate(self, constants: Constants, name: str) -> PolynomialTable:
         """1 in the place of the constant: W is linear in them."""
         table = np.zeros_like(coefficient_table(constants))
         table[index_pair(name)] = 1.0
-        return table
+        return PolynomialTable(table)
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Positive constants of the first invariant alone and of the second invariant itself."""

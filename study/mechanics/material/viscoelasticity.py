@@ -165,11 +165,6 @@ class Memory:
         """Shape (terms,)."""
         return shares(self.material.relaxation)
 
-    @property
-    def stays(self) -> float:
-        """Share that does not fade."""
-        return long_term_share(self.material.relaxation)
-
     @cached_property
     def reduced(self) -> Array:
         """Duration of every part over the time of every term, shape (terms, intervals)."""
@@ -181,30 +176,28 @@ class Memory:
         return np.asarray(np.exp(-self.reduced[..., None] * np.array([0.5, 1.0])))
 
     @cached_property
-    def weight(self) -> Array:
-        """Shape (terms, intervals, 2, 3)."""
-        return self._weights_and_slopes[0]
-
-    @cached_property
-    def _weights_and_slopes(self) -> tuple[Array, Array]:
-        """Weights, and their derivatives by the reduced duration."""
+    def weights(self) -> tuple[Array, Array]:
+        """Weights, and their derivatives by the reduced duration, (terms, intervals, 2, 3)."""
         return _weights(self.reduced)
 
     def memories(self, values: Array) -> Array:
         """Every term's memory of stresses, (parts, nodes) to (terms, parts, nodes)."""
-        source = np.einsum("tnjk,pnk->tpnj", self.weight, _by_interval(values))
+        source = np.einsum("tnjk,pnk->tpnj", self.weights[0], _by_interval(values))
         first = np.broadcast_to(values[:, 0], (self.shares.size, values.shape[0]))
         return np.asarray(accumulated(self.decay, source, np.ascontiguousarray(first)))
 
     def convolved(self, values: Array, memories: Array | None = None) -> Array:
         """Stress that is left of values, shape (parts, nodes)."""
         carried = self.memories(values) if memories is None else memories
-        return np.asarray(self.stays * values + np.einsum("t,tpn->pn", self.shares, carried))
+        return np.asarray(
+            long_term_share(self.material.relaxation) * values
+            + np.einsum("t,tpn->pn", self.shares, carried)
+        )
 
     def memory_rate(self, term: int, values: Array, memory: Array) -> Array:
         """Differentiate one memory (parts, nodes) by its time, MPa/s."""
         x, time = self.reduced[term], self.material.relaxation[term].time_s
-        by_x = np.einsum("njk,pnk->pnj", self._weights_and_slopes[1][term], _by_interval(values))
+        by_x = np.einsum("njk,pnk->pnj", self.weights[1][term], _by_interval(values))
         by_x -= (np.array([0.5, 1.0]) * self.decay[term]) * memory[:, :-1:2, None]
         source = (-x / time)[:, None] * by_x
         first = np.zeros((1, values.shape[0]))
@@ -389,8 +382,6 @@ class _Condition:
     #: shape (nodes,); as there.
     own: Array
     residual: Array
-    #: shape (3,); weights of the Kirchhoff stresses in the deviatoric one of the free side.
-    side: Array
 
     @classmethod
     def at(cls, memory: Memory, mode: Mode, state: _MemoryState) -> _Condition:
@@ -405,14 +396,15 @@ class _Condition:
         J, bulk = state.J, material.bulk
         second_piola = 2 * (side * turn) @ state.left + bulk * (2 * J - 1) * J * v.sum()
         residual = side @ state.left + bulk * J * (J - 1)
-        return cls(memory, side[:, None] * state.bar**2, rate, second_piola, residual, side)
+        return cls(memory, side[:, None] * state.bar**2, rate, second_piola, residual)
 
     def steps(self, residual: Array | None = None) -> Array:
         """Find the free logarithmic stretch's changes that make a residual (or its own) zero."""
         memory = self.memory
         return np.asarray(
             free_steps(
-                memory.decay, memory.weight, memory.shares, memory.stays, self.pull,
+                memory.decay, memory.weights[0], memory.shares,
+                long_term_share(memory.material.relaxation), self.pull,
                 np.ascontiguousarray(self.rate), self.own,
                 np.ascontiguousarray(self.residual if residual is None else residual),
             )

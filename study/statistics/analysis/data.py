@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, RefusedError
-from study.ground.tabular import _NUMBER, _check_names, names_of
+from study.ground.tabular import NUMBER, _check_names, names_of
 from study.statistics.analysis.linear_model import CellLayout, Term
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ def _level_order(column: pd.Series, labels: Texts) -> list[str]:
         present = set(labels)
         return [_label(c) for c in column.cat.categories if _label(c) in present]
     unique = list(dict.fromkeys(labels))
-    if all(_NUMBER.fullmatch(label) for label in unique):
+    if all(NUMBER.fullmatch(label) for label in unique):
         return sorted(unique, key=float)
     return unique
 
