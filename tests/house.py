@@ -106,7 +106,7 @@ def declared(root: Path) -> set[str]:
         for name in names
     ]
     names = {re.split(r"[\[><=;~! ]", item)[0] for item in [*project["dependencies"], *extras]}
-    return {IMPORTED_AS.get(name, name) for name in names}
+    return {IMPORTED_AS.get(name, name).replace("-", "_") for name in names}
 
 
 def undeclared_imports(root: Path) -> set[str]:

@@ -48,14 +48,15 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     blocks, spec = tuple(manifest["blocks"]), design.measurements
     markers = design.config.get("markers")
     marked = markers if isinstance(markers, Mapping) else {}
+    # groups of the measurements, states of marked specimens, or blocks of runs made elsewhere
+    unit = (spec.block or "") if spec is not None else "state" if marked else "block"
     return ReportData(
         name=design.name,
         question=design.question,
         factors={factor.name: factor.labels for factor in design.factors},
         table=study.table,
         responses=study.analyses,
-        # groups of the measurements, or states of marked specimens
-        block=(("state" if spec is None else spec.block or "") if blocks else ""),
+        block=unit if blocks else "",
         blocks=blocks,
         inputs=_inputs(design),
         assumed=_assumed(design),

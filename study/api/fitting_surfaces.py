@@ -359,6 +359,7 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     """
     check_kind(surface)
     table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
+    table = table.without_units([response])
     runs, answered, notes = runs_of(table, response, numeric, block)
     places, rows = _places(table, factors, answered, {*runs.names, response, block})
     if kind_of(runs, surface) == "emulator":

@@ -62,6 +62,7 @@ def import_runs(
     units = _units(responses)
     needed = [*columns, *units, *(c for c in (failed, block) if c is not None)]
     table = read_csv(Path(path), required=needed, numbers=(), decimal=decimal)
+    table = table.without_units(list(units))
     ranges = [settings_run(item, table) for item in asked]
     _check(table, columns, units, ranges)
     rows = _rows(table, columns, units, failed, block, ranges)

@@ -92,8 +92,8 @@ class CsvTable:
         """
         if len(self.lines) < 2 or declared is False:
             return self
-        first = {name: self.columns[name][0] for name in required}
-        measured = [name for name in required if _DIGIT.search(self.columns[name][1])]
+        first = {name: self.columns[name][0] for name in required if name in self.columns}
+        measured = [name for name in first if _DIGIT.search(self.columns[name][1])]
         units = {name: UNIT_CELL.fullmatch(cell) for name, cell in first.items()}
         shown = {name: unit[1] for name, unit in units.items() if unit and name in measured}
         if not declared:
@@ -357,8 +357,10 @@ def _check_decimal_comma(
     columns: Mapping[str, Sequence[str]], source: str, declared_by: str
 ) -> None:
     for name, column in columns.items():
-        if _DECIMAL_COMMA.fullmatch(column[0]) and "?" in _plain(column, "."):
-            rule = f"holds a decimal comma ({column[0]!r}) but none is declared"
+        # the first row may hold units
+        comma = next((cell for cell in column[:2] if _DECIMAL_COMMA.fullmatch(cell)), "")
+        if comma and "?" in _plain(column, "."):
+            rule = f"holds a decimal comma ({comma!r}) but none is declared"
             raise InputError(Fault(f"{source}: column {name!r}", rule, f"write {declared_by}"))
 
 
@@ -453,11 +455,12 @@ def read_tidy_csv(
     import pandas as pd
 
     others = [*names_of(block), *([unit] if unit else [])]
+    measured = [response, *covariates]
     table = read_csv(
-        Path(path), numbers=[response, *covariates], decimal=decimal, declared_by="--decimal ,",
-        sheet=sheet,
-    )  # fmt: skip
+        Path(path), numbers=measured, decimal=decimal, declared_by="--decimal ,", sheet=sheet
+    )
     _check_names(table.source, list(table.columns), response, factors, others, covariates)
+    table = table.without_units(measured)
     labels = list(dict.fromkeys([*factors, *others]))
     faults = [
         Fault(table.place(k, name), "the level is empty")
@@ -466,7 +469,7 @@ def read_tidy_csv(
         if not cell
     ]
     values: dict[str, Array] = {}
-    for name in (response, *covariates):
+    for name in measured:
         try:
             values[name] = table.numbers(name, missing=MISSING)
         except InputError as error:

@@ -399,3 +399,19 @@ def test_random_factors_alone_make_a_study_of_precision(tmp_path: Path) -> None:
     assert [c["source"] for c in found["components"]] == ["day", "day:run", "within"]
     assert found["effects"] == []
     assert "--random day,day:run" in refusal(f"analyze {path} {asked}").err
+
+
+def test_a_row_of_units_holds_no_run_and_an_undeclared_comma_is_one_fault(tmp_path: Path) -> None:
+    """What instruments export: units below the header, a decimal comma, a cell that is missing."""
+    lines = [
+        f"{gel};{batch};{10 + 2 * (gel == 'B') + 0.1 * batch:.2f}".replace(".", ",")
+        for gel, batch in product("ABC", range(5))
+        if (gel, batch) != ("C", 3)
+    ]
+    plain = written(tmp_path / "plain.csv", "gel;batch;peak", lines)
+    units = written(tmp_path / "units.csv", "gel;batch;peak", [";;[N]", *lines])
+    words = "--response peak --factors gel --block batch --practical 1 --decimal ,"
+    assert analyzed(units, words) == analyzed(plain, words)
+    fault = refusal("analyze", units, *shlex.split(words)[:-2]).err
+    assert fault.count("units.csv") == 1
+    assert "holds a decimal comma ('10,00')" in fault

@@ -338,3 +338,8 @@ def test_what_would_change_an_effect_that_the_mesh_leaves_open(data: ReportData)
     text = would_change(data, [few, coarse])
     assert "would narrow the interval of plates; finer meshes could resolve order" in flat(text)
     assert "narrow" not in would_change(data, [coarse])
+    # runs that were read from a table have no mesh, and no program that could refine one
+    notes = ("29 runs were made elsewhere and read from runs.csv",)
+    text = would_change(replace(data, is_measured=False, data_notes=notes), [few])
+    assert "More phantoms would narrow the interval of plates" in flat(text)
+    assert "mesh" not in text

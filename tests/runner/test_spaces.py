@@ -97,8 +97,8 @@ def test_the_cylinder_has_the_blocks_section_and_the_cells_constants(
     work: Work, records: dict[str, Record]
 ) -> None:
     (pair,) = pairs(work, records)
-    assert pair.levels == {}
-    for task, space in zip(pair.tasks, ("axisymmetric", "3d"), strict=True):
+    assert pair[0] == {}
+    for task, space in zip(pair[1], ("axisymmetric", "3d"), strict=True):
         config = task.problem.document()
         assert config["model"]["space"] == space
         assert config["specimen"]["radius_mm"] == pytest.approx(24 / 3.141592653589793**0.5)

@@ -287,7 +287,7 @@ def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     open_ones = [e for e in effects if e.verdict == CANNOT_TELL and e.why != ONE_SPECIMEN]
     doubts = _names(open_ones, data)
     # the same computation gives the same answer: nothing is gained from it again
-    if doubts and data.is_measured and data.blocks:
+    if doubts and (data.imported or (data.is_measured and data.blocks)):
         several = "s" if len(doubts) > 1 else ""
         parts.append(
             f"more {plural_of(unit)} would narrow the interval{several} of {listing(doubts)}"
@@ -297,7 +297,8 @@ def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
         more = plural_of(clean(data.block) or "block")
         parts.append(f"more {more} could overturn or confirm what is said of {listing(claims)}")
     coarse = _names([e for e in effects if e.verdict == NOT_RESOLVED], data)
-    if not data.is_measured:
+    is_computed = not data.is_measured and not data.imported
+    if is_computed:
         lost = [e for e in open_ones if None in e.mean or e.range is None]
         if lost:
             parts.append(f"answers where cases failed, for {listing(_names(lost, data))}")
@@ -306,7 +307,7 @@ def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
         )
     if coarse:
         parts.append(f"finer meshes could resolve {listing(coarse)}")
-    if not data.is_measured and effects and all(e.u_num is None for e in effects):
+    if is_computed and effects and all(e.u_num is None for e in effects):
         has_mesh = "dofs" in data.table and data.table["dofs"].notna().any()
         untried = "a refined mesh, which was not tried"
         if not has_mesh:

@@ -120,7 +120,7 @@ def without_size(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if not titles:
         return ""
     here = "" if len(titles) == len(judged) else f" for the {listing(titles)}"
-    elsewhere = data.is_table or any("made elsewhere" in note for note in data.data_notes)
+    elsewhere = data.is_table or bool(data.imported)
     mend = "with --practical" if elsewhere else 'as practical = ".." in its [[response]]'
     return (
         f"No smallest difference that matters was given{here}, so no factor has a verdict"

@@ -264,7 +264,9 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
         names = tuple(f"{tables.CELL}{k}" for k in range(1, len(cells.rows) + 1))
         cells = replace(cells, links=names)
     measured = ["Generated (virtual specimens), not measured."] if data.virtual else []
-    if not data.is_measured:
+    if data.imported:
+        measured += data.imported
+    elif not data.is_measured:
         measured.append("none: every response is one of the simulation alone")
     elif data.citation or not data.virtual:
         measured.append(data.citation or "No citation given.")

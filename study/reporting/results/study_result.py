@@ -267,6 +267,11 @@ class ReportData:
     is_measured: bool = True
 
     @property
+    def imported(self) -> tuple[str, ...]:
+        """Notes on runs that were read from a table: no program here can run them again."""
+        return tuple(note for note in self.data_notes if "made elsewhere" in note)
+
+    @property
     def planned(self) -> int:
         """Number of cells of the design, without the excluded ones."""
         if self.cells is not None:
