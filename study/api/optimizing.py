@@ -312,12 +312,14 @@ def _at(
     refused: RefusedError | None = None
     for levels in itertools.product(*(factors[n].labels for n in chosen)):
         labels_here = dict(zip(chosen, levels, strict=True))
+        here = [fitted for fitted in study.surfaces
+                if fitted.response in needed
+                and dict(fitted.labels) == {**fixed, **labels_here}]  # fmt: skip
         try:
-            models = {
-                fitted.response: fitted.carried()
-                for fitted in study.surfaces
-                if fitted.response in needed and dict(fitted.labels) == {**fixed, **labels_here}
-            }
+            for fitted in here:
+                if fitted.found is None:
+                    raise RefusedError(f"{fitted.response} has no surface: {fitted.refused}")
+            models = {fitted.response: fitted.found for fitted in here if fitted.found is not None}
             candidates.append(_best(models, question, labels_here, fixed, open_numbers))
         except RefusedError as error:
             refused = error

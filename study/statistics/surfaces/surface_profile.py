@@ -248,12 +248,6 @@ class FittedSurface:
     #: From the surfaces at the first levels of the other factors, one factor at a time.
     differences: tuple[LevelDifference, ...] = ()
 
-    def carried(self) -> SurfaceAnalysis:
-        """Return the surface; refused where the runs cannot carry one."""
-        if self.found is None:
-            raise RefusedError(f"{self.response} has no surface: {self.refused}")
-        return self.found
-
     @property
     def verdicts(self) -> list[dict[str, object]]:
         """One row a numeric factor, with the keys of a study's verdicts."""
