@@ -160,14 +160,13 @@ def write_page(
     out_dir: str | Path,
     *,
     source: AnalysisSource | None = None,
-    reference: str | None = None,
+    compared: tuple[str, Comparisons] | None = None,
     formats: Sequence[str] = ("html",),
 ) -> Path:
     """Write the page of an analysis, with the CSV of its tables and figures beside it."""
     check_taken(analysis.request.factors)
-    given = source or AnalysisSource()
-    compared = None if reference is None else against_reference(analysis, reference)
-    return write_analysis(analysis, report_data(analysis, given), out_dir, formats, compared)
+    data = report_data(analysis, source or AnalysisSource())
+    return write_analysis(analysis, data, out_dir, formats, compared)
 
 
 def check_taken(factors: Sequence[str]) -> None:
@@ -295,14 +294,6 @@ class TableAnalysis(Shown, AnalysisResult):
 FEWEST_NUMBERS = 3
 
 
-def _analysis_table(
-    frame: pd.DataFrame, response: str | None, factors: Sequence[str], options: AnovaOptions
-) -> AnalysisResult:
-    _check_named(response, factors)
-    analysis = anova(frame, str(response), list(factors), **options)
-    return analysis.noted(*number_levels(frame, factors))
-
-
 def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
     """Sentences about columns of labels that look like numbers: they are never taken as such."""
     labels = {name: set(map(str, frame[name].unique())) for name in columns}
@@ -313,37 +304,6 @@ def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
         if len(its_labels) >= FEWEST_NUMBERS
         and all(NUMBER.fullmatch(label) for label in its_labels)
     ]
-
-
-def _check_named(response: str | None, factors: Sequence[str]) -> None:
-    faults = []
-    if response is None:
-        faults.append(Fault("--response", "is missing", "name the column of the response"))
-    if not factors:
-        mend = "name the columns: --factors for labels, --numeric for numbers"
-        faults.append(Fault("--factors", "is missing", mend))
-    if faults:
-        raise InputError(faults)
-
-
-def _study(
-    source: str | Path,
-    response: str | None,
-    factors: Sequence[str],
-    results: str | Path,
-    options: AnovaOptions,
-) -> AnalysisResult:
-    """Analysis of stored records: what is not said is taken from the design."""
-    study = api.load(source, results)
-    by_name = {r.name: r for r in study.design.responses}
-    name = response or next(iter(by_name))
-    if not study.records:
-        raise InputError(f"{study.folder}: no case is computed yet")
-    responses = list(study.records[0].responses)
-    if name not in responses:
-        raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, responses)))
-    declared = by_name.get(name) or ResponseSpec(name, unit="")
-    return analyze_records(study.design, study.records, declared, study.numerical, factors, options)
 
 
 def analyze(
@@ -394,16 +354,36 @@ def analyze(
         asked = read_formula(response)
         response, factors = asked.response, factors or asked.factors
         options = {**asked_of(asked), **options}
-    if not isinstance(source, (str, Path)):
-        return TableAnalysis.of(_analysis_table(source, response, factors, options))
-    if is_table(source):
-        _check_named(response, factors)
-        blocks, unit = options.get("block"), options.get("unit")
-        frame = read_tidy_csv(
-            Path(source), str(response), list(factors), blocks, unit, decimal, sheet=sheet
+    if isinstance(source, (str, Path)) and not is_table(source):
+        # what is not said is taken from the design
+        study = api.load(source, results)
+        by_name = {r.name: r for r in study.design.responses}
+        name = response or next(iter(by_name))
+        if not study.records:
+            raise InputError(f"{study.folder}: no case is computed yet")
+        names = list(study.records[0].responses)
+        if name not in names:
+            raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, names)))
+        of_records = analyze_records(
+            study.design, study.records, by_name.get(name) or ResponseSpec(name, unit=""),
+            study.numerical, factors, options,
+        )  # fmt: skip
+        return TableAnalysis.of(of_records)
+    faults = []
+    if response is None:
+        faults.append(Fault("--response", "is missing", "name the column of the response"))
+    if not factors:
+        mend = "name the columns: --factors for labels, --numeric for numbers"
+        faults.append(Fault("--factors", "is missing", mend))
+    if faults:
+        raise InputError(faults)
+    columns, blocks, unit = list(factors), options.get("block"), options.get("unit")
+    if isinstance(source, (str, Path)):
+        source = read_tidy_csv(
+            Path(source), str(response), columns, blocks, unit, decimal, sheet=sheet
         )
-        return TableAnalysis.of(_analysis_table(frame, response, factors, options))
-    return TableAnalysis.of(_study(source, response, factors, results, options))
+    made = anova(source, str(response), columns, **options)
+    return TableAnalysis.of(made.noted(*number_levels(source, factors)))
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from study.ground import tabular
 from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError, RefusedError, StudyError, nearest
 from study.ground.tabular import MISSING, CsvTable
+from study.ground.units import parse_number
 from study.harness.design import overlay
-from study.harness.design.factors import settings_of
 from study.harness.design.questions import usual_value
 from study.harness.record.record import is_repeat
 from study.reporting.content.text import count
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from study.harness.record.record import Record
     from study.statistics.analysis.analysis_request import Practical
     from study.statistics.convergence.grid_convergence import NumericalUncertainty
-    from study.statistics.surfaces.surface_propagation import Propagated
 
 
 # Runs of a table, and the surface that suits them, with what it means.
@@ -80,14 +79,6 @@ _WITH_UNIT = re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*(?P<unit>[^\W\d_%][\w/
 
 #: ``time``, ``time=80..90``, ``time=1..100 log``, ``time log``
 _NUMERIC = re.compile(r"(?P<name>.+?)(=(?P<low>[^=]+?)\.\.(?P<high>[^=]+?))?(?P<log> +log)?")
-
-
-def check_kind(surface: str) -> None:
-    """Refuse what is no kind of a surface."""
-    if surface not in get_args(Surface) or surface == "none":
-        words = [word for word in get_args(Surface) if word != "none"]
-        mend = nearest(surface, words) if surface != "none" else "leave --numeric out for a table"
-        raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
 
 
 def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | BlockedEmulator:
@@ -121,14 +112,6 @@ def fitted_together(
     return common if worst[0] >= worst[1] else tuple(apart)
 
 
-def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
-    """Say beforehand what an emulator of many runs will take."""
-    sizes = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
-    seconds = sum(expected_seconds(n) for n in sizes)
-    if announce is not None and seconds > LONG and max(sizes) <= LARGEST:
-        announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
-
-
 def difference_of(practical: Practical, response: Array) -> float | None:
     """Read the smallest difference that matters, in the unit of a response (n,)."""
     limit = threshold(practical)
@@ -137,13 +120,13 @@ def difference_of(practical: Practical, response: Array) -> float | None:
 
 def remarks(runs: Runs, surface: str) -> list[str]:
     """Say why runs that fill the box got a quadratic surface."""
-    lines, few = [], _few(runs)
-    if surface == "auto" and few and max(runs.levels()) > GRID_LEVELS:
-        lines.append(
-            f"a quadratic surface: an emulator needs at least {FEWEST_SETTINGS} settings of every "
-            f"factor, {', '.join(few)} has fewer"
-        )
-    return lines
+    few = _few(runs)
+    if surface != "auto" or not few or max(runs.levels()) <= GRID_LEVELS:
+        return []
+    return [
+        f"a quadratic surface: an emulator needs at least {FEWEST_SETTINGS} settings of every "
+        f"factor, {', '.join(few)} has fewer"
+    ]
 
 
 def kind_of(runs: Runs, surface: str) -> str:
@@ -357,13 +340,19 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     RefusedError
         If no combination can carry a surface.
     """
-    check_kind(surface)
+    kinds = [word for word in get_args(Surface) if word != "none"]
+    if surface not in kinds:
+        mend = nearest(surface, kinds) if surface != "none" else "leave --numeric out for a table"
+        raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
     table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
     table = table.without_units([response])
     runs, answered, notes = runs_of(table, response, numeric, block)
     places, rows = _places(table, factors, answered, {*runs.names, response, block})
-    if kind_of(runs, surface) == "emulator":
-        announce_cost(runs, announce)
+    if announce is not None and kind_of(runs, surface) == "emulator":
+        counts = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
+        seconds = sum(expected_seconds(n) for n in counts)
+        if seconds > LONG and max(counts) <= LARGEST:
+            announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
     difference = difference_of(practical, runs.response)
     sizes = [len({place[name] for place in places}) for name in factors]
     each = _surfaces_at(
@@ -447,28 +436,24 @@ def _noted(
     """Add what is to be said of every surface, and of their table once, with the first."""
     noted, left = [], of_table
     for fitted in each:
-        if fitted.found is None:
-            noted.append(fitted)
-            continue
-        lines = (*left, *remarks(fitted.found.runs, surface))
-        noted.append(replace(fitted, found=fitted.found.noted(*lines)))
-        left = ()
+        found = fitted.found
+        if found is not None:
+            found, left = found.noted(*left, *remarks(found.runs, surface)), ()
+        noted.append(replace(fitted, found=found))
     return noted
 
 
 def _compared(each: Sequence[FittedSurface]) -> tuple[FittedSurface, ...]:
     """Surfaces with their differences from those at the first levels."""
-    return tuple(
-        replace(fitted, differences=_differences(fitted, each, each[0].labels)) for fitted in each
-    )
+    return tuple(replace(fitted, differences=_differences(fitted, each)) for fitted in each)
 
 
 def _differences(
-    fitted: FittedSurface, each: Sequence[FittedSurface], first: Mapping[str, str]
+    fitted: FittedSurface, each: Sequence[FittedSurface]
 ) -> tuple[LevelDifference, ...]:
     """Compare a surface with those at the first levels of the other factors, one at a time."""
     made = []
-    for name, base in first.items():
+    for name, base in each[0].labels.items():
         labels_wanted = {**fitted.labels, name: base}
         # runs at some combinations of labels may be missing
         other = next((partner for partner in each if dict(partner.labels) == labels_wanted), fitted)
@@ -522,7 +507,7 @@ def surfaces(
         each = _surfaces_at(
             FittedSurface(response.name, response.unit, None, bound=bound, units=units_of),
             places, sizes, design.analysis.surface,
-            [partial(_runs_of_records, design, response.name, some, half_width, factors)
+            [partial(_runs_of_records, response.name, some, half_width, factors)
              for some in good],
             response.practical,
         )  # fmt: skip
@@ -554,7 +539,7 @@ def runs_at(
     """Return the runs of a response that have an answer, at one combination of other levels."""
     good = [r for r in at_levels(records, labels)
             if not is_repeat(r.extra) and r.value(response) is not None]  # fmt: skip
-    return _runs_of_records(design, response, good, None, ranges_of(design))
+    return _runs_of_records(response, good, None, ranges_of(design))
 
 
 def _half_width(
@@ -576,27 +561,24 @@ def _finished(
     if fitted.found is None:
         return fitted
     left_out = f"{count(lost, 'run')} without an answer left out; nothing is put in the place"
-    uncertain, refused = _propagated(design, fitted.found)
-    notes = [*([refused] if refused else []), *([left_out] if lost else []), *ends]
+    notes = [*([left_out] if lost else []), *ends]
+    uncertain = None
+    if design.inputs:
+        fixed = {
+            f.name: usual_value(
+                f.name, overlay.dimension(f.name) or "number", f.span, design.config
+            )
+            for f in design.factors
+            if f.span is not None and f.name not in design.inputs
+        }
+        try:
+            uncertain = propagate(fitted.found, design.inputs, fixed, design.seed)
+        except StudyError as error:
+            notes.insert(0, str(error))
     return replace(
         fitted, found=fitted.found.noted(*notes), uncertain=uncertain,
         inputs={name: span.words(fitted.units[name]) for name, span in design.inputs.items()},
     )  # fmt: skip
-
-
-def _propagated(design: Design, made: SurfaceAnalysis) -> tuple[Propagated | None, str]:
-    """Carry uncertain inputs through a surface; a refusal is a sentence."""
-    if not design.inputs:
-        return None, ""
-    fixed = {
-        f.name: usual_value(f.name, overlay.dimension(f.name) or "number", f.span, design.config)
-        for f in design.factors
-        if f.span is not None and f.name not in design.inputs
-    }
-    try:
-        return propagate(made, design.inputs, fixed, design.seed), ""
-    except StudyError as error:
-        return None, str(error)
 
 
 def ranges_of(design: Design) -> tuple[NumericFactor, ...]:
@@ -605,14 +587,11 @@ def ranges_of(design: Design) -> tuple[NumericFactor, ...]:
     return tuple(NumericFactor(f.name, span.low, span.high, span.log) for f, span in ranged)
 
 
-def coded_settings(
-    design: Design, factors: Sequence[NumericFactor], levels: Sequence[Mapping[str, str]]
-) -> Array:
-    """Coded settings of some runs by their levels, shape (n, k)."""
-    ranged = [settings_of(factor) for factor in design.factors if factor.span is not None]
+def coded_settings(factors: Sequence[NumericFactor], levels: Sequence[Mapping[str, str]]) -> Array:
+    """Coded settings of some runs by their levels, such as ``"3 mm"`` or ``"3"``, shape (n, k)."""
     return np.column_stack([
-        numeric.coded(np.array([settings[at[numeric.name]] for at in levels], dtype=np.float64))
-        for settings, numeric in zip(ranged, factors, strict=True)
+        factor.coded(np.array([parse_number(at[factor.name].partition(" ")[0]) for at in levels]))
+        for factor in factors
     ])  # fmt: skip
 
 
@@ -624,7 +603,7 @@ def _answered(
     A surface beyond its last run is a guess, and where runs fail there may be nothing to guess.
     """
     factors = ranges_of(design)
-    coded = coded_settings(design, factors, [record.levels for record in records])
+    coded = coded_settings(factors, [record.levels for record in records])
     good = np.array([record.value(response) is not None for record in records], dtype=bool)
     if good.all() or not good.any():
         return factors, ()
@@ -648,7 +627,6 @@ def _end(name: str, side: str, value: float) -> str:
 
 
 def _runs_of_records(
-    design: Design,
     response: str,
     records: Sequence[Record],
     half_width: float | None,
@@ -658,7 +636,7 @@ def _runs_of_records(
     values = np.array([record.value(response) for record in records], dtype=np.float64)
     blocks = tuple(str(record.block) for record in records if record.block is not None)
     u = None if half_width is None else np.full(values.size, half_width / 2.0)
-    coded = coded_settings(design, factors, [record.levels for record in records])
+    coded = coded_settings(factors, [record.levels for record in records])
     return Runs(response, factors, coded, values, blocks, u)
 
 

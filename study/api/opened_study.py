@@ -183,8 +183,8 @@ def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bo
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
     analyses = _analyses(design, records, numerical)
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused not in ("", SEE_SURFACE)]
-    ranged, more = joined(design, store, manifest)
-    fitted = surfaces(ranged, [*records, *more], numerical)
+    more = joined(design, store, manifest)
+    fitted = surfaces(design, [*records, *more], numerical)
     if more:
         warnings.append(f"{len(more)} confirming runs joined those of the surfaces")
     warnings += [

@@ -63,21 +63,6 @@ if TYPE_CHECKING:
 _LIMIT = re.compile(r"\s*(?P<name>[^<>=]+?)\s*(?P<sign><=|>=)\s*(?P<value>[^<>=]+?)\s*")
 
 
-@dataclass(frozen=True)
-class _Question:
-    """What is asked for, and of what."""
-
-    goal: Goal
-    response: str
-    unit: str
-    bounds: tuple[Bound, ...]
-    units: Mapping[str, str]
-    #: settings of ranges that are held, in their units
-    held: Mapping[str, float]
-    #: ranges and lists that may not be chosen, and are not given either
-    open_numbers: tuple[str, ...] = ()
-
-
 def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
     path: str | Path | StudyResult,
     *,
@@ -216,9 +201,9 @@ def _of_table(
     columns = [_LIMIT.fullmatch(text) for text in limits_typed]
     units_of = {column["name"]: "" for column in columns if column is not None}
     bounds = tuple(_bound(text, units_of) for text in limits_typed)
-    question = _Question(goal, name, "", bounds, dict.fromkeys(names, ""), held)
+    question = Recommendation(goal, name, "", {}, held, dict.fromkeys(names, ""), bounds=bounds)
     models = {response: fit(response) for response in (name, *(b.response for b in bounds))}
-    recommended = _best(models, question, {}, {})
+    recommended = _best(models, question, {}, {}, ())
     run = ", ".join(
         f"{n} = {v:.4g}" for n, v in recommended.settings.items() if not isinstance(v, str)
     )
@@ -229,11 +214,15 @@ def _of_table(
 
 def _best(
     models: Mapping[str, SurfaceAnalysis],
-    question: _Question,
+    question: Recommendation,
     chosen: Mapping[str, str],
     fixed: Mapping[str, str],
+    open_numbers: Sequence[str],
 ) -> Recommendation:
-    """Optimize over the ranges that are free, at labels that are chosen or fixed."""
+    """Optimize over the ranges that are free, at labels that are chosen or fixed.
+
+    The question holds numbers alone; open ones are those that nobody chooses or has given.
+    """
     goal_surface = models[question.response]
     runs = goal_surface.runs
     every = [goal_surface, *(models[bound.response] for bound in question.bounds)]
@@ -244,31 +233,27 @@ def _best(
     held = np.full(len(runs.factors), np.nan)
     for j, factor in enumerate(runs.factors):
         if factor.name in question.held:
-            setting = question.held[factor.name]
-            if factor.name in question.open_numbers:
+            setting = float(question.held[factor.name])
+            if factor.name in open_numbers:
                 # nobody asked for this very setting: the nearest one that was run will do
                 column = runs.coded[:, j]
                 held[j] = np.clip(factor.coded(np.array(setting)), column.min(), column.max())
             else:
                 held[j] = runs.coded_inside(factor.name, setting)
     best = optimum(goal_surface.model, question.goal, limits, held)
-    others = [runs.names.index(name) for name in question.open_numbers]
+    others = [runs.names.index(name) for name in open_numbers]
     settings = runs.settings(best.at)
-    return Recommendation(
-        question.goal,
-        question.response,
-        question.unit,
-        {**chosen, **{n: v for n, v in settings.items() if n not in question.held}},
-        {**fixed, **{n: settings[n] for n in question.held}},
-        question.units,
-        best.value,
-        best.value - best.half_width,
-        best.value + best.half_width,
-        question.bounds,
-        tuple((v, v - h, v + h) for v, h in best.limited),
-        best.assurance,
-        tuple(runs.names[j] for j in best.on_boundary),
-        spread_over(goal_surface.model, limits, best, others),
+    return replace(
+        question,
+        settings={**chosen, **{n: v for n, v in settings.items() if n not in question.held}},
+        held={**fixed, **{n: settings[n] for n in question.held}},
+        value=best.value,
+        low=best.value - best.half_width,
+        high=best.value + best.half_width,
+        limited=tuple((v, v - h, v + h) for v, h in best.limited),
+        assurance=best.assurance,
+        at_end=tuple(runs.names[j] for j in best.on_boundary),
+        spread=spread_over(goal_surface.model, limits, best, others),
         notes=tuple(never_run(runs, best.at[None, :])),
     )
 
@@ -300,7 +285,7 @@ def _of_study(
     held |= {n: usual_value(n, overlay.dimension(n) or "number", ranges[n], design.config)
              for n in open_numbers}  # fmt: skip
     span_units = {n: span.unit for n, span in ranges.items()}
-    question = _Question(goal, name, units_of[name], bounds, span_units, held, open_numbers)
+    question = Recommendation(goal, name, units_of[name], {}, held, span_units, bounds=bounds)
     lists = [n for n, f in factors.items() if f.span is None]
     open_labels = {n: (labels[n],) if n in labels else factors[n].labels
                    for n in lists if n not in free}  # fmt: skip
@@ -309,22 +294,33 @@ def _of_study(
         for combination in itertools.product(*open_labels.values())
     ]
     chosen = [n for n in lists if n in free]
-    return tuple(_at(study, question, fixed, chosen) for fixed in places)
+    return tuple(_at(study, question, fixed, chosen, open_numbers) for fixed in places)
 
 
 def _at(
-    study: StudyResult, question: _Question, fixed: Mapping[str, str], chosen: Sequence[str]
+    study: StudyResult,
+    question: Recommendation,
+    fixed: Mapping[str, str],
+    chosen: Sequence[str],
+    open_numbers: Sequence[str],
 ) -> Recommendation:
     """Compare the levels of the choices that are no numbers, at some levels of the others."""
     factors = {factor.name: factor for factor in study.design.factors}
+    needed = {question.response, *(bound.response for bound in question.bounds)}
     candidates: list[Recommendation] = []
     notes: list[str] = []
     refused: RefusedError | None = None
     for levels in itertools.product(*(factors[n].labels for n in chosen)):
         labels_here = dict(zip(chosen, levels, strict=True))
+        here = [fitted for fitted in study.surfaces
+                if fitted.response in needed
+                and dict(fitted.labels) == {**fixed, **labels_here}]  # fmt: skip
         try:
-            models = _models(study, question, {**fixed, **labels_here})
-            candidates.append(_best(models, question, labels_here, fixed))
+            for fitted in here:
+                if fitted.found is None:
+                    raise RefusedError(f"{fitted.response} has no surface: {fitted.refused}")
+            models = {fitted.response: fitted.found for fitted in here if fitted.found is not None}
+            candidates.append(_best(models, question, labels_here, fixed, open_numbers))
         except RefusedError as error:
             refused = error
             at = ", ".join(f"{n} = {label}" for n, label in labels_here.items())
@@ -344,27 +340,11 @@ def _at(
     return replace(ranked[0], rivals=rivals, notes=(*ranked[0].notes, *notes))
 
 
-def _models(
-    study: StudyResult, question: _Question, labels: Mapping[str, str]
-) -> dict[str, SurfaceAnalysis]:
-    """Surfaces of the responses that are asked for, at some levels."""
-    needed = {question.response, *(bound.response for bound in question.bounds)}
-    here = [fitted for fitted in study.surfaces
-            if fitted.response in needed and dict(fitted.labels) == dict(labels)]  # fmt: skip
-    for fitted in here:
-        if fitted.found is None:
-            raise RefusedError(f"{fitted.response} has no surface: {fitted.refused}")
-    return {fitted.response: fitted.found for fitted in here if fitted.found is not None}
-
-
 def _confirmed(
     study: StudyResult, recommended: Recommendation, permission: Permission
 ) -> Recommendation:
     """Run the true model at a recommended setting."""
-    every = {**recommended.held, **recommended.settings}
-    numbers = {n: v for n, v in every.items() if not isinstance(v, str)}
-    labels = {n: v for n, v in every.items() if isinstance(v, str)}
-    records = confirm(study, numbers, labels, permission)
+    records = confirm(study, {**recommended.held, **recommended.settings}, permission)
     names = [recommended.response, *(bound.response for bound in recommended.bounds)]
     values = {n: float(np.mean([record.response(n) for record in records])) for n in names}
     answered = bool(np.isfinite(list(values.values())).all())
@@ -449,7 +429,7 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     study = opened(path, results)
     numbers, labels = _known(study, dict(at or {}))
     whole = _read(Path(to), columns, in_units, decimal)
-    _, more = joined(study.design, Store(study.folder), study.manifest)
+    more = joined(study.design, Store(study.folder), study.manifest)
     records = [
         record
         for record in at_levels([*study.records, *more], labels)
@@ -462,12 +442,8 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     return _checked_by_runs(question, records, permission or Permission(), notes)
 
 
-@dataclass(frozen=True)
-class _Answer:
-    """A set, and the emulator that it comes from."""
-
-    model: CurveEmulator
-    set: InversionAgreement
+#: the emulator of the curves, and the set that it says
+_Answer = tuple[CurveEmulator, InversionAgreement]
 
 
 def _share(within: str | None) -> float | None:
@@ -557,10 +533,8 @@ class _Inversion:
 
     def runs(self, records: Sequence[Record]) -> Runs:
         """Coded settings of runs."""
-        study = self.study
-        design, _ = joined(study.design, Store(study.folder), study.manifest)
-        factors = ranges_of(design)
-        coded = coded_settings(design, factors, [record.levels for record in records])
+        factors = ranges_of(self.study.design)
+        coded = coded_settings(factors, [record.levels for record in records])
         return Runs("force", factors, coded, np.zeros(len(records)))
 
     @property
@@ -585,25 +559,25 @@ class _Inversion:
                 residual.size, float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
             )
             solutions = agreeing(model, curve.force_N, held, rows_worth=worth)
-        return _Answer(model, solutions)
+        return model, solutions
 
     def checked(self, answer: _Answer) -> _Answer:
         """Refuse an answer whose best curve misses more than it may."""
-        if self.share is None or answer.set.rms <= answer.set.limit:
+        agreeing_set = answer[1]
+        if self.share is None or agreeing_set.rms <= agreeing_set.limit:
             return answer
         rule = (
             f"no curve inside of what was run agrees within {100 * self.share:.3g} %: the best "
-            f"misses {100 * answer.set.rms / self.size:.3g} %"
+            f"misses {100 * agreeing_set.rms / self.size:.3g} %"
         )
         mend = "widen the ranges, ask for less, or look for what the model lacks"
         raise RefusedError(str(Fault("invert", rule, mend)))
 
     def run(
-        self, answer: _Answer, at: Array, permission: Permission
+        self, settings: Mapping[str, float], permission: Permission
     ) -> tuple[Checked, Record | None]:
         """Run the true model at a setting."""
-        settings = answer.model.runs.settings(at)
-        records = confirm(self.study, settings, self.labels, permission)
+        records = confirm(self.study, {**settings, **self.labels}, permission)
         levels = dict(records[0].levels) if records else {}
         if not records or not records[0].converged:
             return Checked(levels, float("nan"), False), None
@@ -612,7 +586,8 @@ class _Inversion:
 
     def told(self, answer: _Answer, runs: Sequence[Checked], notes: Sequence[str]) -> Inverted:
         """Say the answer in the units of the inputs."""
-        coded, result = answer.model.runs, answer.set
+        model, result = answer
+        coded = model.runs
         units_of = {f.name: f.span.unit for f in self.study.design.factors if f.span is not None}
         best, low, high = (coded.settings(point) for point in (result.at, result.low, result.high))
         inputs = tuple(
@@ -623,7 +598,7 @@ class _Inversion:
         disagree = "a run of the true model does not agree: add runs to the study"
         return Inverted(
             inputs, result.combinations, {**self.labels, **self.numbers}, units_of, result.rms,
-            result.limit, result.rms / self.size, self.curve.force_N.size, answer.model.q2,
+            result.limit, result.rms / self.size, self.curve.force_N.size, model.q2,
             tuple(coded.settings(point) for point in result.points),
             runs[0] if runs else None, tuple(runs[1:]),
             (*notes, *never_run(coded, result.points),
@@ -635,31 +610,31 @@ def _checked_by_runs(
     question: _Inversion, records: list[Record], permission: Permission, notes: Sequence[str]
 ) -> Inverted:
     """Let the true model run at the best setting until the emulator says the same there."""
-    answer, run, notes = question.fitted(records), None, [*notes]
+    (model, agreed), run, notes = question.fitted(records), None, [*notes]
     for _ in range(ROUNDS):
-        run, record = question.run(answer, answer.set.at, permission)
+        run, record = question.run(model.runs.settings(agreed.at), permission)
         if record is None:
             break
-        emulated = answer.model.value(question.runs([*records, record]).coded[-1:])[0]
+        emulated = model.value(question.runs([*records, record]).coded[-1:])[0]
         missed = _force(record, question.curve) - emulated
         if record.case_id not in {earlier.case_id for earlier in records}:
             records.append(record)
-            answer = question.fitted(records)
-        if (apart := float(np.sqrt(np.mean(missed**2)))) <= answer.model.loo_rms:
+            model, agreed = question.fitted(records)
+        if (apart := float(np.sqrt(np.mean(missed**2)))) <= model.loo_rms:
             break
     else:
         notes.append(
             f"after {ROUNDS} runs at the best setting the emulator still misses the true model "
-            f"there by {apart:.3g} N, more than its own error of {answer.model.loo_rms:.3g} N: add "
+            f"there by {apart:.3g} N, more than its own error of {model.loo_rms:.3g} N: add "
             "runs near that setting to the study"
         )
-    found = question.checked(answer).set
+    answer = question.checked((model, agreed))
     ends = []
-    if found.combinations or found.open_low.any() or found.open_high.any():
-        ends = [question.run(answer, at_end, permission)[0] for at_end in found.ends]
+    if agreed.combinations or agreed.open_low.any() or agreed.open_high.any():
+        ends = [question.run(model.runs.settings(at), permission)[0] for at in agreed.ends]
     # settings of a run are rounded to a ten-thousandth of their range
     runs = [] if run is None else [
-        replace(one, agrees=bool(one.rms <= 1.02 * answer.set.limit)) for one in (run, *ends)
+        replace(one, agrees=bool(one.rms <= 1.02 * agreed.limit)) for one in (run, *ends)
     ]  # fmt: skip
     return question.told(answer, runs, notes)
 

@@ -422,12 +422,8 @@ _COSTS = ("seconds", "dofs")
 _SEARCHING = 2.0
 
 
-@dataclass(frozen=True)
-class _Fitted:
-    """Emulators of the responses at one combination of the other levels."""
-
-    responses: Mapping[str, Emulator | BlockedEmulator]
-    open: tuple[str, ...]
+#: emulators of the responses at one combination of the other levels, and names of open responses
+_Fitted = tuple[dict[str, Emulator | BlockedEmulator], list[str]]
 
 
 def run_adaptive(
@@ -469,10 +465,10 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     fitted = [_fit(design, rule, labels, records) for labels in places]
     size = len(design.treatments)
     errors: dict[str, float] = {}
-    for surface_fit in fitted:
-        for name, model in surface_fit.responses.items():
+    for models, _ in fitted:
+        for name, model in models.items():
             errors[name] = min(errors.get(name, 1.0), float(model.q2))
-    unknown = list(dict.fromkeys(name for place in fitted for name in place.open))
+    unknown = list(dict.fromkeys(name for _, names in fitted for name in names))
     step: AdaptiveStep = {"cells": size, "q2": {**errors}, "open": unknown, "stopped": ""}
     free = min(rule.batch, rule.budget - size)
     step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
@@ -509,7 +505,7 @@ def _fit(
             is_good = False
         if not is_good:
             still.append(response.name)
-    return _Fitted(models, tuple(still))
+    return models, still
 
 
 def _is_known(model: Emulator | BlockedEmulator, practical: float | None, rule: Sequential) -> bool:
@@ -534,18 +530,18 @@ def _chosen(
     ranges = [factor for factor in design.factors if factor.span is not None]
     power = 1.0 if rule.until == "q2" else _SEARCHING
     unsure = [
-        [Unsure(model.process, power) for name in place.open if name in place.responses
-         for model in place.responses[name].each]
-        for place in fitted
+        [Unsure(model.process, power) for name in names if name in models
+         for model in models[name].each]
+        for models, names in fitted
     ]  # fmt: skip
     # cells of each combination in the unit box, those without an answer too
     cells = [[cell.levels for cell in at_levels(design.treatments, labels)] for labels in places]
-    made = [0.5 * (coded_settings(design, ranges_of(design), some) + 1.0) for some in cells]
+    made = [0.5 * (coded_settings(ranges_of(design), some) + 1.0) for some in cells]
     points = [candidates(len(ranges), rule.seed + n) for n in range(len(places))]
     at = qmc.Sobol(len(ranges), seed=rule.seed + len(places)).random_base2(REFERENCES)
     # where nothing could be fitted comes first: it needs runs most
-    blind = [n for n, place in enumerate(fitted) if place.open and not unsure[n]]
-    undecided = blind or [n for n in range(len(places)) if fitted[n].open]
+    blind = [n for n, (_, names) in enumerate(fitted) if names and not unsure[n]]
+    undecided = blind or [n for n, (_, names) in enumerate(fitted) if names]
     chosen = []
     for turn in range(count):
         nexts = [(n, *next_run(unsure[n], points[n], at, made[n])) for n in undecided]

@@ -17,7 +17,7 @@ from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, RefusedError, nearest
 from study.harness.design import overlay
 from study.harness.design.factors import levels_at
-from study.harness.design.spec import Design, Factor, Level
+from study.harness.design.spec import Design, Factor
 from study.harness.record.document import ConfirmedRow
 from study.harness.record.folder import ID
 from study.harness.record.store import Store
@@ -169,22 +169,14 @@ class Permission:
     progress: Callable[[Progress], None] | None = None
 
 
-def joined(
-    design: Design, store: Store, manifest: Mapping[str, object]
-) -> tuple[Design, tuple[Record, ...]]:
-    """Find the runs that joined a study's surfaces: those of this design and this code.
-
-    The ranges of the design that is returned know their settings, too; its cells are its own.
-    """
+def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> tuple[Record, ...]:
+    """Find the runs that joined a study's surfaces: those of this design and this code."""
     rows = store.read_rows(CONFIRMED, ConfirmedRow)
     rows_of_study = [row for row in rows if row["of"] == _identity(manifest)]
-    records_stored = store.records(
+    stored = store.records(
         {row["case"]: row["input"] for row in rows_of_study if ID.fullmatch(row["case"])}
     )
-    records = tuple(record for record in records_stored if _is_of(record, design))
-    cells = [record.levels for record in records]
-    factors = tuple(_with_levels(f, [cell[f.name] for cell in cells]) for f in design.factors)
-    return replace(design, factors=factors) if cells else design, records
+    return tuple(record for record in stored if _is_of(record, design))
 
 
 def _is_of(record: Record, design: Design) -> bool:
@@ -206,45 +198,32 @@ def code_of(manifest: Mapping[str, object]) -> str:
     return str(versions.get("study")) if isinstance(versions, Mapping) else ""
 
 
-def _with_levels(factor: Factor, labels: Sequence[str]) -> Factor:
-    labels_there = {level.label for level in factor.levels}
-    span = factor.span
-    if span is None:
-        return factor
-    new = [label for label in dict.fromkeys(labels) if label not in labels_there]
-    more = [Level(label, {factor.name: label if span.unit else float(label)}) for label in new]
-    return replace(factor, levels=(*factor.levels, *more))
-
-
-def place(design: Design, settings: Mapping[str, float], labels: Mapping[str, str]) -> Design:
-    """Make a design of one cell."""
-    factors = tuple(_single(factor, settings, labels) for factor in design.factors)
+def place(design: Design, settings: Mapping[str, float | str]) -> Design:
+    """Make a design of one cell, by numbers in its ranges and labels of the others."""
+    factors = tuple(_single(factor, settings[factor.name]) for factor in design.factors)
     scheme = replace(design.scheme, rows=((0,) * len(factors),), sequential=None)
     return replace(design, factors=factors, exclusions=(), scheme=scheme)
 
 
-def _single(factor: Factor, settings: Mapping[str, float], labels: Mapping[str, str]) -> Factor:
+def _single(factor: Factor, setting: float | str) -> Factor:
     span = factor.span
     if span is None:
-        matching = [level for level in factor.levels if level.label == labels[factor.name]]
+        matching = [level for level in factor.levels if level.label == setting]
         return replace(factor, levels=tuple(matching))
     numeric = NumericFactor(factor.name, span.low, span.high, span.log)
-    share = 0.5 * (float(numeric.coded(np.array(settings[factor.name]))) + 1.0)
+    share = 0.5 * (float(numeric.coded(np.array(float(setting)))) + 1.0)
     return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
 
 
 def confirm(
-    study: StudyResult,
-    settings: Mapping[str, float],
-    labels: Mapping[str, str],
-    permission: Permission,
+    study: StudyResult, settings: Mapping[str, float | str], permission: Permission
 ) -> tuple[Record, ...]:
     """Run the true model at a setting, and let the run join the study's surfaces."""
     manifest = study.manifest
     if code_of(manifest) != code_version():
         rule = "was computed by another version of this program: a new run does not belong to it"
         raise RefusedError(str(Fault(study.design.name, rule, "run the study again first")))
-    design = place(study.design, settings, labels)
+    design = place(study.design, settings)
     forward = design.treatments[0].cell.problem.forward
     if forward is not None and forward.model == "python" and permission.allowed.function is None:
         rule = "is computed by a Python function, which is not at hand for a confirming run"

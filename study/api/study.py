@@ -210,7 +210,7 @@ def run(
         unconfirmed, may = load_study(store.path), Permission(data, allowed, progress)
         for surface in unconfirmed.surfaces:
             for settings in surface.unconfirmed:
-                confirm_setting(unconfirmed, settings, surface.labels, may)
+                confirm_setting(unconfirmed, {**settings, **surface.labels}, may)
         clock.mark("confirming runs")
     with _records_written():
         return report(

@@ -227,7 +227,7 @@ def _show(
     if report is not None:
         formats = tuple(listed(flags["--format"])) or ("html",)
         page = analyzing.write_page(
-            analysis, report, source=asked, reference=reference, formats=formats
+            analysis, report, source=asked, compared=compared, formats=formats
         )
     if as_json:
         output.warn(analysis.notes)

@@ -215,10 +215,10 @@ class Recommendation:
     held: Mapping[str, float | str]
     #: Units of the factors that are numbers.
     units: Mapping[str, str]
-    #: Prediction and its 95 % interval, in the response's unit.
-    value: float
-    low: float
-    high: float
+    #: Prediction and its 95 % interval, in the response's unit; NaN while it is asked for.
+    value: float = float("nan")
+    low: float = float("nan")
+    high: float = float("nan")
     bounds: tuple[Bound, ...] = ()
     #: Prediction, and ends of its interval, of each of them.
     limited: tuple[tuple[float, float, float], ...] = ()
