@@ -427,11 +427,13 @@ def test_cost_against_accuracy_of_many_levels(levels: int):
 def test_profiles_of_all_responses_go_through_the_best_setting(tmp_path: Path):
     a, b = (part.ravel() for part in np.meshgrid(np.linspace(0, 1, 5), np.linspace(-1, 1, 5)))
     table = {"a": a, "b": b, "y": (a - 0.3) ** 2 + 0.2 * b, "z": 5 * b + 0.01 * a}
+    noise = np.random.default_rng(1).normal(size=a.size)
+    table |= {"v": 2 * b + 0.05 * noise, "w": noise}  # the band of v is wider than what matters
     both = [pd.DataFrame(table | {"m": m, "y": k * table["y"]}) for m, k in (("p", 1), ("q", 2))]
     pd.concat(both).to_csv(tmp_path / "runs.csv", index=False)
     surfaces = tuple(
         fitted
-        for name in ("y", "z")
+        for name in ("y", "z", "v", "w")
         for fitted in fit_surfaces(tmp_path / "runs.csv", name, ["a", "b"], ["m"], practical="0.1")
     )
     goal = ResponseAnalysis("y", "", better="lower")
@@ -447,7 +449,9 @@ def test_profiles_of_all_responses_go_through_the_best_setting(tmp_path: Path):
         "with the others where y at m p is lowest (lines: a 0.300 and b \N{MINUS SIGN}1.00)",
         "y lies between \N{MINUS SIGN}0.200 and 0.290 along a",
         "z rises with b from \N{MINUS SIGN}5.00 to 5.00",
-        "changes by less than what matters (0.100) with a",
+        "changes by less than what matters (0.100) with a. v rises",
+        "and may change by more or less than what matters (0.100) with a",
+        "The runs do not carry the surface of w, so its row says nothing",
     ):
         assert words in figure.caption, figure.caption
     figure, _ = surface_figures.profilers(replace(report, responses=()))

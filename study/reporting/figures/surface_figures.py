@@ -25,6 +25,7 @@ from study.reporting.content.text import (
 )
 from study.reporting.figures import axes as style
 from study.reporting.figures.axes import make
+from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_optimum import check_carries
 from study.statistics.surfaces.surface_profile import contour, left_out, profiles, strongest
 
@@ -147,23 +148,32 @@ def _finding(
 ) -> str:
     """Say what every factor does to a response by itself."""
     named, unit = clean(name_of(one.response, data.labels)), clean(one.unit)
-    if getattr(surface.model, "gate", "") == "refused":
+    model = surface.model
+    if isinstance(model, QuadraticSurface):
+        is_carried = model.carries or model.error != "none"
+    else:
+        is_carried = model.gate != "refused"
+    if not is_carried:
         return f"the runs do not carry the surface of {named}, so its row says nothing"
-    parts, small = [], []
-    for name, values in row.groupby("factor", sort=False)["value"]:
-        factor, value = name_of(str(name), data.labels), values.to_numpy()
+    parts, small, unclear = [], [], []
+    for name, along in row.groupby("factor", sort=False):
+        factor, value = name_of(str(name), data.labels), along["value"].to_numpy()
         steps, change = np.diff(value), float(np.ptp(value))
         if one.practical is not None and change < one.practical:
-            small.append(factor)
+            # the whole band must lie within it, for what the prediction does is no claim yet
+            is_small = along["high"].max() - along["low"].min() < one.practical
+            (small if is_small else unclear).append(factor)
         elif (steps > -_LEVEL * change).all() or (steps < _LEVEL * change).all():
             verb = "rises" if value[-1] > value[0] else "falls"
             parts.append(f"{verb} with {factor} from {interval(value[0], value[-1], unit)}")
         else:
             ends = interval(value.min(), value.max(), unit)
             parts.append(f"lies between {ends.replace(' to ', ' and ')} along {factor}")
+    limit = f"what matters ({quantity(one.practical, unit)})"
     if small:
-        limit = f"what matters ({quantity(one.practical, unit)})"
         parts.append(f"changes by less than {limit} with {listing(small)}")
+    if unclear:
+        parts.append(f"may change by more or less than {limit} with {listing(unclear)}")
     return f"{named} {listing(parts)}"
 
 
