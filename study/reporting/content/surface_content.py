@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from study.reporting.content.blocks import (
@@ -431,16 +430,14 @@ def _table_name(kind: str, one: FittedSurface) -> str:
 # Surfaces as a page and a terminal show them, and what optimize, invert and predict answer.
 
 
-NO_FIGURES: Mapping[str, Figure] = MappingProxyType({})
-
-
 def surface_blocks(
     one: FittedSurface,
     data: ReportData,
     anchor: str = "",
-    figures: Mapping[str, Figure] = NO_FIGURES,
+    drawn: Mapping[str, Figure] | None = None,
 ) -> Iterator[Block | None]:
     """One surface: what drives it, what it says, its tables, then its other figures."""
+    figures = drawn or {}
     named, lines = title(one, data), surface_lines(one, data)
     yield Heading(capital(named), 2, anchor, one.unit)
     if one.found is None:

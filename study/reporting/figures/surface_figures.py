@@ -155,7 +155,9 @@ def _finding(
         is_carried = model.gate != "refused"
     if not is_carried:
         return f"the runs do not carry the surface of {named}, so its row says nothing"
-    parts, small, unclear = [], [], []
+    parts: list[str] = []
+    small: list[str] = []
+    unclear: list[str] = []
     for name, along in row.groupby("factor", sort=False):
         factor, value = name_of(str(name), data.labels), along["value"].to_numpy()
         steps, change = np.diff(value), float(np.ptp(value))
