@@ -201,13 +201,20 @@ def test_the_answer_names_the_factors_by_what_they_do(ranged: Path) -> None:
 
 def test_its_pictures_hold_the_closed_form(ranged: Path) -> None:
     data = ranged / "ranges-data"
-    along = pd.read_csv(data / "figure-surface-peak-force-profiles.csv")
+    along = pd.read_csv(data / "figure-profiler.csv")
     middle = {"material.C10": 7.5, "specimen.radius": 10.0, "specimen.height": 20.0}
     for name, part in along.groupby("factor"):
         at = {**{k: np.full(len(part), v) for k, v in middle.items()}}
         at[str(name)] = part["setting"].to_numpy() * (10 if name == "specimen.radius" else 1)
         exact = _force(*at.values())
         assert ((part["low"] <= exact) & (exact <= part["high"])).all(), name
+    reference = dict(zip(along["factor"], along["reference"], strict=True))
+    assert reference == pytest.approx(middle | {"specimen.radius": 1.0})
+    (predicted,) = public.predict(ranged.parents[1] / "results" / "ranges", reference)
+    for name, part in along[along["setting"] == along["reference"]].groupby("factor"):
+        told = part[["value", "low", "high"]].to_numpy().ravel()
+        ends = (predicted.value[0], predicted.low[0], predicted.high[0])
+        assert told == pytest.approx(ends, rel=1e-9), name
     over = pd.read_csv(data / "figure-surface-peak-force-contours.csv")
     assert list(over.columns) == ["material.C10", "specimen.radius", "value"]
     exact = _force(over["material.C10"], 10 * over["specimen.radius"], 20.0)

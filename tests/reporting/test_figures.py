@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from scipy import stats
 
+from study import fit_surfaces
 from study.ground.curve import Curve
 from study.reporting.content.recommendation import cost_front
 from study.reporting.content.report_facts import Facts, cells, facts
@@ -26,8 +28,9 @@ from study.reporting.figures import (
     registry,
     residual_figures,
     study_figures,
+    surface_figures,
 )
-from study.reporting.results.study_result import CurvePair, ReportData
+from study.reporting.results.study_result import CurvePair, ReportData, ResponseAnalysis
 from study.statistics.analysis.unreplicated import pseudo_standard_error
 from tests.reporting.example import build, unreplicated
 
@@ -419,3 +422,37 @@ def test_cost_against_accuracy_of_many_levels(levels: int):
     legend = ax.get_legend().get_window_extent()
     assert legend.x1 <= found[0].bbox.x1
     assert ax.get_position().height * found[0].get_figheight() > 1.5
+
+
+def test_profiles_of_all_responses_go_through_the_best_setting(tmp_path: Path):
+    a, b = (part.ravel() for part in np.meshgrid(np.linspace(0, 1, 5), np.linspace(-1, 1, 5)))
+    table = {"a": a, "b": b, "y": (a - 0.3) ** 2 + 0.2 * b, "z": 5 * b + 0.01 * a}
+    noise = np.random.default_rng(1).normal(size=a.size)
+    table |= {"v": 2 * b + 0.05 * noise, "w": noise}  # the band of v is wider than what matters
+    both = [pd.DataFrame(table | {"m": m, "y": k * table["y"]}) for m, k in (("p", 1), ("q", 2))]
+    pd.concat(both).to_csv(tmp_path / "runs.csv", index=False)
+    surfaces = tuple(
+        fitted
+        for name in ("y", "z", "v", "w")
+        for fitted in fit_surfaces(tmp_path / "runs.csv", name, ["a", "b"], ["m"], practical="0.1")
+    )
+    goal = ResponseAnalysis("y", "", better="lower")
+    report = ReportData("s", "", {}, pd.DataFrame(), responses=(goal,), surfaces=surfaces)
+    figure, other = surface_figures.profilers(report)
+    assert (figure.name, other.name) == ("profiler-m-p", "profiler-m-q")
+    assert not figure.missing
+    assert figure.data is not None
+    for name, at in {"a": 0.3, "b": -1.0}.items():
+        part = figure.data[figure.data["factor"] == name]
+        assert part["reference"].to_numpy() == pytest.approx(at, abs=1e-4), name
+    for words in (
+        "with the others where y at m p is lowest (lines: a 0.300 and b \N{MINUS SIGN}1.00)",
+        "y lies between \N{MINUS SIGN}0.200 and 0.290 along a",
+        "z rises with b from \N{MINUS SIGN}5.00 to 5.00",
+        "changes by less than what matters (0.100) with a. v rises",
+        "and may change by more or less than what matters (0.100) with a",
+        "The runs do not carry the surface of w, so its row says nothing",
+    ):
+        assert words in figure.caption, figure.caption
+    figure, _ = surface_figures.profilers(replace(report, responses=()))
+    assert "in the middle of their ranges (lines: a 0.500 and b 0)" in figure.caption

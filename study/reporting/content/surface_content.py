@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from study.reporting.content.blocks import (
@@ -128,9 +127,13 @@ def table(one: FittedSurface, data: ReportData) -> Table | None:
 
 def title(one: FittedSurface, data: ReportData) -> str:
     """Name of the response, and where the factors without numbers stand."""
-    at = listing([f"{name_of(k, data.labels)} {clean(v)}" for k, v in one.labels.items()])
-    named = clean(name_of(one.response, data.labels))
+    at, named = at_labels(one, data), clean(name_of(one.response, data.labels))
     return f"{named} at {at}" if at else named
+
+
+def at_labels(one: FittedSurface, data: ReportData) -> str:
+    """Where the factors without numbers stand; empty without such factors."""
+    return listing([f"{name_of(k, data.labels)} {clean(v)}" for k, v in one.labels.items()])
 
 
 def would_change(data: ReportData) -> str:
@@ -398,15 +401,13 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
             by.setdefault(item.range.told, []).append(name_of(item.factor, data.labels))
     limit = f"{one.practical:.3g} {clean(one.unit)}".strip()
     said = []
-    if MATTERS in by:
-        verb = "matters" if len(by[MATTERS]) == 1 else "matter"
-        said.append(f"{listing(by.pop(MATTERS))} {verb}")
-    if (waiting := f"{MATTERS}, if confirmed") in by:
-        verb = "matters" if len(by[waiting]) == 1 else "matter"
-        said.append(f"{listing(by.pop(waiting))} {verb}, if the runs that are named confirm it")
-    if NO_DIFFERENCE in by:
-        verb = "makes" if len(by[NO_DIFFERENCE]) == 1 else "make"
-        said.append(f"{listing(by.pop(NO_DIFFERENCE))} {verb} no practical difference")
+    for verdict, verb, more in (
+        (MATTERS, "matter", ""),
+        (f"{MATTERS}, if confirmed", "matter", ", if the runs that are named confirm it"),
+        (NO_DIFFERENCE, "make", " no practical difference"),
+    ):
+        if names := by.pop(verdict, []):
+            said.append(f"{listing(names)} {verb}{'s' if len(names) == 1 else ''}{more}")
     rest = [name for names in by.values() for name in names]
     if rest:
         said.append(f"these runs cannot show whether {listing(rest, 'or')} matters")
@@ -429,16 +430,14 @@ def _table_name(kind: str, one: FittedSurface) -> str:
 # Surfaces as a page and a terminal show them, and what optimize, invert and predict answer.
 
 
-NO_FIGURES: Mapping[str, Figure] = MappingProxyType({})
-
-
 def surface_blocks(
     one: FittedSurface,
     data: ReportData,
     anchor: str = "",
-    figures: Mapping[str, Figure] = NO_FIGURES,
+    drawn: Mapping[str, Figure] | None = None,
 ) -> Iterator[Block | None]:
     """One surface: what drives it, what it says, its tables, then its other figures."""
+    figures = drawn or {}
     named, lines = title(one, data), surface_lines(one, data)
     yield Heading(capital(named), 2, anchor, one.unit)
     if one.found is None:
@@ -453,7 +452,7 @@ def surface_blocks(
             ratio = f"F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}"
             yield Sentence(f"All terms of {name}: {ratio}, {p_phrase(test.p)}.")
     yield from titled(table(one, data), "Uncertain inputs")
-    yield from (figures[kind] for kind in ("profiles", "contours", "left-out") if kind in figures)
+    yield from (figures[kind] for kind in ("contours", "left-out") if kind in figures)
 
 
 def recommendation_blocks(recommendations: Sequence[Recommendation]) -> Iterator[Block]:

@@ -2,27 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure as Canvas
 
-from study.reporting.content.surface_content import title
-from study.reporting.content.text import clean, listing, name_of, percent, quantity, sentence
+from study.ground.errors import RefusedError
+from study.reporting.content.surface_content import at_labels, settings, title
+from study.reporting.content.text import (
+    clean,
+    interval,
+    listing,
+    name_of,
+    percent,
+    quantity,
+    sentence,
+    slug,
+)
 from study.reporting.figures import axes as style
+from study.reporting.figures.axes import make
+from study.statistics.surfaces.quadratic import QuadraticSurface
+from study.statistics.surfaces.surface_optimum import check_carries
 from study.statistics.surfaces.surface_profile import contour, left_out, profiles, strongest
 
 if TYPE_CHECKING:
+    from study.ground.arrays import Array
+    from study.reporting.content.blocks import Figure
     from study.reporting.figures.axes import Plot
     from study.reporting.results.study_result import ReportData
     from study.statistics.surfaces.surface_profile import FittedSurface
     from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
+    Rows = list[tuple[FittedSurface, SurfaceAnalysis]]
 
-#: profiles beside each other
-_COLUMNS = 4
+#: most factors whose profiles stand beside each other
+_COLUMNS = 6
+#: part of a profile's change below which a step back is rounding
+_LEVEL = 1e-3
 
 
 def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
@@ -38,16 +58,10 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
             lambda frame: _draw_shares(frame, data),
             lambda frame: _shares_caption(frame, fitted, data),
         ),
-        "profiles": (
-            "Along each factor",
-            lambda: _profiles(surface),
-            lambda frame: _draw_profiles(frame, fitted, data),
-            lambda frame: _profiles_caption(frame, fitted, data),
-        ),
         "contours": (
             "Over the two strongest factors",
-            lambda: _contours(surface, pair),
-            lambda frame: _draw_contours(frame, contour(surface, pair).runs, fitted, data),
+            lambda: pd.DataFrame(contour(surface, pair)[0]),
+            lambda frame: _draw_contours(frame, contour(surface, pair)[1], fitted, data),
             lambda frame: _contours_caption(frame, fitted, data),
         ),
         "left-out": (
@@ -65,43 +79,124 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
     return {kind: plot for kind, plot in plots.items() if has.get(kind, True)}
 
 
-def _profiles(surface: SurfaceAnalysis) -> pd.DataFrame:
-    by_factor = profiles(surface)
+def profilers(data: ReportData) -> list[Figure]:
+    """Every response along every factor, one figure for each combination of the other factors."""
+    by_labels: dict[str, Rows] = {}
+    for fitted in data.surfaces:
+        if fitted.found is not None:
+            by_labels.setdefault(at_labels(fitted, data), []).append((fitted, fitted.found))
+    figures = []
+    for labels, rows in by_labels.items():
+        plot: Plot = (
+            f"Every response along every factor{labels and ': '}{labels}",
+            partial(_profiles, rows, data),
+            partial(_draw_profiles, rows, data),
+            partial(_profiles_caption, rows, data),
+        )
+        figures.append(make(slug(f"profiler {labels}"), plot))
+    return figures
+
+
+def _reference(rows: Rows, data: ReportData) -> tuple[Array, str]:
+    """Coded setting (k,) that the profiles go through, inside of every response's runs; in words.
+
+    It is the best setting of the only response that has a better end, else the middle.
+    """
+    coded = [surface.runs.coded for _, surface in rows]
+    low = np.max([points.min(axis=0) for points in coded], axis=0)
+    high = np.min([points.max(axis=0) for points in coded], axis=0)
+    at, words = np.zeros(len(low)), "in the middle of their ranges"
+    better = {item.name: item.better for item in data.responses if item.better}
+    goals = [row for row in rows if row[0].response in better]
+    if len(goals) == 1:
+        fitted, best = goals[0]
+        with suppress(RefusedError):  # a surface that predicts badly names no best setting
+            check_carries(best.model)
+            is_low = better[fitted.response] == "lower"
+            at = (best.smallest if is_low else best.largest).at
+            words = f"where {title(fitted, data)} is {'low' if is_low else 'high'}est"
+    return np.clip(at, low, high), words
+
+
+def _profiles(rows: Rows, data: ReportData) -> pd.DataFrame:
+    at, _ = _reference(rows, data)
+    reference = rows[0][1].runs.settings(at)
+    orders = [strongest(surface) for _, surface in rows]
+    names = sorted(reference, key=lambda name: sum(order.index(name) for order in orders))
     return pd.concat(
-        pd.DataFrame({"factor": n, "setting": at, "value": p.value, "low": p.low, "high": p.high})
-        for n, (at, p) in ((name, by_factor[name]) for name in strongest(surface))
+        pd.DataFrame({"response": fitted.response, "factor": name, "setting": setting,
+                      "value": p.value, "low": p.low, "high": p.high, "reference": reference[name]})
+        for fitted, along in [(fitted, profiles(surface, at)) for fitted, surface in rows]
+        for name, (setting, p) in ((name, along[name]) for name in names)
+    )  # fmt: skip
+
+
+def _profiles_caption(rows: Rows, data: ReportData, frame: pd.DataFrame) -> str:
+    _, where = _reference(rows, data)
+    at = dict(zip(frame["factor"], frame["reference"], strict=True))
+    more = f"; drawn are the {_COLUMNS} strongest factors" if len(at) > _COLUMNS else ""
+    shown = (
+        f"predictions along each factor with the others {where} (lines: "
+        f"{settings(at, rows[0][0], data)}), with 95 % intervals as bands{more}"
     )
+    rest = [_finding(*row, data, frame[frame["response"] == row[0].response]) for row in rows]
+    return " ".join(map(sentence, (shown, *rest)))
 
 
-def _profiles_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
-    named = []
-    for name, values in frame.groupby("factor", sort=False)["value"]:
-        size = quantity(float(np.ptp(values)), clean(fitted.unit))
-        named.append(f"{size} ({name_of(str(name), data.labels)})")
-    return sentence(
-        f"{title(fitted, data)} along each factor with the others in the middle of their "
-        f"ranges; bands are 95 % intervals of the prediction. It changes by up to {listing(named)}."
-    )
+def _finding(
+    one: FittedSurface, surface: SurfaceAnalysis, data: ReportData, row: pd.DataFrame
+) -> str:
+    """Say what every factor does to a response by itself."""
+    named, unit = clean(name_of(one.response, data.labels)), clean(one.unit)
+    model = surface.model
+    if isinstance(model, QuadraticSurface):
+        is_carried = model.carries or model.error != "none"
+    else:
+        is_carried = model.gate != "refused"
+    if not is_carried:
+        return f"the runs do not carry the surface of {named}, so its row says nothing"
+    parts: list[str] = []
+    small: list[str] = []
+    unclear: list[str] = []
+    for name, along in row.groupby("factor", sort=False):
+        factor, value = name_of(str(name), data.labels), along["value"].to_numpy()
+        steps, change = np.diff(value), float(np.ptp(value))
+        if one.practical is not None and change < one.practical:
+            # the whole band must lie within it, for what the prediction does is no claim yet
+            is_small = along["high"].max() - along["low"].min() < one.practical
+            (small if is_small else unclear).append(factor)
+        elif (steps > -_LEVEL * change).all() or (steps < _LEVEL * change).all():
+            verb = "rises" if value[-1] > value[0] else "falls"
+            parts.append(f"{verb} with {factor} from {interval(value[0], value[-1], unit)}")
+        else:
+            ends = interval(value.min(), value.max(), unit)
+            parts.append(f"lies between {ends.replace(' to ', ' and ')} along {factor}")
+    limit = f"what matters ({quantity(one.practical, unit)})"
+    if small:
+        parts.append(f"changes by less than {limit} with {listing(small)}")
+    if unclear:
+        parts.append(f"may change by more or less than {limit} with {listing(unclear)}")
+    return f"{named} {listing(parts)}"
 
 
-def _draw_profiles(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:
-    names = list(dict.fromkeys(frame["factor"]))
-    figure, axes = style.panels(len(names), _COLUMNS, 2.3, 0.4, sharey=True)
-    for ax, name in zip(axes, names, strict=True):
-        part = frame[frame["factor"] == name]
-        ax.fill_between(part["setting"], part["low"], part["high"], color=style.BAND)
-        ax.plot(part["setting"], part["value"], color=style.color_of(0))
-        ax.set_xlabel(_axis(name, fitted, data))
+def _draw_profiles(rows: Rows, data: ReportData, frame: pd.DataFrame) -> Canvas:
+    names = list(dict.fromkeys(frame["factor"]))[:_COLUMNS]
+    number, shared = len(rows) * len(names), {"sharex": "col", "sharey": "row"}
+    figure, axes = style.panels(number, len(names), 1.9, 0.5, **shared)
+    panels = frame.groupby(["response", "factor"])
+    for ax, ((fitted, _), name) in zip(axes, product(rows, names), strict=True):
+        part = panels.get_group((fitted.response, name))
+        color = style.color_of(0)
+        ax.fill_between(part["setting"], part["low"], part["high"], color=color, alpha=0.2, lw=0)
+        ax.plot(part["setting"], part["value"], color=color)
+        ax.axvline(part["reference"].iloc[0], color=style.MUTED, linewidth=0.8, linestyle="--")
         ax.set_xmargin(0)
-    for ax in axes[::_COLUMNS]:
-        ax.set_ylabel(_response(fitted, data))
+        ax.locator_params(axis="x", nbins=4)
+        if fitted is rows[-1][0]:
+            ax.set_xlabel(style.wrap(_axis(name, fitted, data), 24))
+        if name == names[0]:
+            ax.set_ylabel(style.wrap(_axis(fitted.response, fitted, data), 22))
     return figure
-
-
-def _contours(surface: SurfaceAnalysis, pair: Sequence[str]) -> pd.DataFrame:
-    grid = contour(surface, pair)
-    x, y = np.meshgrid(grid.x, grid.y)
-    return pd.DataFrame({pair[0]: x.ravel(), pair[1]: y.ravel(), "value": grid.value.ravel()})
 
 
 def _contours_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
@@ -129,7 +224,7 @@ def _draw_contours(
     ax.contour(x, y, z, levels=filled.levels, colors="white", linewidths=0.6)
     ax.scatter(runs[:, 0], runs[:, 1], s=9, color=style.INK, linewidths=0)
     bar = figure.colorbar(filled, ax=ax, pad=0.015, aspect=30)
-    bar.set_label(_response(fitted, data))
+    bar.set_label(_axis(fitted.response, fitted, data))
     bar.outline.set_visible(False)
     ax.set_xlabel(_axis(across, fitted, data))
     ax.set_ylabel(_axis(up, fitted, data))
@@ -193,15 +288,12 @@ def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData)
     ax.plot(ends, ends, color=style.MUTED, linewidth=0.8)
     ax.scatter(frame["simulated"], frame["predicted"], s=14, color=style.color_of(0), linewidths=0)
     ax.set_box_aspect(1)
-    ax.set_xlabel(f"run: {_response(fitted, data)}")
+    ax.set_xlabel(f"run: {_axis(fitted.response, fitted, data)}")
     ax.set_ylabel("predicted from the others")
     return figure
 
 
-def _axis(factor: str, fitted: FittedSurface, data: ReportData) -> str:
-    unit = clean(fitted.units.get(factor, ""))
-    return style.labeled(clean(name_of(factor, data.labels), 40), unit)
-
-
-def _response(fitted: FittedSurface, data: ReportData) -> str:
-    return style.labeled(clean(name_of(fitted.response, data.labels), 40), clean(fitted.unit))
+def _axis(name: str, fitted: FittedSurface, data: ReportData) -> str:
+    """Name of a factor, or of the response, with its unit."""
+    unit = {**fitted.units, fitted.response: fitted.unit}.get(name, "")
+    return style.labeled(clean(name_of(name, data.labels), 40), clean(unit))

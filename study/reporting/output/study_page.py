@@ -81,6 +81,8 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
         effects = replace(shares, name="overview")
     parts = [(item, of_each[item.name]) for item in all_facts if item.terms or not shapes]
     middle: list[Block | None] = []
+    if profilers := surface_figures.profilers(data):
+        middle += [Heading("Prediction profiler", 2, "profiler"), *profilers]
     for title, one in shapes.items():
         middle += surface_content.surface_blocks(one, data, f"surface-{slug(title)}", over[title])
         notes = () if one.found is None else one.found.notes

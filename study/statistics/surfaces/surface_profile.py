@@ -33,29 +33,21 @@ POINTS = 41
 GRID = 31
 
 
-@dataclass(frozen=True)
-class Contour:
-    """The response over two factors, the others in the middle of their ranges."""
+def profiles(
+    found: SurfaceAnalysis, at: Array | None = None
+) -> dict[str, tuple[Array, SurfacePrediction]]:
+    """Predict along each factor, the others in the middle of their ranges or at a coded setting.
 
-    factors: tuple[str, str]
-    #: shape (m,); settings.
-    x: Array
-    y: Array
-    #: shape (n, m); predictions in the response's unit.
-    value: Array
-    #: shape (r, 2); settings of the runs, whatever the others were.
-    runs: Array
-
-
-def profiles(found: SurfaceAnalysis) -> dict[str, tuple[Array, SurfacePrediction]]:
-    """Predict along each factor, the others in the middle of their ranges.
-
-    Settings are those that were run, from the lowest to the highest, in the factor's unit.
+    Settings are those that were run, from the lowest to the highest, in the factor's unit, with
+    that of ``at``, shape (k,), among them.
     """
     made = {}
     for j, (factor, column) in enumerate(zip(found.runs.factors, found.runs.coded.T, strict=True)):
-        coded = np.zeros((POINTS, len(found.runs.factors)))
-        coded[:, j] = _coded(column, POINTS)
+        along = _coded(column, POINTS)
+        if at is not None:
+            along = np.union1d(along, at[j])
+        coded = np.tile(np.zeros(len(found.runs.factors)) if at is None else at, (len(along), 1))
+        coded[:, j] = along
         value, half = found.model.predict(coded)
         setting = np.array([factor.setting(float(x)) for x in coded[:, j]])
         made[factor.name] = setting, SurfacePrediction(value, value - half, value + half)
@@ -70,25 +62,19 @@ def strongest(found: SurfaceAnalysis) -> tuple[str, ...]:
     return tuple(sorted(sizes, key=lambda name: -sizes[name]))
 
 
-def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> Contour:
-    """Surface over two factors."""
+def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> tuple[dict[str, Array], Array]:
+    """Predict over two factors, the others in the middle: columns (m,), and the runs (n, 2)."""
     runs = found.runs
-    i, j = (runs.names.index(name) for name in factors)
-    across, up = _coded(runs.coded[:, i], GRID), _coded(runs.coded[:, j], GRID)
-    points = np.zeros((GRID, GRID, len(runs.factors)))
-    points[..., i] = across[np.newaxis, :]
-    points[..., j] = up[:, np.newaxis]
-    value, _ = found.model.predict(points.reshape(GRID * GRID, -1))
-    pair = (runs.factors[i], runs.factors[j])
-    settings = [np.array([f.setting(float(x)) for x in runs.coded[:, k]])
-                for f, k in zip(pair, (i, j), strict=True)]  # fmt: skip
-    return Contour(
-        (pair[0].name, pair[1].name),
-        np.array([pair[0].setting(float(x)) for x in across]),
-        np.array([pair[1].setting(float(x)) for x in up]),
-        np.asarray(value).reshape(GRID, GRID),
-        np.column_stack(settings),
+    pair = [runs.names.index(name) for name in factors]
+    points = np.zeros((GRID * GRID, len(runs.factors)))
+    grid = np.meshgrid(*(_coded(runs.coded[:, j], GRID) for j in pair))
+    points[:, pair] = np.column_stack([part.ravel() for part in grid])
+    at, ran = (
+        [np.array([runs.factors[j].setting(float(x)) for x in coded[:, j]]) for j in pair]
+        for coded in (points, runs.coded)
     )
+    value, _ = found.model.predict(points)
+    return dict(zip(factors, at, strict=True)) | {"value": value}, np.column_stack(ran)
 
 
 def left_out(found: SurfaceAnalysis) -> tuple[Array, Array] | None:
