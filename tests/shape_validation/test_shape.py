@@ -216,7 +216,7 @@ def test_the_known_pair_of_brain_surfaces(data_dir: Path) -> None:
 def test_a_scan_of_the_body_at_rest_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(20.0, 30.0, 2000, 7)))
+    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(20.0, 30.0, 500, 7)))
     file = problem(tmp_path)
     assert run(["shape", str(file), "--scan", str(cloud), "--reports", str(tmp_path)]) == 3
     assert "another state: the body at rest fits it" in capsys.readouterr().err
