@@ -89,7 +89,7 @@ def write_cloud(path: Path, points: Array) -> Path:
 def test_the_scan_of_the_closed_form_is_on_the_surface(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cloud = write_cloud(tmp_path / "scan.ply", MOTION(cylinder(RADIUS, HEIGHT, 3000, 1)))
+    cloud = write_cloud(tmp_path / "scan.ply", MOTION(cylinder(RADIUS, HEIGHT, 1000, 1)))
     reports = tmp_path / "reports"
     command = ["shape", str(problem(tmp_path)), "--scan", str(cloud), "--reports", str(reports)]
     assert run([*command, "--json"]) == 0
@@ -144,7 +144,7 @@ def test_markers_inside_move_as_the_closed_form_says(tmp_path: Path, space: str)
     put_in[:5, 2] = 0.5
     both = np.column_stack([MOTION(rest), MOTION(rest * stretch + put_in)])
     markers = write_csv(tmp_path / "beads.csv", both, "x0,y0,z0,x,y,z")
-    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(RADIUS, HEIGHT, 3000, 4)))
+    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(RADIUS, HEIGHT, 1000, 4)))
     found = study.shape(
         problem(tmp_path), cloud, markers=markers, overrides=[f"model.space={space}"]
     ).markers
