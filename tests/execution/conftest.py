@@ -11,7 +11,7 @@ from tests.execution.loopback import Loopback, loopback
 from tests.execution.misbehaving import perform
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Loopback]:
     """Two workers of one thread each, which the tests leave alive."""
     pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")

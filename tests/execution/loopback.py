@@ -14,6 +14,9 @@ from pathlib import Path
 from tests.waiting import until
 
 ROOT = Path(__file__).parents[2]
+#: of a cluster that a test starts nobody looks at the profile, for which each of its processes
+#: wakes up 100 times a second
+QUIET = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}
 
 
 def children(pid: int) -> dict[int, str]:
@@ -67,7 +70,8 @@ class Loopback:
         with log:
             process = subprocess.Popen(
                 [sys.executable, "-m", f"distributed.cli.{what}", *options],
-                stdout=log, stderr=log, cwd=self.folder, env={**os.environ, "PYTHONPATH": path},
+                stdout=log, stderr=log, cwd=self.folder,
+                env={**os.environ, **QUIET, "PYTHONPATH": path},
                 start_new_session=True,
             )  # fmt: skip
         self.processes.append(process)

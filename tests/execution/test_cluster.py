@@ -116,49 +116,6 @@ def test_a_worker_that_hangs_and_a_scheduler_that_is_lost_keep_what_is_finished(
     assert lost.value.exit_code == 130
 
 
-def test_leaving_early_stops_the_tasks_of_this_run_alone(cluster: Loopback, tmp_path: Path) -> None:
-    """Two studies on one cluster: the end of one is not that of the other."""
-    slow = task("slow", "hang", mark=str(tmp_path / "mark"))
-    mine = Cluster(perform, cluster.file, jobs=2).run([task("a"), slow])
-    other = Cluster(perform, cluster.file, jobs=2).run([task(str(k), "process") for k in range(30)])
-    found = [next(other)]
-    assert next(mine).key == "a"
-    until(lambda: begun(tmp_path / "mark"))
-    mine.close()
-    found += list(other)
-    assert len(found) == 30
-    assert {outcome.status for outcome in found} == {"converged"}
-    # a worker that has nothing to do has no process left, ours nor theirs
-    until(lambda: not worker_processes(cluster))
-
-
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_no_task_outlives_its_study(cluster: Loopback, how: signal.Signals) -> None:
-    """However it ends, the workers notice and stop what nobody waits for."""
-    with study_left(str(cluster.file)) as owner:
-        assert int(line_of(owner))
-        until(lambda: all(children(worker.pid) for worker in cluster.workers))
-        owner.send_signal(how)
-        owner.wait(timeout=CAP_S)
-    busy = "" if how == signal.SIGINT else "idle processes end a minute later"
-    until(lambda: busy or not worker_processes(cluster))
-    # whatever was left, the threads of the workers are free for the next study
-    assert run(cluster, [task("a"), task("b")])["a"].status == "converged"
-
-
-def test_a_worker_with_other_versions_is_refused_with_the_differences(cluster: Loopback) -> None:
-    with pytest.raises(RefusedError, match="would not give the numbers") as refused:
-        run(cluster, [task("a")], identity=_of_process)
-    assert "numpy 1.0 (here 2.0)" in str(refused.value)
-    assert "2 workers" in str(refused.value)
-
-
-def _of_process() -> dict[str, str]:
-    """Versions that differ between the study and the processes of the cluster."""
-    is_worker = any("dask_worker" in word for word in sys.argv)
-    return {"numpy": "1.0" if is_worker else "2.0"}
-
-
 def test_a_worker_without_the_package_is_refused(tmp_path: Path) -> None:
     (tmp_path / "study").mkdir()
     (tmp_path / "study" / "__init__.py").write_text("raise ImportError('no study here')\n")
@@ -173,19 +130,6 @@ def test_what_differs_is_named() -> None:
     assert differences(here, {"a": "1", "c": "3"}) == "b absent (here 2), c 3 (here absent)"
     assert differences(here, here) == ""
     assert differences(here, OSError("connection refused")) == "connection refused"
-
-
-def test_files_that_tasks_read_travel_with_the_study(cluster: Loopback, tmp_path: Path) -> None:
-    """A worker on another machine sees no file of ours; its copy goes when the run ends."""
-    path = tmp_path / "a surface.stl"
-    path.write_text("solid")
-    tasks = [task(k, "read", path=str(path)) for k in "abc"]
-    found = run(cluster, tasks, files=[path])
-    assert {outcome.result["text"] for outcome in found.values()} == {"solid"}
-    places = {str(outcome.result["path"]) for outcome in found.values()}
-    assert str(path) not in places
-    assert {Path(place).suffix for place in places} == {".stl"}
-    assert not any(Path(place).exists() for place in places)
 
 
 def test_a_study_waits_for_the_first_worker_and_a_later_one_gets_its_share(
@@ -226,14 +170,6 @@ def test_a_scheduler_that_is_none_is_refused(
     monkeypatch.setattr("study.harness.execution.cluster.PATIENCE_S", 1.0)
     with pytest.raises(InputError, match=said):
         list(Cluster(perform, place).run([]))
-
-
-def test_a_client_that_was_given_stays_open(cluster: Loopback) -> None:
-    with distributed.Client(scheduler_file=str(cluster.file), set_as_default=False) as client:
-        for _ in range(2):
-            found = list(Cluster(perform, client).run([task("a"), task("b")]))
-            assert [outcome.status for outcome in found] == ["converged"] * 2
-        assert client.status == "running"
 
 
 @pytest.fixture(scope="module")
@@ -287,3 +223,70 @@ def test_processes_that_nobody_uses_end() -> None:
     assert Path(f"/proc/{process}").exists()
     here.end_idle(idle_s=0.0)
     assert not Path(f"/proc/{process}").exists()
+
+
+# What one cluster is enough for stands last: it runs no longer than these tests.
+
+
+def test_leaving_early_stops_the_tasks_of_this_run_alone(cluster: Loopback, tmp_path: Path) -> None:
+    """Two studies on one cluster: the end of one is not that of the other."""
+    slow = task("slow", "hang", mark=str(tmp_path / "mark"))
+    mine = Cluster(perform, cluster.file, jobs=2).run([task("a"), slow])
+    other = Cluster(perform, cluster.file, jobs=2).run([task(str(k), "process") for k in range(30)])
+    found = [next(other)]
+    assert next(mine).key == "a"
+    until(lambda: begun(tmp_path / "mark"))
+    mine.close()
+    found += list(other)
+    assert len(found) == 30
+    assert {outcome.status for outcome in found} == {"converged"}
+    # a worker that has nothing to do has no process left, ours nor theirs
+    until(lambda: not worker_processes(cluster))
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_no_task_outlives_its_study(cluster: Loopback, how: signal.Signals) -> None:
+    """However it ends, the workers notice and stop what nobody waits for."""
+    with study_left(str(cluster.file)) as owner:
+        assert int(line_of(owner))
+        until(lambda: all(children(worker.pid) for worker in cluster.workers))
+        owner.send_signal(how)
+        owner.wait(timeout=CAP_S)
+    busy = "" if how == signal.SIGINT else "idle processes end a minute later"
+    until(lambda: busy or not worker_processes(cluster))
+    # whatever was left, the threads of the workers are free for the next study
+    assert run(cluster, [task("a"), task("b")])["a"].status == "converged"
+
+
+def test_a_worker_with_other_versions_is_refused_with_the_differences(cluster: Loopback) -> None:
+    with pytest.raises(RefusedError, match="would not give the numbers") as refused:
+        run(cluster, [task("a")], identity=_of_process)
+    assert "numpy 1.0 (here 2.0)" in str(refused.value)
+    assert "2 workers" in str(refused.value)
+
+
+def _of_process() -> dict[str, str]:
+    """Versions that differ between the study and the processes of the cluster."""
+    is_worker = any("dask_worker" in word for word in sys.argv)
+    return {"numpy": "1.0" if is_worker else "2.0"}
+
+
+def test_files_that_tasks_read_travel_with_the_study(cluster: Loopback, tmp_path: Path) -> None:
+    """A worker on another machine sees no file of ours; its copy goes when the run ends."""
+    path = tmp_path / "a surface.stl"
+    path.write_text("solid")
+    tasks = [task(k, "read", path=str(path)) for k in "abc"]
+    found = run(cluster, tasks, files=[path])
+    assert {outcome.result["text"] for outcome in found.values()} == {"solid"}
+    places = {str(outcome.result["path"]) for outcome in found.values()}
+    assert str(path) not in places
+    assert {Path(place).suffix for place in places} == {".stl"}
+    assert not any(Path(place).exists() for place in places)
+
+
+def test_a_client_that_was_given_stays_open(cluster: Loopback) -> None:
+    with distributed.Client(scheduler_file=str(cluster.file), set_as_default=False) as client:
+        for _ in range(2):
+            found = list(Cluster(perform, client).run([task("a"), task("b")]))
+            assert [outcome.status for outcome in found] == ["converged"] * 2
+        assert client.status == "running"

@@ -55,15 +55,16 @@ def test_elements_are_small_where_the_indenter_comes_down() -> None:
 
 PLACES = [(10.0, -14.0), (-12.0, 12.0), (25.0, 5.0)]
 INDENTERS = [Flat(8, 4), Sphere(8), Cone(60, 8)]
-PRESSED = [  # each place and each indenter once in the suite, all pairs in the long verification
-    pytest.param(place, indenter, marks=() if i == k else LONG)
+#: each place, indenter and order in the suite, all of their combinations in the long verification
+PRESSED = [
+    pytest.param(place, indenter, order, mesh, marks=() if i == k and i % 2 == m else LONG)
     for i, place in enumerate(PLACES)
     for k, indenter in enumerate(INDENTERS)
+    for m, (order, mesh) in enumerate([("quadratic", "coarse"), ("linear", "medium")])
 ]
 
 
-@pytest.mark.parametrize(("place", "indenter"), PRESSED)
-@pytest.mark.parametrize(("order", "mesh"), [("linear", "medium"), ("quadratic", "coarse")])
+@pytest.mark.parametrize(("place", "indenter", "order", "mesh"), PRESSED)
 def test_unknowns_are_expected_before_meshing(
     place: tuple[float, float], indenter: Indenter, order: Order, mesh: MeshName
 ) -> None:

@@ -25,7 +25,7 @@ from study.mechanics.solver.solution import (
     balanced,
 )
 from tests.fem.homogeneous import held, system_of
-from tests.fem.problems import reached
+from tests.fem.problems import LONG, reached
 
 MATERIALS = {
     "polynomial": Material("mooney-rivlin", {"C10": 3e-3, "C01": 2e-3}, poisson_ratio=0.499),
@@ -237,7 +237,7 @@ def test_a_jump_between_two_load_steps_is_told_from_both_sides() -> None:
     assert np.linalg.norm(few - many) < 5e-4 * np.linalg.norm(many)  # what is asked of a curve
 
 
-@pytest.mark.parametrize("pressed", [Cone(45, 0.3), Sphere(10)])
+@pytest.mark.parametrize("pressed", [Cone(45, 0.3), pytest.param(Sphere(10), marks=LONG)])
 def test_the_interpolation_error_of_few_steps_is_covered(pressed: Indenter) -> None:
     """Two steps of a cone were .34 % off, said to be .03, and no step was added."""
     material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.4995)

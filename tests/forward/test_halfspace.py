@@ -14,6 +14,7 @@ from study.harness.runner.fit_problem import fit_problem
 from study.mechanics.forward import finite_element
 from study.mechanics.forward.closed_form import indentation
 from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
+from tests.fem.problems import LONG
 
 HIGH = 1e9
 D = np.array([0.1, 1.0, 2.0])
@@ -85,8 +86,14 @@ def virtual(config: dict[str, Any]) -> Curve:
     return Curve(solution.curve.displacement_mm, solution.curve.force_N)
 
 
-@pytest.mark.parametrize("specimen", SPECIMENS)
-@pytest.mark.parametrize("indenter", INDENTERS)
+FITS = [  # each indenter and each specimen once in the suite, all pairs in the long verification
+    pytest.param(indenter, specimen, marks=() if i == k else LONG)
+    for i, indenter in enumerate(INDENTERS)
+    for k, specimen in enumerate(SPECIMENS)
+]
+
+
+@pytest.mark.parametrize(("indenter", "specimen"), FITS)
 def test_an_indentation_fit_starts_near_its_end(indenter: str, specimen: str) -> None:
     """Large strains, a layer and a finite width are in the data: a factor of 1.25 at most."""
     config = setting(indenter, specimen)

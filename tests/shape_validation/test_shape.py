@@ -89,7 +89,7 @@ def write_cloud(path: Path, points: Array) -> Path:
 def test_the_scan_of_the_closed_form_is_on_the_surface(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cloud = write_cloud(tmp_path / "scan.ply", MOTION(cylinder(RADIUS, HEIGHT, 3000, 1)))
+    cloud = write_cloud(tmp_path / "scan.ply", MOTION(cylinder(RADIUS, HEIGHT, 1000, 1)))
     reports = tmp_path / "reports"
     command = ["shape", str(problem(tmp_path)), "--scan", str(cloud), "--reports", str(reports)]
     assert run([*command, "--json"]) == 0
@@ -144,7 +144,7 @@ def test_markers_inside_move_as_the_closed_form_says(tmp_path: Path, space: str)
     put_in[:5, 2] = 0.5
     both = np.column_stack([MOTION(rest), MOTION(rest * stretch + put_in)])
     markers = write_csv(tmp_path / "beads.csv", both, "x0,y0,z0,x,y,z")
-    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(RADIUS, HEIGHT, 3000, 4)))
+    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(RADIUS, HEIGHT, 1000, 4)))
     found = study.shape(
         problem(tmp_path), cloud, markers=markers, overrides=[f"model.space={space}"]
     ).markers
@@ -216,7 +216,7 @@ def test_the_known_pair_of_brain_surfaces(data_dir: Path) -> None:
 def test_a_scan_of_the_body_at_rest_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(20.0, 30.0, 2000, 7)))
+    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(20.0, 30.0, 500, 7)))
     file = problem(tmp_path)
     assert run(["shape", str(file), "--scan", str(cloud), "--reports", str(tmp_path)]) == 3
     assert "another state: the body at rest fits it" in capsys.readouterr().err
