@@ -158,6 +158,8 @@ def test_energies_are_weighed(
     assert choice.best == "reduced-polynomial-2"
     assert sum(choice.weights.values()) == pytest.approx(1)
     assert choice.weights["neo-hookean"] < 1e-6  # C20 stiffens the force by several percent
+    few = [one for one in some if one[2] in ("neo-hookean", choice.best)]
+    monkeypatch.setattr(model_comparison, "CANDIDATES", tuple(few))
     said = success("calibrate", path, "--data", tmp_path, "--energies").out
     assert "AICc prefers reduced-polynomial-2" in said
 
