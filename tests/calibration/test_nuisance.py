@@ -79,6 +79,7 @@ def nuisance(tmp_path, text, rows=RAW, model="reduced-polynomial", order="order 
     return case(tmp_path, [rows], model, order, f"[nuisance]\n{text}\n")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_sizes_are_propagated_as_the_closed_form_says(tmp_path, capsys):
     """C10 goes with 1 / r^2: 1 % of the radius is 2 % of C10, whatever the noise."""
     write(tmp_path / "a.csv", "neo-hookean", {"C10": 7e-3}, noise=1e-4)
@@ -99,6 +100,7 @@ def test_sizes_are_propagated_as_the_closed_form_says(tmp_path, capsys):
     assert found["ci95"][1] - found["value"] == pytest.approx(1.96 * 0.02 * 7.0, rel=3e-3)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_offset_and_zero_of_a_test_are_found(tmp_path, capsys):
     """A test begun 0.3 mm late by a cell that reads 0.2 N too much."""
     write(tmp_path / "a.csv", "reduced-polynomial", RP2)

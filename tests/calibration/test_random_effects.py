@@ -66,6 +66,7 @@ def test_one_specimen_is_no_population():
     assert population([specimen(C10, np.random.default_rng(2011))]) == ()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_verb_gives_the_mean_of_specimens_as_by_hand(tmp_path, capsys):
     """``study calibrate`` of 8 specimens: C10 of each by regression through the origin."""
     rng = np.random.default_rng(2011)

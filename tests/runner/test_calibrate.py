@@ -139,6 +139,7 @@ def test_mooney_rivlin_at_14_percent_is_not_identifiable(tmp_path: Path) -> None
     assert "abaqus" in refusal(*shared, "--convention", "abacus").err
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     "names",
     [
@@ -331,6 +332,7 @@ def test_a_fault_of_the_data_is_exit_code_2_and_writes_nothing(
     assert not results.exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("factor", [1e4, 1e-4])
 def test_units_that_make_the_modulus_implausible(tmp_path: Path, factor: float) -> None:
     """140 MPa or 1.4 Pa is no soft solid: a status, and exit code 1."""
