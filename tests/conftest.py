@@ -117,6 +117,16 @@ def _tasks_in_this_process() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages without their drawings, for tests of their numbers: a drawing takes up to a second."""
+    from study.api import calibrating
+    from study.reporting.figures import axes, mesh_figures
+
+    for module in (axes, mesh_figures, calibrating):
+        monkeypatch.setattr(module, "render", lambda draw, name, title: "<svg/>")
+
+
 #: one entry while a test that asked for processes runs
 _apart: list[bool] = []
 

@@ -13,6 +13,8 @@ from study.mechanics.calibration.identifiability import identify
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from tests.calibration.cylinder import predictor, virtual
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 MOONEY = ("C10", "C01")
 TRUTH = np.array([7e-3, 1e-3])
 

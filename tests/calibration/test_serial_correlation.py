@@ -15,6 +15,8 @@ from study.mechanics.calibration.serial_correlation import Series, intervals
 from tests.calibration.cylinder import AREA, predictor
 from tests.runner.test_calibrate import case
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 ENERGIES = {
     "neo-hookean": {"C10": 7e-3},
     "reduced-polynomial": {"C10": 7e-3, "C20": 1.5e-3},

@@ -22,6 +22,8 @@ from study.laboratory.haptics.haptic_export import ForceLaw
 from tests.cli.small import PROBLEM, Finished, refusal, success
 from tests.cli.test_numeric_factors import DESIGN, _force
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 AREA_MM2 = np.pi * 10**2
 HEIGHT_MM = 10.0
 INDENTATION = """

@@ -14,6 +14,8 @@ from scipy import stats
 from study.ground.arrays import Array
 from tests.cli.small import case_file, gauge, recorded, refusal, success
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 SIZE = 'area = "20 mm^2"\nlength = "25 mm"\n'
 HEAD = gauge('model = "neo-hookean"\nincompressible = true', SIZE)
 DESIGNS = Path(__file__).parents[2] / "designs"

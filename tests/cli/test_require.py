@@ -88,6 +88,7 @@ def named(document: dict[str, Any], name: str) -> dict[str, Any]:
     return next(one for one in document["quantities"] if one["name"] == name)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_every_error_does_what_the_closed_form_says(tmp_path: Path) -> None:
     found = asked(tmp_path)
     parts = known_parts()
@@ -101,6 +102,7 @@ def test_every_error_does_what_the_closed_form_says(tmp_path: Path) -> None:
     assert force["relative_standard_uncertainty"] == pytest.approx(together, rel=1e-9)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_tests_simulated_by_hand_scatter_so(tmp_path: Path) -> None:
     """20,000 tests, each fitted by its one-line least squares, without any gradient."""
     n, random = 20_000, np.random.default_rng(8)
@@ -126,6 +128,7 @@ def test_tests_simulated_by_hand_scatter_so(tmp_path: Path) -> None:
     assert shift < -0.05
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_errors_of_the_force_alone_are_exactly_linear(tmp_path: Path) -> None:
     none = ['position.offset="0 mm"', 'position.scale="0 %"', 'position.noise="0 mm"']
     found = asked(tmp_path, PLATES, *none, "requirement.samples=50", "requirement.multiples=[1,10]")
@@ -135,6 +138,7 @@ def test_errors_of_the_force_alone_are_exactly_linear(tmp_path: Path) -> None:
             assert quantity["bias"] == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_is_allowed_is_just_enough(tmp_path: Path) -> None:
     found, parts = asked(tmp_path), known_parts()
     allowed = {}
@@ -159,6 +163,7 @@ def test_what_is_allowed_is_just_enough(tmp_path: Path) -> None:
     assert found["met"] is (times >= 1)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_where_first_order_fails_it_says_so(tmp_path: Path) -> None:
     found = asked(
         tmp_path, PLATES, 'position.noise="0.4 mm"', "requirement.samples=100",
@@ -171,6 +176,7 @@ def test_where_first_order_fails_it_says_so(tmp_path: Path) -> None:
     assert "take scatter and shift" in Path(found["report"]).read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_force_is_predicted_in_another_test(tmp_path: Path) -> None:
     other = '[predict.test]\nkind = "compression"\ninterface = "frictionless"\n'
     wider = '[predict.specimen]\nshape = "cylinder"\nradius = "20 mm"\nheight = "10 mm"\n'
@@ -192,6 +198,7 @@ BONDED = (
 )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_finite_elements_in_processes(tmp_path: Path) -> None:
     """The force is in proportion to C10, so that the fit is linear: s F over s^2 once more."""
     found = asked(tmp_path, BONDED)

@@ -30,7 +30,7 @@ def solve(problem: Problem, **options: Any) -> SimpleNamespace:
     """Closed form times a factor for bonded plates and an error that falls with the mesh."""
     wish = Path(os.environ.get("FAKE_WISH", "/nonexistent"))
     if wish.exists() and problem.material.model in wish.read_text():
-        if "die" in wish.read_text():
+        if "die" in wish.read_text() and problem.test.interface == "bonded":
             os.kill(os.getpid(), signal.SIGKILL)
         if "bug" in wish.read_text():
             raise ZeroDivisionError("a bug in the solver")

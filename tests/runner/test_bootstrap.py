@@ -13,6 +13,8 @@ from study.ground.curve import Curve
 from study.harness.runner.fit_task import resampled, residuals_of
 from tests.cli.small import case_file, gauge, recorded, study
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 C10_KPA = 10.0
 HEAD = gauge('model = "neo-hookean"\nincompressible = true') + "[calibration]\nseed = 2011\n"
 

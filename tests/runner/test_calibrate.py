@@ -139,6 +139,7 @@ def test_mooney_rivlin_at_14_percent_is_not_identifiable(tmp_path: Path) -> None
     assert "abaqus" in refusal(*shared, "--convention", "abacus").err
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     "names",
     [
@@ -158,6 +159,8 @@ def test_energies_are_weighed(
     assert choice.best == "reduced-polynomial-2"
     assert sum(choice.weights.values()) == pytest.approx(1)
     assert choice.weights["neo-hookean"] < 1e-6  # C20 stiffens the force by several percent
+    few = [one for one in some if one[2] in ("neo-hookean", choice.best)]
+    monkeypatch.setattr(model_comparison, "CANDIDATES", tuple(few))
     said = success("calibrate", path, "--data", tmp_path, "--energies").out
     assert "AICc prefers reduced-polynomial-2" in said
 
@@ -329,6 +332,7 @@ def test_a_fault_of_the_data_is_exit_code_2_and_writes_nothing(
     assert not results.exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("factor", [1e4, 1e-4])
 def test_units_that_make_the_modulus_implausible(tmp_path: Path, factor: float) -> None:
     """140 MPa or 1.4 Pa is no soft solid: a status, and exit code 1."""

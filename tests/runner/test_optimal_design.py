@@ -10,6 +10,8 @@ import pytest
 
 from tests.cli.small import case_file, gauge, recorded, study
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 AREA, LENGTH, ROWS = 100.0, 20.0, 400
 NOISE_N = 0.025
 TRUTH = np.array([5e-3, 2e-3])

@@ -17,7 +17,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.mechanics.forward.contact_law import Layer, force_law
+from study.mechanics.forward.contact_law import Layer, force_law, gauss_points
 from study.mechanics.material.homogeneous import LOADINGS, loading_in
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Enclosed, Indenter, Specimen
@@ -127,7 +127,7 @@ def between_rows(setup: Setup, material: Material, displacement_mm: Array) -> Cu
     d = np.asarray(displacement_mm, dtype=float)
     h = _TANGENT * d.max(initial=0.0)
     first, second = np.where(d > h, d - h, d + 2 * h), d + h
-    node, weight = np.polynomial.legendre.leggauss(_PLACES)
+    node, weight = gauss_points(_PLACES)
     begin, width = np.append(0.0, d)[:-1], np.diff(d, prepend=0.0)
     inside = begin[:, None] + width[:, None] * (1 + node) / 2
     rows_needed, place = np.unique(

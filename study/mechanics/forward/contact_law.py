@@ -22,6 +22,10 @@ from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
+#: Gauss points on (-1, 1) and their weights by their number; those of 48 take longer to find than
+#: a contact takes to solve with them
+gauss_points = lru_cache(maxsize=8)(np.polynomial.legendre.leggauss)
+
 #: Gauss points over a rounded edge
 _EDGE = 64
 #: share of an indenter's radius up to which contact is followed: its wall is upright at all of it
@@ -65,7 +69,7 @@ def _rounded_edge(flat: Flat, t: Array) -> Array:
     size, face = flat.edge_radius_mm, flat.face_radius_mm
     if size == 0:
         return np.zeros_like(t)
-    points, weights = np.polynomial.legendre.leggauss(_EDGE)
+    points, weights = gauss_points(_EDGE)
     wide = np.maximum(t, face)
     first = np.arcsin(np.divide(face, wide, out=np.ones_like(wide), where=wide > 0))
     half = 0.5 * (np.pi / 2 - first)
@@ -122,7 +126,7 @@ class Layer:
 @lru_cache(maxsize=16)
 def _missing(nu: float, bonded: bool) -> tuple[Array, Array]:
     """Gauss points x and weights of the integral of (1 - K(x)) times a function."""
-    points, weights = np.polynomial.legendre.leggauss(_WAVES)
+    points, weights = gauss_points(_WAVES)
     x = 0.5 * _LONGEST * (points + 1)
     if bonded:
         k = 3 - 4 * nu
@@ -196,7 +200,7 @@ def contact_state(
     layer: Layer, indenter: Indenter, radius_mm: float, *, paraboloid: bool = False
 ) -> ContactCondition:
     """Depth, force and stiffness of the contact of a given radius."""
-    points, weights = np.polynomial.legendre.leggauss(_POINTS)
+    points, weights = gauss_points(_POINTS)
     t, w = 0.5 * radius_mm * (points + 1), 0.5 * radius_mm * weights
     matrix = np.eye(_POINTS) - layer.coupling(t, t) * w
     given = np.column_stack([np.ones(_POINTS), transform(indenter, t, paraboloid=paraboloid)])
