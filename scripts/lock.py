@@ -15,8 +15,12 @@ import sys
 import tempfile
 from pathlib import Path
 
+from packaging.specifiers import SpecifierSet
+
 ROOT = Path(__file__).resolve().parents[1]
 LOCK = ROOT / "requirements.lock"
+#: Python that pyproject.toml promises; that of Debian 12 is 3.11.2
+OLDEST = "3.11.0"
 HEAD = """\
 # Versions and hashes that `make` installs (scripts/setup.sh); written by scripts/lock.py.
 # For CPython {version} on {platform}; elsewhere the set-up takes the versions that pyproject.toml
@@ -44,6 +48,10 @@ def resolved(extras: str) -> list[tuple[str, str, str]]:
     rows = []
     for one in found:
         name, version = one["metadata"]["name"], one["metadata"]["version"]
+        asked = one["metadata"].get("requires_python", "")
+        if OLDEST not in SpecifierSet(asked):
+            sys.exit(f"{name} {version} asks for Python {asked}, pyproject.toml for {OLDEST}: "
+                     f"pip install '{name}<{version}' first")  # fmt: skip
         hashes = one["download_info"].get("archive_info", {}).get("hashes", {})
         if "sha256" in hashes:
             rows.append((name, version, hashes["sha256"]))

@@ -8,10 +8,13 @@ import runpy
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).resolve().parent.parent
 SH = shutil.which("sh") or "/bin/sh"
@@ -214,6 +217,19 @@ def test_setup_fetches_nothing_without_a_hash_and_compiles_what_it_installs() ->
     assert "\nsetuptools==" in (ROOT / "requirements.lock").read_text(encoding="utf-8")
     assert "pip install -q --compile-bytecode" in locked
     assert "-m compileall -q study" in script
+
+
+def test_every_locked_version_is_one_for_the_oldest_python() -> None:
+    """Debian 12 has Python 3.11.2: a version that asks for 3.11.5 ends the set-up there."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    oldest = project["requires-python"].removeprefix(">=") + ".0"
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    asked = {
+        name: metadata.metadata(name)["Requires-Python"] or ""
+        for name in re.findall(r"(?m)^([\w.-]+)==", lock)
+    }
+    assert len(asked) > 50
+    assert [name for name, versions in asked.items() if oldest not in SpecifierSet(versions)] == []
 
 
 TARGETS = ("setup", "demo", "test", "verify", "bench", "docs", "gallery", "check")
