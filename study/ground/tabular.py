@@ -357,10 +357,9 @@ def _check_decimal_comma(
     columns: Mapping[str, Sequence[str]], source: str, declared_by: str
 ) -> None:
     for name, column in columns.items():
-        # the first row may hold units
-        comma = next((cell for cell in column[:2] if _DECIMAL_COMMA.fullmatch(cell)), "")
-        if comma and "?" in _plain(column, "."):
-            rule = f"holds a decimal comma ({comma!r}) but none is declared"
+        cell = next((cell for cell in column[:2] if _DIGIT.search(cell)), "")  # below its unit
+        if _DECIMAL_COMMA.fullmatch(cell) and "?" in _plain(column, "."):
+            rule = f"holds a decimal comma ({cell!r}) but none is declared"
             raise InputError(Fault(f"{source}: column {name!r}", rule, f"write {declared_by}"))
 
 
