@@ -19,7 +19,7 @@ from study.ground.bounded_file import sha256_of
 from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, StudyError, nearest
-from study.ground.tabular import NUMBER, names_of, read_csv, read_tidy_csv
+from study.ground.tabular import NUMBER, TYPED_COMMA, names_of, read_csv, read_tidy_csv
 from study.harness.design.study_file import SCORED, ResponseSpec
 from study.harness.runner.expansion import held_out
 from study.harness.runner.record_analysis import analyze_records, effects_of_records
@@ -430,7 +430,10 @@ def analyze_summary(
         raise InputError(Fault("--summary", rule, "name mean, standard deviation and number"))
     if faults := alpha_faults(alpha):
         raise InputError(faults)
-    table = read_csv(source, required=[*factors, *columns], numbers=columns, decimal=decimal)
+    table = read_csv(
+        source, required=[*factors, *columns], numbers=columns, decimal=decimal,
+        declared_by=TYPED_COMMA,
+    )  # fmt: skip
     mean, sd, n = (table.numbers(name) for name in columns)
     labels = list(zip(*(table.text(name) for name in factors), strict=True))
     faults = [

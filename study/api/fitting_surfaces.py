@@ -344,8 +344,9 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     if surface not in kinds:
         mend = nearest(surface, kinds) if surface != "none" else "leave --numeric out for a table"
         raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
-    table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
-    table = table.without_units([response])
+    table = tabular.read_csv(
+        Path(source), numbers=[response], decimal=decimal, declared_by=tabular.TYPED_COMMA
+    ).without_units([response])
     runs, answered, notes = runs_of(table, response, numeric, block)
     places, rows = _places(table, factors, answered, {*runs.names, response, block})
     if announce is not None and kind_of(runs, surface) == "emulator":

@@ -14,7 +14,7 @@ from study.api.opened_study import Study
 from study.api.opened_study import load as load_study
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
-from study.ground.tabular import CsvTable, label_fault, read_csv
+from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
 from study.ground.units import listed
 from study.harness.design.factors import level_label
 from study.harness.design.forward_section import TAKEN
@@ -29,6 +29,7 @@ from study.harness.record.store import Store
 from study.harness.runner.expansion import seeded
 from study.harness.runner.job import Origin
 from study.harness.runner.provenance import versions
+from study.reporting.results.study_result import MADE_ELSEWHERE
 from study.statistics.surfaces.surface_factors import NumericFactor
 
 #: cells of a column of failures that say that nothing failed
@@ -61,8 +62,9 @@ def import_runs(
     columns, asked = listed(factors), listed(numeric)
     units = _units(responses)
     needed = [*columns, *units, *(c for c in (failed, block) if c is not None)]
-    table = read_csv(Path(path), required=needed, numbers=(), decimal=decimal)
-    table = table.without_units(list(units))
+    table = read_csv(
+        Path(path), required=needed, numbers=list(units), decimal=decimal, declared_by=TYPED_COMMA
+    ).without_units(list(units))
     ranges = [settings_run(item, table) for item in asked]
     _check(table, columns, units, ranges)
     rows = _rows(table, columns, units, failed, block, ranges)
@@ -77,7 +79,7 @@ def import_runs(
     store = Store(own_folder(Path(results), design.name))
     with store.lock():
         known = store.read_manifest()
-        if known is not None and not any("made elsewhere" in note for note in known["notes"]):
+        if known is not None and not any(MADE_ELSEWHERE in note for note in known["notes"]):
             rule = f"{known['name']!r} is a study that was computed here"
             mend = "give the imported one a name of its own: --name"
             raise InputError(Fault(str(path), rule, mend))
@@ -88,7 +90,7 @@ def import_runs(
             "source": Path(path).name,
             "cases": {record.case_id: record.input_hash for record in records},
             "blocks": list(blocks),
-            "notes": [f"{len(rows)} runs were made elsewhere and read from {Path(path).name}"],
+            "notes": [f"{len(rows)} runs were {MADE_ELSEWHERE} and read from {Path(path).name}"],
             "files": {Path(path).name: table.sha256},
             "virtual": False,
             "truths": {},
@@ -114,7 +116,15 @@ def _check(
     units: Mapping[str, str],
     ranges: Sequence[NumericFactor],
 ) -> None:
-    faults = []
+    faults = [
+        Fault(
+            f"{table.source}: column {name!r}",
+            f"the row of units says {shown}, but {units[name]} is declared",
+            f"write {name}={shown}",
+        )
+        for name, shown in table.units.items()
+        if units[name] not in ("", shown)
+    ]
     for factor in ranges:
         if not is_parameter(_key(factor)) or factor.name in (*columns, *units):
             rule = f"{factor.name!r} cannot be a numeric factor beside the others"

@@ -485,7 +485,10 @@ def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal
     if len(columns) != 2 or len(in_units) != 2:
         rule = "needs two names each: displacement and force"
         raise InputError(Fault("--columns, --units", rule, "write --columns d,f --units mm,N"))
-    table = tabular.read_csv(source, required=columns, numbers=columns, decimal=decimal)
+    table = tabular.read_csv(
+        source, required=columns, numbers=columns, decimal=decimal,
+        declared_by=tabular.TYPED_COMMA,
+    )  # fmt: skip
     with units.naming("--units"):
         displacement = table.numbers(columns[0]) * units.unit_factor(in_units[0], "length")
         force = table.numbers(columns[1]) * units.unit_factor(in_units[1], "force")

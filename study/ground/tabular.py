@@ -53,6 +53,8 @@ UNIT_CELL = re.compile(r"[\[(]?\s*([^\d\s\[\]()][^\[\]()]{0,15}|1)\s*[\])]?")
 _FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 #: How a measured file declares its decimal comma.
 MEASURED_COMMA = 'decimal = "," in [measurements]'
+#: How the decimal comma of a table is declared that a verb is given.
+TYPED_COMMA = "--decimal ,"
 
 
 @dataclass(frozen=True)
@@ -456,7 +458,7 @@ def read_tidy_csv(
     others = [*names_of(block), *([unit] if unit else [])]
     measured = [response, *covariates]
     table = read_csv(
-        Path(path), numbers=measured, decimal=decimal, declared_by="--decimal ,", sheet=sheet
+        Path(path), numbers=measured, decimal=decimal, declared_by=TYPED_COMMA, sheet=sheet
     )
     _check_names(table.source, list(table.columns), response, factors, others, covariates)
     table = table.without_units(measured)

@@ -487,6 +487,25 @@ def test_columns_of_elsewhere_that_are_wrong_are_told(tmp_path, changed, into, n
                         results=tmp_path / "r")  # fmt: skip
 
 
+def test_imported_runs_as_an_instrument_exports_them(tmp_path):
+    """Units below the header are those that are declared; an undeclared comma is one fault."""
+    path = tmp_path / "runs.csv"
+    rows = [f"{gel};{peak},5" for gel, peak in zip("AABB", (1, 2, 4, 5), strict=True)]
+    path.write_text("\n".join(["gel;peak", ";[kN]", *rows]))
+
+    def imported(responses, decimal=","):
+        return api.import_runs(path, "gel", responses, decimal=decimal, results=tmp_path / "r")
+
+    assert imported("peak=kN").total == 4
+    with pytest.raises(errors.InputError, match="row of units says kN, but N is declared"):
+        imported("peak=N")
+    with pytest.raises(errors.InputError) as fault:
+        imported("peak=kN", ".")
+    (one,) = fault.value.faults
+    assert "holds a decimal comma ('1,5')" in one.rule
+    assert one.mend == "write --decimal ,"
+
+
 def test_listed_cells_take_settings_of_ranges(tmp_path):
     _sampled_runs(tmp_path)
     design = {

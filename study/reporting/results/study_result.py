@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 #: level of a factor that a fit does not depend on
 ANY = "any"
+#: says in a note of a study that its runs were read from a table
+MADE_ELSEWHERE = "made elsewhere"
 #: what a score was taken on
 FITTED_CURVE = "the curve fitted"
 OTHER_TEST = "same specimen, other test"
@@ -269,7 +271,7 @@ class ReportData:
     @property
     def imported(self) -> tuple[str, ...]:
         """Notes on runs that were read from a table: no program here can run them again."""
-        return tuple(note for note in self.data_notes if "made elsewhere" in note)
+        return tuple(note for note in self.data_notes if MADE_ELSEWHERE in note)
 
     @property
     def planned(self) -> int:
