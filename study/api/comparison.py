@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 from study.api.folders import RESULTS, design_root, results_folder
 from study.api.opened_study import load as load_study
 from study.ground.bounded_file import read_json
-from study.ground.canonical import digest
+from study.ground.canonical import Keyed, digest
 from study.ground.errors import Fault, InputError, MissingDataError, RefusedError, nearest
 from study.harness.design.load import dump, load, loads
 from study.harness.record.document import ManifestDocument
@@ -24,13 +24,7 @@ from study.harness.runner.job import TRUTH_SUFFIX, Work
 from study.harness.runner.provenance import versions
 from study.reporting.content.comparison_content import summary
 from study.reporting.results import study_answers
-from study.reporting.results.study_answers import (
-    Beside,
-    Change,
-    Conclusion,
-    OnlyInOne,
-    document,
-)
+from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 if TYPE_CHECKING:
@@ -43,7 +37,7 @@ _HOLDS = {MATTERS: study_answers.MATTERS, NO_DIFFERENCE: study_answers.NO_DIFFER
 
 
 @dataclass(frozen=True)
-class StudyComparison:
+class StudyComparison(Keyed):
     """Two opened studies and what they say beside each other."""
 
     studies: tuple[StudyResult, StudyResult]
@@ -56,15 +50,13 @@ class StudyComparison:
         each = [f"{name}: {message}" for name, study in named for message in study.warnings]
         return (*self.beside.warnings, *each)
 
-    def to_json(self) -> dict[str, Any]:
-        """Document of ``study diff --json``."""
-        named = zip(self.beside.names, self.studies, strict=True)
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key: the studies, and what they say together."""
         studies = [
-            {"name": name, "study": s.design.name, "folder": str(s.folder),
-             "cases": s.cases}
-            for name, s in named
-        ]  # fmt: skip
-        return {"studies": studies, **document(self.beside), "warnings": list(self.warnings)}
+            {"name": name, "study": s.design.name, "folder": str(s.folder), "cases": s.cases}
+            for name, s in zip(self.beside.names, self.studies, strict=True)
+        ]
+        return {"studies": studies, **self.beside.keyed(), "warnings": self.warnings}
 
 
 def diff(
@@ -86,7 +78,9 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
         names = f"{names[0]} in {first.folder.parent}", f"{names[1]} in {second.folder.parent}"
     analyzed = _analyzed(first), _analyzed(second)
     pairs = [(one, analyzed[1][name]) for name, one in analyzed[0].items() if name in analyzed[1]]
-    only = [*_only_responses(studies), *(o for pair in pairs for o in _only_terms(pair))]
+    only = [
+        *_only_responses(studies, names), *(o for pair in pairs for o in _only_terms(pair, names))
+    ]  # fmt: skip
     conclusions = tuple(
         _conclusion(response, (effect, others[key]), names)
         for (response, result), (_, other) in pairs
@@ -132,7 +126,7 @@ def _effects(result: AnalysisResult) -> dict[str, Effect]:
     return {":".join(sorted(effect.term.split(":"))): effect for effect in result.effects}
 
 
-def _only_responses(studies: _Studies) -> Iterator[OnlyInOne]:
+def _only_responses(studies: _Studies, names: tuple[str, str]) -> Iterator[OnlyInOne]:
     """Responses that one study lacks, or that could not be analyzed."""
     declared = [{a.name: a for a in study.analyses} for study in studies]
     analyzed = [_analyzed(study) for study in studies]
@@ -142,32 +136,28 @@ def _only_responses(studies: _Studies) -> Iterator[OnlyInOne]:
             if here and not there:
                 missing = declared[1 - which].get(name)
                 why = "" if missing is None else f"not analyzed in the other: {_reason(missing)}"
-                yield OnlyInOne("response", name, which, why)
+                yield OnlyInOne("response", name, names[which], why)
             elif not here and not there:
                 why = f"not analyzed: {_reason(declared[which][name])}"
-                yield OnlyInOne("response", name, which, why)
+                yield OnlyInOne("response", name, names[which], why)
 
 
 def _reason(analysis: ResponseAnalysis) -> str:
     return analysis.refused or "no effect could be estimated"
 
 
-def _only_terms(pair: _Pair) -> list[OnlyInOne]:
+def _only_terms(pair: _Pair, names: tuple[str, str]) -> Iterator[OnlyInOne]:
     """Terms of one study alone, and levels of the factors that both have."""
-    missing = []
     effects = first, second = _effects(pair[0][1]), _effects(pair[1][1])
     shared = [key for key in first if key in second and ":" not in key]
-    for which in (0, 1):
+    for which, name in enumerate(names):
         for key, effect in effects[which].items():
             if key not in effects[1 - which]:
-                missing.append(
-                    OnlyInOne("factor" if ":" not in key else "term", effect.term, which)
-                )
+                yield OnlyInOne("factor" if ":" not in key else "term", effect.term, name)
         for factor in shared:
             levels = [set(effect[factor].levels) for effect in effects]
             for level in sorted(levels[which] - levels[1 - which]):
-                missing.append(OnlyInOne("level", f"{factor} = {level}", which))
-    return missing
+                yield OnlyInOne("level", f"{factor} = {level}", name)
 
 
 def _conclusion(

@@ -38,6 +38,7 @@ from study.reporting.results.study_answers import (
     InputSet,
     Inverted,
     Recommendation,
+    Rival,
 )
 from study.statistics.surfaces.surface_factors import Runs, never_run
 from study.statistics.surfaces.surface_inversion import InversionAgreement, agreeing
@@ -334,7 +335,7 @@ def _at(
         key=lambda candidate: (candidate.assurance == "predicted", sign * candidate.value),
     )
     rivals = tuple(
-        ({n: str(candidate.settings[n]) for n in chosen}, candidate.value)
+        Rival({n: str(candidate.settings[n]) for n in chosen}, candidate.value)
         for candidate in ranked[1:]
     )
     return replace(ranked[0], rivals=rivals, notes=(*ranked[0].notes, *notes))

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.api.folders import loaded_problem
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
 from study.harness.design import plausibility
 from study.harness.design.cell import CellProblem
 from study.harness.design.load import load_problem
 from study.harness.execution.task import Task
 from study.harness.record.atomic_files import replaced, write_atomic
-from study.harness.record.record import plain
 from study.harness.runner.tasks import PING, processes
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.forward.finite_element import at_steps
@@ -42,8 +42,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class SolvedProblem(Shown, Solution):
+class SolvedProblem(Shown, Keyed, Solution):
     """What :func:`study.solve` returns: a :class:`Solution` that can be shown."""
+
+    KEYS = "dofs elements newton_iterations seconds solver reached_mm min_j base_reaction_N"
 
     def to_frame(self) -> pd.DataFrame:
         """Curve with one row a load step, stresses in MPa."""
@@ -87,6 +89,27 @@ class SolvedProblem(Shown, Solution):
             )
         total = self.seconds["total"]
         yield Verbatim(f"{self.dofs} unknowns, {total:.2f} s, {self.solver}")
+
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key."""
+        curve, energy = replace(self.curve, quantities={}), self.energy
+        return {
+            "status": self.status,
+            "message": self.message,
+            **curve.as_dict(),
+            "force_gradient": curve.force_gradient,
+            "parameters": {} if self.warm is None else self.warm.values,
+            **super().keyed(),
+            "energy": {
+                "stored_Nmm": energy.stored_Nmm,
+                "stabilization_Nmm": energy.stabilization_Nmm,
+                "mismatch": energy.mismatch,
+                "snaps_mm": energy.jumps_mm,
+            },
+            **self.equilibria.to_json(),
+            "mesh_hash": self.mesh_hash,
+            "mesh_size_mm": self.mesh_size_mm,
+        }
 
 
 def solve(
@@ -167,36 +190,6 @@ def _problem(problem: Problem | Tables | str | Path, overrides: Sequence[str]) -
     compressed = problem.setup.kind.compresses and depth < height
     check(problem.material, np.linspace(1 - depth / height, 1, 41) if compressed else None)
     return problem
-
-
-def solution_json(solution: Solution) -> dict[str, object]:
-    """Document of ``study solve --json``."""
-    curve, warm = solution.curve, solution.warm
-    content = {
-        "status": solution.status,
-        "message": solution.message,
-        **replace(curve, quantities={}).as_dict(),
-        "force_gradient": {k: v.tolist() for k, v in curve.force_gradient.items()},
-        "parameters": {} if warm is None else dict(warm.values),
-        "dofs": solution.dofs,
-        "elements": solution.elements,
-        "newton_iterations": list(solution.newton_iterations),
-        "seconds": dict(solution.seconds),
-        "solver": solution.solver,
-        "reached_mm": solution.reached_mm,
-        "min_j": solution.min_j,
-        "base_reaction_N": solution.base_reaction_N.tolist(),
-        "energy": {
-            "stored_Nmm": solution.energy.stored_Nmm.tolist(),
-            "stabilization_Nmm": solution.energy.stabilization_Nmm.tolist(),
-            "mismatch": solution.energy.mismatch.tolist(),
-            "snaps_mm": list(solution.energy.jumps_mm),
-        },
-        **solution.equilibria.to_json(),
-        "mesh_hash": solution.mesh_hash,
-        "mesh_size_mm": solution.mesh_size_mm,
-    }
-    return {key: plain(value, f"solution.{key}", {}) for key, value in content.items()}
 
 
 # Is the installation able to do the work? Every part is tried, not looked up.

@@ -65,7 +65,7 @@ def solve(
 ) -> None:
     """Simulate one test."""
     from study import api
-    from study.api.solving import cautions, solution_json, writable, write_picture, write_vtu
+    from study.api.solving import SolvedProblem, cautions, writable, write_picture, write_vtu
 
     writable(picture, vtu)
     output.warn(cautions(file, settings or ()))
@@ -77,7 +77,7 @@ def solve(
         for path, write in ((picture, write_picture), (vtu, partial(write_vtu, whole=whole))):
             if path is not None:
                 write(solution, path)
-    output.show(solution_json(solution), as_json, lambda _: solution.blocks())
+    output.show(solution, as_json, SolvedProblem.blocks)
     if solution.status != "converged":
         raise typer.Exit(1)
 

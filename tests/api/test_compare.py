@@ -17,7 +17,7 @@ from study.ground.errors import InputError
 from study.harness.design.load import load
 from study.reporting.content import comparison_content
 from study.reporting.results import study_answers
-from study.reporting.results.study_answers import Beside, Conclusion, document
+from study.reporting.results.study_answers import Beside, Conclusion
 from study.reporting.results.study_result import StudyResult
 from tests.api.made import made
 from tests.conftest import ROOT
@@ -98,9 +98,9 @@ def test_what_only_one_study_has_is_named(tmp_path: Path) -> None:
     found = compare(made(tmp_path), second)
     named = {(item.what, item.name, item.study) for item in found.only}
     assert named >= {
-        ("factor", "space", 0), ("factor", "plates", 1), ("term", "material:space", 0),
-        ("term", "material:plates", 1), ("level", "material = other", 0),
-        ("level", "material = third", 1),
+        ("factor", "space", "first"), ("factor", "plates", "second"),
+        ("term", "material:space", "first"), ("term", "material:plates", "second"),
+        ("level", "material = other", "first"), ("level", "material = third", "second"),
     }  # fmt: skip
     assert [item.term for item in found.conclusions] == ["material"]
     said = " ".join(comparison_content.only_lines(found))
@@ -166,7 +166,7 @@ def test_studies_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> 
 
 
 def test_the_document_is_plain_json(tmp_path: Path) -> None:
-    found = document(compare(made(tmp_path), made(tmp_path, name="second", noise=3.0)))
+    found = compare(made(tmp_path), made(tmp_path, name="second", noise=3.0)).to_json()
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert set(found) == {"summary", "changes", "conclusions", "only_in_one"}
     first = found["conclusions"][0]

@@ -12,6 +12,7 @@ import pytest
 
 import study as public
 from study.api.predicting import Permission
+from study.ground.canonical import plain
 from study.harness.external.exchange import PythonFunction
 from study.harness.record.store import Store
 from study.harness.runner.fit_problem import Allowed
@@ -153,7 +154,7 @@ def test_a_level_is_compared_over_the_ranges(product: tuple[Path, StudyResult]) 
     ends = np.quantile(box, [0.025, 0.975])
     assert [told.low, told.high] == pytest.approx(ends, rel=0.05)  # of 256 points
     assert told.verdict == "matters"
-    assert second.to_json()["differences"] == [told.to_json()]
+    assert second.to_json()["differences"] == [plain(told)]
 
 
 def test_a_level_that_changes_nothing_makes_no_practical_difference() -> None:

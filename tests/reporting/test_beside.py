@@ -53,7 +53,7 @@ def example(name: str = "second") -> Beside:
     )  # fmt: skip
     changed = (Change("design", "specimen.height", ("30 mm", "31 mm")),
                Change("design", "test.steps", (None, "5")))  # fmt: skip
-    only = (OnlyInOne("response", "mu0", 0, "not analyzed in the other: too few"),)
+    only = (OnlyInOne("response", "mu0", "first", "not analyzed in the other: too few"),)
     return Beside(("first", name), changed, rows, only, ("a warning",))
 
 
@@ -117,7 +117,7 @@ def test_names_of_users_are_escaped(data: ReportData) -> None:
     other = replace(
         other,
         changes=(Change("design", EVIL, (EVIL, None)),),
-        only=(OnlyInOne("factor", EVIL, 1, EVIL),),
+        only=(OnlyInOne("factor", EVIL, EVIL, EVIL),),
         warnings=(EVIL,),
         conclusions=(
             replace(other.conclusions[0], term=EVIL, response=EVIL, unit=EVIL,

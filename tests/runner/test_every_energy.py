@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.api import solve
-from study.api.solving import solution_json
+from study.api.solving import solve
 from study.ground.errors import InputError
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
@@ -75,7 +74,7 @@ def test_solve_from_a_file(energy: str, kept: str, space: str, tmp_path: Path) -
     material = solution.warm.system.material
     stress = uniaxial(material, np.array([0.85, 0.7]))
     np.testing.assert_allclose(solution.curve.force_N, -stress * np.pi * 100, rtol=1e-8)
-    found = solution_json(solution)
+    found = solution.to_json()
     assert found["status"] == "converged"
     assert list(found["force_gradient"]) == list(material.names) == list(found["parameters"])
     assert np.isfinite(list(found["force_gradient"].values())).all()

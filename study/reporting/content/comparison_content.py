@@ -183,12 +183,12 @@ def _value(change: Change, study: int) -> str:
 
 def only_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
     """Name what only one study has, so that nothing is dropped in silence."""
-    groups: dict[tuple[int, str], list[OnlyInOne]] = {}
+    groups: dict[tuple[str, str], list[OnlyInOne]] = {}
     for item in comparison.only:
         groups.setdefault((item.study, item.what), []).append(item)
     return tuple(
         sentence(
-            f"only in {clean(comparison.names[study])}: {what}{'s' * (len(items) > 1)} "
+            f"only in {clean(study)}: {what}{'s' * (len(items) > 1)} "
             + ", ".join(
                 (clean(item.name) if what == "level" else term_name(item.name, labels))
                 + (f" ({clean(item.why, 200)})" if item.why else "")

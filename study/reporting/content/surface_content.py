@@ -33,7 +33,7 @@ from study.reporting.content.text import (
     sentence,
     significant,
 )
-from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS, NO_DIFFERENCE
+from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 from study.statistics.surfaces.emulator import Emulator
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_profile import profiles, strongest
@@ -59,7 +59,7 @@ def uncertainty_answer(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         return ()
     unit, ends = clean(one.unit), told.percentiles
     best = told.inputs[0]
-    gain = told.gain(best)
+    gain = best.gain
     sure = (
         f"With these uncertain inputs it is {quantity(told.mean.value, unit)} with a standard "
         f"deviation of {quantity(told.sd.value, unit)}; 95 % of it lie between "
@@ -118,7 +118,7 @@ def table(one: FittedSurface, data: ReportData) -> Table | None:
             "share alone": lambda item: percent(None if item.index is None else item.index.first),
             "share in all": lambda item: percent(None if item.index is None else item.index.total),
             "sd if halved": lambda item: quantity(item.halved, clean(one.unit)),
-            "gain": lambda item: percent(told.gain(item)),
+            "gain": lambda item: percent(item.gain),
         },
         left=2,
         note=note,
@@ -215,7 +215,7 @@ def extremes(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         value = quantity(extreme.value, clean(one.unit))
         if extreme.half_width == extreme.half_width:  # NaN where no run can be left out
             value += f" \N{PLUS-MINUS SIGN} {significant(extreme.half_width, 2)}"
-        at = settings(found.runs.settings(extreme.at), one, data)
+        at = settings(extreme.settings, one, data)
         lines.append(f"The {word} prediction in these ranges is {value} at {at}.")
     return tuple(lines)
 
@@ -227,10 +227,10 @@ def surface_lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         return (f"No surface: {clean('; '.join(map(str.strip, one.refused.splitlines())))}.",)
     confirm = [
         f"That {name_of(item.factor, data.labels)} matters is claimed once these two were run: "
-        + " and ".join(settings(found.runs.settings(at), one, data) for at in item.range.confirm)
+        + " and ".join(settings(at, one, data) for at in item.confirm)
         + "."
         for item in found.sensitivity
-        if item.range is not None and item.range.claims
+        if item.confirm
     ]
     return (
         accuracy(one),
@@ -314,13 +314,7 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
         ),
         "range": lambda item: quantity(None if item.range is None else item.range.value, unit),
         "bound": lambda item: quantity(None if item.range is None else item.range.bound, unit, 2),
-        "verdict": lambda item: (
-            MISSING
-            if one.practical is None
-            else CANNOT_TELL
-            if item.range is None
-            else item.range.told
-        ),
+        "verdict": lambda item: MISSING if one.practical is None else item.verdict,
     }
     note = (
         "Range: 95 % of the settings of the other factors change the response by less along this "
@@ -491,8 +485,9 @@ def _recommendation(recommended: Recommendation) -> Iterator[Block]:
             f"goes from {spread.low:.3g} to {spread.high:.3g}{unit}"
             f"{kept if recommended.bounds else ''}"
         )
-    for at, value in recommended.rivals:
-        yield Verbatim(f"best with {_settings(at, recommended.units)}: {value:.3g}{unit}")
+    for rival in recommended.rivals:
+        other = _settings(rival.settings, recommended.units)
+        yield Verbatim(f"best with {other}: {rival.value:.3g}{unit}")
     if recommended.confirmed is not None:
         yield from _confirmed(recommended, recommended.confirmed)
 

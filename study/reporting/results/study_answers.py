@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from study.ground.canonical import Json, plain
+from study.ground.canonical import Keyed
 from study.harness.design.factors import settings_of
 from study.harness.design.spec import Design, Factor
 from study.harness.record.record import Record
@@ -13,37 +13,6 @@ from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.failures import CaseFate, cause
 from study.statistics.surfaces.surface_inversion import FactorCombination
 from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
-
-
-def document(comparison: Beside) -> dict[str, object]:
-    """Comparison as plain JSON."""
-    rows = [
-        {
-            "response": row.response, "factor": row.term, "unit": row.unit,
-            "scale": "ratio" if row.ratio else "difference",
-            "conclusion": row.conclusion, "holds": row.holds,
-            "end": row.end or None, "same_best": row.same_best,
-            "found": [
-                {
-                    "verdict": effect.strength, "effect": effect.range,
-                    "practical": effect.practical, "p": effect.p, "u_num": effect.u_num,
-                    "best": best, "why": effect.why,
-                    "ci95": None if effect.ci95 is None else list(effect.ci95),
-                    "effect_over_u_num": effect.effect_over_u_num,
-                }
-                for effect, best in zip(row.effects, row.best, strict=True)
-            ],
-        }
-        for row in comparison.conclusions
-    ]  # fmt: skip
-    changed = [{"kind": c.kind, "key": c.key, "values": list(c.values)} for c in comparison.changes]
-    only = [
-        {"what": o.what, "name": o.name, "study": comparison.names[o.study], "why": o.why}
-        for o in comparison.only
-    ]
-    summary = [text.replace("\N{NO-BREAK SPACE}", " ") for text in comparison.summary]
-    return {"summary": summary, "changes": changed, "conclusions": rows, "only_in_one": only}
-
 
 MATTERS = "holds in both: matters"
 NO_DIFFERENCE = "holds in both: no practical difference"
@@ -53,8 +22,13 @@ NONE_CAN_TELL = "cannot tell in both"
 
 
 @dataclass(frozen=True)
-class Conclusion:
+class Conclusion(Keyed):
     """One term of one response under both studies."""
+
+    KEYS = (
+        "response factor=term unit scale conclusion holds end=named_end same_best "
+        "found=of_each_study"
+    )
 
     response: str
     term: str
@@ -77,6 +51,26 @@ class Conclusion:
     def is_main(self) -> bool:
         """Whether this is the effect of one factor alone."""
         return ":" not in self.term
+
+    @property
+    def scale(self) -> str:
+        """Either ``ratio`` or ``difference``."""
+        return "ratio" if self.ratio else "difference"
+
+    @property
+    def named_end(self) -> str | None:
+        """End of the response that ``best`` names; None for interactions."""
+        return self.end or None
+
+    @property
+    def of_each_study(self) -> list[dict[str, object]]:
+        """The effect under each study, and the level that leads."""
+        keys = ("practical", "p", "u_num", "ci95", "effect_over_u_num", "why")
+        return [
+            {"verdict": effect.strength, "effect": effect.range, "best": best}
+            | {key: getattr(effect, key) for key in keys}
+            for effect, best in zip(self.effects, self.best, strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -104,17 +98,19 @@ class Change:
 
 @dataclass(frozen=True)
 class OnlyInOne:
-    """A response, term or level that only the study ``study`` (0 or 1) has."""
+    """A response, term or level that only one study, named ``study``, has."""
 
     what: str
     name: str
-    study: int
+    study: str
     why: str = ""
 
 
 @dataclass(frozen=True)
-class Beside:
+class Beside(Keyed):
     """Everything that two studies say beside each other."""
+
+    KEYS = "summary=lines changes conclusions only_in_one=only"
 
     names: tuple[str, str]
     #: What differs in their designs, what both conclude, and what one of them has alone.
@@ -125,6 +121,11 @@ class Beside:
     summary: tuple[str, ...] = ()
     #: One minus the level of the intervals of each study.
     alphas: tuple[float, float] = (0.05, 0.05)
+
+    @property
+    def lines(self) -> list[str]:
+        """The summary in plain spaces."""
+        return [text.replace("\N{NO-BREAK SPACE}", " ") for text in self.summary]
 
 
 # The cases of a study as their failures are looked at: by level, or by part of a range.
@@ -189,8 +190,10 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Confirmed:
+class Confirmed(Keyed):
     """What the true model says at a recommended setting."""
+
+    KEYS = "settings values inside_interval=predicted keeps_limits=kept"
 
     settings: Mapping[str, str]
     #: Responses in their units, means over the blocks; NaN where the run has no answer.
@@ -202,8 +205,21 @@ class Confirmed:
 
 
 @dataclass(frozen=True)
-class Recommendation:
+class Rival:
+    """Levels that were not chosen, and the best value with them."""
+
+    settings: Mapping[str, str]
+    value: float
+
+
+@dataclass(frozen=True)
+class Recommendation(Keyed):
     """The best setting among choices."""
+
+    KEYS = (
+        "goal response unit settings held units value low high notes limits limits_hold "
+        "at_end_of_range=at_end over_what_is_not_chosen=spread rivals confirmed"
+    )
 
     #: {"minimize", "maximize"}: what is best.
     goal: Goal
@@ -230,41 +246,34 @@ class Recommendation:
     #: What the factors that nobody chooses do there, over what was run of them.
     spread: ResponseSpread | None = None
     #: Other levels of the choices that are no numbers, and their best values, the best first.
-    rivals: tuple[tuple[Mapping[str, str], float], ...] = ()
+    rivals: tuple[Rival, ...] = ()
     #: The true model's run there; None where none was made.
     confirmed: Confirmed | None = None
     notes: tuple[str, ...] = ()
 
-    def to_json(self) -> dict[str, Json]:
-        """Plain values."""
-        of_each = zip(self.bounds, self.limited, strict=True)
-        run = self.confirmed
-        names = ("goal", "response", "unit", "settings", "held", "units", "value", "low", "high")
-        answer: dict[str, object] = {
-            **{name: getattr(self, name) for name in (*names, "notes")},
-            "limits": [
-                {"limit": bound.words, "response": bound.response, "unit": bound.unit}
-                | dict(zip(("value", "low", "high"), predicted, strict=True))
-                for bound, predicted in of_each
-            ],
-            "limits_hold": self.assurance or None,
-            "at_end_of_range": self.at_end,
-            "over_what_is_not_chosen": self.spread,
-            "rivals": [{"settings": at, "value": value} for at, value in self.rivals],
-            "confirmed": None if run is None else {
-                "settings": run.settings, "values": run.values,
-                "inside_interval": run.predicted, "keeps_limits": run.kept,
-            },
-        }  # fmt: skip
-        return plain(answer)
+    @property
+    def limits(self) -> list[dict[str, object]]:
+        """Every limit, and what is predicted of its response."""
+        return [
+            {"limit": bound.words, "response": bound.response, "unit": bound.unit}
+            | dict(zip(("value", "low", "high"), predicted, strict=True))
+            for bound, predicted in zip(self.bounds, self.limited, strict=True)
+        ]
+
+    @property
+    def limits_hold(self) -> str | None:
+        """How surely the limits hold; None without limits."""
+        return self.assurance or None
 
 
 # All inputs of a study that agree with a measured curve, as they are told.
 
 
 @dataclass(frozen=True)
-class InputSet:
+class InputSet(Keyed):
     """What a measured curve says of one input."""
+
+    KEYS = "name unit best low high open_low open_high verdict"
 
     name: str
     unit: str
@@ -287,8 +296,10 @@ class InputSet:
 
 
 @dataclass(frozen=True)
-class Checked:
+class Checked(Keyed):
     """A run of the true model at a setting of the set."""
+
+    KEYS = "settings rms_N=rms agrees"
 
     settings: Mapping[str, str]
     #: What its curve misses of the measured one, root mean square in N; NaN without an answer.
@@ -296,14 +307,15 @@ class Checked:
     #: Whether it is no more than the limit.
     agrees: bool
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values."""
-        return {"settings": self.settings, "rms_N": self.rms, "agrees": self.agrees}
-
 
 @dataclass(frozen=True)
-class Inverted:
+class Inverted(Keyed):
     """All inputs whose curve agrees with a measured one."""
+
+    KEYS = (
+        "sentence held units rows q2 members notes inputs combinations rms_N=rms limit_N=limit "
+        "relative_rms=relative best_run end_runs"
+    )
 
     #: One for every input that is asked for.
     inputs: tuple[InputSet, ...]
@@ -342,18 +354,3 @@ class Inverted:
                 f"the curve does not determine {', '.join(loose)} alone; it determines {products}"
             )
         return f"the curve does not determine {', '.join(loose)} inside of what was run"
-
-    def to_json(self) -> dict[str, Json]:
-        """Plain values."""
-        names = ("sentence", "held", "units", "rows", "q2", "members", "notes")
-        answer: dict[str, object] = {
-            **{name: getattr(self, name) for name in names},
-            "inputs": [vars(item) | {"verdict": item.verdict} for item in self.inputs],
-            "combinations": [vars(item) | {"words": item.words} for item in self.combinations],
-            "rms_N": self.rms,
-            "limit_N": self.limit,
-            "relative_rms": self.relative,
-            "best_run": None if self.best_run is None else self.best_run.to_json(),
-            "end_runs": [run.to_json() for run in self.end_runs],
-        }
-        return plain(answer)

@@ -16,7 +16,7 @@ from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.harness.design.spec import Design
 from study.harness.record.record import Record, is_repeat, table
-from study.reporting.results.study_answers import document, fates
+from study.reporting.results.study_answers import fates
 from study.statistics.analysis.failures import FailurePattern, failure_pattern
 from study.statistics.surfaces.surface_profile import FittedSurface
 
@@ -378,5 +378,5 @@ class StudyResult:
         if self.adaptive:
             answer["adaptive"] = [dict(step) for step in self.adaptive]
         if self.beside is not None:
-            answer["beside"] = document(self.beside)
+            answer["beside"] = self.beside.to_json()
         return answer

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array, Ints
+from study.ground.canonical import Keyed
 from study.ground.noncentral_f import noncentral_f_cdf
 from study.statistics.analysis.anova_table import Influential, ModelSummary, Row
 from study.statistics.analysis.linear_model import (
@@ -165,8 +166,10 @@ def row_of_test(
 
 
 @dataclass(frozen=True)
-class FRatioTest:
+class FRatioTest(Keyed):
     """An F test."""
+
+    KEYS = "F=f df df_error p"
 
     f: float
     #: Degrees of freedom; over blocks after Greenhouse and Geisser's correction.

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import linalg
 
 from study.ground.arrays import Array, Flags
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
 from study.statistics.surfaces.gaussian_process import (
     FAMILIES,
@@ -179,14 +180,11 @@ class SobolIndex:
         own = float(np.clip(first, 0.0, 1.0)), float(np.clip(total, 0.0, 1.0))
         return cls(own[0], wide(first_ends), own[1], wide(total_ends))
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values."""
-        first, total = list(self.first_interval), list(self.total_interval)
-        return {"S": self.first, "S_interval": first, "T": self.total, "T_interval": total}
 
-
-#: what is told of a factor without an index
-NO_INDEX = dict.fromkeys(("S", "S_interval", "T", "T_interval"))
+#: keys of the index of a factor, which are null without one
+INDEX = (
+    "S=index.first S_interval=index.first_interval T=index.total T_interval=index.total_interval"
+)
 
 
 def jansen(values: Callable[[Array], Array], k: int, seed: int) -> tuple[Array, Array]:
@@ -247,7 +245,7 @@ Gate = Literal["given", "ranking only", "refused"]
 
 
 @dataclass(frozen=True)
-class Emulator:
+class Emulator(Keyed):
     """A fitted emulator."""
 
     #: What it was fitted to, copies averaged.
@@ -268,6 +266,20 @@ class Emulator:
     def each(self) -> tuple[Emulator, ...]:
         """The emulator itself, as of blocks those of each."""
         return (self,)
+
+    @property
+    def kernel(self) -> dict[str, object]:
+        """Kernel and Q2; with the runs of other combinations of levels their correlations."""
+        kernel = self.process.found.kernel
+        lengths = dict(zip(self.runs.names, kernel.lengths, strict=True))
+        own = {"kernel": kernel.family, "lengths": lengths, "q2": self.q2}
+        if kernel.categories is None:
+            return own
+        return own | {"category_correlation": kernel.categories.matrix[self.combination]}
+
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key."""
+        return self.kernel | left_out_errors(self)
 
     @cached_property
     def loo_errors(self) -> Array:
@@ -344,6 +356,12 @@ class Emulator:
         """Range of the response along every factor."""
         bound = ERRORS * float(np.abs(self.loo_errors).max()) + u
         return effect_ranges(self.value, self.runs, [bound] * len(self.runs.factors), practical, u)
+
+
+def left_out_errors(model: Emulator | BlockedEmulator) -> dict[str, object]:
+    """Give the errors of predicting runs from the others, and what may be said with them."""
+    largest = np.abs(model.loo_errors).max()
+    return {"loo_rms": model.loo_rms, "loo_max": largest, "q2": model.q2, "indices": model.gate}
 
 
 def expected_seconds(n: int) -> float:
@@ -444,7 +462,7 @@ FEWEST = 3
 
 
 @dataclass(frozen=True)
-class BlockedEmulator:
+class BlockedEmulator(Keyed):
     """Emulators of the blocks; every number is formed in each block, then compared over them."""
 
     runs: Runs
@@ -454,6 +472,11 @@ class BlockedEmulator:
     def each(self) -> tuple[Emulator, ...]:
         """The emulators in the order of the blocks."""
         return tuple(self.emulators.values())
+
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key."""
+        blocks = {name: found.kernel for name, found in self.emulators.items()}
+        return {"blocks": blocks} | left_out_errors(self)
 
     @property
     def q2(self) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import fdtri, stdtr, stdtrit
 
 from study.ground.arrays import Array, Flags, Ints
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
 from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
 from study.statistics.analysis.sums_of_squares import FRatioTest, extra_sum, over_blocks
@@ -325,6 +326,8 @@ CARRIED = 0.8
 SPARE = 2
 #: p of the lack of fit below which a quadratic carries none
 UNFIT = 0.05
+#: coded distance beyond which a stationary point is not given in units: a logarithm overflows
+FAR = 100.0
 #: share of the settings that blocks may have in common where each holds a part of the design:
 #: blocks that share more are crossed with the settings, and differ in more than a constant
 SHARED = 0.5
@@ -333,8 +336,10 @@ Error = Literal["none", "blocks", "replicates"]
 
 
 @dataclass(frozen=True)
-class SurfaceTerm:
+class SurfaceTerm(Keyed):
     """A coefficient of a coded term; interval and p only where there is an error to judge by."""
+
+    KEYS = "term coefficient ci95=interval p"
 
     term: str
     coefficient: float
@@ -343,8 +348,13 @@ class SurfaceTerm:
 
 
 @dataclass(frozen=True)
-class QuadraticSurface:
+class QuadraticSurface(Keyed):
     """A fitted surface."""
+
+    KEYS = (
+        "error terms factor_tests aliases loo_rms=loo.rms loo_max=loo.largest q2 lack_of_fit "
+        "stationary=where_level"
+    )
 
     runs: Runs
     polynomial: QuadraticPolynomial
@@ -408,6 +418,27 @@ class QuadraticSurface:
             return largest * float(np.sqrt(p * self.df / free * fdtri(p, free, 0.95)))
         # none of 3,000 ranges over 2 or 3 normal blocks went beyond: the largest error serves all
         return largest * float(stdtrit(self.df, 1 - 0.025 / len(points)))
+
+    @property
+    def where_level(self) -> dict[str, object] | None:
+        """Where it is level and where that may be, in the units of the factors too."""
+        point, settings = self.stationary, self.runs.settings
+        if point is None:
+            return None
+        region = point.region
+        if region is not None and not np.isfinite(region.low).all():
+            region = None
+        return {
+            "kind": point.kind,
+            "at": settings(point.at) if np.abs(point.at).max() < FAR else None,
+            "coded": point.at, "value": point.value,
+            "eigenvalues": point.eigenvalues, "eigenvectors": point.eigenvectors.T,
+            "inside": point.inside, "established": point.established,
+            "region": region and {
+                "low": settings(region.low), "high": settings(region.high),
+                "leaves_the_box": region.leaves,
+            },
+        }  # fmt: skip
 
     @property
     def q2(self) -> float:

@@ -11,6 +11,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest, settled
 
 #: part of the largest singular value of the settings below which factors change together
@@ -20,8 +21,10 @@ SAME_SETTING = 1e-9
 
 
 @dataclass(frozen=True)
-class NumericFactor:
+class NumericFactor(Keyed):
     """A factor whose settings are numbers."""
+
+    KEYS = "low high scale"
 
     name: str
     #: Settings that are coded -1 and 1, in the factor's own unit.
@@ -38,6 +41,11 @@ class NumericFactor:
         if self.log and self.low <= 0:
             rule = f"a logarithm needs positive settings, the lowest is {self.low:g}"
             raise InputError(Fault(f"factor {self.name!r}", rule, "leave ' log' out"))
+
+    @property
+    def scale(self) -> str:
+        """Either ``log`` or ``linear``."""
+        return "log" if self.log else "linear"
 
     def coded(self, settings: Array) -> Array:
         """Coded settings: -1 at ``low``, 1 at ``high``, without unit and of the same shape."""
@@ -94,6 +102,16 @@ class Runs:
     def names(self) -> tuple[str, ...]:
         """Names of the factors."""
         return tuple(factor.name for factor in self.factors)
+
+    @property
+    def ranges(self) -> dict[str, NumericFactor]:
+        """The factors by name."""
+        return {factor.name: factor for factor in self.factors}
+
+    @property
+    def size(self) -> int:
+        """Number of runs."""
+        return int(self.response.size)
 
     def levels(self) -> tuple[int, ...]:
         """Count the different settings of each factor."""
@@ -205,11 +223,14 @@ BOUNDARY = 1e-6
 
 
 @dataclass(frozen=True)
-class Extreme:
+class Extreme(Keyed):
     """A largest or smallest prediction."""
 
-    #: shape (k,); coded settings.
+    KEYS = "at=settings value half_width on_boundary"
+
+    #: shape (k,); coded settings, and those in the factors' own units.
     at: Array
+    settings: Mapping[str, float]
     value: float
     #: Half of the interval around it, in the same unit.
     half_width: float

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
 from study.statistics.surfaces.emulator import (
     ERRORS,
@@ -178,10 +179,6 @@ class LevelDifference:
     #: no difference means at none.
     verdict: Verdict
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values."""
-        return dict(vars(self))
-
 
 def level_difference(
     names: tuple[str, str, str],
@@ -211,8 +208,10 @@ def level_difference(
 
 
 @dataclass(frozen=True)
-class FittedSurface:
+class FittedSurface(Keyed):
     """What the runs of a study say of one response over its numeric factors."""
+
+    KEYS = "response unit at=labels practical U=bound"
 
     response: str
     unit: str
@@ -245,7 +244,7 @@ class FittedSurface:
                 "response": self.response,
                 "factor": item.factor,
                 "at": dict(self.labels),
-                "verdict": "cannot tell" if effect is None else effect.told,
+                "verdict": item.verdict,
                 "effect": effect and effect.value,
                 "ci95": effect and [low, effect.value + effect.bound],
                 "practical": self.practical,
@@ -258,27 +257,17 @@ class FittedSurface:
     @property
     def unconfirmed(self) -> list[dict[str, float]]:
         """Settings whose runs would confirm what is said of the factors, each once."""
-        if self.found is None:
-            return []
-        runs = self.found.runs
-        ranges = [item.range for item in self.found.sensitivity if item.range is not None]
-        every = [runs.settings(at) for one in ranges if one.claims for at in one.confirm]
+        judged = () if self.found is None else self.found.sensitivity
+        every = [at for item in judged for at in item.confirm]
         return list({tuple(one.items()): one for one in every}.values())
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values: the response, where the others stand, and the surface."""
-        own: dict[str, object] = {
-            "response": self.response,
-            "unit": self.unit,
-            "at": dict(self.labels),
-            "practical": self.practical,
-            "U": self.bound,
-        }
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key: the response, where the others are, the surface."""
         if self.found is None:
-            return own | {"surface": None, "sensitivity": [], "refused": self.refused}
-        told = own | self.found.to_json()
+            return super().keyed() | {"surface": None, "sensitivity": [], "refused": self.refused}
+        told = super().keyed() | self.found.keyed()
         if self.labels:
-            told["differences"] = [one.to_json() for one in self.differences]
+            told["differences"] = self.differences
         if self.uncertain is not None:
-            told["uncertainty"] = self.uncertain.to_json() | {"distributions": dict(self.inputs)}
+            told["uncertainty"] = self.uncertain.keyed() | {"distributions": self.inputs}
         return told

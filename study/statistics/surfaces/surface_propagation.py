@@ -10,10 +10,11 @@ import numpy as np
 from scipy.special import stdtrit
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
 from study.statistics.surfaces.emulator import (
     GIVEN,
-    NO_INDEX,
+    INDEX,
     RANKED,
     SAMPLE_ERROR,
     BlockedEmulator,
@@ -60,19 +61,25 @@ class Told:
 
 
 @dataclass(frozen=True)
-class InputShare:
+class InputShare(Keyed):
     """What one uncertain input does."""
+
+    KEYS = f"input=name {INDEX} sd_if_halved=halved gain"
 
     name: str
     #: Its share of the response's variance; None below a Q2 of .9.
     index: SobolIndex | None
     #: Standard deviation of the response if this input were known twice as well.
     halved: float
+    #: Share of the standard deviation that goes then.
+    gain: float
 
 
 @dataclass(frozen=True)
-class Propagated:
+class Propagated(Keyed):
     """Distribution of a response whose inputs are uncertain."""
+
+    KEYS = "mean sd percentiles=by_percent inputs fixed cut"
 
     mean: Told
     sd: Told
@@ -84,30 +91,10 @@ class Propagated:
     #: Probability of each input that lies outside its range, and was cut off.
     cut: Mapping[str, float]
 
-    def gain(self, one: InputShare) -> float:
-        """Share of the standard deviation that knowing an input twice as well would take away."""
-        return 1.0 - one.halved / self.sd.value if self.sd.value > 0 else 0.0
-
-    def to_json(self) -> dict[str, object]:
-        """Plain values."""
-        told = {f"{percent:g}": vars(one) for percent, one in self.percentiles.items()}
-        rows = [
-            {
-                "input": one.name,
-                **(NO_INDEX if one.index is None else one.index.to_json()),
-                "sd_if_halved": one.halved,
-                "gain": self.gain(one),
-            }
-            for one in self.inputs
-        ]
-        return {
-            "mean": vars(self.mean),
-            "sd": vars(self.sd),
-            "percentiles": told,
-            "inputs": rows,
-            "fixed": dict(self.fixed),
-            "cut": dict(self.cut),
-        }
+    @property
+    def by_percent(self) -> dict[str, Told]:
+        """Percentiles by how they are written."""
+        return {f"{percent:g}": one for percent, one in self.percentiles.items()}
 
 
 def propagate(
@@ -129,10 +116,10 @@ def propagate(
     shares: Sequence[SobolIndex | None] = [None] * len(inputs)
     if q2 >= GIVEN:
         shares = _shares(model, own, q2, seed)
-    rows = [
-        InputShare(name, share, float(model.value(own.halved(name).coded(u)).std()))
-        for name, share in zip(inputs, shares, strict=True)
-    ]
+    rows, sd = [], each[1].value
+    for name, share in zip(inputs, shares, strict=True):
+        halved = float(model.value(own.halved(name).coded(u)).std())
+        rows.append(InputShare(name, share, halved, 1.0 - halved / sd if sd > 0 else 0.0))
     return Propagated(
         each[0],
         each[1],

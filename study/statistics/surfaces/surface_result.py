@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
-from study.statistics.analysis.sums_of_squares import FRatioTest
+from study.ground.canonical import Keyed
 from study.statistics.surfaces.emulator import (
-    NO_INDEX,
+    INDEX,
     BlockedEmulator,
     EffectRange,
     Emulator,
     SobolIndex,
     effect_ranges,
 )
-from study.statistics.surfaces.quadratic import QuadraticSurface, StationaryPoint
+from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes, never_run
-
-Document = dict[str, object]
 
 
 @dataclass(frozen=True)
-class SurfacePrediction:
+class SurfacePrediction(Keyed):
     """Predictions with their 95 % intervals, shape (m,) each, in the response's unit."""
 
     value: Array
@@ -36,26 +35,37 @@ class SurfacePrediction:
     #: Such as that no run lies in the part of the ranges that was asked about.
     notes: tuple[str, ...] = ()
 
-    def to_json(self) -> Document:
-        """Plain values; a single point gives numbers, several give lists."""
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key: of a single point numbers, of several lists."""
         ends = {"value": self.value, "low": self.low, "high": self.high}
-        values = {k: float(v[0]) if v.size == 1 else v.tolist() for k, v in ends.items()}
+        values = {k: v[0] if v.size == 1 else v for k, v in ends.items()}
         return {"response": self.response, "unit": self.unit, **values}
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class Sensitivity(Keyed):
     """What the emulator says of one factor; at a Q2 below .9 its rank alone."""
+
+    KEYS = f"factor rank {INDEX} range=range.value range_bound=range.bound verdict confirm"
 
     factor: str
     rank: int
-    index: SobolIndex | None
-    range: EffectRange | None
+    index: SobolIndex | None = None
+    range: EffectRange | None = None
+    #: Settings whose runs would confirm that it matters.
+    confirm: tuple[Mapping[str, float], ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """Whether it matters, and what that still waits for."""
+        return "cannot tell" if self.range is None else self.range.told
 
 
 @dataclass(frozen=True)
-class SurfaceAnalysis:
+class SurfaceAnalysis(Keyed):
     """A surface over numeric factors."""
+
+    KEYS = "response=runs.name runs=runs.size factors=runs.ranges surface sensitivity notes"
 
     model: QuadraticSurface | Emulator | BlockedEmulator
     #: One entry a factor; empty where Q2 refuses it, or a quadratic is not asked.
@@ -85,121 +95,11 @@ class SurfaceAnalysis:
         notes = tuple(never_run(self.runs, points))
         return SurfacePrediction(value, value - half, value + half, self.runs.name, "", notes)
 
-    def to_json(self) -> Document:
-        """Plain values, with the keys ``surface`` and ``sensitivity``."""
-        model = self.model
-        shape = (
-            self._quadratic(model) if isinstance(model, QuadraticSurface) else self._emulator(model)
-        )
-        best = {"smallest": self._extreme(self.smallest), "largest": self._extreme(self.largest)}
-        surface: Document = {"kind": self.kind, **shape, "best": best}
-        factors = {
-            f.name: {"low": f.low, "high": f.high, "scale": "log" if f.log else "linear"}
-            for f in self.runs.factors
-        }
-        return {
-            "response": self.runs.name,
-            "runs": int(self.runs.response.size),
-            "factors": factors,
-            "surface": surface,
-            "sensitivity": [self._sensitivity(item) for item in self.sensitivity],
-            "notes": list(self.notes),
-        }
-
-    def _quadratic(self, found: QuadraticSurface) -> Document:
-        loo = found.loo
-        return {
-            "error": found.error,
-            "terms": [
-                {
-                    "term": t.term,
-                    "coefficient": t.coefficient,
-                    "ci95": t.interval and list(t.interval),
-                    "p": t.p,
-                }
-                for t in found.terms
-            ],
-            "factor_tests": {name: _test(test) for name, test in found.factor_tests.items()},
-            "aliases": list(found.aliases),
-            "loo_rms": None if loo is None else loo.rms,
-            "loo_max": None if loo is None else loo.largest,
-            "q2": None if loo is None else _finite(loo.q2),
-            "lack_of_fit": _test(found.lack_of_fit),
-            "stationary": self._stationary(found.stationary),
-        }
-
-    def _emulator(self, found: Emulator | BlockedEmulator) -> Document:
-        own: Document
-        if isinstance(found, Emulator):
-            own = self._process(found)
-        else:
-            own = {"blocks": {name: self._process(e) for name, e in found.emulators.items()}}
-        return {
-            **own,
-            "loo_rms": found.loo_rms,
-            "loo_max": float(np.abs(found.loo_errors).max()),
-            "q2": found.q2,
-            "indices": found.gate,
-        }
-
-    def _process(self, found: Emulator) -> Document:
-        kernel = found.process.found.kernel
-        lengths = dict(zip(self.runs.names, kernel.lengths.tolist(), strict=True))
-        own: Document = {"kernel": kernel.family, "lengths": lengths, "q2": found.q2}
-        if kernel.categories is None:
-            return own
-        # with the functions of the other combinations of levels, in their order
-        shared = kernel.categories.matrix[found.combination]
-        return own | {"category_correlation": shared.tolist()}
-
-    def _stationary(self, point: StationaryPoint | None) -> Document | None:
-        if point is None:
-            return None
-        region = point.region
-        ends: Document | None = None
-        if region is not None and np.isfinite(region.low).all():
-            ends = {
-                "low": self.runs.settings(region.low),
-                "high": self.runs.settings(region.high),
-                "leaves_the_box": region.leaves,
-            }
-        return {
-            "kind": point.kind,
-            "at": self.runs.settings(point.at) if np.abs(point.at).max() < FAR else None,
-            "coded": point.at.tolist(),
-            "value": point.value,
-            "eigenvalues": point.eigenvalues.tolist(),
-            "eigenvectors": point.eigenvectors.T.tolist(),
-            "inside": point.inside,
-            "established": point.established,
-            "region": ends,
-        }
-
-    def _extreme(self, extreme: Extreme) -> Document:
-        return {
-            "at": self.runs.settings(extreme.at),
-            "value": extreme.value,
-            "half_width": _finite(extreme.half_width),
-            "on_boundary": extreme.on_boundary,
-        }
-
-    def _sensitivity(self, item: Sensitivity) -> Document:
-        index, effect = item.index, item.range
-        return {
-            "factor": item.factor,
-            "rank": item.rank,
-            **(NO_INDEX if index is None else index.to_json()),
-            "range": None if effect is None else effect.value,
-            "range_bound": None if effect is None else effect.bound,
-            "verdict": "cannot tell" if effect is None else effect.told,
-            "confirm": [self.runs.settings(point) for point in effect.confirm]
-            if effect is not None and effect.claims
-            else [],
-        }
-
-
-#: coded distance beyond which a stationary point is not given in units: a logarithm overflows
-FAR = 100.0
+    @property
+    def surface(self) -> dict[str, object]:
+        """What is known of the surface, by its kind, and its extremes."""
+        best = {"smallest": self.smallest, "largest": self.largest}
+        return {"kind": self.kind, **self.model.keyed(), "best": best}
 
 
 def analysis_of(
@@ -212,11 +112,29 @@ def analysis_of(
         judged, said = _of_quadratic(model, practical, u)
     else:
         judged, said = _of_emulator(model, practical, u)
+    runs = model.runs
     low, high = (
-        Extreme(at, *(float(part[0]) for part in model.predict(at[None, :])))
-        for at in extremes(model.value, len(model.runs.factors))
+        Extreme(at, runs.settings(at), *(float(part[0]) for part in model.predict(at[None, :])))
+        for at in extremes(model.value, len(runs.factors))
     )
     return SurfaceAnalysis(model, judged, low, high, tuple(said))
+
+
+def _judged(
+    runs: Runs,
+    ranks: Sequence[int],
+    indices: Sequence[SobolIndex] = (),
+    ranges: Sequence[EffectRange] | None = (),
+) -> tuple[Sensitivity, ...]:
+    """Gather what is known of every factor: its rank, its index, its range."""
+    each = zip_longest(runs.names, ranks, indices, ranges or ())
+    return tuple(
+        Sensitivity(
+            name, rank, index, reach,
+            tuple(map(runs.settings, reach.confirm)) if reach is not None and reach.claims else (),
+        )
+        for name, rank, index, reach in each
+    )  # fmt: skip
 
 
 def _of_quadratic(
@@ -235,44 +153,31 @@ def _of_quadratic(
     names = found.runs.names
     ranges = found.ranges(practical, u)
     sizes = [i.value for i in effect_ranges(found.value, found.runs, [0.0] * len(names), None, 0.0)]
-    ranks = np.argsort(np.argsort([-size for size in sizes])).tolist()
+    ranks = 1 + np.argsort(np.argsort([-size for size in sizes]))
     if ranges is None:
         said.append("no factor is judged: a quadratic does not carry these runs, or fits them all")
-    every = zip(names, ranks, ranges or [None] * len(names), strict=True)
-    return tuple(Sensitivity(name, rank + 1, None, item) for name, rank, item in every), said
+    return _judged(found.runs, ranks.tolist(), (), ranges), said
 
 
 def _of_emulator(
     found: Emulator | BlockedEmulator, practical: float | None, u: float
 ) -> tuple[tuple[Sensitivity, ...], list[str]]:
     """Ask an emulator for all that its Q2 allows, with notes."""
-    names, unrun = found.runs.names, never_run(found.runs)
+    unrun = never_run(found.runs)
     twice = 2 * found.runs.response.size
     if found.gate == "refused":
         return (), [f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all", *unrun]
     indices = found.indices()
     order = np.argsort([-index.total for index in indices]).tolist()
-    ranks = [order.index(j) + 1 for j in range(len(names))]
+    ranks = [order.index(j) + 1 for j in range(len(order))]
     if found.gate == "ranking only":
         note = f"Q2 {found.q2:.2f} is below .9: ranking only; add runs, {twice} in all"
-        ranked = zip(names, ranks, strict=True)
-        return tuple(Sensitivity(name, rank, None, None) for name, rank in ranked), [note, *unrun]
-    ranges = found.ranges(practical, u)
-    judged = tuple(map(Sensitivity, names, ranks, indices, ranges))
+        return _judged(found.runs, ranks), [note, *unrun]
+    judged = _judged(found.runs, ranks, indices, found.ranges(practical, u))
     notes = [
         *unrun,
         "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings",
     ]
-    if any(item.claims for item in ranges):
+    if any(item.confirm for item in judged):
         notes.append("matters holds once the two predicted extremes were run: see confirm")
     return judged, notes
-
-
-def _test(test: FRatioTest | None) -> Document | None:
-    if test is None:
-        return None
-    return {"F": test.f, "df": test.df, "df_error": test.df_error, "p": test.p}
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
