@@ -54,12 +54,12 @@ def test_running_again_computes_nothing(home: Path, outcome: api.study.StudyResu
 def test_a_loaded_design_is_the_same_study(home: Path, outcome: api.study.StudyResult) -> None:
     design = study.load_design(home / "small.toml")
     plan = api.plan(design, data=home / "data", results=home / "results")
-    assert (plan.total, plan.done, plan.missing, plan.fits) == (12, 12, 0, 0)
+    assert (plan.cases["total"], plan.cases["missing"], plan.fits) == (12, 0, 0)
     other = api.plan(
         home / "small.toml", data=home / "data", results=home / "results",
         overrides=["measurements.points=31"],
     )  # fmt: skip
-    assert other.missing == 12
+    assert other.cases["missing"] == 12
 
 
 def test_analyze_a_study_and_a_table_agree(home: Path, outcome: api.study.StudyResult) -> None:
@@ -125,11 +125,12 @@ def test_calibrate_gives_numbers_with_their_errors(home: Path) -> None:
 
 def test_why_finds_a_case_by_its_beginning(home: Path, outcome: api.study.StudyResult) -> None:
     record = outcome.records[0]
-    assert api.why(record.case_id[:10], results=home / "results").case_id == record.case_id
+    found = api.explain(record.case_id[:10], results=home / "results").record
+    assert found.case_id == record.case_id
     ids = [r.case_id for r in outcome.records]
     first = next(a for a in "0123456789abcdef" if sum(i[0] == a for i in ids) > 1)
     with pytest.raises(InputError, match="begins several ids"):
-        api.why(first, results=home / "results")
+        api.explain(first, results=home / "results")
 
 
 def test_data_stand_in_the_named_folder_else_beside_the_design(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ _NAMES = {
     "api.importing": "import_runs",
     "api.planning": "plan augment run_sheet status",
     "api.contrast_power": "power contrasts",
-    "api.comparison": "why explain diff",
+    "api.comparison": "explain diff",
     "api.serving": "serve",
     "api.opened_study": "load",
     "api.analyzing": "analyze",

@@ -22,6 +22,7 @@ from study.reporting.results.study_result import (
     MarkedCase,
     ReportData,
     Retried,
+    unit_of,
 )
 
 if TYPE_CHECKING:
@@ -48,15 +49,13 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     blocks, spec = tuple(manifest["blocks"]), design.measurements
     markers = design.config.get("markers")
     marked = markers if isinstance(markers, Mapping) else {}
-    # groups of the measurements, states of marked specimens, or blocks of runs made elsewhere
-    unit = (spec.block or "") if spec is not None else "state" if marked else "block"
     return ReportData(
         name=design.name,
         question=design.question,
         factors={factor.name: factor.labels for factor in design.factors},
         table=study.table,
         responses=study.analyses,
-        block=unit if blocks else "",
+        block=unit_of(design, manifest) if blocks else "",
         blocks=blocks,
         inputs=_inputs(design),
         assumed=_assumed(design),
@@ -124,10 +123,10 @@ def _scheme(study: StudyResult) -> str:
 
 def _ranges(study: StudyResult) -> dict[str, str]:
     """Write the ends of the factors that are numbers, where surfaces answer the question."""
-    spans = {f.name: f.span for f in study.design.factors if f.span is not None and study.surfaces}
     return {
         name: f"{s.low:g} to {s.high:g} {s.unit}".strip() + (" (logarithm)" if s.log else "")
-        for name, s in spans.items()
+        for name, s in study.design.ranges.items()
+        if study.surfaces
     }
 
 
@@ -175,16 +174,12 @@ def _curves(records: tuple[Record, ...]) -> Iterator[CurvePair]:
             if pair is None:
                 continue
             measured, predicted = pair
+            at = measured.displacement_mm
             yield CurvePair(
-                record.levels,
-                record.block or "",
-                measured,
-                Curve(measured.displacement_mm, predicted.force_at(measured.displacement_mm)),
-                label,
-                fact["role"],
-                None if scatter is None else np.asarray(scatter, dtype=float),
+                record.levels, record.block or "", measured, Curve(at, predicted.force_at(at)),
+                label, fact["role"], None if scatter is None else np.asarray(scatter, dtype=float),
                 record.case_id,
-            )
+            )  # fmt: skip
 
 
 def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstant]:
@@ -200,63 +195,43 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
             levels, rss, n = shared[fit["key"]], fit.get("rss"), fit.get("n")
             for name, value in fit["values"].items():
                 plain = is_dimensionless(name)
-                scale = 1.0 if plain else 1000.0
-                low, high = (fit.get("ci95") or {}).get(name) or (None, None)
+                error = (fit.get("standard_error") or {}).get(name)
+                ends = (fit.get("ci95") or {}).get(name) or (None, None)
+                scaled = (None if v is None else v if plain else 1000.0 * v for v in (error, *ends))
                 yield FittedConstant(
-                    levels,
-                    record.block or "",
-                    name,
-                    scale * value,
-                    "" if plain else "kPa",
-                    _scaled((fit.get("standard_error") or {}).get(name), scale),
-                    _scaled(low, scale),
-                    _scaled(high, scale),
-                    bool(fit["identifiable"]),
-                    str(fit.get("reason") or ""),
-                    "" if specimen == "all" else specimen,
+                    levels, record.block or "", name, value if plain else 1000.0 * value,
+                    "" if plain else "kPa", *scaled, bool(fit["identifiable"]),
+                    str(fit.get("reason") or ""), "" if specimen == "all" else specimen,
                     _correlated(name, fit),
                     float((rss / n) ** 0.5) if n and rss is not None else None,
                     fit.get("r_squared"),
-                )
+                )  # fmt: skip
 
 
 def _levels_of_fits(
     order: Mapping[str, Sequence[str]], records: tuple[Record, ...]
 ) -> dict[str, dict[str, str]]:
     """Levels of each fit by its key; a fit that several levels share names them all."""
-    levels_seen: dict[str, dict[str, set[str]]] = {}
+    sharing: dict[str, list[Record]] = {}
     for record in records:
         for fit in (record.fit or {}).values():
-            levels = levels_seen.setdefault(fit["key"], {name: set() for name in order})
-            for name in order:
-                levels[name].add(record.levels[name])
+            sharing.setdefault(fit["key"], []).append(record)
+
+    def named(name: str, every: Sequence[str], records: Sequence[Record]) -> str:
+        some = [level for level in every if any(r.levels[name] == level for r in records)]
+        return ANY if len(some) == len(every) > 1 else " or ".join(some)
+
     return {
-        key: {
-            name: ANY
-            if len(some) == len(order[name]) > 1
-            else " or ".join(sorted(some, key=order[name].index))
-            for name, some in levels.items()
-        }
-        for key, levels in levels_seen.items()
+        key: {name: named(name, every, own) for name, every in order.items()}
+        for key, own in sharing.items()
     }
 
 
 def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
     """Correlation of a constant with the others of its fit, where it is known."""
-    names, matrix = fit.get("names") or (), fit.get("correlation")
-    if not matrix or name not in names:
-        return {}
-    row = matrix[list(names).index(name)]
-    pairs = zip(names, row, strict=True)
+    rows = dict(zip(fit.get("names") or (), fit.get("correlation") or (), strict=False))
+    pairs = zip(rows, rows.get(name, ()), strict=False)
     return {other: float(r) for other, r in pairs if other != name and r is not None}
-
-
-#: verdict of a fit whose rows the model describes
-DESCRIBES = "describes"
-
-
-def _scaled(value: float | None, scale: float) -> float | None:
-    return None if value is None else scale * value
 
 
 def _checks(study: StudyResult) -> Iterator[Check]:
@@ -280,48 +255,38 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         yield Check("what the chosen cells tell apart", "caution", scheme.summary, mixed)
     fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
     if fits:
-        if any(fit.get("verdict", DESCRIBES) != DESCRIBES for fit in fits.values()):
-            yield _adequacy(fits)
-        yield _identifiability(fits)
-        yield _stability(fits)
+        yield from _checks_of_fits(list(fits.values()))
     yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
 
 
-def _adequacy(fits: Mapping[str, Mapping[str, Any]]) -> Check:
-    """Count the fits that do not describe their rows, with the words of the first, worst."""
-    doubtful = [fit for fit in fits.values() if fit.get("verdict", DESCRIBES) == "doubtful"]
-    bad = [fit for fit in fits.values() if fit.get("verdict") == "does not describe"]
-    good = len(fits) - len(doubtful) - len(bad)
-    finding = (
-        f"{good} of {len(fits)} calibrations describe their rows, {len(doubtful)} are doubtful"
+def _checks_of_fits(fits: Sequence[Mapping[str, Any]]) -> Iterator[Check]:
+    """Say how many fits describe their rows, determine their constants, and are stable."""
+    of = f"of {len(fits)} calibrations"
+    bad, doubtful = (
+        [fit for fit in fits if fit.get("verdict") == verdict]
+        for verdict in ("does not describe", "doubtful")
     )
-    return Check(
-        "fits describe their data", "caution", f"{finding}, {len(bad)} do not",
-        f"of the first, {(bad or doubtful)[0]['misfit']}",
+    if bad or doubtful:
+        yield Check(
+            "fits describe their data", "caution",
+            f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows, {len(doubtful)} are "
+            f"doubtful, {len(bad)} do not",
+            f"of the first, {(bad or doubtful)[0]['misfit']}",
+        )  # fmt: skip
+    vague = [fit for fit in fits if not fit["identifiable"]]
+    yield Check(
+        "constants are identifiable", "caution" if vague else "pass",
+        f"{len(fits) - len(vague)} {of} determine every constant",
+        "a constant that the data do not determine has no meaning of its own; the force curve and "
+        "the initial shear modulus have" if vague else "each has a meaning of its own",
     )  # fmt: skip
-
-
-def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
-    vague = [fit for fit in fits.values() if not fit["identifiable"]]
-    finding = f"{len(fits) - len(vague)} of {len(fits)} calibrations determine every constant"
-    consequence = "each has a meaning of its own"
-    if vague:
-        consequence = (
-            "a constant that the data do not determine has no meaning of its own; the force curve "
-            "and the initial shear modulus have"
-        )
-    outcome = "caution" if vague else "pass"
-    return Check("constants are identifiable", outcome, finding, consequence)
-
-
-def _stability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
-    bad = [fit for fit in fits.values() if not fit.get("stable", True)]
-    finding = f"{len(fits) - len(bad)} of {len(fits)} calibrations are stable over the range"
+    loose = [fit for fit in fits if not fit.get("stable", True)]
+    finding = f"{len(fits) - len(loose)} {of} are stable over the range"
     use = "they may be used over the range of their test"
-    if bad:
-        finding += f"; for example {bad[0].get('stability', 'the first')}"
+    if loose:
+        finding += f"; for example {loose[0].get('stability', 'the first')}"
         use = "do not use the unstable ones beyond the test they were fitted to"
-    return Check("constants are stable", "caution" if bad else "pass", finding, use)
+    yield Check("constants are stable", "caution" if loose else "pass", finding, use)
 
 
 def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:

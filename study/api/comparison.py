@@ -269,11 +269,6 @@ class CaseState:
     libraries: tuple[Change, ...] = ()
 
 
-def why(case: str, *, study: str | Path | None = None, results: str | Path = RESULTS) -> Record:
-    """Record of one case, by the beginning of its id, of one study or of all of them."""
-    return explain(case, study=study, results=results).record
-
-
 def explain(
     case: str,
     *,

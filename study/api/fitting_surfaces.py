@@ -481,11 +481,10 @@ SEE_SURFACE = "its factors are numbers: see the surface"
 
 def is_numeric(design: Design) -> bool:
     """Whether a surface over the ranges of a design answers its question."""
-    ranged = any(factor.span is not None for factor in design.factors)
     kind = design.analysis.surface
-    if not ranged or kind == "none":
+    if kind == "auto" and design.scheme.kind not in _FOR_SURFACES:
         return False
-    return kind != "auto" or design.scheme.kind in _FOR_SURFACES
+    return bool(design.ranges) and kind != "none"
 
 
 def surfaces(
@@ -495,8 +494,8 @@ def surfaces(
     if not is_numeric(design):
         return ()
     originals = [record for record in records if not is_repeat(record.extra)]
-    places, sizes = labels_of(design), [len(f.labels) for f in design.factors if f.span is None]
-    units_of = {f.name: f.span.unit for f in design.factors if f.span is not None}
+    places, sizes = labels_of(design), [len(labels) for labels in design.lists.values()]
+    units_of = {name: span.unit for name, span in design.ranges.items()}
     surfaces_fitted: list[FittedSurface] = []
     for response in design.responses:
         half_width = _half_width(response.name, records, numerical)
@@ -521,9 +520,8 @@ def surfaces(
 
 def labels_of(design: Design) -> list[dict[str, str]]:
     """Every combination of labels of the factors that are no numbers."""
-    others = {factor.name: factor.labels for factor in design.factors if factor.span is None}
-    combinations = itertools.product(*others.values())
-    return [dict(zip(others, labels, strict=True)) for labels in combinations]
+    combinations = itertools.product(*design.lists.values())
+    return [dict(zip(design.lists, labels, strict=True)) for labels in combinations]
 
 
 T = TypeVar("T", "Record", "Treatment")
@@ -566,11 +564,9 @@ def _finished(
     uncertain = None
     if design.inputs:
         fixed = {
-            f.name: usual_value(
-                f.name, overlay.dimension(f.name) or "number", f.span, design.config
-            )
-            for f in design.factors
-            if f.span is not None and f.name not in design.inputs
+            n: usual_value(n, overlay.dimension(n) or "number", span, design.config)
+            for n, span in design.ranges.items()
+            if n not in design.inputs
         }
         try:
             uncertain = propagate(fitted.found, design.inputs, fixed, design.seed)
@@ -584,8 +580,8 @@ def _finished(
 
 def ranges_of(design: Design) -> tuple[NumericFactor, ...]:
     """Ranges of a design."""
-    ranged = [(factor, factor.span) for factor in design.factors if factor.span is not None]
-    return tuple(NumericFactor(f.name, span.low, span.high, span.log) for f, span in ranged)
+    spans = design.ranges.items()
+    return tuple(NumericFactor(name, span.low, span.high, span.log) for name, span in spans)
 
 
 def coded_settings(factors: Sequence[NumericFactor], levels: Sequence[Mapping[str, str]]) -> Array:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.comparison import why
+from study.api.comparison import explain
 from study.api.folders import (
     REPORTS,
     RESULTS,
@@ -61,6 +61,7 @@ from study.reporting.output.accuracy_page import write_shape, write_tracker
 from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
 
 if TYPE_CHECKING:
+    from study.ground.arrays import Array
     from study.reporting.results.study_result import StudyResult
 
 # A material as the input of another program: ``study export --as abaqus`` and ``--as febio``.
@@ -130,7 +131,40 @@ STANDARD_ERRORS = 2.0
 LARGEST_SHARE = 0.5
 
 
-def source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> ForceLawSource:
+@dataclass(frozen=True)
+class _Source:
+    """A problem from whatever holds it, and what is known of its constants."""
+
+    #: Of the file, the calibration, or the study and its case.
+    name: str
+    problem: CellProblem
+    #: Constants that were fitted and their standard errors, MPa (exponents plain); none where the
+    #: problem states its own.
+    values: Mapping[str, float] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
+    correlation: Array | None = None
+
+    @property
+    def material(self) -> Material:
+        """Material with the constants."""
+        return self.problem.material.material(self.values or None)
+
+    def of_law(self) -> ForceLawSource:
+        """Problem of a force law: constants are not moved so far that the material is another."""
+        half_ranges = {
+            name: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs(self.values[name]))
+            for name, error in self.errors.items()
+            if np.isfinite(error) and error > 0
+        }
+        covariance = None
+        if self.correlation is not None and np.isfinite(self.correlation).all():
+            size = np.array(list(self.errors.values()))
+            covariance = np.outer(size, size) * self.correlation
+        problem = self.problem.at(self.values or None)
+        return ForceLawSource(self.name, problem, half_ranges, covariance)
+
+
+def _source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> _Source:
     """Read a problem from whatever holds it; its name and content show what that is."""
     if path.suffix == ".json":
         return _calibrated(path, test)
@@ -139,18 +173,7 @@ def source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> For
     return _recorded(path, case)
 
 
-def material_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> tuple[str, Material]:
-    """Read the name and the material of a problem; a calibrated one needs no displacement."""
-    if path.suffix != ".json":
-        case_source = source_of(path, case, test, overrides)
-        return case_source.name, case_source.problem.material
-    document = _document(path)
-    values, _ = _constants(document["parameters"])
-    section = _test_of(document, path, test).material
-    return str(document["name"]), section.material(values)
-
-
-def _written(path: Path, overrides: Sequence[str]) -> ForceLawSource:
+def _written(path: Path, overrides: Sequence[str]) -> _Source:
     """Problem of a file."""
     kind = load.file_kind(path)
     if kind == "calibration":
@@ -160,34 +183,50 @@ def _written(path: Path, overrides: Sequence[str]) -> ForceLawSource:
     if kind == "design":
         mend = "run it and name one: study export results/NAME --case ID"
         raise InputError(Fault(str(path), "is a design of many cases", mend))
-    problem = loaded_problem(path, overrides).problem
-    return ForceLawSource(load.default_name(str(path)), problem.at())
+    return _Source(load.default_name(str(path)), loaded_problem(path, overrides).problem)
 
 
-def _calibrated(path: Path, number: int) -> ForceLawSource:
-    """Test of a finished calibration, with the constants and their covariance."""
-    calibration = _document(path)
-    tested = _test_of(calibration, path, number)
-    values, errors = _constants(calibration["parameters"])
-    size = np.array(list(errors.values()))
-    # null, where a correlation is not known, becomes NaN
-    covariance = np.outer(size, size) * np.array(calibration["correlation"], dtype=float)
-    name = str(calibration["name"])
-    return ForceLawSource(
-        f"{name}-test-{number}" if len(calibration["tests"]) > 1 else name,
-        tested.at(values),
-        _half_ranges(values, errors),
-        covariance if np.isfinite(covariance).all() else None,
-    )
-
-
-def _test_of(calibration: Mapping[str, Any], path: Path, number: int) -> CellProblem:
-    """Test of a calibration, counted from 1."""
-    tests = calibration["tests"]
+def _calibrated(path: Path, number: int) -> _Source:
+    """Test of a calibration that converged, with the constants and their correlation."""
+    mend = "name the calibration.json that `study calibrate` wrote"
+    try:
+        contents = read_json(path)
+    except UnreadableError as error:
+        raise InputError(Fault(str(path), error.rule, mend)) from None
+    needed = {"status", "name", "parameters", "correlation", "tests"}
+    if not isinstance(contents, Mapping) or not needed <= set(contents):
+        raise InputError(Fault(str(path), "is no document of a calibration", mend))
+    if contents["status"] != "converged":
+        rule = f"ended as {contents['status']}: its constants are no result"
+        raise InputError(Fault(str(path), rule, "see its message"))
+    name, tests = str(contents["name"]), contents["tests"]
     if not 1 <= number <= len(tests):
         rule = f"there is no test {number} in {path}, which has {len(tests)}"
         raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
-    return CellProblem.of(tests[number - 1])
+    return _Source(
+        f"{name}-test-{number}" if len(tests) > 1 else name, CellProblem.of(tests[number - 1]),
+        *_constants(contents["parameters"]),
+        # null, where a correlation is not known, becomes NaN
+        np.array(contents["correlation"], dtype=float),
+    )  # fmt: skip
+
+
+def _recorded(path: Path, case: str) -> _Source:
+    """Case of a study that was run, with the constants of its fit."""
+    folder = results_folder(path)
+    if not case:
+        mend = "name one of its cases: --case ID (see `study why`)"
+        raise InputError(Fault(str(path), "is a study of many cases", mend))
+    record = explain(case, study=folder).record
+    manifest = finished_manifest(Store(folder))
+    if not record.converged:
+        rule = f"the case ended as {record.status}: {record.message}"
+        raise InputError(Fault(f"--case {case}", rule, "name one that has an answer"))
+    design = load.loads(manifest["design"], manifest["source"])
+    cell = _problem_of(record, design, manifest["blocks"])
+    values, errors = _constants({n: p for n, p in record.parameters.items() if n != "mu0"})
+    cell = provenance.located(cell, provenance.folders(design.source, folder))
+    return _Source(f"{design.name}-{record.case_id[:8]}", cell, values, errors)
 
 
 def _problem_of(record: Record, design: Design, blocks: Sequence[str]) -> CellProblem:
@@ -205,63 +244,16 @@ def _problem_of(record: Record, design: Design, blocks: Sequence[str]) -> CellPr
 def _constants(
     parameters: Mapping[str, Mapping[str, object]],
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Values and standard errors in MPa (exponents plain) of parameters in kPa."""
-    factor = {name: 1.0 if is_dimensionless(name) else 1e-3 for name in parameters}
-    values = {n: factor[n] * _float(p["value"]) for n, p in parameters.items()}
-    errors = {n: factor[n] * _float(p.get("standard_error")) for n, p in parameters.items()}
-    return values, errors
+    """Values and standard errors in MPa (exponents plain) of parameters in kPa; NaN for null."""
 
+    def numbers(key: str) -> dict[str, float]:
+        found = {name: one.get(key) for name, one in parameters.items()}
+        return {
+            name: float("nan") if v is None else float(str(v)) * (is_dimensionless(name) or 1e-3)
+            for name, v in found.items()
+        }
 
-def _half_ranges(values: Mapping[str, float], errors: Mapping[str, float]) -> dict[str, float]:
-    """Range of every constant whose error is known; not so wide that the material is another."""
-    return {
-        name: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs(values[name]))
-        for name, error in errors.items()
-        if np.isfinite(error) and error > 0
-    }
-
-
-def _float(value: object) -> float:
-    """Return a number of a document, NaN for null."""
-    return float("nan") if value is None else float(str(value))
-
-
-def _document(path: Path) -> Mapping[str, Any]:
-    """Document of a calibration that converged."""
-    mend = "name the calibration.json that `study calibrate` wrote"
-    try:
-        contents = read_json(path)
-    except UnreadableError as error:
-        raise InputError(Fault(str(path), error.rule, mend)) from None
-    needed = {"status", "name", "parameters", "correlation", "tests"}
-    if not isinstance(contents, Mapping) or not needed <= set(contents):
-        raise InputError(Fault(str(path), "is no document of a calibration", mend))
-    if contents["status"] != "converged":
-        rule = f"ended as {contents['status']}: its constants are no result"
-        raise InputError(Fault(str(path), rule, "see its message"))
-    return contents
-
-
-def _recorded(path: Path, case: str) -> ForceLawSource:
-    """Case of a study that was run, with the constants of its fit."""
-    folder = results_folder(path)
-    if not case:
-        mend = "name one of its cases: --case ID (see `study why`)"
-        raise InputError(Fault(str(path), "is a study of many cases", mend))
-    record = why(case, study=folder)
-    manifest = finished_manifest(Store(folder))
-    if not record.converged:
-        rule = f"the case ended as {record.status}: {record.message}"
-        raise InputError(Fault(f"--case {case}", rule, "name one that has an answer"))
-    design = load.loads(manifest["design"], manifest["source"])
-    cell = _problem_of(record, design, manifest["blocks"])
-    values, errors = _constants(record.parameters)
-    fitted = {n: v for n, v in values.items() if n != "mu0"}
-    cell = provenance.located(cell, provenance.folders(design.source, folder))
-    problem = cell.at(fitted or None)
-    return ForceLawSource(
-        f"{design.name}-{record.case_id[:8]}", problem, _half_ranges(fitted, errors)
-    )
+    return numbers("value"), numbers("standard_error")
 
 
 #: What a result can be exported as.
@@ -319,12 +311,11 @@ def export(
     if not 0 < tolerance < 1:
         rule = f"must be a share between 0 and 1, got {tolerance:g}"
         raise InputError(Fault("--tolerance", rule, "for example 0.002"))
+    read = _source_of(Path(source), case, test, overrides)
     if form in PROGRAMS:
-        name, material = material_of(Path(source), case, test, overrides)
-        return export_material(name, material, form, Path(out))
-    case_source = source_of(Path(source), case, test, overrides)
-    check(case_source.problem.material, None)
-    law = solved_force_law(case_source, tolerance, progress)
+        return export_material(read.name, read.material, form, Path(out))
+    check(read.material, None)
+    law = solved_force_law(read.of_law(), tolerance, progress)
     warnings = []
     if law.relative_error > tolerance:
         warnings.append(

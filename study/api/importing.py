@@ -90,6 +90,7 @@ def import_runs(
             "source": Path(path).name,
             "cases": {record.case_id: record.input_hash for record in records},
             "blocks": list(blocks),
+            "unit": block or "",
             "notes": [f"{len(rows)} runs were {MADE_ELSEWHERE} and read from {Path(path).name}"],
             "files": {Path(path).name: table.sha256},
             "virtual": False,

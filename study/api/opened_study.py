@@ -45,7 +45,7 @@ from study.reporting.content.recommendation import would_change
 from study.reporting.content.report_facts import facts
 from study.reporting.content.text import THIN, case_counts
 from study.reporting.output.page import Shown
-from study.reporting.results.study_result import ResponseAnalysis, StudyResult
+from study.reporting.results.study_result import ResponseAnalysis, StudyResult, unit_of
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
@@ -181,23 +181,14 @@ def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bo
     warnings += [note for note in manifest["notes"] if is_caution(note)]
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
-    analyses = _analyses(design, records, numerical)
+    analyses = _analyses(design, records, numerical, unit_of(design, manifest))
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused not in ("", SEE_SURFACE)]
     more = joined(design, store, manifest)
     fitted = surfaces(design, [*records, *more], numerical)
     if more:
         warnings.append(f"{len(more)} confirming runs joined those of the surfaces")
-    warnings += [
-        f"{surface_fit.response}: {surface_fit.refused}"
-        for surface_fit in fitted
-        if surface_fit.refused
-    ]
-    warnings += [
-        f"{surface_fit.response}: {n}"
-        for surface_fit in fitted
-        if surface_fit.found
-        for n in surface_fit.found.notes
-    ]
+    warnings += [f"{one.response}: {one.refused}" for one in fitted if one.refused]
+    warnings += [f"{one.response}: {n}" for one in fitted if one.found for n in one.found.notes]
     comparisons = store.read_rows("validation", ValidationRow, fault_of_comparisons)
     spaces, steps = store.read_rows("spaces", SpaceRow), store.read_rows("adaptive", AdaptiveStep)
     return Study(
@@ -249,12 +240,11 @@ def unfinished_note(store: Store, later: ManifestDocument) -> str:
 
 
 def _analyses(
-    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
+    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty], unit: str
 ) -> tuple[ResponseAnalysis, ...]:
     """Analyze every response of a design; a refusal is kept as its reason."""
     analyses = []
     blocks = len({record.block for record in records} - {None})
-    unit = "block" if design.measurements is None else design.measurements.block or "block"
     for response in design.responses:
         limit = threshold(response.practical)
         scored, cross_validated = scored_on(design, response.name, blocks)
@@ -270,17 +260,10 @@ def _analyses(
         better = "lower" if response.name.endswith("_error") or response.name == "seconds" else ""
         analyses.append(
             ResponseAnalysis(
-                response.name,
-                response.unit,
-                result,
-                None if limit is None else limit.value,
-                limit is not None and limit.relative,
-                response.transform,
-                None if result is None else result.detection.u_num,
-                better,
-                refused=refused,
-                scored_on=scored,
-                cross_validated=cross_validated,
+                response.name, response.unit, result, None if limit is None else limit.value,
+                limit is not None and limit.relative, response.transform,
+                None if result is None else result.detection.u_num, better, refused=refused,
+                scored_on=scored, cross_validated=cross_validated,
             )
-        )
+        )  # fmt: skip
     return adjusted(analyses, design.analysis)

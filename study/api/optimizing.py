@@ -271,25 +271,23 @@ def _of_study(
     units_of = {fitted.response: fitted.unit for fitted in surfaces_of(study)}
     name = _named(word, list(units_of), f"--{goal}")
     bounds = tuple(_bound(text, units_of) for text in limits_typed)
-    factors = {factor.name: factor for factor in design.factors}
     numbers, labels = given(design, at)
     at = {**numbers, **labels}
-    free = [n for n in factors if design.roles[n] == "choice" and n not in at]
+    free = [n for n, role in design.roles.items() if role == "choice" and n not in at]
     if not free:
         roles = ", ".join(f"{n}: {role}" for n, role in design.roles.items())
         rule = f"no factor is a choice that is left to make ({roles}; held: {', '.join(at) or '-'})"
         mend = 'say which are yours to choose: [analysis] roles = { FACTOR = "choice" }'
         raise InputError(Fault("optimize", rule, mend))
-    ranges = {n: f.span for n, f in factors.items() if f.span is not None}
+    ranges, lists = design.ranges, design.lists
     open_numbers = tuple(n for n in ranges if n not in free and n not in at)
     held = {n: float(values[0]) for n, values in numbers.items()}
     held |= {n: usual_value(n, overlay.dimension(n) or "number", ranges[n], design.config)
              for n in open_numbers}  # fmt: skip
     span_units = {n: span.unit for n, span in ranges.items()}
     question = Recommendation(goal, name, units_of[name], {}, held, span_units, bounds=bounds)
-    lists = [n for n, f in factors.items() if f.span is None]
-    open_labels = {n: (labels[n],) if n in labels else factors[n].labels
-                   for n in lists if n not in free}  # fmt: skip
+    open_labels = {n: (labels[n],) if n in labels else every
+                   for n, every in lists.items() if n not in free}  # fmt: skip
     places = [
         dict(zip(open_labels, combination, strict=True))
         for combination in itertools.product(*open_labels.values())
@@ -306,12 +304,12 @@ def _at(
     open_numbers: Sequence[str],
 ) -> Recommendation:
     """Compare the levels of the choices that are no numbers, at some levels of the others."""
-    factors = {factor.name: factor for factor in study.design.factors}
+    lists = study.design.lists
     needed = {question.response, *(bound.response for bound in question.bounds)}
     candidates: list[Recommendation] = []
     notes: list[str] = []
     refused: RefusedError | None = None
-    for levels in itertools.product(*(factors[n].labels for n in chosen)):
+    for levels in itertools.product(*(lists[n] for n in chosen)):
         labels_here = dict(zip(chosen, levels, strict=True))
         here = [fitted for fitted in study.surfaces
                 if fitted.response in needed
@@ -461,9 +459,8 @@ def _known(
     study: StudyResult, at: Mapping[str, Setting]
 ) -> tuple[dict[str, float], dict[str, str]]:
     """Read the inputs that are known, and check that something is asked for."""
-    design, factors = study.design, {factor.name: factor for factor in study.design.factors}
-    ranges = [n for n, f in factors.items() if f.span is not None]
-    if not ranges:
+    design = study.design
+    if not design.ranges:
         rule = "has no numeric factor: there is nothing to be found"
         mend = 'write { low = "5 kPa", high = "15 kPa" } and [design] kind = "latin-hypercube"'
         raise InputError(Fault(design.name, rule, mend))
@@ -473,9 +470,9 @@ def _known(
         raise InputError(Fault(design.name, rule, mend))
     rule = "is no number: say at which of its levels the test was made"
     numbers, labels = given(design, at, {
-        n: Fault(n, rule, f"--at {n}={f.labels[0]}") for n, f in factors.items() if f.span is None
+        n: Fault(n, rule, f"--at {n}={labels[0]}") for n, labels in design.lists.items()
     })  # fmt: skip
-    if len(numbers) == len(ranges):
+    if len(numbers) == len(design.ranges):
         mend = "leave those out that are asked for"
         raise InputError(Fault("--at", "holds every number", mend))
     return {n: float(values[0]) for n, values in numbers.items()}, labels
@@ -592,7 +589,7 @@ class _Inversion:
         """Say the answer in the units of the inputs."""
         model, result = answer
         coded = model.runs
-        units_of = {f.name: f.span.unit for f in self.study.design.factors if f.span is not None}
+        units_of = {n: span.unit for n, span in self.study.design.ranges.items()}
         best, low, high = (coded.settings(point) for point in (result.at, result.low, result.high))
         inputs = tuple(
             InputSet(n, units_of[n], best[n], low[n], high[n],

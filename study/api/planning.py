@@ -46,7 +46,6 @@ from study.harness.external.command import common_digest
 from study.harness.record.document import AdaptiveStep
 from study.harness.record.record import write_csv
 from study.harness.record.store import Store
-from study.harness.record.survey import Survey
 from study.harness.runner.batch import missing, open_fits
 from study.harness.runner.cost import Costs, program_calls
 from study.harness.runner.expansion import expand, relabeled
@@ -126,7 +125,7 @@ class Plan(Keyed):
     """A design before it runs."""
 
     KEYS = (
-        "study=design.name cases=counts predicted_seconds report verdicts warnings blocks fits "
+        "study=design.name cases predicted_seconds report verdicts warnings blocks fits "
         "controls memory_MB program_calls commands commands_digest=digest design=overview.to_json"
     )
     #: what a study that has run has besides
@@ -137,10 +136,8 @@ class Plan(Keyed):
     overview: Overview
     #: Empty without blocks, or where the data cannot be read.
     blocks: tuple[str, ...]
-    total: int
-    done: int
-    failed: int
-    missing: int
+    #: All, and those that are done, failed and missing.
+    cases: Mapping[str, int]
     fits: int
     #: Wall time of what is missing; None where the data are not there yet.
     predicted_seconds: float | None
@@ -163,16 +160,6 @@ class Plan(Keyed):
         """Whether a Python function predicts, which only Python can give."""
         forwards = (one.cell.problem.forward for one in self.design.treatments)
         return any(one is not None and one.model == "python" for one in forwards)
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Cases: all, and those that are done, failed and missing."""
-        return {
-            "total": self.total,
-            "done": self.done,
-            "failed": self.failed,
-            "missing": self.missing,
-        }
 
     def keyed(self) -> dict[str, object]:
         """Give what stands under every key; of an adaptive design also how it goes on."""
@@ -207,9 +194,8 @@ def plan(
     except MissingDataError as error:
         warnings.append(f"no blocks and no time, for the measurements are missing: {error}")
         total = len(described.matrix)
-        return Plan(
-            loaded, described, (), total, 0, 0, total, 0, None, None, workers, tuple(warnings)
-        )
+        cases = {"total": total, "done": 0, "failed": 0, "missing": total}
+        return Plan(loaded, described, (), cases, 0, None, None, workers, tuple(warnings))
     study_plan = _counted(work, described, Store(Path(results) / loaded.name, warn=warnings.append),
                      workers, warnings)  # fmt: skip
     return replace(
@@ -252,8 +238,8 @@ def _counted(
         (costs.memory_MB(job.case.problem) for job in [*todo, *controls]), default=0.0
     )
     return Plan(
-        work.design, described, work.blocks, len(work.jobs), len(survey.done),
-        len(survey.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
+        work.design, described, work.blocks, survey.counts | {"missing": len(todo)}, len(fits),
+        seconds, memory, workers, tuple(warnings),
         len(controls), program_calls(fits, todo),
         tuple(line for program in commands for line in program.lines()), common_digest(commands),
     )  # fmt: skip
@@ -295,7 +281,7 @@ def status(
             verdicts = api.load(folder, results).verdicts
     return {
         "study": manifest["name"],
-        "cases": _counts(survey),
+        "cases": survey.counts,
         "predicted_seconds": seconds_left(running),
         "report": None,
         "verdicts": verdicts,
@@ -307,18 +293,10 @@ def status(
         "unfinished": None
         if later is None
         else {
-            "cases": _counts(Store(store.path).survey(later["cases"])),
+            "cases": Store(store.path).survey(later["cases"]).counts,
             "changed": [change.sentence for change in run_changes(manifest, later)],
         },
     }
-
-
-def _counts(survey: Survey) -> dict[str, int]:
-    """Cases of a study: all, and those that are done, failed and missing."""
-    counts = {
-        "done": len(survey.done), "failed": len(survey.failed), "missing": len(survey.missing),
-    }  # fmt: skip
-    return {"total": sum(counts.values()), **counts}
 
 
 # A run sheet for physical trials: every specimen under every condition, in random order.
@@ -527,7 +505,7 @@ def _chosen(
     """Choose cells one after the other, each as if those before it had been run."""
     from scipy.stats import qmc
 
-    ranges = [factor for factor in design.factors if factor.span is not None]
+    size = len(design.ranges)
     power = 1.0 if rule.until == "q2" else _SEARCHING
     unsure = [
         [Unsure(model.process, power) for name in names if name in models
@@ -537,8 +515,8 @@ def _chosen(
     # cells of each combination in the unit box, those without an answer too
     cells = [[cell.levels for cell in at_levels(design.treatments, labels)] for labels in places]
     made = [0.5 * (coded_settings(ranges_of(design), some) + 1.0) for some in cells]
-    points = [candidates(len(ranges), rule.seed + n) for n in range(len(places))]
-    at = qmc.Sobol(len(ranges), seed=rule.seed + len(places)).random_base2(REFERENCES)
+    points = [candidates(size, rule.seed + n) for n in range(len(places))]
+    at = qmc.Sobol(size, seed=rule.seed + len(places)).random_base2(REFERENCES)
     # where nothing could be fitted comes first: it needs runs most
     blind = [n for n, (_, names) in enumerate(fitted) if names and not unsure[n]]
     undecided = blind or [n for n, (_, names) in enumerate(fitted) if names]
@@ -558,7 +536,7 @@ def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float
     left = iter(point.tolist())
     return [
         share_of(factor.labels.index(labels[factor.name]), len(factor.labels))
-        if factor.span is None
+        if factor.name in labels
         else float(next(left))
         for factor in design.factors
     ]

@@ -106,21 +106,21 @@ def given(
     ``speed`` names ``parameters.speed`` where no factor is called so. The settings that are needed
     come with what is wrong where they are missing.
     """
-    factors = {factor.name: factor for factor in design.factors}
-    full = {n: f"parameters.{n}" for n in at if n not in factors}
-    at = {full[n] if full.get(n) in factors else n: setting for n, setting in at.items()}
-    labels = {n: str(at[n]) for n, f in factors.items() if f.span is None and n in at}
-    faults = unknown_factors(at, list(factors))
+    names, lists = [factor.name for factor in design.factors], design.lists
+    full = {n: f"parameters.{n}" for n in at if n not in names}
+    at = {full[n] if full.get(n) in names else n: setting for n, setting in at.items()}
+    labels = {n: str(at[n]) for n in lists if n in at}
+    faults = unknown_factors(at, names)
     faults += [fault for n, fault in (needed or {}).items() if n not in at]
     faults += [
-        Fault(n, f"has no level {label!r}", nearest(label, factors[n].labels))
+        Fault(n, f"has no level {label!r}", nearest(label, lists[n]))
         for n, label in labels.items()
-        if label not in factors[n].labels
+        if label not in lists[n]
     ]
     if faults:
         raise InputError(faults)
-    ranges = {n: f for n, f in factors.items() if f.span is not None and n in at}
-    return {n: number_in_unit(f, at[n]) for n, f in ranges.items()}, labels
+    spans = design.ranges.items()
+    return {n: number_in_unit(n, span.unit, at[n]) for n, span in spans if n in at}, labels
 
 
 def surfaces_of(study: StudyResult, response: str | None = None) -> tuple[FittedSurface, ...]:
@@ -140,12 +140,12 @@ def unknown_factors(at: Iterable[str], factors: Sequence[str]) -> list[Fault]:
     return [Fault(n, "no such factor", nearest(n, factors)) for n in at if n not in factors]
 
 
-def number_in_unit(factor: Factor, setting: Setting) -> Array:
-    """Read settings (m,) in the unit of the factor's range."""
-    kind, unit = overlay.dimension(factor.name), "" if factor.span is None else factor.span.unit
+def number_in_unit(name: str, unit: str, setting: Setting) -> Array:
+    """Read settings (m,) in the unit of a factor's range."""
+    kind = overlay.dimension(name)
     if not isinstance(setting, str):
         return np.atleast_1d(np.asarray(setting, dtype=np.float64))
-    with units.naming(factor.name):
+    with units.naming(name):
         if kind == overlay.ANY and unit:
             return np.array([units.converted(*units.split(setting), unit)])
         if kind is None or not unit:
@@ -181,10 +181,8 @@ def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> tupl
 
 def _is_of(record: Record, design: Design) -> bool:
     """Whether a record is of a setting of a design: numbers in its ranges, else its levels."""
-    factors = {factor.name: factor for factor in design.factors}
-    return factors.keys() == record.levels.keys() and all(
-        label in factors[name].labels or factors[name].span is not None
-        for name, label in record.levels.items()
+    return {factor.name for factor in design.factors} == record.levels.keys() and all(
+        record.levels[name] in labels for name, labels in design.lists.items()
     )
 
 

@@ -206,12 +206,13 @@ def after_plan(planned: Plan, design: Path, options: Options) -> tuple[str, str]
             "put the measurements there, or make some of virtual specimens",
             written("virtual", "measurements", options={"--from": design, "-s": options.get("-s")}),
         )
-    if planned.missing and planned.calls_function:
+    missing = planned.cases["missing"]
+    if missing and planned.calls_function:
         return (
             "compute what is missing, from Python",
             f'study.run("{design}", forward=FUNCTION, version="1")',
         )
-    if planned.missing:
+    if missing:
         allowed = {"--allow-digest": planned.digest or None}
         return "compute what is missing", written("run", design, options={**options, **allowed})
     return "everything is computed; the report again", written(

@@ -42,115 +42,92 @@ if TYPE_CHECKING:
 #: Flags as they were given; what was not given is None or empty.
 Flags = Mapping[str, str | None]
 
-FormulaText = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="FORMULA", help="'len ~ supp * dose': response, factors and model in one."
-    ),
-]
-Column = Annotated[str | None, typer.Option(help="Column of the response.")]
-Columns = Annotated[str, typer.Option(help="Columns of the factors, with commas.")]
-Blocks = Annotated[
-    str | None, typer.Option(help="Column of the blocks; two with a comma that cross.")
-]
-Unit = Annotated[
-    str | None, typer.Option(help="Column of the unit (specimen) that rows are repeats on.")
-]
-WholePlot = Annotated[
-    str | None, typer.Option(help="Factors that are set once for a whole plot of a block.")
-]
-Replicates = Annotated[
-    str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
-]
-Copies = Annotated[
-    str | None, typer.Option(help="Rows that repeat others in every digit: refuse, independent.")
-]
-Error = Annotated[
-    str | None,
-    typer.Option(help="auto, pooled, own, or reml: a mixed model, also for incomplete blocks."),
-]
-Random = Annotated[
-    str, typer.Option(help="With --error reml: factors whose effect differs between blocks.")
-]
-Covariates = Annotated[str, typer.Option(help="Columns of numbers that the response follows.")]
-ContrastsAsked = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--contrast", help="A difference of your own: 'model=stiff - model=soft'; repeatable."
-    ),
-]
-Welch = Annotated[
-    bool, typer.Option(help="A variance of its own for each cell: Welch, Games and Howell.")
-]
-Summary = Annotated[
-    str,
-    typer.Option(help="Columns of mean, standard deviation and number: each row is a group."),
-]
-Kind = Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")]
-Model = Annotated[
-    str | None,
-    typer.Option(help="full, the highest order of interaction, or terms with commas: A,B,A:B."),
-]
-Practical = Annotated[
-    str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
-]
-Transform = Annotated[str | None, typer.Option(help="none or log.")]
-Alpha = Annotated[
-    float | None, typer.Option(help="Size of the tests; intervals have the level 1 - alpha.")
-]
 Decimal = Annotated[str, typer.Option(help="Decimal mark of a CSV: . or ,")]
-Sheet = Annotated[str, typer.Option(help="Sheet of a workbook that has several.")]
-Reference = Annotated[
-    str | None, typer.Option(help="Level that the others are compared with (Dunnett).")
-]
-ReportFolder = Annotated[
-    Path | None, typer.Option("--report", help="Write the page, its figures and CSV here.")
-]
-Formats = Annotated[
-    str, typer.Option("--format", help="With --report: html, pdf, tex, csv, with commas.")
-]
 Numeric = Annotated[
     str, typer.Option(help="Columns of numeric factors: time,temp or 'time=80..90,temp log'.")
 ]
 Surface = Annotated[str, typer.Option(help="With --numeric: auto, quadratic, emulator, none.")]
 
 
-Source = Annotated[
-    Path,
-    typer.Argument(
-        help="Results of a study, or any tidy CSV.", autocompletion=output.studies_and_tables
-    ),
-]
-
-
 def analyze(
-    source: Source,
-    formula: FormulaText = None,
-    response: Column = None,
-    factors: Columns = "",
-    block: Blocks = None,
-    unit: Unit = None,
-    whole_plot: WholePlot = None,
-    replicates: Replicates = None,
-    copies: Copies = None,
-    error: Error = None,
-    welch: Welch = False,
-    kind: Kind = None,
-    model: Model = None,
-    practical: Practical = None,
-    transform: Transform = None,
-    alpha: Alpha = None,
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Results of a study, or any tidy CSV.", autocompletion=output.studies_and_tables
+        ),
+    ],
+    formula: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="FORMULA", help="'len ~ supp * dose': response, factors and model in one."
+        ),
+    ] = None,
+    response: Annotated[str | None, typer.Option(help="Column of the response.")] = None,
+    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")] = "",
+    block: Annotated[
+        str | None, typer.Option(help="Column of the blocks; two with a comma that cross.")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Column of the unit (specimen) that rows are repeats on.")
+    ] = None,
+    whole_plot: Annotated[
+        str | None, typer.Option(help="Factors that are set once for a whole plot of a block.")
+    ] = None,
+    replicates: Annotated[
+        str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
+    ] = None,
+    copies: Annotated[
+        str | None,
+        typer.Option(help="Rows that repeat others in every digit: refuse, independent."),
+    ] = None,
+    error: Annotated[
+        str | None,
+        typer.Option(help="auto, pooled, own, or reml: a mixed model, also for incomplete blocks."),
+    ] = None,
+    welch: Annotated[
+        bool, typer.Option(help="A variance of its own for each cell: Welch, Games and Howell.")
+    ] = False,
+    kind: Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="full, the highest order of interaction, or terms with commas: A,B,A:B."),
+    ] = None,
+    practical: Annotated[
+        str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
+    ] = None,
+    transform: Annotated[str | None, typer.Option(help="none or log.")] = None,
+    alpha: Annotated[
+        float | None, typer.Option(help="Size of the tests; intervals have the level 1 - alpha.")
+    ] = None,
     decimal: Decimal = ".",
-    sheet: Sheet = "",
-    reference: Reference = None,
-    report: ReportFolder = None,
-    formats: Formats = "",
+    sheet: Annotated[str, typer.Option(help="Sheet of a workbook that has several.")] = "",
+    reference: Annotated[
+        str | None, typer.Option(help="Level that the others are compared with (Dunnett).")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write the page, its figures and CSV here.")
+    ] = None,
+    formats: Annotated[
+        str, typer.Option("--format", help="With --report: html, pdf, tex, csv, with commas.")
+    ] = "",
     numeric: Numeric = "",
     surface: Surface = "auto",
-    random: Random = "",
-    covariates: Covariates = "",
-    contrast: ContrastsAsked = None,
-    summary: Summary = "",
+    random: Annotated[
+        str, typer.Option(help="With --error reml: factors whose effect differs between blocks.")
+    ] = "",
+    covariates: Annotated[
+        str, typer.Option(help="Columns of numbers that the response follows.")
+    ] = "",
+    contrast: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--contrast", help="A difference of your own: 'model=stiff - model=soft'; repeatable."
+        ),
+    ] = None,
+    summary: Annotated[
+        str,
+        typer.Option(help="Columns of mean, standard deviation and number: each row is a group."),
+    ] = "",
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:

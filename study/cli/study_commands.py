@@ -178,12 +178,12 @@ def _plan(planned: Plan) -> Iterator[Block]:
     if planned.overview.replicates is not None:
         yield Verbatim(f"replicates: {planned.overview.replicates.sentence}")
     cells = len(planned.overview.matrix)
-    if len(planned.blocks) > 1 and cells * len(planned.blocks) == planned.total:
+    if len(planned.blocks) > 1 and cells * len(planned.blocks) == planned.cases["total"]:
         yield Verbatim(
             f"{cells} cells in {len(planned.blocks)} blocks: a case is a cell in a block"
         )
-    yield Verbatim(case_counts(planned.counts))
-    if planned.missing and planned.fits:
+    yield Verbatim(case_counts(planned.cases))
+    if planned.cases["missing"] and planned.fits:
         calibrations = count(planned.fits, "calibration")
         yield Verbatim(f"{calibrations} to be made; each is shared by all cells that can")
     if planned.controls:

@@ -181,7 +181,7 @@ def test_several_specimens_come_before_noise_unless_asked(tmp_path: Path) -> Non
     told = plan(loads(text), data=tmp_path / "data", results=tmp_path / "results")
     assert any("the 2 blocks are the better error term" in w for w in told.warnings)
     assert told.to_json()["design"]["replicates"]["count"] == 20
-    assert told.done == 2 * 2 * 21
+    assert told.cases["done"] == 2 * 2 * 21
     asked = run(text.replace('error = "auto"', 'error = "replicates"'), tmp_path, specimens=2)
     assert asked.analyses[0].result is not None, asked.analyses[0].refused
     assert asked.analyses[0].result.error_term.source == "E2"

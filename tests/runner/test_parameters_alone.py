@@ -129,7 +129,7 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path,
     assert record.solver["program"]["steps"][0]["code"] == 0
     assert record.response("static") == pytest.approx(0.0625, rel=1e-12)
     again = api.plan(design, results=tmp_path / "results")
-    assert (again.done, again.missing) == (4, 0)
+    assert (again.cases["done"], again.cases["missing"]) == (4, 0)
     first = (tmp_path / "reports" / "spring" / "spring.html").read_text()
     page = (tmp_path / "reports" / "spring" / "spring-details.html").read_text()
     assert "2 kg" in page
@@ -226,7 +226,7 @@ def test_words_of_other_languages_are_names_of_parameters(tmp_path, name):
     (tmp_path / "spring.py").write_text("")
     text = text.replace('"input.txt.j2"', '"a.j2"') + FACTORS + DECLARED
     (tmp_path / "d.toml").write_text(text)
-    assert api.plan(tmp_path / "d.toml").total == 4
+    assert api.plan(tmp_path / "d.toml").cases["total"] == 4
 
 
 def test_a_file_that_goes_along_is_never_read_as_the_answer():

@@ -132,7 +132,7 @@ def test_the_table_arrives(home: Path) -> None:
 
 def test_a_plan_checks_the_surface_and_says_what_was_mended(home: Path) -> None:
     plan = api.plan(home / "design.toml", results=home / "results")
-    assert (plan.total, plan.missing) == (4, 4)
+    assert (plan.cases["total"], plan.cases["missing"]) == (4, 4)
     assert plan.memory_MB is not None
     assert plan.memory_MB > 0
     assert plan.warnings == ()

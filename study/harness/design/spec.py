@@ -171,6 +171,16 @@ class Design:
     #: The file's text, for the report; no part of the study's identity.
     text: str = field(default="", compare=False, repr=False)
 
+    @cached_property
+    def ranges(self) -> dict[str, Span]:
+        """Ranges of the factors that are numbers."""
+        return {f.name: f.span for f in self.factors if f.span is not None}
+
+    @cached_property
+    def lists(self) -> dict[str, tuple[str, ...]]:
+        """Labels of the factors that are no ranges."""
+        return {f.name: f.labels for f in self.factors if f.span is None}
+
     @property
     def asks_for_scores(self) -> bool:
         """Whether predicted curves are compared with measured ones."""

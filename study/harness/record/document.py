@@ -172,7 +172,8 @@ class ScoreDocument(TypedDict):
 class ManifestDocument(TypedDict, total=False):
     """What a study is: its design as text, its cases, its data, and how long it took.
 
-    ``cases`` maps case ids to input hashes, ``files`` names of measured files to their sha256,
+    ``cases`` maps case ids to input hashes, ``unit`` names what a block of runs from elsewhere is,
+    ``files`` maps names of measured files to their sha256,
     ``truths`` those of virtual specimens to how they were made; ``finished`` is False until a run
     came to its end.
     """
@@ -183,6 +184,7 @@ class ManifestDocument(TypedDict, total=False):
     source: Required[str]
     cases: Required[dict[str, str]]
     blocks: Required[list[str]]
+    unit: str
     notes: Required[list[str]]
     files: dict[str, str]
     virtual: Required[bool]

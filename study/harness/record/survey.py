@@ -106,6 +106,12 @@ class Survey:
     #: Name of the libraries that made each of ``done`` and ``failed``.
     made_with: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Cases: all, and those that are done, failed and missing."""
+        counted = {name: len(getattr(self, name)) for name in ("done", "failed", "missing")}
+        return {"total": sum(counted.values()), **counted}
+
 
 class StoredRecords(Mapping[str, Record]):
     """Records by the name of their case, each read when it is first asked for."""

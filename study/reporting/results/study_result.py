@@ -281,6 +281,14 @@ class ReportData:
         return math.prod(len(levels) for levels in self.factors.values()) - len(self.exclusions)
 
 
+def unit_of(design: Design, manifest: Mapping[str, Any]) -> str:
+    """Say what a block is: a column of the measurements or of imported runs, a marked state."""
+    spec = design.measurements
+    if spec is not None:
+        return spec.block or "block"
+    return manifest.get("unit") or ("state" if "markers" in design.config else "block")
+
+
 @dataclass(frozen=True)
 class StudyResult:
     """A study with everything that its records tell."""
@@ -329,9 +337,8 @@ class StudyResult:
     @cached_property
     def failure_pattern(self) -> FailurePattern:
         """What the failed cases share."""
-        spec = self.design.measurements
-        block = spec.block if spec is not None and spec.block else "block"
-        return failure_pattern(fates(self.design, self.records), block, self.design.seed)
+        unit = unit_of(self.design, self.manifest)
+        return failure_pattern(fates(self.design, self.records), unit, self.design.seed)
 
     @property
     def cases(self) -> dict[str, int]:
