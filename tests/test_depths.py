@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 import study
-from study.api.analyzing import effects_by_depth
 from study.ground.curve import Curve
-from study.harness.runner.record_analysis import effects_of_records
+from study.harness.runner.record_analysis import effects_by_depth, effects_of_records
 from study.reporting.results.study_result import StudyResult
-from study.statistics.analysis.anova_table import Effect
+from study.statistics.analysis.anova_table import DepthEffect, Effect
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from tests.cli.small import DESIGN, write_files
 from tests.reporting.example import build
@@ -32,6 +31,10 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     )
 
 
+def depths_of(study: StudyResult) -> tuple[DepthEffect, ...]:
+    return effects_by_depth(study.design, study.records, study.numerical)
+
+
 def error(measured: Curve, predicted: Curve, depth_mm: float) -> float:
     d = measured.displacement_mm
     inside = d <= depth_mm * (1 + 1e-9)
@@ -42,14 +45,14 @@ def error(measured: Curve, predicted: Curve, depth_mm: float) -> float:
 
 def test_whole_depth_is_the_study_itself(outcome: StudyResult) -> None:
     (own,) = [v for v in outcome.verdicts if v["factor"] == "material"]
-    row = effects_by_depth(outcome)[-1]
-    assert row.term == "material"
+    row = depths_of(outcome)[-1]
+    assert row.effect.term == "material"
     assert row.depth_mm == pytest.approx(6.0)
-    assert row.difference == pytest.approx(own["effect"], rel=1e-12)
+    assert row.effect.range == pytest.approx(own["effect"], rel=1e-12)
 
 
 def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
-    (row,) = [r for r in effects_by_depth(outcome) if r.depth_mm == pytest.approx(3.0)]
+    (row,) = [r for r in depths_of(outcome) if r.depth_mm == pytest.approx(3.0)]
     means = {
         level: np.mean(
             [
@@ -61,14 +64,14 @@ def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
         )
         for level in ("neo-hookean", "mooney-rivlin")
     }
-    assert row.difference == pytest.approx(max(means.values()) - min(means.values()), rel=1e-9)
-    assert row.highest == max(means, key=lambda level: means[level])
+    assert row.effect.range == pytest.approx(max(means.values()) - min(means.values()), rel=1e-9)
+    assert row.effect.highest == max(means, key=lambda level: means[level])
 
 
 def test_the_page_draws_it(outcome: StudyResult) -> None:
     from study.api.assemble import report_data
 
-    data = replace(report_data(outcome, {}), depths=effects_by_depth(outcome))
+    data = replace(report_data(outcome, {}), depths=depths_of(outcome))
     page = build(data)
     assert "A second look" in page
     assert "f-relative-rms-force-error-depth" in page
@@ -91,8 +94,8 @@ def test_verdicts_are_held_against_the_numerical_uncertainty(
         found.extend(e.u_num for e in effects if e.is_main)
         return effects
 
-    monkeypatch.setattr("study.api.analyzing.effects_of_records", noted)
-    effects_by_depth(replace(outcome, numerical=(rough,)))
+    monkeypatch.setattr("study.harness.runner.record_analysis.effects_of_records", noted)
+    effects_by_depth(outcome.design, outcome.records, (rough,))
     # an order of .7 and a factor of 3 bound the finer mesh, whose distance is 50; a cell that was
     # not refined is taken to be at most three times as far off, on either side of a difference
     of_one = 3 * 50 / (2**0.7 - 1) + 50

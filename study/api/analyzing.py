@@ -10,20 +10,16 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
-import numpy as np
-
 import study
 from study import api
 from study.api.folders import is_table
 from study.ground.bounded_file import sha256_of
 from study.ground.canonical import Keyed
-from study.ground.curve import Curve
-from study.ground.errors import Fault, InputError, StudyError, nearest
+from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import NUMBER, TYPED_COMMA, names_of, read_csv, read_tidy_csv
 from study.harness.design.study_file import SCORED, ResponseSpec
 from study.harness.runner.expansion import held_out
-from study.harness.runner.record_analysis import analyze_records, effects_of_records
-from study.harness.runner.response import CURVE_RESPONSES
+from study.harness.runner.record_analysis import analyze_records
 from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
 from study.reporting.output.analysis_page import write_analysis
@@ -32,7 +28,6 @@ from study.reporting.results.study_result import (
     FITTED_CURVE,
     OTHER_SPECIMEN,
     OTHER_TEST,
-    DepthEffect,
     ReportData,
     ResponseAnalysis,
 )
@@ -47,7 +42,6 @@ from study.statistics.analysis.comparisons import (
 )
 from study.statistics.analysis.linear_model import Formula, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
-from study.statistics.analysis.post_hoc import dunnett, dunnett_of_model, dunnett_over_groups
 from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 
 if TYPE_CHECKING:
@@ -55,62 +49,10 @@ if TYPE_CHECKING:
 
     from study.harness.design.spec import Design
     from study.harness.design.study_file import Analysis as analysis_Analysis
-    from study.harness.record.record import Record
     from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
-    from study.reporting.results.study_result import StudyResult
     from study.statistics.analysis.analysis_request import AnovaOptions, Practical
     from study.statistics.analysis.linear_model import Model
-
-
-# Levels of a factor compared with one of them.
-
-
-def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Comparisons]:
-    """Compare all levels of a factor with one of them (Dunnett 1955)."""
-    named, _, level_name = level.rpartition("=")
-    levels = {e.term: e.levels for e in analysis.effects if e.term in analysis.request.factors}
-    holding = [
-        f for f, its_levels in levels.items() if level_name in its_levels and named in ("", f)
-    ]
-    if len(holding) != 1:
-        every = [name for its_levels in levels.values() for name in its_levels]
-        rule = "is a level of several factors" if holding else "is no level of a factor"
-        mend = f"write {holding[0]}={level_name}" if holding else nearest(level_name, every)
-        raise InputError(Fault("--reference", f"{level_name!r} {rule}", mend))
-    factor = holding[0]
-    effect, row = analysis.effect(factor), analysis.anova.row(factor)
-    alpha, seed = analysis.request.alpha, analysis.request.seed
-    if row.error == "residual" and row.df_error and effect.pairs:
-        return factor, dunnett_of_model(effect, level_name, row.df_error, alpha, seed)
-    compared = _of_rows(analysis, factor, level_name)
-    return factor, compared.as_ratios() if analysis.request.scale.is_log else compared
-
-
-def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Comparisons:
-    """Compare levels by their rows, or by their means in each block, on the analyzed scale."""
-    alpha, seed = analysis.request.alpha, analysis.request.seed
-    rows = analysis.data.residuals
-    if analysis.request.scale.is_log:
-        rows = rows.assign(response=np.log(rows["response"]))
-    if analysis.data.block is not None:
-        means = rows.pivot_table("response", "block", factor, sort=False).dropna()
-        if len(means) < 2:
-            rule = "two blocks at least need a value at every level"
-            raise InputError(Fault("blocks", rule, "leave incomplete levels out"))
-        values = {str(name): means[name].to_numpy() / len(means) for name in means.columns}
-        blocks = [np.arange(len(means))]
-        return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
-    if analysis.request.error != "welch":
-        groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
-        return dunnett(groups, reference, alpha, seed)
-    cells = [np.asarray(at) for at in rows.groupby("cell", sort=False).indices.values()]
-    level, y = rows[factor].astype(str).to_numpy(), rows["response"].to_numpy()
-    share = np.zeros(len(rows))
-    for cell in cells:  # a level is the mean of the means of its cells
-        share[cell] = 1 / cell.size / sum(level[other[0]] == level[cell[0]] for other in cells)
-    values = {name: (y - y[0]) * share * (level == name) for name in dict.fromkeys(level)}
-    return dunnett_over_groups(values, reference, cells, "Dunnett by Welch", alpha, seed)
 
 
 # Write the page of one analysis: of a CSV, a table, or a study's records.
@@ -473,86 +415,6 @@ def asked_of(formula: Formula) -> AnovaOptions:
     if formula.transform != "none":
         options["transform"] = formula.transform
     return options
-
-
-# The same analysis over less of the test, to see whether the answer depends on its depth.
-#
-# Every case keeps its measured and its predicted curve, so that a response over the first part
-# of the range costs no simulation. The constants are those of the whole study. Verdicts are held
-# against numerical uncertainty as the study's own are: where meshes are a factor it is followed
-# at each depth, elsewhere it is that of the whole test.
-
-#: shares of the displacement that are looked at; the last one is the study itself
-SHARES = (0.25, 0.5, 0.75, 1.0)
-
-#: measured points that a response needs at least
-_FEWEST = 5
-
-
-def effects_by_depth(study: StudyResult) -> tuple[DepthEffect, ...]:
-    """Largest difference of every main effect over the first part of the test."""
-    of_curves = [r for r in study.design.responses if r.name in CURVE_RESPONSES]
-    reached = [
-        measured.displacement_mm
-        for record in study.records
-        if record.converged
-        for _, measured in _pairs(record)
-    ]
-    ends = [float(places[-1]) for places in reached]
-    # without a displacement that every curve reaches, to 2 %, there is nothing to compare
-    if not of_curves or not ends or max(ends) > 1.02 * min(ends):
-        return ()
-    depth = min(ends)
-    shares = [
-        s
-        for s in SHARES
-        if min(int((at <= s * depth * (1 + 1e-9)).sum()) for at in reached) >= _FEWEST
-    ]
-    if len(shares) < 2:
-        return ()
-    return tuple(
-        row
-        for share in shares
-        for response in of_curves
-        for row in _effects(study, response, share * depth)
-    )
-
-
-def _pairs(record: Record) -> Iterator[tuple[Curve, Curve]]:
-    for fact in record.scores:
-        if (pair := record.pair(fact["score"])) is not None:
-            measured, predicted = pair
-            yield predicted, measured
-
-
-def _effects(study: StudyResult, response: ResponseSpec, depth_mm: float) -> Iterator[DepthEffect]:
-    records = [_rescored(record, response.name, depth_mm) for record in study.records]
-    try:
-        effects = effects_of_records(study.design, records, response, study.numerical)
-    except StudyError:
-        return  # the study's own analysis says why
-    for e in effects:
-        if e.is_main and e.range is not None:
-            yield DepthEffect(
-                response.name, e.term, depth_mm, e.range, e.low, e.high, e.practical, e.verdict,
-                e.highest,
-            )  # fmt: skip
-
-
-def _rescored(record: Record, name: str, depth_mm: float) -> Record:
-    """Record whose response covers the first part of its curves only."""
-    if not record.converged:
-        return record
-    values = []
-    for predicted, measured in _pairs(record):
-        inside = measured.displacement_mm <= depth_mm * (1 + 1e-9)
-        part = Curve(measured.displacement_mm[inside], measured.force_N[inside])
-        values.append(CURVE_RESPONSES[name](predicted, part))
-    if not values:
-        return record
-    entry = record.responses[name].copy()
-    entry["value"] = sum(values) / len(values)
-    return replace(record, responses={**record.responses, name: entry})
 
 
 # Tests that are adjusted together: those of a response, those declared, those of a whole study.

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from study.api.folders import RESULTS, design_root, results_folder
 from study.api.opened_study import load as load_study
-from study.ground.bounded_file import read_json
-from study.ground.canonical import Keyed, digest
-from study.ground.errors import Fault, InputError, MissingDataError, RefusedError, nearest
-from study.harness.design.load import dump, load, loads
+from study.ground.canonical import Keyed
+from study.ground.errors import Fault, InputError, MissingDataError, nearest
+from study.harness.design.load import load, loads
 from study.harness.record.document import ManifestDocument
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.record.survey import differences
+from study.harness.runner.batch import manifest_of, read_truths
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import TRUTH_SUFFIX, Work
 from study.harness.runner.provenance import versions
 from study.reporting.content.comparison_content import summary
 from study.reporting.results import study_answers
@@ -446,99 +444,3 @@ def _truth(study: StudyResult) -> dict[str, str]:
     if first is not None and all(truth == first for truth in sources.values()):
         return dict(_leaves(first, "truth"))
     return {k: v for name, truth in sources.items() for k, v in _leaves(truth, f"truth of {name}")}
-
-
-def read_truths(root: Path, files: Mapping[str, str]) -> dict[str, Any]:
-    """How the virtual specimens of measurement files were made, by name of the file."""
-    notes = {name: root / f"{name}{TRUTH_SUFFIX}" for name in files}
-    return {
-        name: cast("dict[str, Any]", read_json(path))
-        for name, path in notes.items()
-        if path.is_file()
-    }
-
-
-def manifest_of(work: Work) -> ManifestDocument:
-    """Say what a study is, before anything of it is computed."""
-    return {
-        "name": work.design.name,
-        "design": dump(work.design),
-        "text": work.design.text,
-        "source": Path(work.design.source).name,
-        "cases": work.input_hashes,
-        "blocks": list(work.blocks),
-        "notes": list(work.data.notes()),
-        "files": work.data.files(),
-        "virtual": work.virtual,
-        "truths": read_truths(work.data.root, work.data.files()),
-        "versions": versions(),
-        "timings": {},
-    }
-
-
-# Results of other libraries, other code or another mesh: used, refused or computed again.
-
-REFUSE = "refuse"
-WARN = "warn"
-RERUN = "rerun"
-CHOICES = (REFUSE, WARN, RERUN)
-
-_MEND = (
-    "    --stale warn goes on with what still counts, --stale rerun computes again what does not"
-)
-
-
-def check_choice(stale: str) -> None:
-    """Refuse a word that is none of :data:`CHOICES`."""
-    if stale not in CHOICES:
-        raise InputError(Fault("stale", f"there is no choice {stale!r}", nearest(stale, CHOICES)))
-
-
-def check_stale(work: Work, store: Store, stale: str) -> list[str]:
-    """Decide what becomes of results that would come out of other code or libraries today.
-
-    Those of another design, other data or other code of this package have another key and never
-    count; those of other libraries count unless they are to be computed again.
-    """
-    now = versions()
-    others = [change.sentence for change in store.other_libraries(work.input_hashes, now)]
-    store.made_with(now, strict=stale == RERUN)
-    if stale == REFUSE:
-        foreign = len(store.survey(work.input_hashes).foreign)
-        if foreign:
-            others.append(f"{foreign} results have another input: study why CASE names it")
-        if others:
-            listed = "\n".join(f"    {change}" for change in others)
-            raise RefusedError(
-                f"{store.path}: its results are not those of today:\n{listed}\n{_MEND}"
-            )
-    if stale == RERUN:
-        return []
-    return [
-        f"{change}; they are used, and study run --stale rerun makes them again"
-        for change in others
-    ]
-
-
-def mixed_meshes(work: Work, store: Store) -> list[str]:
-    """Warn of cells whose meshes should be one and are not: the work of another gmsh or machine."""
-    meshes = store.meshes(work.input_hashes)
-    meshes_of: dict[str, set[str]] = defaultdict(set)
-    labels: dict[str, str] = {}
-    for job in work.jobs:
-        mesh = meshes.get(job.case.case_id)
-        if mesh is not None:
-            fits = [() if pair.fit is None else pair.fit.measured for pair in job.directions]
-            fitted = [[float(curve.displacement_mm.max()) for curve in curves] for curves in fits]
-            scored = [pair.depth_mm for pair in job.directions]
-            name = digest([job.case.cell.content_key, job.forward, scored, fitted], 32)
-            meshes_of[name].add(mesh)
-            labels.setdefault(name, job.case.label)
-    mixed = [labels[name] for name, several in meshes_of.items() if len(several) > 1]
-    if not mixed:
-        return []
-    more = f" and {len(mixed) - 1} more" if len(mixed) > 1 else ""
-    return [
-        f"{mixed[0]}{more}: the cases of this cell were computed on different meshes, by another "
-        "gmsh or on another machine; study run --stale rerun makes them again on one"
-    ]

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
-import pandas as pd
 
 from study.api.analyzing import analyze
 from study.api.folders import RESULTS, design_root, load_design
@@ -21,10 +18,8 @@ from study.harness.runner.tasks import default_jobs
 from study.statistics.analysis import linear_contrast
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.analysis_result import AnalysisResult
-from study.statistics.analysis.effects import Scale
-from study.statistics.analysis.incomplete_blocks import mixed_cells
-from study.statistics.analysis.linear_contrast import Cells, Contrast
-from study.statistics.analysis.linear_model import CellLayout
+from study.statistics.analysis.linear_contrast import Contrast
+from study.statistics.analysis.post_hoc import cells_of
 from study.statistics.analysis.power import PlannedVerdicts, fewest_blocks, planned_verdicts
 
 
@@ -50,51 +45,7 @@ def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contra
         For a factor or level that does not exist, or a setting without a row.
     """
     asked = [asked] if isinstance(asked, str) else list(asked)
-    return linear_contrast.contrasts(_cells(found), asked)
-
-
-def _cells(analysis: AnalysisResult) -> Cells:
-    """Rows of an analysis on its scale, with what matters."""
-    request, rows = analysis.request, analysis.data.residuals
-    values = rows["response"].to_numpy(dtype=float)
-    log, mean = request.scale.is_log, analysis.data.grand_mean
-    limit, unit = request.scale.practical, 1 / mean if log else 1.0
-    practical = None if limit is None else limit.on_scale(mean, request.scale.transform)
-    bound = request.scale.bound([e.term for e in analysis.effects], unit)
-    # blocks are specimens where they are no seeds of a mesh and no refits to resampled noise
-    resampled = analysis.error_term.source == "E2"
-    specimens = request.specimens
-    if specimens is None and "block" in rows and analysis.error_term.source not in ("E2", "E3"):
-        specimens = rows["block"].nunique()
-    scale = Scale(request.scale.transform, practical, bound, False, unit, specimens)
-    levels = {e.term: e.levels for e in analysis.effects if e.is_main}
-    table = rows.assign(y=np.log(values) if log else values)
-    cells = Cells(table, levels, scale, request.alpha, request.seed, resampled)
-    if all(row.error != "REML" for row in analysis.anova.rows):
-        return cells
-    of_all = {**levels, "block": tuple(dict.fromkeys(table["block"]))}
-    codes = {name: pd.Categorical(table[name], of_all[name]).codes.astype(np.int64)
-             for name in of_all}  # fmt: skip
-    terms = [tuple(e.term.split(":")) for e in analysis.effects]
-    model, *_ = mixed_cells(
-        CellLayout(of_all, codes),
-        terms,
-        "block",
-        table["y"].to_numpy(),
-        request.alpha,
-        request.seed,
-        request.layout.whole_plot,
-    )
-    return cells if model is None else replace(cells, estimate=model.between)
-
-
-def with_contrasts(analysis: AnalysisResult, texts: Sequence[str]) -> AnalysisResult:
-    """Give a result the differences that its design declares."""
-    if not texts:
-        return analysis
-    together, faults = linear_contrast.possible_contrasts(_cells(analysis), texts)
-    notes = [f"{fault.where}: {fault.rule}" for fault in faults]
-    return replace(analysis, contrasts=together).noted(*notes)
+    return linear_contrast.contrasts(cells_of(found), asked)
 
 
 # What a number of specimens can show, before they are tested: probability of a claim, and cost.

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 
 from study.api.analyzing import adjusted, scored_on
 from study.api.assemble import report_data
-from study.api.contrast_power import with_contrasts
-from study.api.fitting_surfaces import SEE_SURFACE, is_numeric, surfaces
 from study.api.folders import RESULTS, finished_manifest, results_folder
 from study.api.predicting import joined
 from study.ground.errors import Fault, InputError, StudyError, nearest
@@ -29,7 +27,13 @@ from study.harness.record.document import (
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.expansion import cases_by_id, relabeled
-from study.harness.runner.record_analysis import analyze_records
+from study.harness.runner.imported_runs import write_runs
+from study.harness.runner.record_analysis import (
+    SEE_SURFACE,
+    analyze_records,
+    is_numeric,
+    surfaces,
+)
 from study.harness.runner.study_uncertainty import stored_numerical
 from study.mechanics.measurement.conditioning import is_caution
 from study.reporting.content import (
@@ -47,6 +51,7 @@ from study.reporting.content.text import THIN, case_counts
 from study.reporting.output.page import Shown
 from study.reporting.results.study_result import ResponseAnalysis, StudyResult, unit_of
 from study.statistics.analysis.analysis_request import threshold
+from study.statistics.analysis.post_hoc import with_contrasts
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
@@ -197,6 +202,33 @@ def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bo
         validation=tuple(comparisons),
         spaces=tuple(spaces), surfaces=fitted, adaptive=tuple(steps),
     )  # fmt: skip
+
+
+def import_runs(
+    path: str | Path,
+    factors: str | Sequence[str],
+    responses: str | Sequence[str],
+    *,
+    numeric: str | Sequence[str] = (),
+    failed: str | None = None,
+    block: str | None = None,
+    name: str | None = None,
+    decimal: str = ".",
+    practical: str = "",
+    results: str | Path = RESULTS,
+) -> Study:
+    """Make a study of a table of runs, one row a run; rows of equal levels are replicates.
+
+    Columns are a sequence or a text with commas. A response may be ``name=unit``, and
+    ``practical`` says which difference of it matters: ``peak=1 N,work=5 % of mean``. Columns of
+    ``numeric`` (``speed,temp log``) are factors over the range of their settings: the study gets
+    surfaces, which predict, optimize and invert read, in place of tables of levels. The column
+    ``failed`` holds a status, a reason, or nothing (also 0, no, false, ok) for runs with an answer.
+    """
+    return load(write_runs(
+        path, factors, responses, numeric=numeric, failed=failed, block=block, name=name,
+        decimal=decimal, practical=practical, results=results,
+    ))  # fmt: skip
 
 
 def different_answers(design: Design, records: Sequence[Record]) -> list[str]:

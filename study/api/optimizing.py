@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.fitting_surfaces import at_levels, coded_settings, fit_surface, ranges_of
 from study.api.folders import RESULTS, is_table
 from study.api.predicting import (
     Permission,
     confirm,
+    fit_surface,
     given,
     joined,
     opened,
@@ -30,6 +30,7 @@ from study.harness.design import overlay
 from study.harness.design.questions import usual_value
 from study.harness.record.record import is_repeat
 from study.harness.record.store import Store
+from study.harness.runner.record_analysis import at_levels, coded_settings, ranges_of
 from study.mechanics.calibration.serial_correlation import effective_rows
 from study.reporting.results.study_answers import (
     Bound,
@@ -52,11 +53,11 @@ from study.statistics.surfaces.surface_optimum import (
 from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
 
 if TYPE_CHECKING:
-    from study.api.fitting_surfaces import Surface
     from study.api.predicting import Setting
     from study.ground.arrays import Array
     from study.harness.record.record import Record
     from study.reporting.results.study_result import StudyResult
+    from study.statistics.surfaces.surface_fitting import Surface
     from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
 

@@ -14,18 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from study import api
 from study.api.comparison import run_changes
-from study.api.fitting_surfaces import (
-    at_levels,
-    coded_settings,
-    difference_of,
-    labels_of,
-    ranges_of,
-    runs_at,
-)
 from study.api.folders import (
     RESULTS,
     design_root,
@@ -33,42 +24,27 @@ from study.api.folders import (
     load_design,
     results_folder,
 )
-from study.ground.arrays import Array
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.generators import d_optimal, efficiency
-from study.harness.design.layout_kinds import share_of, words_of
-from study.harness.design.load import dump, loads
+from study.harness.design.layout_kinds import words_of
 from study.harness.design.overview import Overview, overview
 from study.harness.design.spec import Design
-from study.harness.design.study_file import Sequential
 from study.harness.external.command import common_digest
-from study.harness.record.document import AdaptiveStep
 from study.harness.record.record import write_csv
 from study.harness.record.store import Store
+from study.harness.runner.adaptive_cells import continued
 from study.harness.runner.batch import missing, open_fits
 from study.harness.runner.cost import Costs, program_calls
-from study.harness.runner.expansion import expand, relabeled
+from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import externals
-from study.harness.runner.provenance import code_version
 from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
 from study.harness.runner.tasks import default_jobs
 from study.mechanics.setup.declaration import Bad
-from study.statistics.surfaces.emulator import (
-    REFERENCES,
-    BlockedEmulator,
-    Emulator,
-    Unsure,
-    candidates,
-    fit_own,
-    next_run,
-)
-from study.statistics.surfaces.surface_result import analysis_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.record.record import Record
     from study.harness.record.store import Store
     from study.harness.runner.batch import Progress
     from study.harness.runner.job import Work
@@ -350,196 +326,6 @@ def run_sheet(
             raise InputError(Fault(str(path), "exists; a sheet that is in use is not overwritten"))
         write_csv(sheet, Path(path))
     return sheet
-
-
-# Cells that a run has added to its design, kept in the design that it stores.
-
-
-def continued(design: Design, store: Store) -> Design:
-    """Design with the cells that an earlier run of it has added."""
-    if design.scheme.sequential is None:
-        return design
-    manifest = store.read_unfinished() or store.read_manifest()
-    if manifest is None or manifest.get("versions", {}).get("study") != code_version():
-        return design
-    try:
-        design_then = loads(manifest["design"], manifest["source"])
-    except InputError:
-        return design
-    same = dump(with_added(design_then, ())) == dump(with_added(design, ()))
-    return with_added(design, added(design_then)) if same else design
-
-
-def _table(design: Design) -> Mapping[str, object]:
-    written = design.config["design"]
-    return written if isinstance(written, Mapping) else {}
-
-
-def added(design: Design) -> list[list[float]]:
-    """Cells that were added, as they stand in the design."""
-    cells = _table(design).get("added", ())
-    return [list(cell) for cell in cells] if isinstance(cells, list | tuple) else []
-
-
-def with_added(design: Design, cells: Sequence[Sequence[float]]) -> Design:
-    """Copy of a design with other cells added to its Latin hypercube."""
-    table = {key: value for key, value in _table(design).items() if key != "added"}
-    if cells:
-        table["added"] = [list(cell) for cell in cells]
-    text = dump(replace(design, config={**design.config, "design": table}))
-    return replace(loads(text, design.source), text=design.text)
-
-
-#: name of the list of what was known at every step
-HISTORY = "adaptive"
-
-#: responses that say what a run costs: nobody learns them
-_COSTS = ("seconds", "dofs")
-
-#: exponent of the misfit where a verdict is sought, which the largest misfit decides
-_SEARCHING = 2.0
-
-
-#: emulators of the responses at one combination of the other levels, and names of open responses
-_Fitted = tuple[dict[str, Emulator | BlockedEmulator], list[str]]
-
-
-def run_adaptive(
-    work: Work,
-    store: Store,
-    compute: Callable[[Work], int],
-    expanded: Callable[[Design], Work],
-    note: Callable[[Work], None],
-) -> tuple[Work, int]:
-    """Compute the cells of a design, and those that are added to it, until it says enough."""
-    computed = compute(work)
-    if work.design.scheme.sequential is None:
-        return work, computed
-    size = len(work.design.treatments)
-    history_rows = store.read_rows(HISTORY, AdaptiveStep)
-    history: list[object] = [row for row in history_rows if row["cells"] < size]
-    while True:
-        # digits of an emulator must not depend on the threads of the machine
-        with threadpool_limits(1):
-            cases = {job.case.case_id: job.case for job in work.jobs}
-            records = relabeled(store.records(work.input_hashes), work.design, cases)
-            chosen, step = next_cells(work.design, records)
-        history.append(step)
-        with store.lock():
-            store.write_json(HISTORY, history)
-        if not chosen:
-            return work, computed
-        work = expanded(with_added(work.design, [*added(work.design), *chosen]))
-        note(work)
-        computed += compute(work)
-
-
-def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[float]], AdaptiveStep]:
-    """Choose the cells that make the emulators of a design surest."""
-    rule = design.scheme.sequential
-    if rule is None:
-        raise ValueError("the design is not adaptive")
-    places = labels_of(design)
-    fitted = [_fit(design, rule, labels, records) for labels in places]
-    size = len(design.treatments)
-    errors: dict[str, float] = {}
-    for models, _ in fitted:
-        for name, model in models.items():
-            errors[name] = min(errors.get(name, 1.0), float(model.q2))
-    unknown = list(dict.fromkeys(name for _, names in fitted for name in names))
-    step: AdaptiveStep = {"cells": size, "q2": {**errors}, "open": unknown, "stopped": ""}
-    free = min(rule.batch, rule.budget - size)
-    step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
-    return ([] if step["stopped"] else _chosen(design, rule, places, fitted, free)), step
-
-
-def _end(rule: Sequential, step: AdaptiveStep, free: int, answered: bool) -> str:
-    """Say why no cell is added; nothing where some are."""
-    if not answered:
-        return "no cell has an answer"
-    if not step["open"]:
-        goal = f"the Q2 of every response is at least {rule.q2:g}"
-        return goal if rule.until == "q2" else "every factor has a verdict"
-    return "" if free > 0 else f"the budget of {rule.budget} cells is spent"
-
-
-def _fit(
-    design: Design, rule: Sequential, labels: Mapping[str, str], records: Sequence[Record]
-) -> _Fitted:
-    """Fit every response at one combination of levels, and say which is not known well enough."""
-    models: dict[str, Emulator | BlockedEmulator] = {}
-    still = []
-    for response in design.responses:
-        if response.name in _COSTS:
-            continue
-        try:
-            runs = runs_at(design, response.name, labels, records)
-            if np.ptp(runs.response) <= 1e-12 * float(np.abs(runs.response).max()):
-                continue  # the same in every run: known
-            model = models[response.name] = fit_own(runs)
-            practical = difference_of(response.practical, runs.response)
-            is_good = _is_known(model, practical, rule)
-        except StudyError:  # without a surface it is not known
-            is_good = False
-        if not is_good:
-            still.append(response.name)
-    return models, still
-
-
-def _is_known(model: Emulator | BlockedEmulator, practical: float | None, rule: Sequential) -> bool:
-    """Whether a response is known as well as the design asks for."""
-    if rule.until == "q2" or practical is None:
-        return bool(model.q2 >= rule.q2)
-    sensitivity = analysis_of(model, practical).sensitivity
-    verdicts = [None if item.range is None else item.range.verdict for item in sensitivity]
-    return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
-
-
-def _chosen(
-    design: Design,
-    rule: Sequential,
-    places: Sequence[Mapping[str, str]],
-    fitted: Sequence[_Fitted],
-    count: int,
-) -> list[list[float]]:
-    """Choose cells one after the other, each as if those before it had been run."""
-    from scipy.stats import qmc
-
-    size = len(design.ranges)
-    power = 1.0 if rule.until == "q2" else _SEARCHING
-    unsure = [
-        [Unsure(model.process, power) for name in names if name in models
-         for model in models[name].each]
-        for models, names in fitted
-    ]  # fmt: skip
-    # cells of each combination in the unit box, those without an answer too
-    cells = [[cell.levels for cell in at_levels(design.treatments, labels)] for labels in places]
-    made = [0.5 * (coded_settings(ranges_of(design), some) + 1.0) for some in cells]
-    points = [candidates(size, rule.seed + n) for n in range(len(places))]
-    at = qmc.Sobol(size, seed=rule.seed + len(places)).random_base2(REFERENCES)
-    # where nothing could be fitted comes first: it needs runs most
-    blind = [n for n, (_, names) in enumerate(fitted) if names and not unsure[n]]
-    undecided = blind or [n for n, (_, names) in enumerate(fitted) if names]
-    chosen = []
-    for turn in range(count):
-        nexts = [(n, *next_run(unsure[n], points[n], at, made[n])) for n in undecided]
-        if blind:
-            nexts = [nexts[turn % len(nexts)]]
-        n, best, _ = max(nexts, key=lambda item: item[2])
-        made[n] = np.vstack([made[n], points[n][best]])
-        chosen.append(_cell(design, places[n], points[n][best]))
-    return chosen
-
-
-def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float]:
-    """Shares of all factors of a cell, in their order."""
-    left = iter(point.tolist())
-    return [
-        share_of(factor.labels.index(labels[factor.name]), len(factor.labels))
-        if factor.name in labels
-        else float(next(left))
-        for factor in design.factors
-    ]
 
 
 # Further cells for a fraction that leaves a doubt: those that tell more terms apart.

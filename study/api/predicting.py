@@ -1,18 +1,20 @@
-"""The verb predict: what a response will be at settings that were not run."""
+"""Surfaces of a table, and what those of a study predict at settings that were not run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict, Unpack, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from study import api
+from study.api.analyzing import AnalysisSource, data_of_table
 from study.api.folders import RESULTS, design_root
-from study.ground import units
+from study.ground import tabular, units
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, RefusedError, nearest
 from study.harness.design import overlay
@@ -25,14 +27,32 @@ from study.harness.runner.batch import Progress, run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import NOTHING, Allowed
 from study.harness.runner.provenance import code_version
+from study.harness.runner.record_analysis import SEE_SURFACE
 from study.harness.runner.tasks import processes
+from study.reporting.results.study_result import ReportData, ResponseAnalysis
+from study.statistics.surfaces.emulator import LARGEST, expected_seconds
 from study.statistics.surfaces.surface_factors import NumericFactor
+from study.statistics.surfaces.surface_fitting import (
+    Surface,
+    compared,
+    difference_of,
+    kind_of,
+    noted,
+    places_of,
+    runs_of,
+    some_runs,
+    surfaces_at,
+)
+from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from study.ground.arrays import Array
     from study.harness.record.record import Record
     from study.reporting.results.study_result import StudyResult
-    from study.statistics.surfaces.surface_profile import FittedSurface
+    from study.statistics.surfaces.surface_factors import Runs
     from study.statistics.surfaces.surface_result import SurfacePrediction
 
 
@@ -243,3 +263,174 @@ def confirm(
     with store.lock():
         store.write_json(CONFIRMED, rows)
     return tuple(stored)
+
+
+# Surfaces over the numeric factors of a table.
+
+#: seconds from which a fit is announced
+LONG = 5.0
+
+
+class SurfaceOptions(TypedDict, total=False):
+    """Keywords of :func:`fit_surfaces`, where they are described."""
+
+    surface: Surface
+    block: str | None
+    practical: float | str | None
+    decimal: str
+    announce: Callable[[str], None] | None
+
+
+def fit_surface(
+    source: str | Path, response: str, numeric: Sequence[str], **options: Unpack[SurfaceOptions]
+) -> SurfaceAnalysis:
+    """Fit a response over numeric factors, and say what they do.
+
+    Parameters
+    ----------
+    source : str or Path
+        CSV with one row a run.
+    response : str
+        Column of the response; rows without one are left out, and that is said.
+    numeric : sequence of str
+        Columns of the factors: ``"time"``, ``"time=80..90"`` for the settings that are coded -1
+        and 1 (those of the runs if left out), ``"time log"`` to code the logarithm.
+    **options : optional
+        As for :func:`fit_surfaces`: ``surface``, ``block``, ``practical``, ``decimal``,
+        ``announce``.
+
+    Returns
+    -------
+    SurfaceAnalysis
+        The model, what it says of every factor, and ``predict``.
+
+    Raises
+    ------
+    InputError
+        Naming file, row and column, all faults at once.
+    RefusedError
+        If the runs cannot carry what is asked.
+    """
+    alone = fit_surfaces(source, response, numeric, (), **options)
+    # without labels there is one, and what keeps it from being fitted is raised
+    return next(fitted.found for fitted in alone if fitted.found is not None)
+
+
+def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
+    source: str | Path,
+    response: str,
+    numeric: Sequence[str],
+    factors: Sequence[str],
+    *,
+    surface: Surface = "auto",
+    block: str | None = None,
+    practical: float | str | None = None,
+    decimal: str = ".",
+    announce: Callable[[str], None] | None = None,
+) -> tuple[FittedSurface, ...]:
+    """Fit a response over numeric factors at every combination of labels, and compare these.
+
+    Where runs are few at each combination one emulator is fitted to all of them, if it predicts
+    left-out runs better.
+
+    Parameters
+    ----------
+    source : str or Path
+        CSV with one row a run.
+    response : str
+        Column of the response; rows without one are left out, and that is said.
+    numeric : sequence of str
+        Columns of the factors that are numbers, as of :func:`fit_surface`; the ranges are those of
+        all runs.
+    factors : sequence of str
+        Columns of the factors that are labels.
+    surface : {"auto", "quadratic", "emulator", "none"}
+        By itself an emulator for more than five factors, or settings that fill the box.
+    block : str, optional
+        Column of the blocks; a quadratic needs a run of each at every setting, an emulator three
+        blocks.
+    practical : float or str, optional
+        Smallest difference that matters: a number, or "5 % of mean" of all runs.
+    decimal : {".", ","}
+        Decimal mark of the file.
+    announce : callable, optional
+        Told beforehand what a long fit will cost.
+
+    Returns
+    -------
+    tuple of FittedSurface
+        One a combination that has runs, the last factor changing fastest.
+
+    Raises
+    ------
+    InputError
+        Naming file, row and column.
+    RefusedError
+        If no combination can carry a surface.
+    """
+    kinds = [word for word in get_args(Surface) if word != "none"]
+    if surface not in kinds:
+        mend = nearest(surface, kinds) if surface != "none" else "leave --numeric out for a table"
+        raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
+    table = tabular.read_csv(
+        Path(source), numbers=[response], decimal=decimal, declared_by=tabular.TYPED_COMMA
+    ).without_units([response])
+    runs, answered, notes = runs_of(table, response, numeric, block)
+    places, rows = places_of(table, factors, answered, {*runs.names, response, block})
+    if announce is not None and kind_of(runs, surface) == "emulator":
+        counts = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
+        seconds = sum(expected_seconds(n) for n in counts)
+        if seconds > LONG and max(counts) <= LARGEST:
+            announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
+    difference = difference_of(practical, runs.response)
+    sizes = [len({place[name] for place in places}) for name in factors]
+    each = surfaces_at(
+        FittedSurface(runs.name, "", None, practical=difference), places, sizes, surface,
+        [partial(some_runs, runs, here) for here in rows], difference,
+    )  # fmt: skip
+    if all(fitted.found is None for fitted in each):
+        raise RefusedError(f"no combination carries a surface: {each[0].refused}")
+    return compared(noted(each, (*table.notes, *notes), surface))
+
+
+# What the page of a surface that was fitted to a table shows.
+
+
+def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:
+    """Gather what a report shows of the surfaces of one response of a table."""
+    import pandas as pd
+
+    good = [(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
+    table = pd.concat([_rows(runs, labels) for runs, labels in good], ignore_index=True)
+    table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
+    runs, names = good[0][0], [*fits[0].labels, *good[0][0].names]
+    data = data_of_table(
+        source,
+        ResponseAnalysis(
+            runs.name, "", None, practical=fits[0].practical, title=runs.name, refused=SEE_SURFACE
+        ),
+        f"How does {runs.name} depend on {', '.join(names)}?",
+        {name: tuple(table[name].unique()) for name in names},
+        table,
+        sum(len(one.distinct()[0]) for one, _ in good),
+    )
+    return replace(
+        data,
+        block="block" if runs.blocks else "",
+        blocks=tuple(table["block"].unique()) if runs.blocks else (),
+        surfaces=tuple(fits),
+        ranges={f.name: f"{f.low:g} to {f.high:g}" for f in runs.factors},
+    )
+
+
+def _rows(runs: Runs, labels: Mapping[str, str]) -> pd.DataFrame:
+    import pandas as pd
+
+    settings = {
+        factor.name: [f"{factor.setting(float(x)):.6g}" for x in column]
+        for factor, column in zip(runs.factors, runs.coded.T, strict=True)
+    }
+    frame = pd.DataFrame({**{n: [at] * runs.response.size for n, at in labels.items()}, **settings})
+    if runs.blocks:
+        frame["block"] = list(runs.blocks)
+    return frame.assign(status="converged", **{runs.name: runs.response})

@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.analyzing import effects_by_depth
 from study.api.assemble import report_data
-from study.api.comparison import WARN, check_choice, check_stale, compare, manifest_of, mixed_meshes
+from study.api.comparison import compare
 from study.api.folders import (
     REPORTS,
     RESULTS,
@@ -31,7 +30,7 @@ from study.api.folders import (
 )
 from study.api.opened_study import Study, count_cases
 from study.api.opened_study import load as load_study
-from study.api.planning import continued, noted_progress, run_adaptive
+from study.api.planning import noted_progress
 from study.api.predicting import Permission
 from study.api.predicting import confirm as confirm_setting
 from study.ground.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
@@ -54,10 +53,19 @@ from study.harness.external.command import check_allowed
 from study.harness.external.exchange import Function, PythonFunction
 from study.harness.record.folder import is_same, own_folder
 from study.harness.record.store import Store
-from study.harness.runner.batch import run_batch
+from study.harness.runner.adaptive_cells import continued, run_adaptive
+from study.harness.runner.batch import (
+    WARN,
+    check_choice,
+    check_stale,
+    manifest_of,
+    mixed_meshes,
+    run_batch,
+)
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed, externals
 from study.harness.runner.provenance import placed_files, versions
+from study.harness.runner.record_analysis import effects_by_depth
 from study.harness.runner.study_uncertainty import compare_spaces, validate
 from study.harness.runner.study_uncertainty import refine as refine_study
 from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
@@ -361,7 +369,8 @@ def _written(
     if study.beside is None and provenance.is_kept(folder, name, made_from):
         return main_file(folder, name, formats_checked)
     provenance.forget(folder, name)
-    data = replace(report_data(study, timings), depths=effects_by_depth(study))
+    depths = effects_by_depth(study.design, study.records, study.numerical)
+    data = replace(report_data(study, timings), depths=depths)
     written = write(data, folder, formats_checked, worker)
     if study.beside is None:
         provenance.keep(folder, name, made_from)

@@ -31,12 +31,12 @@ from study.reporting.output.terminal import say
 if TYPE_CHECKING:
     from study.api.analyzing import MixedOptions, SummaryAnalysis
     from study.api.contrast_power import ContrastDetection, Power
-    from study.api.fitting_surfaces import Surface as SurfaceKind
     from study.api.predicting import Permission
     from study.reporting.content.blocks import Block
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.comparisons import LevelPair
+    from study.statistics.surfaces.surface_fitting import Surface as SurfaceKind
 
 
 #: Flags as they were given; what was not given is None or empty.
@@ -195,12 +195,13 @@ def _show(
 ) -> None:
     """Print an analysis, with what was asked for besides: a reference, a page."""
     from study.api import analyzing
+    from study.statistics.analysis.post_hoc import against_reference
 
     given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
     named = tuple(contrast.name for contrast in analysis.contrasts)
     asked = analyzing.AnalysisSource(source if source.is_file() else None, given, named)
     reference, page = flags["--reference"], None
-    compared = None if reference is None else analyzing.against_reference(analysis, reference)
+    compared = None if reference is None else against_reference(analysis, reference)
     if report is not None:
         formats = tuple(listed(flags["--format"])) or ("html",)
         page = analyzing.write_page(
@@ -251,7 +252,7 @@ def _show_surfaces(
     """Fit a surface and print it."""
     from study import api
     from study.api.analyzing import AnalysisSource, check_taken
-    from study.api.fitting_surfaces import table_data
+    from study.api.predicting import table_data
     from study.reporting.content import surface_content
     from study.reporting.output.write import write
 

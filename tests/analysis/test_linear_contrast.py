@@ -11,9 +11,9 @@ from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
 import study
-from study.api.contrast_power import with_contrasts
 from study.ground.errors import InputError
 from study.statistics.analysis.linear_contrast import Contrast
+from study.statistics.analysis.post_hoc import with_contrasts
 from tests.analysis.test_block_groups import two_mixes
 
 

@@ -12,9 +12,10 @@ from statsmodels.stats.multitest import multipletests
 
 from study import api
 from study.api import assemble
-from study.api.comparison import compare, read_truths
+from study.api.comparison import compare
 from study.ground.errors import InputError
 from study.harness.design.load import load
+from study.harness.runner.batch import read_truths
 from study.reporting.content import comparison_content
 from study.reporting.results import study_answers
 from study.reporting.results.study_answers import Beside, Conclusion

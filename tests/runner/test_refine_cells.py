@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.api.comparison import manifest_of
 from study.api.converging import measured_cells, refine_within
 from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
@@ -21,7 +20,7 @@ from study.harness.design.spec import Design
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner import refinement, study_refinement, study_uncertainty
-from study.harness.runner.batch import run_batch
+from study.harness.runner.batch import manifest_of, run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob
 from study.statistics.convergence.grid_convergence import compare

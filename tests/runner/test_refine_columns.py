@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from study.api.analyzing import analyze
-from study.api.comparison import manifest_of
 from study.api.opened_study import load as open_study
 from study.api.study import report
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from study.harness.record.record import Record
 from study.harness.record.store import Store
+from study.harness.runner.batch import manifest_of
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.harness.runner.refinement import base_size_mm

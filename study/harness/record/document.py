@@ -169,6 +169,10 @@ class ScoreDocument(TypedDict):
     responses: dict[str, Quantity]
 
 
+#: says in a note of a study that its runs were read from a table
+MADE_ELSEWHERE = "made elsewhere"
+
+
 class ManifestDocument(TypedDict, total=False):
     """What a study is: its design as text, its cases, its data, and how long it took.
 

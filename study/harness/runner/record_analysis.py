@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import TYPE_CHECKING, TypeVar, cast
 
-from study.ground.errors import InputError
+import numpy as np
+
+from study.ground.curve import Curve
+from study.ground.errors import InputError, StudyError
 from study.ground.tabular import names_of
+from study.ground.units import parse_number
+from study.harness.design import overlay
 from study.harness.design.load import is_constant
-from study.harness.record.record import answered_often, table
+from study.harness.design.questions import usual_value
+from study.harness.record.record import answered_often, is_repeat, table
+from study.harness.runner.response import CURVE_RESPONSES
 from study.harness.runner.study_uncertainty import finest_mesh, numerical_bound
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
@@ -18,13 +29,19 @@ from study.statistics.analysis.analysis_request import (
     threshold,
 )
 from study.statistics.analysis.anova import analyze, effects
+from study.statistics.analysis.anova_table import DepthEffect
 from study.statistics.analysis.linear_model import Model, terms_of
 from study.statistics.analysis.repeats import common_seeds
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_fitting import compared, counted, surfaces_at
+from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.surfaces.surface_result import propagate
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design
+    from study.ground.arrays import Array
+    from study.harness.design.spec import Design, Treatment
     from study.harness.design.study_file import ResponseSpec
     from study.harness.record.record import Record
     from study.statistics.analysis.analysis_request import AnovaOptions
@@ -264,3 +281,241 @@ def _worst(
                     if share <= 0.5 or (on_finest and answered.isdisjoint(on_finest)):
                         shares[place, level] = 1 - share
     return max(sorted(shares), key=lambda key: shares[key], default=None)
+
+
+# The same analysis over less of the test, to see whether the answer depends on its depth.
+#
+# Every case keeps its measured and its predicted curve, so that a response over the first part
+# of the range costs no simulation. The constants are those of the whole study. Verdicts are held
+# against numerical uncertainty as the study's own are: where meshes are a factor it is followed
+# at each depth, elsewhere it is that of the whole test.
+
+#: shares of the displacement that are looked at; the last one is the study itself
+SHARES = (0.25, 0.5, 0.75, 1.0)
+#: measured points that a response needs at least
+_FEWEST = 5
+
+
+def effects_by_depth(
+    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
+) -> tuple[DepthEffect, ...]:
+    """Every main effect over the first part of the test."""
+    of_curves = [r for r in design.responses if r.name in CURVE_RESPONSES]
+    reached = [
+        measured.displacement_mm
+        for record in records
+        if record.converged
+        for measured, _ in _pairs(record)
+    ]
+    ends = [float(places[-1]) for places in reached]
+    # without a displacement that every curve reaches, to 2 %, there is nothing to compare
+    if not of_curves or not ends or max(ends) > 1.02 * min(ends):
+        return ()
+    depth = min(ends)
+    shares = [
+        s
+        for s in SHARES
+        if min(int((at <= s * depth * (1 + 1e-9)).sum()) for at in reached) >= _FEWEST
+    ]
+    if len(shares) < 2:
+        return ()
+    found = []
+    for share, response in product(shares, of_curves):
+        part = [_rescored(record, response.name, share * depth) for record in records]
+        with suppress(StudyError):  # the study's own analysis says why
+            found += [
+                DepthEffect(response.name, share * depth, effect)
+                for effect in effects_of_records(design, part, response, numerical)
+                if effect.is_main and effect.range is not None
+            ]
+    return tuple(found)
+
+
+def _pairs(record: Record) -> Iterator[tuple[Curve, Curve]]:
+    for fact in record.scores:
+        if (pair := record.pair(fact["score"])) is not None:
+            yield pair
+
+
+def _rescored(record: Record, name: str, depth_mm: float) -> Record:
+    """Record whose response covers the first part of its curves only."""
+    if not record.converged:
+        return record
+    values = []
+    for measured, predicted in _pairs(record):
+        inside = measured.displacement_mm <= depth_mm * (1 + 1e-9)
+        part = Curve(measured.displacement_mm[inside], measured.force_N[inside])
+        values.append(CURVE_RESPONSES[name](predicted, part))
+    if not values:
+        return record
+    entry = record.responses[name].copy()
+    entry["value"] = sum(values) / len(values)
+    return replace(record, responses={**record.responses, name: entry})
+
+
+# Surfaces over the numeric factors of a study's own runs.
+
+#: kinds of a design whose settings are chosen for a surface
+_FOR_SURFACES = (
+    "central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive", "listed"
+)  # fmt: skip
+#: what stands in the place of a table of levels
+SEE_SURFACE = "its factors are numbers: see the surface"
+
+
+def is_numeric(design: Design) -> bool:
+    """Whether a surface over the ranges of a design answers its question."""
+    kind = design.analysis.surface
+    if kind == "auto" and design.scheme.kind not in _FOR_SURFACES:
+        return False
+    return bool(design.ranges) and kind != "none"
+
+
+def surfaces(
+    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
+) -> tuple[FittedSurface, ...]:
+    """Fit all responses over the ranges at every combination of levels, without unanswered runs."""
+    if not is_numeric(design):
+        return ()
+    originals = [record for record in records if not is_repeat(record.extra)]
+    places, sizes = labels_of(design), [len(labels) for labels in design.lists.values()]
+    units_of = {name: span.unit for name, span in design.ranges.items()}
+    surfaces_fitted: list[FittedSurface] = []
+    for response in design.responses:
+        half_width = _half_width(response.name, records, numerical)
+        factors, ends = _answered(design, response.name, originals)
+        here = [at_levels(originals, labels) for labels in places]
+        good = [[r for r in some if r.value(response.name) is not None] for some in here]
+        # each of two settings may be off by its own bound
+        bound = None if half_width is None else 2.0 * half_width
+        each = surfaces_at(
+            FittedSurface(response.name, response.unit, None, bound=bound, units=units_of),
+            places, sizes, design.analysis.surface,
+            [partial(_runs_of_records, response.name, some, half_width, factors)
+             for some in good],
+            response.practical,
+        )  # fmt: skip
+        lost = [len(some) - len(answered) for some, answered in zip(here, good, strict=True)]
+        surfaces_fitted += compared(
+            [_finished(design, one, n, ends) for one, n in zip(each, lost, strict=True)]
+        )
+    return tuple(surfaces_fitted)
+
+
+def labels_of(design: Design) -> list[dict[str, str]]:
+    """Every combination of labels of the factors that are no numbers."""
+    combinations = itertools.product(*design.lists.values())
+    return [dict(zip(design.lists, labels, strict=True)) for labels in combinations]
+
+
+T = TypeVar("T", "Record", "Treatment")
+
+
+def at_levels(records: Sequence[T], labels: Mapping[str, str]) -> list[T]:
+    """Choose the records, or the cells, at a combination of labels."""
+    return [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
+
+
+def runs_at(
+    design: Design, response: str, labels: Mapping[str, str], records: Sequence[Record]
+) -> Runs:
+    """Return the runs of a response that have an answer, at one combination of other levels."""
+    good = [r for r in at_levels(records, labels)
+            if not is_repeat(r.extra) and r.value(response) is not None]  # fmt: skip
+    return _runs_of_records(response, good, None, ranges_of(design))
+
+
+def _half_width(
+    response: str, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
+) -> float | None:
+    """Largest half-width of a run: of its mesh where one was refined, and of its load steps."""
+    meshes = [row.u_num for row in numerical if row.response == response and row.u_num is not None]
+    if not meshes:
+        return None
+    steps = [record.responses[response].get("u_steps") or 0.0 for record in records
+             if response in record.responses]  # fmt: skip
+    return max(meshes) + max(steps, default=0.0)
+
+
+def _finished(
+    design: Design, fitted: FittedSurface, lost: int, ends: Sequence[str]
+) -> FittedSurface:
+    """Add what is to be said of the runs, and what uncertain inputs do."""
+    if fitted.found is None:
+        return fitted
+    left_out = f"{counted(lost)} without an answer left out; nothing is put in the place"
+    notes = [*([left_out] if lost else []), *ends]
+    uncertain = None
+    if design.inputs:
+        fixed = {
+            n: usual_value(n, overlay.dimension(n) or "number", span, design.config)
+            for n, span in design.ranges.items()
+            if n not in design.inputs
+        }
+        try:
+            uncertain = propagate(fitted.found, design.inputs, fixed, design.seed)
+        except StudyError as error:
+            notes.insert(0, str(error))
+    return replace(
+        fitted, found=fitted.found.noted(*notes), uncertain=uncertain,
+        inputs={name: span.words(fitted.units[name]) for name, span in design.inputs.items()},
+    )  # fmt: skip
+
+
+def ranges_of(design: Design) -> tuple[NumericFactor, ...]:
+    """Ranges of a design."""
+    spans = design.ranges.items()
+    return tuple(NumericFactor(name, span.low, span.high, span.log) for name, span in spans)
+
+
+def coded_settings(factors: Sequence[NumericFactor], levels: Sequence[Mapping[str, str]]) -> Array:
+    """Coded settings of some runs by their levels, such as ``"3 mm"`` or ``"3"``, shape (n, k)."""
+    return np.column_stack([
+        factor.coded(np.array([parse_number(at[factor.name].partition(" ")[0]) for at in levels]))
+        for factor in factors
+    ])  # fmt: skip
+
+
+def _answered(
+    design: Design, response: str, records: Sequence[Record]
+) -> tuple[tuple[NumericFactor, ...], tuple[str, ...]]:
+    """Ranges of a design without the ends where no run has an answer, and sentences about these.
+
+    A surface beyond its last run is a guess, and where runs fail there may be nothing to guess.
+    """
+    factors = ranges_of(design)
+    coded = coded_settings(factors, [record.levels for record in records])
+    good = np.array([record.value(response) is not None for record in records], dtype=bool)
+    if good.all() or not good.any():
+        return factors, ()
+    complete, ends = [], []
+    for factor, every, its_values in zip(factors, coded.T, coded[good].T, strict=True):
+        low, high = factor.low, factor.high
+        # what is one share of the sample from an end is as near as runs are to each other
+        near = 2.0 / len(records)
+        if every.min() < its_values.min() and its_values.min() > near - 1.0:
+            low = factor.setting(float(its_values.min()))
+            ends.append(_end(factor.name, "below", low))
+        if every.max() > its_values.max() and its_values.max() < 1.0 - near:
+            high = factor.setting(float(its_values.max()))
+            ends.append(_end(factor.name, "above", high))
+        complete.append(replace(factor, low=low, high=high) if low < high else factor)
+    return tuple(complete), tuple(ends)
+
+
+def _end(name: str, side: str, value: float) -> str:
+    return f"no run with {name} {side} {value:.4g} has an answer: nothing is said there"
+
+
+def _runs_of_records(
+    response: str,
+    records: Sequence[Record],
+    half_width: float | None,
+    factors: tuple[NumericFactor, ...],
+) -> Runs:
+    """Coded settings and responses; a numerical half-width is two standard uncertainties."""
+    values = np.array([record.value(response) for record in records], dtype=np.float64)
+    blocks = tuple(str(record.block) for record in records if record.block is not None)
+    u = None if half_width is None else np.full(values.size, half_width / 2.0)
+    coded = coded_settings(factors, [record.levels for record in records])
+    return Runs(response, factors, coded, values, blocks, u)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 
 import numpy as np
 import pandas as pd
@@ -14,7 +13,8 @@ from study.reporting.content.report_facts import Facts
 from study.reporting.content.tables import fit_name, fit_rank
 from study.reporting.content.text import clean, duration, listing, name_of, quantity, term_name
 from study.reporting.figures import axes as style
-from study.reporting.results.study_result import DepthEffect, ReportData
+from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.anova_table import DepthEffect
 
 _MOST_ROWS = 40
 _MOST_PANELS = 4
@@ -181,7 +181,12 @@ _BESIDE = 0.05
 
 def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.DataFrame:
     """Rows of one response with the names of their factors."""
-    frame = pd.DataFrame([asdict(row) for row in rows if row.response == response])
+    ends = ("term", "low", "high", "practical", "verdict", "highest")
+    frame = pd.DataFrame([
+        {"response": response, "depth_mm": row.depth_mm, "difference": row.effect.range}
+        | {name: getattr(row.effect, name) for name in ends}
+        for row in rows if row.response == response
+    ])  # fmt: skip
     names = [term_name(str(term), data.labels) for term in frame["term"]]
     numbers = {"difference": float, "low": float, "high": float, "practical": float}
     return frame.assign(name=names).astype(numbers)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.harness.design.spec import Design
+from study.harness.record.document import MADE_ELSEWHERE
 from study.harness.record.record import Record, is_repeat, table
 from study.reporting.results.study_answers import fates
 from study.statistics.analysis.failures import FailurePattern, failure_pattern
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from study.harness.record.document import PlateFitDocument
     from study.reporting.results.study_answers import Beside
     from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.statistics.analysis.anova_table import DepthEffect
     from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 
@@ -39,8 +41,6 @@ if TYPE_CHECKING:
 
 #: level of a factor that a fit does not depend on
 ANY = "any"
-#: says in a note of a study that its runs were read from a table
-MADE_ELSEWHERE = "made elsewhere"
 #: what a score was taken on
 FITTED_CURVE = "the curve fitted"
 OTHER_TEST = "same specimen, other test"
@@ -173,25 +173,6 @@ class Check:
     finding: str
     consequence: str = ""
     of: str = ""
-
-
-@dataclass(frozen=True)
-class DepthEffect:
-    """Largest difference of a factor with the test scored to a part of its depth."""
-
-    response: str
-    term: str
-    #: Displacement in mm to which the curves are scored.
-    depth_mm: float
-    #: With its simultaneous interval, in the unit of the response or as ratios.
-    difference: float
-    low: float | None
-    high: float | None
-    #: Smallest difference that matters, on the same scale.
-    practical: float | None
-    #: Of the factor at this depth.
-    verdict: str
-    highest: str
 
 
 @dataclass(frozen=True)

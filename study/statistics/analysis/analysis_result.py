@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from study.ground.canonical import plain
+from study.ground.canonical import Keyed, plain
 from study.statistics.analysis.anova_table import (
     Anova,
     Effect,
@@ -87,8 +87,16 @@ class DataSummary:
 
 
 @dataclass(frozen=True)
-class AnalysisResult:
+class AnalysisResult(Keyed):
     """Everything that one response of a factorial can tell."""
+
+    KEYS = (
+        "response=request.response transform=request.scale.transform error_term anova effects "
+        "structure=data.structure shares=variation.shares distinct_computations=data.distinct "
+        "copies=data.copies lenth=variation.lenth summary=variation.summary "
+        "failure_bounds=data.bounds nested=data.nested power=detection.power contrasts "
+        "warnings=notes"
+    )
 
     request: AnalysisRequest
     #: What effects are compared with, and which question p answers.
@@ -117,27 +125,9 @@ class AnalysisResult:
         """Effect of a term."""
         return next(item for item in self.effects if item.term == term)
 
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study analyze --json``: JSON types only, never a bare NaN."""
-        return {
-            "response": self.request.response,
-            "transform": self.request.scale.transform,
-            "error_term": plain(self.error_term),
-            "anova": plain(self.anova),
-            **self.assumptions.to_json(),
-            "effects": [effect.to_json() for effect in self.effects],
-            "structure": plain(self.data.structure),
-            "shares": plain(self.variation.shares),
-            "distinct_computations": self.data.distinct,
-            "copies": plain(self.data.copies),
-            "lenth": plain(self.variation.lenth),
-            "summary": plain(self.variation.summary),
-            "failure_bounds": plain(self.data.bounds),
-            "nested": plain(self.data.nested),
-            "power": plain(self.detection.power),
-            "contrasts": plain(self.contrasts),
-            "warnings": list(self.notes),
-        }
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key, the tests of what is assumed among them."""
+        return super().keyed() | self.assumptions.to_json()
 
     def verdicts(self) -> list[dict[str, object]]:
         """One line a factor or interaction, as ``study run --json`` lists them."""

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from study.ground.arrays import Array, Ints
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.anova_table import Effect, PairDifference, Row
 from study.statistics.analysis.comparisons import (
     Comparisons,
@@ -26,11 +27,15 @@ from study.statistics.analysis.comparisons import (
 )
 from study.statistics.analysis.data import Crossed
 from study.statistics.analysis.effects import (
+    Scale,
     group_errors,
     own_critical,
     pooled_critical,
 )
+from study.statistics.analysis.incomplete_blocks import mixed_cells
+from study.statistics.analysis.linear_contrast import Cells, possible_contrasts
 from study.statistics.analysis.linear_model import (
+    CellLayout,
     Term,
     factorize_columns,
     model_matrix,
@@ -40,8 +45,6 @@ from study.statistics.analysis.linear_model import (
 from study.statistics.analysis.sums_of_squares import fitted
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from study.statistics.analysis.analysis_result import AnalysisResult
 
 
@@ -427,3 +430,97 @@ def _reasons(rows: pd.DataFrame, leverage: float, cook: float | None) -> list[st
         named = zip(flags, ("large residual", "high leverage", "moves the fit"), strict=True)
         texts.append(", ".join(text for flag, text in named if flag))
     return texts
+
+
+# Levels of a factor compared with one of them, and differences that an analyst names.
+
+
+def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Comparisons]:
+    """Compare all levels of a factor with one of them (Dunnett 1955)."""
+    named, _, level_name = level.rpartition("=")
+    levels = {e.term: e.levels for e in analysis.effects if e.term in analysis.request.factors}
+    holding = [
+        f for f, its_levels in levels.items() if level_name in its_levels and named in ("", f)
+    ]
+    if len(holding) != 1:
+        every = [name for its_levels in levels.values() for name in its_levels]
+        rule = "is a level of several factors" if holding else "is no level of a factor"
+        mend = f"write {holding[0]}={level_name}" if holding else nearest(level_name, every)
+        raise InputError(Fault("--reference", f"{level_name!r} {rule}", mend))
+    factor = holding[0]
+    effect, row = analysis.effect(factor), analysis.anova.row(factor)
+    alpha, seed = analysis.request.alpha, analysis.request.seed
+    if row.error == "residual" and row.df_error and effect.pairs:
+        return factor, dunnett_of_model(effect, level_name, row.df_error, alpha, seed)
+    compared = _of_rows(analysis, factor, level_name)
+    return factor, compared.as_ratios() if analysis.request.scale.is_log else compared
+
+
+def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Comparisons:
+    """Compare levels by their rows, or by their means in each block, on the analyzed scale."""
+    alpha, seed = analysis.request.alpha, analysis.request.seed
+    rows = analysis.data.residuals
+    if analysis.request.scale.is_log:
+        rows = rows.assign(response=np.log(rows["response"]))
+    if analysis.data.block is not None:
+        means = rows.pivot_table("response", "block", factor, sort=False).dropna()
+        if len(means) < 2:
+            rule = "two blocks at least need a value at every level"
+            raise InputError(Fault("blocks", rule, "leave incomplete levels out"))
+        values = {str(name): means[name].to_numpy() / len(means) for name in means.columns}
+        blocks = [np.arange(len(means))]
+        return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
+    if analysis.request.error != "welch":
+        groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
+        return dunnett(groups, reference, alpha, seed)
+    cells = [np.asarray(at) for at in rows.groupby("cell", sort=False).indices.values()]
+    level, y = rows[factor].astype(str).to_numpy(), rows["response"].to_numpy()
+    share = np.zeros(len(rows))
+    for cell in cells:  # a level is the mean of the means of its cells
+        share[cell] = 1 / cell.size / sum(level[other[0]] == level[cell[0]] for other in cells)
+    values = {name: (y - y[0]) * share * (level == name) for name in dict.fromkeys(level)}
+    return dunnett_over_groups(values, reference, cells, "Dunnett by Welch", alpha, seed)
+
+
+def cells_of(analysis: AnalysisResult) -> Cells:
+    """Rows of an analysis on its scale, with what matters."""
+    request, rows = analysis.request, analysis.data.residuals
+    values = rows["response"].to_numpy(dtype=float)
+    log, mean = request.scale.is_log, analysis.data.grand_mean
+    limit, unit = request.scale.practical, 1 / mean if log else 1.0
+    practical = None if limit is None else limit.on_scale(mean, request.scale.transform)
+    bound = request.scale.bound([e.term for e in analysis.effects], unit)
+    # blocks are specimens where they are no seeds of a mesh and no refits to resampled noise
+    resampled = analysis.error_term.source == "E2"
+    specimens = request.specimens
+    if specimens is None and "block" in rows and analysis.error_term.source not in ("E2", "E3"):
+        specimens = rows["block"].nunique()
+    scale = Scale(request.scale.transform, practical, bound, False, unit, specimens)
+    levels = {e.term: e.levels for e in analysis.effects if e.is_main}
+    table = rows.assign(y=np.log(values) if log else values)
+    cells = Cells(table, levels, scale, request.alpha, request.seed, resampled)
+    if all(row.error != "REML" for row in analysis.anova.rows):
+        return cells
+    of_all = {**levels, "block": tuple(dict.fromkeys(table["block"]))}
+    codes = {name: pd.Categorical(table[name], of_all[name]).codes.astype(np.int64)
+             for name in of_all}  # fmt: skip
+    terms = [tuple(e.term.split(":")) for e in analysis.effects]
+    model, *_ = mixed_cells(
+        CellLayout(of_all, codes),
+        terms,
+        "block",
+        table["y"].to_numpy(),
+        request.alpha,
+        request.seed,
+        request.layout.whole_plot,
+    )
+    return cells if model is None else replace(cells, estimate=model.between)
+
+
+def with_contrasts(analysis: AnalysisResult, texts: Sequence[str]) -> AnalysisResult:
+    """Give a result the differences that its design declares."""
+    if not texts:
+        return analysis
+    together, faults = possible_contrasts(cells_of(analysis), texts)
+    notes = [f"{fault.where}: {fault.rule}" for fault in faults]
+    return replace(analysis, contrasts=together).noted(*notes)

@@ -26,7 +26,7 @@ from study.statistics.surfaces.surface_factors import Runs, box_points
 from study.statistics.surfaces.surface_result import SurfaceAnalysis, SurfacePrediction
 
 if TYPE_CHECKING:
-    from study.statistics.surfaces.surface_propagation import Propagated
+    from study.statistics.surfaces.surface_result import Propagated
 
 
 #: points of a profile, and along each side of a contour

@@ -20,7 +20,7 @@ import pytest
 
 from study import api
 from study.api.analyzing import AnalysisSource as Source
-from study.api.fitting_surfaces import table_data
+from study.api.predicting import table_data
 from study.api.serving import Folders, StudyServer
 from study.harness.record.store import Store
 from study.reporting.output import write

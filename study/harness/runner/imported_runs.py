@@ -8,10 +8,6 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from study.api.fitting_surfaces import settings_run
-from study.api.folders import RESULTS
-from study.api.opened_study import Study
-from study.api.opened_study import load as load_study
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
@@ -22,15 +18,15 @@ from study.harness.design.load import default_name, dump, from_tables, loads
 from study.harness.design.overlay import TABLES
 from study.harness.design.parameters import is_parameter
 from study.harness.design.spec import Case, Design, cases
-from study.harness.record.document import ManifestDocument
+from study.harness.record.document import MADE_ELSEWHERE, ManifestDocument
 from study.harness.record.folder import own_folder
 from study.harness.record.record import STATUSES, Record
 from study.harness.record.store import Store
 from study.harness.runner.expansion import seeded
 from study.harness.runner.job import Origin
 from study.harness.runner.provenance import versions
-from study.reporting.results.study_result import MADE_ELSEWHERE
 from study.statistics.surfaces.surface_factors import NumericFactor
+from study.statistics.surfaces.surface_fitting import settings_run
 
 #: cells of a column of failures that say that nothing failed
 _GOOD = ("", "0", "0.0", "no", "false", "ok", "converged", "done", "none")
@@ -38,7 +34,7 @@ _GOOD = ("", "0", "0.0", "no", "false", "ok", "converged", "done", "none")
 _MISSING = ("", "nan", "na", "n/a", "none", "null", "-")
 
 
-def import_runs(
+def write_runs(
     path: str | Path,
     factors: str | Sequence[str],
     responses: str | Sequence[str],
@@ -49,16 +45,9 @@ def import_runs(
     name: str | None = None,
     decimal: str = ".",
     practical: str = "",
-    results: str | Path = RESULTS,
-) -> Study:
-    """Make a study of a table of runs, one row a run; rows of equal levels are replicates.
-
-    Columns are a sequence or a text with commas. A response may be ``name=unit``, and
-    ``practical`` says which difference of it matters: ``peak=1 N,work=5 % of mean``. Columns of
-    ``numeric`` (``speed,temp log``) are factors over the range of their settings: the study gets
-    surfaces, which predict, optimize and invert read, in place of tables of levels. The column
-    ``failed`` holds a status, a reason, or nothing (also 0, no, false, ok) for runs with an answer.
-    """
+    results: str | Path,
+) -> Path:
+    """Write the records of a study of a table of runs, and give its folder."""
     columns, asked = listed(factors), listed(numeric)
     units = _units(responses)
     needed = [*columns, *units, *(c for c in (failed, block) if c is not None)]
@@ -102,7 +91,7 @@ def import_runs(
         for record in records:
             store.write(record)
         store.finish_run(manifest)
-    return load_study(store.path)
+    return store.path
 
 
 def _units(responses: str | Sequence[str]) -> dict[str, str]:
