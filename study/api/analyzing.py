@@ -14,7 +14,6 @@ import study
 from study import api
 from study.api.folders import is_table
 from study.ground.bounded_file import sha256_of
-from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import NUMBER, TYPED_COMMA, names_of, read_csv, read_tidy_csv
 from study.harness.design.study_file import SCORED, ResponseSpec
@@ -35,14 +34,13 @@ from study.statistics.analysis.analysis_request import alpha_faults, threshold
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import (
-    Comparisons,
     FamilyTest,
     GroupMoments,
+    SummaryAnalysis,
     holm_family,
 )
 from study.statistics.analysis.linear_model import Formula, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
-from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -326,35 +324,6 @@ def analyze(
         )
     made = anova(source, str(response), columns, **options)
     return TableAnalysis.of(made.noted(*number_levels(source, factors)))
-
-
-@dataclass(frozen=True)
-class SummaryAnalysis(Keyed):
-    """Groups of which mean, standard deviation and number of rows are known, compared."""
-
-    KEYS = (
-        "groups anova welch tukey_kramer=tukey.pairs games_howell=games_howell.pairs practical "
-        "verdicts"
-    )
-
-    groups: GroupMoments
-    #: Keys f, df, df_error and p: with one variance, and with one for each group (Welch).
-    anova: Mapping[str, float]
-    welch: Mapping[str, float]
-    tukey: Comparisons
-    games_howell: Comparisons
-    practical: float | None = None
-
-    @property
-    def verdicts(self) -> list[str | None]:
-        """Verdict of each pair: a claim where both intervals make it."""
-        if self.practical is None:
-            return [None] * len(self.tukey.pairs)
-        found: list[str | None] = []
-        for pooled, own in zip(self.tukey.pairs, self.games_howell.pairs, strict=True):
-            claims = {claim(one.lower, one.upper, self.practical) for one in (pooled, own)}
-            found.append(claims.pop() or CANNOT_TELL if len(claims) == 1 else CANNOT_TELL)
-        return found
 
 
 def analyze_summary(

@@ -18,6 +18,7 @@ from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibrate_tests import calibrate as run_calibration
 from study.harness.calibration.calibration_bound import numerical_bound, with_numerical
 from study.harness.calibration.calibration_result import CalibrationResult
+from study.harness.calibration.measured_tests import indentation_test
 from study.harness.calibration.model_comparison import choose, compare
 from study.harness.design.load import load, load_calibration, template
 from study.harness.record.atomic_files import write_atomic, write_new
@@ -25,11 +26,9 @@ from study.harness.record.folder import own_folder
 from study.harness.runner import provenance
 from study.harness.runner.virtual_specimens import usual_generator, write_tests, write_virtual
 from study.laboratory.tracker.tracker_recording import is_tracking, load_tracking, write_recording
-from study.mechanics.forward.contact_law import Layer
 from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
 from study.mechanics.measurement import inspection
-from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 from study.reporting.content.calibration_content import calibration_blocks
 from study.reporting.figures.axes import render, shown
 from study.reporting.output.page import Shown
@@ -38,10 +37,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.harness.calibration.model_comparison import EnergyChoice, ModelComparison
-    from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
+    from study.harness.design.calibration_section import CalibrationDesign
     from study.harness.runner.staged_fit import FitStep
     from study.mechanics.indentation.indentation_modulus import FittedCurve
-    from study.mechanics.setup.calibration_table import Fitting
     from study.reporting.content.blocks import Block as ResultBlock
     from study.reporting.figures.axes import Drawing
     from study.reporting.figures.curve_figures import FitPanel
@@ -376,7 +374,7 @@ def indentation_modulus(
     faults: list[Fault] = []
     for number, test in enumerate(config.tests):
         try:
-            tests.append(_test_of(test, config.asked, f"tests[{number}]"))
+            tests.append(indentation_test(test, config.asked, f"tests[{number}]"))
         except InputError as error:
             faults += error.faults
     if faults:
@@ -388,44 +386,6 @@ def indentation_modulus(
     if results is not None:
         save_moduli(result, own_folder(Path(results), result.name))
     return result
-
-
-def _test_of(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTest:
-    """Gather what the closed form needs of one test."""
-    setup = test.setup
-    specimen, pressed = setup.specimen, setup.test.indenter
-    if not setup.kind.takes_indenter or pressed is None:
-        rule = f"analytic is for indentation, got {setup.test.kind}"
-        mend = 'leave calibration.method out: "auto" knows the closed form of the other tests'
-        raise InputError(Fault(f"{where}.test.kind", rule, mend))
-    if not isinstance(specimen, (Cylinder, Block)):
-        rule = f"analytic needs a cylinder or block, got {specimen.shape}"
-        raise InputError(Fault(f"{where}.specimen", rule, "its height is that of the layer"))
-    if setup.test.interface == "bonded":
-        rule = "analytic takes the indenter for frictionless, got bonded"
-        mend = 'write interface = "frictionless", or leave calibration.method out'
-        raise InputError(Fault(f"{where}.test.interface", rule, mend))
-    if asked.theory == "dimitriadis" and not isinstance(pressed, Sphere):
-        rule = f"dimitriadis is a series for spheres, got {pressed.shape}"
-        mend = 'write theory = "integral-equation"'
-        raise InputError(Fault("calibration.theory", rule, mend))
-    volume = test.problem.material.compressibility
-    nu = 0.5 if volume.incompressible else volume.poisson_ratio
-    if nu is None:
-        rule = "the closed form needs Poisson's ratio, got bulk_modulus"
-        mend = "write poisson_ratio = ..., or incompressible = true"
-        raise InputError(Fault("material.bulk_modulus", rule, mend))
-    return IndentationTest(
-        indenter=pressed,
-        layer=Layer(specimen.height_mm, nu, setup.test.base == "bonded"),
-        area_mm2=specimen.area_mm2,
-        spec=test.measurements,
-        displacement_mm=setup.test.displacement_mm,
-        theory=asked.theory,
-        paraboloid=asked.profile == "paraboloid",
-        find_contact=asked.contact == "fitted",
-        depth_limit_mm=asked.depth_limit,
-    )
 
 
 def save_moduli(found: AnalyticCalibration, folder: Path) -> None:

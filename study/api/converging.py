@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
-from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, cast
 
@@ -18,31 +16,20 @@ from study.api.opened_study import load as load_study
 from study.ground.arrays import Array
 from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import CellProblem, case_id, tested
+from study.harness.design.cell import CellProblem, tested
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.load import file_kind, load
 from study.harness.design.spec import LoadedProblem
-from study.harness.design.study_file import Converge
 from study.harness.execution.task import Executor
 from study.harness.record.folder import own_folder
-from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner import provenance, refinement, study_refinement
+from study.harness.runner import provenance, study_refinement
 from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed
-from study.harness.runner.case_series import CaseSeries, refine_cases, stored_convergence
-from study.harness.runner.cost import Costs
+from study.harness.runner.case_series import refine_cases, refine_within, stored_convergence
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import CaseJob, fits_of
-from study.harness.runner.judgement import SeriesJudgement, judge, with_sources
-from study.harness.runner.refinement import (
-    QUANTITIES,
-    Budget,
-    FormalOrder,
-    RefinementSeries,
-    refine,
-)
-from study.harness.runner.refinement import formal_order as promised
+from study.harness.runner.judgement import SeriesJudgement, cost_fronts, refined_and_judged
+from study.harness.runner.refinement import FormalOrder
 from study.harness.runner.solve_task import SolveTask, by_workers, in_process, kept, slug, store_of
 from study.harness.runner.study_uncertainty import uncertainties
 from study.harness.runner.tasks import default_jobs, processes
@@ -51,12 +38,6 @@ from study.mechanics.setup.setup import Problem, Tables
 from study.reporting.figures.axes import shown
 from study.reporting.output.convergence_page import series_blocks, write_convergence
 from study.reporting.output.page import Shown
-from study.statistics.analysis.work_precision import (
-    CostPoint,
-    CostToAccuracy,
-    cost_to_accuracy,
-    reference_value,
-)
 from study.statistics.convergence.grid_convergence import grid_convergence
 
 if TYPE_CHECKING:
@@ -70,31 +51,6 @@ if TYPE_CHECKING:
 
 
 # What ``study converge`` found of a problem, or of the cells of a design.
-
-
-@dataclass(frozen=True)
-class FrontPoint(CostPoint):
-    """Error and cost of one mesh of one cell; the error is a share of the reference."""
-
-    cell: str
-    unknowns: int
-    memory_MB: float  # noqa: N815
-    value: float
-
-
-@dataclass(frozen=True)
-class CostFront:
-    """Cells that differ in nothing but their discretization: error against cost."""
-
-    #: The limit with the smallest uncertainty among the cells, and that uncertainty.
-    reference: float
-    reference_u: float | None
-    #: Wanted error, as a share of the reference.
-    accuracy: float
-    points: tuple[FrontPoint, ...]
-    #: Which cell reaches the accuracy, the cheapest first.
-    ranking: tuple[CostToAccuracy, ...]
-    answer: str
 
 
 class SeriesDocument(Shown, dict[str, object]):
@@ -178,48 +134,6 @@ def near(made: Problem) -> Array:
     return np.array([[radius - reach, height - reach], [radius, height]])
 
 
-# Refinement of a study's cells within a time budget, mesh by mesh, cheapest cells first.
-#
-# Before the first mesh a cost is a prediction, which may be off by several times; from then on a
-# cell costs what its last mesh took, times the predicted ratio of the two.
-
-Compute = Callable[[Sequence[CaseJob]], Sequence[Record | None]]
-
-
-def refine_within(
-    seconds: float, workers: int, series: Sequence[CaseSeries], compute: Compute
-) -> list[CaseSeries]:
-    """Refine cells as far as a time budget allows."""
-    until, costs, ongoing = time.monotonic() + seconds, Costs(), list(series)
-    predicted = {
-        job.case.case_id: costs.total_seconds(fits_of([job]).values(), [job], 1)
-        for case_series in series
-        for job in case_series.jobs
-    }
-    for level in range(max((len(case_series.jobs) for case_series in series), default=0)):
-        left = (until - time.monotonic()) * workers
-        prices = [_price(case_series, level, predicted) for case_series in ongoing]
-        order = sorted(range(len(ongoing)), key=lambda i: prices[i])
-        spent = accumulate(prices[i] for i in order)
-        ongoing = [ongoing[i] for i, total in zip(order, spent, strict=True) if total <= left]
-        steps = [case_series.jobs[level] for case_series in ongoing]
-        for refined, step, answer in zip(
-            ongoing, steps, compute(steps) if steps else (), strict=True
-        ):
-            refined.records[step.case.case_id] = answer
-    return ongoing
-
-
-def _price(case_series: CaseSeries, level: int, predicted: Mapping[str, float]) -> float:
-    """Worker seconds of a cell's next mesh, its calibrations too."""
-    names = [job.case.case_id for job in case_series.jobs]
-    last = case_series.records.get(names[level - 1]) if level else None
-    taken = None if last is None else last.timings.get("total")
-    if taken is None:
-        return predicted[names[level]]
-    return taken * predicted[names[level]] / predicted[names[level - 1]]
-
-
 Progress = Callable[[str], None]
 
 #: relative error of a force where the design asks for no accuracy
@@ -240,111 +154,14 @@ def problem_cells(
     spec = design.converge
     places = provenance.folders(design.source, data_root(design.source))
     problems = [provenance.located(tested(t.cell.problem), places) for t in design.treatments]
-    labels = [dict(treatment.levels) for treatment in design.treatments]
     solver = solve or kept(by_workers(processes(jobs)), store_of(results, design.name))
-    formal = [promised(one.at()) for one in problems]
-    budget = Budget(spec.budget_s, memory_MB)
-    cells, judged = _judged(problems, spec, formal, labels, budget, solver, progress)
+    levels = (dict(treatment.levels) for treatment in design.treatments)
+    cells, judged = refined_and_judged(
+        list(zip(problems, levels, strict=True)), spec, solver, progress, memory_MB=memory_MB
+    )
     fronts = cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
     found = SeriesDocument(cells=[one.to_json() for one in judged], fronts=plain(fronts))
     return found.paged(design.name, design.question, reports, judged, problems)
-
-
-def _judged(
-    problems: Sequence[CellProblem],
-    spec: Converge,
-    formal: Sequence[FormalOrder],
-    labels: Sequence[Mapping[str, str]],
-    budget: Budget,
-    solver: Solver,
-    progress: Progress,
-    tolerance: float | None = None,
-) -> tuple[list[RefinementSeries], list[SeriesJudgement]]:
-    """Refine problems until their meshes are enough, and study their other errors besides."""
-    refinement.quantity(spec.qoi)
-    cells = [
-        RefinementSeries(cell, spec, order, budget, its_labels)
-        for cell, order, its_labels in zip(problems, formal, labels, strict=True)
-    ]
-    refine(cells, solver, progress)
-    judged = [judge(cell, tolerance) for cell in cells]
-    if any(judgement.quantities for judgement in judged):
-        progress("load steps and solver tolerance")
-    return cells, [
-        with_sources(judgement, cell, solver) if judgement.quantities else judgement
-        for judgement, cell in zip(judged, cells, strict=True)
-    ]
-
-
-#: tables that say which cells are one test, on whatever mesh
-_PHYSICS = ("specimen", "test", "material")
-
-
-def cost_fronts(
-    cells: Sequence[RefinementSeries], judged: Sequence[SeriesJudgement], accuracy: float
-) -> list[CostFront]:
-    """Error against seconds of every mesh, and which cell reaches the accuracy first."""
-    groups: dict[str, list[int]] = {}
-    for k, cell in enumerate(cells):
-        physics = {name: v for name, v in cell.problem.document().items() if name in _PHYSICS}
-        groups.setdefault(case_id(physics), []).append(k)
-    names = [" / ".join(cell.levels_of.values()) or f"cell {k + 1}" for k, cell in enumerate(cells)]
-    fronts = [
-        _front([(names[k], cells[k], judged[k]) for k in members], accuracy)
-        for members in groups.values()
-    ]
-    return [front for front in fronts if front is not None]
-
-
-def _front(
-    members: Sequence[tuple[str, RefinementSeries, SeriesJudgement]], accuracy: float
-) -> CostFront | None:
-    value, u = reference_value(
-        [(judgement.main.extrapolated, judgement.main.u_num) for *_, judgement in members]
-    )
-    if not value:
-        return None
-    points = {name: _points(name, cell, judgement, value) for name, cell, judgement in members}
-    ranked = cost_to_accuracy(points, accuracy)
-    every = tuple(point for row in points.values() for point in row)
-    answer = _answer(ranked, accuracy, u, value)
-    return CostFront(value, u, accuracy, every, tuple(ranked), answer)
-
-
-def _points(
-    name: str, series: RefinementSeries, judgement: SeriesJudgement, reference: float
-) -> list[FrontPoint]:
-    function = QUANTITIES[judgement.main.qoi][0]
-    return [
-        FrontPoint(
-            level.mesh_size_mm, abs(value - reference) / abs(reference), level.result.seconds,
-            name, level.result.dofs, level.result.memory_MB, value,
-        )
-        for level in series.good
-        for value in (function(level.result.curve),)
-    ]  # fmt: skip
-
-
-def _answer(
-    ranked: Sequence[CostToAccuracy], accuracy: float, u: float | None, value: float
-) -> str:
-    reached = [r for r in ranked if r.seconds is not None]
-    if not reached:
-        return f"no cell gets within {100 * accuracy:g} %"
-    best = reached[0]
-    text = (
-        f"{best.cell} gives {100 * accuracy:g} % error for the least time: {best.seconds:.2g} s "
-        f"at a mesh size of {best.mesh_size:.2g} mm"
-    )
-    if best.how == "extrapolated":
-        text += ", extrapolated beyond its finest mesh"
-    if best.how == "coarsest mesh":
-        text += ", its coarsest mesh"
-    if len(reached) > 1:
-        text += f"; next {reached[1].cell} with {reached[1].seconds:.2g} s"
-    if u is not None and u > accuracy * abs(value) / 3:
-        text += f"; the reference itself is only known to {100 * u / abs(value):.2g} %"
-    return text
 
 
 def measured_cells(
@@ -505,10 +322,9 @@ def refined(
 ) -> SeriesDocument:
     """Refine one problem until its meshes are enough, and study the other errors besides."""
     spec, cell = loaded.converge, loaded.problem
-    formal = promised(cell.at())
-    if formal_order is not None:
-        formal = FormalOrder(formal_order, "as given")
-    solver = solve or kept(in_process, store_of(results, name))
-    budget = Budget(spec.budget_s, memory_MB)
-    _, judged = _judged([cell], spec, [formal], [{}], budget, solver, progress, tolerance or None)
+    _, judged = refined_and_judged(
+        [(cell, {})], spec, solve or kept(in_process, store_of(results, name)), progress,
+        memory_MB=memory_MB, tolerance=tolerance or None,
+        formal=None if formal_order is None else FormalOrder(formal_order, "as given"),
+    )  # fmt: skip
     return SeriesDocument(judged[0].to_json()).paged(name, "", reports, judged, [cell])

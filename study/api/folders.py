@@ -10,13 +10,7 @@ from pathlib import Path
 from study.ground.errors import Fault, InputError
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.design.cell import CellProblem
-from study.harness.design.load import (
-    from_tables,
-    load,
-    load_problem,
-    loads,
-    loads_problem,
-)
+from study.harness.design.load import from_tables, load, load_problem, loads, loads_problem
 from study.harness.design.spec import Design, LoadedProblem
 from study.harness.record.document import ManifestDocument
 from study.harness.record.store import Store

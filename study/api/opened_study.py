@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING
 from study.api.analyzing import adjusted, scored_on
 from study.api.assemble import report_data
 from study.api.folders import RESULTS, finished_manifest, results_folder
-from study.api.predicting import joined
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.harness.design.load import loads
-from study.harness.design.overview import duplicates
 from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Design
 from study.harness.record.document import (
@@ -26,11 +24,13 @@ from study.harness.record.document import (
 )
 from study.harness.record.record import Record
 from study.harness.record.store import Store
+from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.expansion import cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
 from study.harness.runner.record_analysis import (
     SEE_SURFACE,
     analyze_records,
+    different_answers,
     is_numeric,
     surfaces,
 )
@@ -229,28 +229,6 @@ def import_runs(
         path, factors, responses, numeric=numeric, failed=failed, block=block, name=name,
         decimal=decimal, practical=practical, results=results,
     ))  # fmt: skip
-
-
-def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
-    """Say which cells have equal inputs and different answers: the simulation is stochastic."""
-    if design.replicates.key is not None:
-        return []
-    answered = {tuple(r.levels.values()): r for r in records if r.converged and r.block is None}
-    found = []
-    for group in duplicates(design):
-        own = [r for one in group if (r := answered.get(tuple(one.levels.values()))) is not None]
-        for response in (r.name for r in design.responses if r.name != "seconds"):
-            values = {record.value(response): record for record in own}
-            if len(values) > 1:
-                said = " and ".join(
-                    f"{v:.6g} in {' / '.join(r.levels.values())} (case {r.case_id})"
-                    for v, r in list(values.items())[:2]
-                )
-                found.append(
-                    f"cells with equal inputs have different answers: {response} is {said}; make "
-                    "the program repeatable, or give it a seed with [replicates] key and n"
-                )
-    return found
 
 
 def count_cases(study: Path | StudyResult) -> int:

@@ -15,10 +15,8 @@ import numpy as np
 from study.api.folders import RESULTS, is_table
 from study.api.predicting import (
     Permission,
-    confirm,
     fit_surface,
     given,
-    joined,
     opened,
     surfaces_of,
     unknown_factors,
@@ -30,6 +28,7 @@ from study.harness.design import overlay
 from study.harness.design.questions import usual_value
 from study.harness.record.record import is_repeat
 from study.harness.record.store import Store
+from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.record_analysis import at_levels, coded_settings, ranges_of
 from study.mechanics.calibration.serial_correlation import effective_rows
 from study.reporting.results.study_answers import (
@@ -344,7 +343,7 @@ def _confirmed(
     study: StudyResult, recommended: Recommendation, permission: Permission
 ) -> Recommendation:
     """Run the true model at a recommended setting."""
-    records = confirm(study, {**recommended.held, **recommended.settings}, permission)
+    records = permission.confirm(study, {**recommended.held, **recommended.settings})
     names = [recommended.response, *(bound.response for bound in recommended.bounds)]
     values = {n: float(np.mean([record.response(n) for record in records])) for n in names}
     answered = bool(np.isfinite(list(values.values())).all())
@@ -579,7 +578,7 @@ class _Inversion:
         self, settings: Mapping[str, float], permission: Permission
     ) -> tuple[Checked, Record | None]:
         """Run the true model at a setting."""
-        records = confirm(self.study, {**settings, **self.labels}, permission)
+        records = permission.confirm(self.study, {**settings, **self.labels})
         levels = dict(records[0].levels) if records else {}
         if not records or not records[0].converged:
             return Checked(levels, float("nan"), False), None

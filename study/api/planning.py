@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,13 +17,7 @@ import numpy as np
 
 from study import api
 from study.api.comparison import run_changes
-from study.api.folders import (
-    RESULTS,
-    design_root,
-    finished_manifest,
-    load_design,
-    results_folder,
-)
+from study.api.folders import RESULTS, design_root, finished_manifest, load_design, results_folder
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.generators import d_optimal, efficiency
@@ -172,21 +166,8 @@ def plan(
         total = len(described.matrix)
         cases = {"total": total, "done": 0, "failed": 0, "missing": total}
         return Plan(loaded, described, (), cases, 0, None, None, workers, tuple(warnings))
-    study_plan = _counted(work, described, Store(Path(results) / loaded.name, warn=warnings.append),
-                     workers, warnings)  # fmt: skip
-    return replace(
-        study_plan, most_seconds=_most_seconds(work, study_plan.predicted_seconds, workers)
-    )
-
-
-def _most_seconds(work: Work, predicted: float | None, workers: int) -> float | None:
-    """Wall time with all cells that an adaptive design may add, each like those that it has."""
-    rule = work.design.scheme.sequential
-    if rule is None or predicted is None:
-        return None
-    seconds = Costs().total_seconds(work.fits.values(), work.jobs, workers)
-    more = rule.budget - len(work.design.treatments)
-    return predicted + seconds * more / len(work.design.treatments)
+    store = Store(Path(results) / loaded.name, warn=warnings.append)
+    return _counted(work, described, store, workers, warnings)
 
 
 def _counted(
@@ -208,6 +189,10 @@ def _counted(
     each = Costs()
     solved = [each.solve_seconds(job.case.tested, job.depth_mm) for job in controls]
     seconds += max(sum(solved) / workers, max(solved, default=0.0))  # the longest takes its time
+    most, rule = None, work.design.scheme.sequential
+    if rule is not None:  # all cells that may be added are like those that it has
+        whole = Costs().total_seconds(work.fits.values(), work.jobs, workers)
+        most = seconds + whole * (rule.budget / len(work.design.treatments) - 1)
     found_models = externals(job.case.problem for job in work.jobs)
     commands = [program for program in found_models if program.section.model == "command"]
     memory = workers * max(
@@ -218,6 +203,7 @@ def _counted(
         seconds, memory, workers, tuple(warnings),
         len(controls), program_calls(fits, todo),
         tuple(line for program in commands for line in program.lines()), common_digest(commands),
+        most,
     )  # fmt: skip
 
 
@@ -401,14 +387,11 @@ def augment(
         raise InputError(Fault("augment", rule, mend))
     chosen_cells = d_optimal(sizes, words, cells, loaded.seed, rows)
     return Augmentation(
-        tuple(_labels(names, loaded, row) for row in chosen_cells),
-        tuple(_labels(names, loaded, row) for row in rows),
+        *(
+            tuple({f.name: f.labels[k] for f, k in zip(factors, row, strict=True)} for row in cells)
+            for cells in (chosen_cells, rows)
+        ),
         tuple(":".join(names[k] for k in word) for word in words),
         efficiency(rows, sizes, words),
         efficiency((*rows, *chosen_cells), sizes, words),
     )
-
-
-def _labels(names: Sequence[str], design: Design, row: Sequence[int]) -> dict[str, str]:
-    labels = (factor.labels[k] for factor, k in zip(design.factors, row, strict=True))
-    return dict(zip(names, labels, strict=True))

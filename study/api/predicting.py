@@ -15,23 +15,15 @@ from study import api
 from study.api.analyzing import AnalysisSource, data_of_table
 from study.api.folders import RESULTS, design_root
 from study.ground import tabular, units
-from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, RefusedError, nearest
 from study.harness.design import overlay
-from study.harness.design.factors import levels_at
-from study.harness.design.spec import Design, Factor
-from study.harness.record.document import ConfirmedRow
-from study.harness.record.folder import ID
-from study.harness.record.store import Store
-from study.harness.runner.batch import Progress, run_batch
-from study.harness.runner.expansion import expand
+from study.harness.design.spec import Design
+from study.harness.runner.adaptive_cells import confirm
+from study.harness.runner.batch import Progress
 from study.harness.runner.fit_problem import NOTHING, Allowed
-from study.harness.runner.provenance import code_version
 from study.harness.runner.record_analysis import SEE_SURFACE
-from study.harness.runner.tasks import processes
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.surfaces.emulator import LARGEST, expected_seconds
-from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import (
     Surface,
     compared,
@@ -173,12 +165,6 @@ def number_in_unit(name: str, unit: str, setting: Setting) -> Array:
         return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
 
 
-# Runs of the true model at settings that a surface has named; they join the study's surfaces.
-
-#: name of the list of these runs in a results folder
-CONFIRMED = "confirmed"
-
-
 @dataclass(frozen=True)
 class Permission:
     """What a run of the true model may use."""
@@ -188,81 +174,14 @@ class Permission:
     allowed: Allowed = NOTHING
     progress: Callable[[Progress], None] | None = None
 
-
-def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> tuple[Record, ...]:
-    """Find the runs that joined a study's surfaces: those of this design and this code."""
-    rows = store.read_rows(CONFIRMED, ConfirmedRow)
-    rows_of_study = [row for row in rows if row["of"] == _identity(manifest)]
-    stored = store.records(
-        {row["case"]: row["input"] for row in rows_of_study if ID.fullmatch(row["case"])}
-    )
-    return tuple(record for record in stored if _is_of(record, design))
-
-
-def _is_of(record: Record, design: Design) -> bool:
-    """Whether a record is of a setting of a design: numbers in its ranges, else its levels."""
-    return {factor.name for factor in design.factors} == record.levels.keys() and all(
-        record.levels[name] in labels for name, labels in design.lists.items()
-    )
-
-
-def _identity(manifest: Mapping[str, object]) -> str:
-    return digest([manifest["design"], code_of(manifest)])
-
-
-def code_of(manifest: Mapping[str, object]) -> str:
-    """Version of this program that a run was made with."""
-    versions = manifest.get("versions")
-    return str(versions.get("study")) if isinstance(versions, Mapping) else ""
-
-
-def place(design: Design, settings: Mapping[str, float | str]) -> Design:
-    """Make a design of one cell, by numbers in its ranges and labels of the others."""
-    factors = tuple(_single(factor, settings[factor.name]) for factor in design.factors)
-    scheme = replace(design.scheme, rows=((0,) * len(factors),), sequential=None)
-    return replace(design, factors=factors, exclusions=(), scheme=scheme)
-
-
-def _single(factor: Factor, setting: float | str) -> Factor:
-    span = factor.span
-    if span is None:
-        matching = [level for level in factor.levels if level.label == setting]
-        return replace(factor, levels=tuple(matching))
-    numeric = NumericFactor(factor.name, span.low, span.high, span.log)
-    share = 0.5 * (float(numeric.coded(np.array(float(setting)))) + 1.0)
-    return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
-
-
-def confirm(
-    study: StudyResult, settings: Mapping[str, float | str], permission: Permission
-) -> tuple[Record, ...]:
-    """Run the true model at a setting, and let the run join the study's surfaces."""
-    manifest = study.manifest
-    if code_of(manifest) != code_version():
-        rule = "was computed by another version of this program: a new run does not belong to it"
-        raise RefusedError(str(Fault(study.design.name, rule, "run the study again first")))
-    design = place(study.design, settings)
-    forward = design.treatments[0].cell.problem.forward
-    if forward is not None and forward.model == "python" and permission.allowed.function is None:
-        rule = "is computed by a Python function, which is not at hand for a confirming run"
-        mend = (
-            "ask without the run (confirming=False, --no-confirm), and call the function at the\n"
-            "    setting that is recommended"
+    def confirm(
+        self, study: StudyResult, settings: Mapping[str, float | str]
+    ) -> tuple[Record, ...]:
+        """Run the true model at a setting, and let the run join the study's surfaces."""
+        root, progress = design_root(study.design, self.data), self.progress or (lambda _: None)
+        return confirm(
+            study.design, study.folder, study.manifest, settings, root, self.allowed, progress
         )
-        raise RefusedError(str(Fault(study.design.name, rule, mend)))
-    work = expand(design, design_root(study.design, permission.data), permission.allowed)
-    store = Store(study.folder)
-    run_batch(work, store, processes(1), permission.progress or (lambda _: None))
-    stored = store.records(work.input_hashes)
-    in_study = {*study.manifest["cases"]}
-    rows_before = store.read_rows(CONFIRMED, ConfirmedRow)
-    rows = [row for row in rows_before if row["case"] not in work.input_hashes]
-    rows += [{"case": record.case_id, "input": work.input_hashes[record.case_id],
-              "of": _identity(manifest)}
-             for record in stored if record.case_id not in in_study]  # fmt: skip
-    with store.lock():
-        store.write_json(CONFIRMED, rows)
-    return tuple(stored)
 
 
 # Surfaces over the numeric factors of a table.

@@ -32,7 +32,6 @@ from study.api.opened_study import Study, count_cases
 from study.api.opened_study import load as load_study
 from study.api.planning import noted_progress
 from study.api.predicting import Permission
-from study.api.predicting import confirm as confirm_setting
 from study.ground.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
 from study.ground.canonical import Keyed
 from study.ground.errors import (
@@ -218,7 +217,7 @@ def run(
         unconfirmed, may = load_study(store.path), Permission(data, allowed, progress)
         for surface in unconfirmed.surfaces:
             for settings in surface.unconfirmed:
-                confirm_setting(unconfirmed, {**settings, **surface.labels}, may)
+                may.confirm(unconfirmed, {**settings, **surface.labels})
         clock.mark("confirming runs")
     with _records_written():
         return report(

@@ -29,13 +29,13 @@ from study.reporting.content.text import interval, p_value, significant
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
-    from study.api.analyzing import MixedOptions, SummaryAnalysis
+    from study.api.analyzing import MixedOptions
     from study.api.contrast_power import ContrastDetection, Power
     from study.api.predicting import Permission
     from study.reporting.content.blocks import Block
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.comparisons import LevelPair
+    from study.statistics.analysis.comparisons import LevelPair, SummaryAnalysis
     from study.statistics.surfaces.surface_fitting import Surface as SurfaceKind
 
 

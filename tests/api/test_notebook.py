@@ -12,13 +12,7 @@ import pytest
 import study
 from study.cli.study_commands import settings
 from study.ground.errors import InputError
-from study.harness.design.load import (
-    file_kind,
-    from_tables,
-    load,
-    load_problem,
-    loads_problem,
-)
+from study.harness.design.load import file_kind, from_tables, load, load_problem, loads_problem
 from tests.cli.small import DESIGN, write_files
 
 PROBLEM = {

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.api.converging import measured_cells, refine_within
+from study.api.converging import measured_cells
 from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
 from study.harness.design.cell import Cell, CellProblem
@@ -21,6 +21,7 @@ from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner import refinement, study_refinement, study_uncertainty
 from study.harness.runner.batch import manifest_of, run_batch
+from study.harness.runner.case_series import refine_within
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob
 from study.statistics.convergence.grid_convergence import compare

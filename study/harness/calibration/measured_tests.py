@@ -19,9 +19,12 @@ from study.harness.runner.staged_fit import FitPart
 from study.mechanics.calibration.lack_of_fit import Repeated
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
+from study.mechanics.forward.contact_law import Layer
+from study.mechanics.indentation.indentation_modulus import IndentationTest
 from study.mechanics.measurement.measured_test import MeasuredTest, checked
 from study.mechanics.measurement.reading import read_measurements
-from study.mechanics.setup.calibration_table import Loss
+from study.mechanics.setup.calibration_table import Fitting, Loss
+from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 
 #: ratio of the largest forces of two fitted tests from which equal weights hide the smaller
 _UNEVEN = 5.0
@@ -186,3 +189,41 @@ def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
         f"the forces of {large} are {ratio:.3g} times those of {small}, which hardly count at "
         "these weights: write weight = 'scatter' or a number"
     ]
+
+
+def indentation_test(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTest:
+    """Gather what the closed form needs of one test."""
+    setup = test.setup
+    specimen, pressed = setup.specimen, setup.test.indenter
+    if not setup.kind.takes_indenter or pressed is None:
+        rule = f"analytic is for indentation, got {setup.test.kind}"
+        mend = 'leave calibration.method out: "auto" knows the closed form of the other tests'
+        raise InputError(Fault(f"{where}.test.kind", rule, mend))
+    if not isinstance(specimen, (Cylinder, Block)):
+        rule = f"analytic needs a cylinder or block, got {specimen.shape}"
+        raise InputError(Fault(f"{where}.specimen", rule, "its height is that of the layer"))
+    if setup.test.interface == "bonded":
+        rule = "analytic takes the indenter for frictionless, got bonded"
+        mend = 'write interface = "frictionless", or leave calibration.method out'
+        raise InputError(Fault(f"{where}.test.interface", rule, mend))
+    if asked.theory == "dimitriadis" and not isinstance(pressed, Sphere):
+        rule = f"dimitriadis is a series for spheres, got {pressed.shape}"
+        mend = 'write theory = "integral-equation"'
+        raise InputError(Fault("calibration.theory", rule, mend))
+    volume = test.problem.material.compressibility
+    nu = 0.5 if volume.incompressible else volume.poisson_ratio
+    if nu is None:
+        rule = "the closed form needs Poisson's ratio, got bulk_modulus"
+        mend = "write poisson_ratio = ..., or incompressible = true"
+        raise InputError(Fault("material.bulk_modulus", rule, mend))
+    return IndentationTest(
+        indenter=pressed,
+        layer=Layer(specimen.height_mm, nu, setup.test.base == "bonded"),
+        area_mm2=specimen.area_mm2,
+        spec=test.measurements,
+        displacement_mm=setup.test.displacement_mm,
+        theory=asked.theory,
+        paraboloid=asked.profile == "paraboloid",
+        find_contact=asked.contact == "fitted",
+        depth_limit_mm=asked.depth_limit,
+    )

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from study.ground.arrays import Array
-from study.ground.errors import InputError, StudyError
+from study.ground.canonical import digest
+from study.ground.errors import Fault, InputError, RefusedError, StudyError
+from study.harness.design.factors import levels_at
 from study.harness.design.layout_kinds import share_of
 from study.harness.design.load import dump, loads
-from study.harness.design.spec import Design
+from study.harness.design.spec import Design, Factor
 from study.harness.design.study_file import Sequential
-from study.harness.record.document import AdaptiveStep
+from study.harness.record.document import AdaptiveStep, ConfirmedRow
+from study.harness.record.folder import ID
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.expansion import relabeled
+from study.harness.runner.batch import Progress, run_batch
+from study.harness.runner.expansion import expand, relabeled
+from study.harness.runner.fit_problem import Allowed
 from study.harness.runner.job import Work
 from study.harness.runner.provenance import code_version
 from study.harness.runner.record_analysis import (
@@ -27,6 +34,7 @@ from study.harness.runner.record_analysis import (
     ranges_of,
     runs_at,
 )
+from study.harness.runner.tasks import processes
 from study.statistics.surfaces.emulator import (
     REFERENCES,
     BlockedEmulator,
@@ -36,6 +44,7 @@ from study.statistics.surfaces.emulator import (
     fit_own,
     next_run,
 )
+from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import difference_of
 from study.statistics.surfaces.surface_result import analysis_of
 
@@ -221,3 +230,90 @@ def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float
         else float(next(left))
         for factor in design.factors
     ]
+
+
+# Runs of the true model at settings that a surface has named; they join the study's surfaces.
+
+#: name of the list of these runs in a results folder
+CONFIRMED = "confirmed"
+
+
+def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> tuple[Record, ...]:
+    """Find the runs that joined a study's surfaces: those of this design and this code."""
+    rows = store.read_rows(CONFIRMED, ConfirmedRow)
+    rows_of_study = [row for row in rows if row["of"] == _identity(manifest)]
+    stored = store.records(
+        {row["case"]: row["input"] for row in rows_of_study if ID.fullmatch(row["case"])}
+    )
+    return tuple(record for record in stored if _is_of(record, design))
+
+
+def _is_of(record: Record, design: Design) -> bool:
+    """Whether a record is of a setting of a design: numbers in its ranges, else its levels."""
+    return {factor.name for factor in design.factors} == record.levels.keys() and all(
+        record.levels[name] in labels for name, labels in design.lists.items()
+    )
+
+
+def _identity(manifest: Mapping[str, object]) -> str:
+    return digest([manifest["design"], code_of(manifest)])
+
+
+def code_of(manifest: Mapping[str, object]) -> str:
+    """Version of this program that a run was made with."""
+    versions = manifest.get("versions")
+    return str(versions.get("study")) if isinstance(versions, Mapping) else ""
+
+
+def place(design: Design, settings: Mapping[str, float | str]) -> Design:
+    """Make a design of one cell, by numbers in its ranges and labels of the others."""
+    factors = tuple(_single(factor, settings[factor.name]) for factor in design.factors)
+    scheme = replace(design.scheme, rows=((0,) * len(factors),), sequential=None)
+    return replace(design, factors=factors, exclusions=(), scheme=scheme)
+
+
+def _single(factor: Factor, setting: float | str) -> Factor:
+    span = factor.span
+    if span is None:
+        matching = [level for level in factor.levels if level.label == setting]
+        return replace(factor, levels=tuple(matching))
+    numeric = NumericFactor(factor.name, span.low, span.high, span.log)
+    share = 0.5 * (float(numeric.coded(np.array(float(setting)))) + 1.0)
+    return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
+
+
+def confirm(  # noqa: PLR0913  # a study, a setting, and what its run may use
+    design: Design,
+    folder: Path,
+    manifest: Mapping[str, Any],
+    settings: Mapping[str, float | str],
+    root: Path,
+    allowed: Allowed,
+    progress: Callable[[Progress], None],
+) -> tuple[Record, ...]:
+    """Run the true model at a setting, and let the run join the study's surfaces."""
+    if code_of(manifest) != code_version():
+        rule = "was computed by another version of this program: a new run does not belong to it"
+        raise RefusedError(str(Fault(design.name, rule, "run the study again first")))
+    single = place(design, settings)
+    forward = single.treatments[0].cell.problem.forward
+    if forward is not None and forward.model == "python" and allowed.function is None:
+        rule = "is computed by a Python function, which is not at hand for a confirming run"
+        mend = (
+            "ask without the run (confirming=False, --no-confirm), and call the function at the\n"
+            "    setting that is recommended"
+        )
+        raise RefusedError(str(Fault(design.name, rule, mend)))
+    work = expand(single, root, allowed)
+    store = Store(folder)
+    run_batch(work, store, processes(1), progress)
+    stored = store.records(work.input_hashes)
+    in_study = {*manifest["cases"]}
+    rows_before = store.read_rows(CONFIRMED, ConfirmedRow)
+    rows = [row for row in rows_before if row["case"] not in work.input_hashes]
+    rows += [{"case": record.case_id, "input": work.input_hashes[record.case_id],
+              "of": _identity(manifest)}
+             for record in stored if record.case_id not in in_study]  # fmt: skip
+    with store.lock():
+        store.write_json(CONFIRMED, rows)
+    return tuple(stored)

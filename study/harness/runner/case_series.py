@@ -7,8 +7,10 @@ are a factor of the study, and the finest of them is what the others are compare
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Literal
 
 import numpy as np
@@ -19,7 +21,8 @@ from study.ground.errors import StoreError
 from study.harness.design.study_file import Converge
 from study.harness.record.record import Record
 from study.harness.runner.batch import has_other_mesh
-from study.harness.runner.job import CaseJob
+from study.harness.runner.cost import Costs
+from study.harness.runner.job import CaseJob, fits_of
 from study.harness.runner.judgement import SeriesJudgement, combined, inconclusive
 from study.harness.runner.refinement import (
     FEWEST,
@@ -337,3 +340,45 @@ def _stored(row: NumericalUncertainty) -> ConvergenceResult:
     return inconclusive(
         row.response, row.unit, row.mesh_size, row.series, u_num=row.u_num, verdict=verdict
     )
+
+
+# Refinement within a time budget, mesh by mesh, cheapest cells first.
+#
+# Before the first mesh a cost is a prediction, which may be off by several times; from then on a
+# cell costs what its last mesh took, times the predicted ratio of the two.
+
+Compute = Callable[[Sequence[CaseJob]], Sequence[Record | None]]
+
+
+def refine_within(
+    seconds: float, workers: int, series: Sequence[CaseSeries], compute: Compute
+) -> list[CaseSeries]:
+    """Refine cells as far as a time budget allows."""
+    until, costs, ongoing = time.monotonic() + seconds, Costs(), list(series)
+    predicted = {
+        job.case.case_id: costs.total_seconds(fits_of([job]).values(), [job], 1)
+        for case_series in series
+        for job in case_series.jobs
+    }
+    for level in range(max((len(case_series.jobs) for case_series in series), default=0)):
+        left = (until - time.monotonic()) * workers
+        prices = [_price(case_series, level, predicted) for case_series in ongoing]
+        order = sorted(range(len(ongoing)), key=lambda i: prices[i])
+        spent = accumulate(prices[i] for i in order)
+        ongoing = [ongoing[i] for i, total in zip(order, spent, strict=True) if total <= left]
+        steps = [case_series.jobs[level] for case_series in ongoing]
+        for refined, step, answer in zip(
+            ongoing, steps, compute(steps) if steps else (), strict=True
+        ):
+            refined.records[step.case.case_id] = answer
+    return ongoing
+
+
+def _price(case_series: CaseSeries, level: int, predicted: Mapping[str, float]) -> float:
+    """Worker seconds of a cell's next mesh, its calibrations too."""
+    names = [job.case.case_id for job in case_series.jobs]
+    last = case_series.records.get(names[level - 1]) if level else None
+    taken = None if last is None else last.timings.get("total")
+    if taken is None:
+        return predicted[names[level]]
+    return taken * predicted[names[level]] / predicted[names[level - 1]]

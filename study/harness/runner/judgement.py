@@ -3,26 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from study.ground.canonical import plain
-from study.harness.design.cell import CellProblem
+from study.harness.design.cell import CellProblem, case_id
+from study.harness.design.study_file import Converge
 from study.harness.runner.refinement import (
     FEWEST,
     OTHER_MESH,
     QUANTITIES,
     SOLVER_TOLERANCE,
+    Budget,
+    FormalOrder,
     MeshLevel,
     RefinementSeries,
+    formal_order,
     judged_meshes,
     quantity,
+    refine,
     size_needed,
     usable,
     within,
 )
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
 from study.mechanics.setup.geometry import Enclosed
+from study.statistics.analysis.work_precision import (
+    CostPoint,
+    CostToAccuracy,
+    cost_to_accuracy,
+    reference_value,
+)
 from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
     ConvergenceResult,
@@ -324,3 +335,129 @@ def inconclusive(
         asymptotic_ratio=None,
         verdict=verdict or usual,
     )
+
+
+# What each mesh costs, of cells that differ in nothing but their discretization.
+
+
+@dataclass(frozen=True)
+class FrontPoint(CostPoint):
+    """Error and cost of one mesh of one cell; the error is a share of the reference."""
+
+    cell: str
+    unknowns: int
+    memory_MB: float  # noqa: N815
+    value: float
+
+
+@dataclass(frozen=True)
+class CostFront:
+    """Cells that differ in nothing but their discretization: error against cost."""
+
+    #: The limit with the smallest uncertainty among the cells, and that uncertainty.
+    reference: float
+    reference_u: float | None
+    #: Wanted error, as a share of the reference.
+    accuracy: float
+    points: tuple[FrontPoint, ...]
+    #: Which cell reaches the accuracy, the cheapest first.
+    ranking: tuple[CostToAccuracy, ...]
+    answer: str
+
+
+def refined_and_judged(
+    problems: Sequence[tuple[CellProblem, Mapping[str, str]]],
+    spec: Converge,
+    solver: Solver,
+    progress: Callable[[str], None],
+    *,
+    memory_MB: float | None = None,  # noqa: N803
+    formal: FormalOrder | None = None,
+    tolerance: float | None = None,
+) -> tuple[list[RefinementSeries], list[SeriesJudgement]]:
+    """Refine problems, each with its levels, and study their other errors besides."""
+    quantity(spec.qoi)
+    budget = Budget(spec.budget_s, memory_MB)
+    cells = [
+        RefinementSeries(cell, spec, formal or formal_order(cell.at()), budget, levels)
+        for cell, levels in problems
+    ]
+    refine(cells, solver, progress)
+    judged = [judge(cell, tolerance) for cell in cells]
+    if any(judgement.quantities for judgement in judged):
+        progress("load steps and solver tolerance")
+    return cells, [
+        with_sources(judgement, cell, solver) if judgement.quantities else judgement
+        for judgement, cell in zip(judged, cells, strict=True)
+    ]
+
+
+#: tables that say which cells are one test, on whatever mesh
+_PHYSICS = ("specimen", "test", "material")
+
+
+def cost_fronts(
+    cells: Sequence[RefinementSeries], judged: Sequence[SeriesJudgement], accuracy: float
+) -> list[CostFront]:
+    """Error against seconds of every mesh, and which cell reaches the accuracy first."""
+    groups: dict[str, list[int]] = {}
+    for k, cell in enumerate(cells):
+        physics = {name: v for name, v in cell.problem.document().items() if name in _PHYSICS}
+        groups.setdefault(case_id(physics), []).append(k)
+    names = [" / ".join(cell.levels_of.values()) or f"cell {k + 1}" for k, cell in enumerate(cells)]
+    fronts = [
+        _front([(names[k], cells[k], judged[k]) for k in members], accuracy)
+        for members in groups.values()
+    ]
+    return [front for front in fronts if front is not None]
+
+
+def _front(
+    members: Sequence[tuple[str, RefinementSeries, SeriesJudgement]], accuracy: float
+) -> CostFront | None:
+    value, u = reference_value(
+        [(judgement.main.extrapolated, judgement.main.u_num) for *_, judgement in members]
+    )
+    if not value:
+        return None
+    points = {name: _points(name, cell, judgement, value) for name, cell, judgement in members}
+    ranked = cost_to_accuracy(points, accuracy)
+    every = tuple(point for row in points.values() for point in row)
+    answer = _answer(ranked, accuracy, u, value)
+    return CostFront(value, u, accuracy, every, tuple(ranked), answer)
+
+
+def _points(
+    name: str, series: RefinementSeries, judgement: SeriesJudgement, reference: float
+) -> list[FrontPoint]:
+    function = QUANTITIES[judgement.main.qoi][0]
+    return [
+        FrontPoint(
+            level.mesh_size_mm, abs(value - reference) / abs(reference), level.result.seconds,
+            name, level.result.dofs, level.result.memory_MB, value,
+        )
+        for level in series.good
+        for value in (function(level.result.curve),)
+    ]  # fmt: skip
+
+
+def _answer(
+    ranked: Sequence[CostToAccuracy], accuracy: float, u: float | None, value: float
+) -> str:
+    reached = [r for r in ranked if r.seconds is not None]
+    if not reached:
+        return f"no cell gets within {100 * accuracy:g} %"
+    best = reached[0]
+    text = (
+        f"{best.cell} gives {100 * accuracy:g} % error for the least time: {best.seconds:.2g} s "
+        f"at a mesh size of {best.mesh_size:.2g} mm"
+    )
+    if best.how == "extrapolated":
+        text += ", extrapolated beyond its finest mesh"
+    if best.how == "coarsest mesh":
+        text += ", its coarsest mesh"
+    if len(reached) > 1:
+        text += f"; next {reached[1].cell} with {reached[1].seconds:.2g} s"
+    if u is not None and u > accuracy * abs(value) / 3:
+        text += f"; the reference itself is only known to {100 * u / abs(value):.2g} %"
+    return text

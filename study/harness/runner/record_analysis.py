@@ -18,6 +18,7 @@ from study.ground.tabular import names_of
 from study.ground.units import parse_number
 from study.harness.design import overlay
 from study.harness.design.load import is_constant
+from study.harness.design.overview import duplicates
 from study.harness.design.questions import usual_value
 from study.harness.record.record import answered_often, is_repeat, table
 from study.harness.runner.response import CURVE_RESPONSES
@@ -351,6 +352,28 @@ def _rescored(record: Record, name: str, depth_mm: float) -> Record:
     entry = record.responses[name].copy()
     entry["value"] = sum(values) / len(values)
     return replace(record, responses={**record.responses, name: entry})
+
+
+def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
+    """Say which cells have equal inputs and different answers: the simulation is stochastic."""
+    if design.replicates.key is not None:
+        return []
+    answered = {tuple(r.levels.values()): r for r in records if r.converged and r.block is None}
+    found = []
+    for group in duplicates(design):
+        own = [r for one in group if (r := answered.get(tuple(one.levels.values()))) is not None]
+        for response in (r.name for r in design.responses if r.name != "seconds"):
+            values = {record.value(response): record for record in own}
+            if len(values) > 1:
+                said = " and ".join(
+                    f"{v:.6g} in {' / '.join(r.levels.values())} (case {r.case_id})"
+                    for v, r in list(values.items())[:2]
+                )
+                found.append(
+                    f"cells with equal inputs have different answers: {response} is {said}; make "
+                    "the program repeatable, or give it a seed with [replicates] key and n"
+                )
+    return found
 
 
 # Surfaces over the numeric factors of a study's own runs.

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest
-from study.statistics.analysis.simple_effects import Differences
+from study.statistics.analysis.simple_effects import CANNOT_TELL, Differences, claim
 
 
 @dataclass(frozen=True)
@@ -451,3 +452,32 @@ def holm_family(
         FamilyTest(name, term, value, adjusted.get(i), len(inside))
         for i, (name, term, value) in enumerate(tests)
     )
+
+
+@dataclass(frozen=True)
+class SummaryAnalysis(Keyed):
+    """Groups of which mean, standard deviation and number of rows are known, compared."""
+
+    KEYS = (
+        "groups anova welch tukey_kramer=tukey.pairs games_howell=games_howell.pairs practical "
+        "verdicts"
+    )
+
+    groups: GroupMoments
+    #: Keys f, df, df_error and p: with one variance, and with one for each group (Welch).
+    anova: Mapping[str, float]
+    welch: Mapping[str, float]
+    tukey: Comparisons
+    games_howell: Comparisons
+    practical: float | None = None
+
+    @property
+    def verdicts(self) -> list[str | None]:
+        """Verdict of each pair: a claim where both intervals make it."""
+        if self.practical is None:
+            return [None] * len(self.tukey.pairs)
+        verdicts: list[str | None] = []
+        for pooled, own in zip(self.tukey.pairs, self.games_howell.pairs, strict=True):
+            claims = {claim(one.lower, one.upper, self.practical) for one in (pooled, own)}
+            verdicts.append(claims.pop() or CANNOT_TELL if len(claims) == 1 else CANNOT_TELL)
+        return verdicts

@@ -16,11 +16,7 @@ from study.ground.errors import Fault, RefusedError
 from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
 from study.statistics.analysis.sums_of_squares import FRatioTest, extra_sum, over_blocks
 from study.statistics.surfaces.emulator import EffectRange, effect_ranges
-from study.statistics.surfaces.surface_factors import (
-    Runs,
-    box_points,
-    change_together,
-)
+from study.statistics.surfaces.surface_factors import Runs, box_points, change_together
 
 # A polynomial of second order in coded factors.
 
