@@ -34,6 +34,7 @@ from study.statistics.analysis.analysis_request import alpha_faults, threshold
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import (
+    Comparisons,
     FamilyTest,
     GroupMoments,
     SummaryAnalysis,
