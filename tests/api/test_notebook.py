@@ -21,6 +21,7 @@ PROBLEM = {
     "material": {"model": "neo-hookean", "C10": 0.01, "incompressible": True},
     "model": {"mesh_size": "5 mm"},
 }
+NAMES = ("material", "range")
 #: 2 C10 (1/l^2 - l) pi R^2 at l = 0.95 and 0.9
 FORCE = [2 * 0.01 * (s**-2 - s) * math.pi * 100 for s in (0.95, 0.9)]
 
@@ -41,6 +42,8 @@ def test_a_problem_is_given_by_the_keys_of_its_file() -> None:
     assert study.solve(numpy).curve.force_N.tolist() == found.curve.force_N.tolist()
     resolved = loads_problem(from_tables(PROBLEM)).problem.document()
     assert study.solve(resolved).curve.force_N.tolist() == found.curve.force_N.tolist()
+    made = loads_problem(from_tables(PROBLEM)).problem.at()
+    assert study.solve(made).curve.force_N.tolist() == found.curve.force_N.tolist()
     twice = study.solve(PROBLEM, overrides=['material.C10="20 kPa"'])
     assert twice.curve.force_N == pytest.approx(2 * np.array(FORCE), rel=1e-9)
 
@@ -163,7 +166,9 @@ def test_a_study_is_shown_and_its_folders_are_texts(home: Path) -> None:
         found.plot("relative_rms_force_eror")
     again = study.report("small", results="out", reports="pages")
     assert again.to_frame().equals(frame)
-    assert study.analyze("out/small", results="out").to_frame() is not None
+    own, named = (study.analyze("out/small", "work_error", names) for names in ((), NAMES))
+    assert own.to_json() == named.to_json()
+    assert own.anova.row("range").df == 1
 
 
 def test_a_series_is_shown(home: Path) -> None:
@@ -192,6 +197,13 @@ def test_a_hostile_name_is_escaped_in_a_notebook(home: Path) -> None:
     assert name not in found._repr_html_()
     assert name not in found.plot()._repr_svg_()
     assert "&lt;script&gt;" in found._repr_html_()
+
+
+def test_a_design_without_measurements_is_no_study(tmp_path: Path) -> None:
+    text = DESIGN[: DESIGN.index("[measurements]")] + DESIGN[DESIGN.index("[calibration]") :]
+    with pytest.raises(InputError):
+        study.run(written(tmp_path, text), results=tmp_path / "results")
+    assert not (tmp_path / "results").exists()
 
 
 def test_dir_lists_what_is_public() -> None:

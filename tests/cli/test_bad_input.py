@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from tests.cli import test_analytic, test_confirming_runs, test_layouts, test_single
 from tests.cli import test_numeric_factors as ranges
 from tests.cli import test_simulated_responses as alone
@@ -22,9 +21,7 @@ from tests.shape_validation.test_shape import MOTION, cylinder, problem, write_c
 from tests.tracker_accuracy import virtual
 from tests.tracker_accuracy.test_tracking import (
     DISPLACEMENT,
-    LASER,
     distance_study,
-    reference_study,
 )
 
 Lines = Callable[[list[str]], list[str]]
@@ -400,12 +397,11 @@ def solving(folder: Path, *, factor: float = 1.0, left_out: int = 0, unit: str =
 
 
 def shaping(
-    folder: Path, change: Callable[[np.ndarray], np.ndarray], *, markers: int = 0, left_out: int = 0
+    folder: Path, change: Callable[[np.ndarray], np.ndarray], *, markers: int = 0
 ) -> list[str]:
     whole = egg()
-    body = TriangleSurface(whole.points, whole.triangles[left_out:])
     cloud = MOTION(change(scan(whole, 1500, np.random.default_rng(5))))
-    command = ["shape", str(write_ply(folder / "body.ply", body))]
+    command = ["shape", str(write_ply(folder / "body.ply", whole))]
     command += ["--scan", str(write_csv(folder / "scan.csv", cloud))]
     if markers:
         command += ["--markers", str(write_csv(folder / "marks.csv", cloud[:markers]))]
@@ -421,31 +417,9 @@ def tracked(folder: Path, file: Path) -> list[str]:
     return ["tracking", str(file), "--data", str(folder), "--reports", str(folder / "reports")]
 
 
-def clock_set_back(folder: Path) -> list[str]:
-    file = distance_study(folder, 1)
-    lines = (folder / "markers.csv").read_text().splitlines()
-    lines[10], lines[11] = lines[11], lines[10]
-    (folder / "markers.csv").write_text("\n".join(lines) + "\n")
-    return tracked(folder, file)
-
-
 def in_metres(folder: Path) -> list[str]:
     file = distance_study(folder, 1)
     file.write_text(file.read_text().replace('unit = "mm"', 'unit = "m"', 1))
-    return tracked(folder, file)
-
-
-def poses(
-    folder: Path, kept: int = 12, *, mirrored: bool = False, shuffled: bool = False
-) -> list[str]:
-    file = reference_study(folder, 8, np.zeros(3), 5.0, 0.1)
-    seen, known = virtual.pose_rows(8, np.zeros(3), 5.0, 0.1)
-    if mirrored:
-        seen = [[p, x, y, -z] for p, x, y, z in seen]
-    if shuffled:
-        known = [[row[0], *other[1:]] for row, other in zip(known, known[::-1], strict=True)]
-    virtual.write(folder / "poses.csv", "pose,x,y,z", seen)
-    virtual.write(folder / "laser.csv", LASER, known[:kept])
     return tracked(folder, file)
 
 
@@ -467,8 +441,6 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], int, str, str]] = {
         lambda f: solving(f, factor=1e-3), 2, "0.02 mm large if its file is in mm", 'unit = "m"'),
     "solve, millimetres for metres": (
         lambda f: solving(f, unit="m"), 2, "2e+04 mm large if its file is in m", 'unit = "mm"'),
-    "shape, a hole in the body": (
-        lambda f: shaping(f, same, left_out=3), 2, "is not closed", "fill the holes"),
     "shape, metres for millimetres": (
         lambda f: shaping(f, lambda p: p / 1000), 2, "the simulated body", '--unit "m"'),
     "shape, a mirrored cloud": (
@@ -478,15 +450,7 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], int, str, str]] = {
     "shape, no surface in the cloud": (
         lambda f: shaping(f, lambda p: p[:20]), 2, "has 20 points", "scan more of the body"),
     "shape, another state": (another_state, 3, "another state", "--any-state"),
-    "tracking, the clock goes back": (
-        clock_set_back, 2, "markers.csv:12: the time goes backwards", "sort the rows by time"),
     "tracking, metres for millimetres": (in_metres, 2, "mm apart", '"m" instead of "mm"'),
-    "tracking, poses without a pair": (
-        lambda f: poses(f, 9), 2, "poses do not pair", "the same labels in both files"),
-    "tracking, poses in another order": (
-        lambda f: poses(f, shuffled=True), 2, "the poses do not pair", "check the order"),
-    "tracking, a mirrored frame": (
-        lambda f: poses(f, mirrored=True), 2, "is mirrored", "exchange or negate one column"),
     "tracking, two stops": (two_stops, 2, "2 commanded positions", "stop at more positions"),
 }  # fmt: skip
 

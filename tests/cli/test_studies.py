@@ -139,6 +139,9 @@ def test_why_explains_a_case(done: Path) -> None:
     unknown = refusal("why zzz").err
     assert "no case has an id that begins with" in unknown
     assert case in unknown
+    ids = [path.name for path in (done / "results" / "small" / "cases").iterdir()]
+    first = next(a for a in "0123456789abcdef" if sum(i[0] == a for i in ids) > 1)
+    assert "begins several ids" in refusal(f"why {first}").err
     # a fit to resampled residuals
     fit: FitDocument = {
         "key": "f1", "message": "converged in 3 steps", "values": {"C10": 0.005},
