@@ -272,7 +272,7 @@ class Emulator(Keyed):
         """Kernel and Q2; with the runs of other combinations of levels their correlations."""
         kernel = self.process.found.kernel
         lengths = dict(zip(self.runs.names, kernel.lengths, strict=True))
-        own = {"kernel": kernel.family, "lengths": lengths, "q2": self.q2}
+        own: dict[str, object] = {"kernel": kernel.family, "lengths": lengths, "q2": self.q2}
         if kernel.categories is None:
             return own
         return own | {"category_correlation": kernel.categories.matrix[self.combination]}
