@@ -8,15 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
-from study.api.folders import RESULTS, data_root, design_root, loaded_problem
+from study.api.folders import RESULTS, design_root, loaded_problem
 from study.api.opened_study import load as load_study
-from study.ground.arrays import Array
 from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import CellProblem, tested
+from study.harness.design.cell import tested
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.load import file_kind, load
 from study.harness.design.spec import LoadedProblem
@@ -28,13 +24,12 @@ from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed
 from study.harness.runner.case_series import refine_cases, refine_within, stored_convergence
 from study.harness.runner.expansion import expand
-from study.harness.runner.judgement import SeriesJudgement, cost_fronts, refined_and_judged
+from study.harness.runner.judgement import SeriesJudgement, cost_fronts, meshes, refined_and_judged
 from study.harness.runner.refinement import FormalOrder
-from study.harness.runner.solve_task import SolveTask, by_workers, in_process, kept, slug, store_of
+from study.harness.runner.solve_task import by_workers, in_process, kept, slug, store_of
 from study.harness.runner.study_uncertainty import uncertainties
 from study.harness.runner.tasks import default_jobs, processes
-from study.mechanics.forward.closed_form import height_and_area
-from study.mechanics.setup.setup import Problem, Tables
+from study.mechanics.setup.setup import Tables
 from study.reporting.figures.axes import shown
 from study.reporting.output.convergence_page import series_blocks, write_convergence
 from study.reporting.output.page import Shown
@@ -90,50 +85,6 @@ class SeriesDocument(Shown, dict[str, object]):
         return self
 
 
-# The page of a convergence study, with pictures of its meshes.
-
-#: cells whose coarsest and finest mesh are shown
-SHOWN = 4
-
-#: plane elements by their number of vertices
-_SHAPES = {3: "triangles", 4: "quadrilaterals"}
-
-
-def meshes(
-    cells: Sequence[SeriesJudgement], problems: Sequence[ForwardCell]
-) -> tuple[list[tuple[str, Array, NDArray[np.int64]]], Array | None]:
-    """Coarsest and finest plane mesh (n, 2) of cells, and the window (2, 2) to see, mm."""
-    from study.mechanics.mesh.mesher import build_mesh
-
-    drawn: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
-    window = None
-    for cell, problem in zip(cells, problems, strict=True):
-        sizes = [level.mesh_size_mm for level in cell.meshes if level.result.converged]
-        if not isinstance(problem, CellProblem) or problem.model.space == "3d":
-            continue
-        if not sizes or len(drawn) >= 2 * SHOWN:
-            continue
-        for size in (sizes[-1], sizes[0]):
-            mesh = build_mesh(SolveTask.of(problem, size).problem.at().setup)
-            elements = f"{size:.3g} mm, {len(mesh.cells)} elements"
-            label = f"{_SHAPES[mesh.cells.shape[1]]}, {elements}"
-            picture = label, np.asarray(mesh.points), np.asarray(mesh.cells)
-            drawn.setdefault(mesh.digest(), picture)
-        window = near(problem.at()) if window is None else window
-    return list(drawn.values()), window
-
-
-def near(made: Problem) -> Array:
-    """Corner that matters, (2, 2), mm: under an indenter, or where plate and side meet."""
-    height, area = height_and_area(made.specimen)
-    radius = float(np.sqrt(area / np.pi))
-    if made.test.indenter is not None:
-        reach = min(max(3 * made.test.depth_mm, 0.1 * radius), radius, height)
-        return np.array([[0.0, height - reach], [reach, height]])
-    reach = 0.4 * min(radius, height / 2)
-    return np.array([[radius - reach, height - reach], [radius, height]])
-
-
 Progress = Callable[[str], None]
 
 #: relative error of a force where the design asks for no accuracy
@@ -152,7 +103,7 @@ def problem_cells(
 ) -> SeriesDocument:
     """Judge every cell of a design without measurements, and what each accuracy costs."""
     spec = design.converge
-    places = provenance.folders(design.source, data_root(design.source))
+    places = provenance.folders(design.source, provenance.data_root(design.source))
     problems = [provenance.located(tested(t.cell.problem), places) for t in design.treatments]
     solver = solve or kept(by_workers(processes(jobs)), store_of(results, design.name))
     levels = (dict(treatment.levels) for treatment in design.treatments)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +15,7 @@ from study.harness.design.spec import Design, LoadedProblem
 from study.harness.record.document import ManifestDocument
 from study.harness.record.store import Store
 from study.harness.runner import provenance
-from study.mechanics.measurement.measurement_section import MeasurementSpec
-from study.mechanics.measurement.recording import locate, locate_pattern
+from study.harness.runner.provenance import data_root
 from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.setup import Tables
 
@@ -67,42 +66,6 @@ def demo_design(overrides: Sequence[str] = ()) -> Design:
 
     text = resources.files("study.harness.runner").joinpath("demo.toml").read_text(encoding="utf-8")
     return loads(text, "demo.toml", overrides)
-
-
-def data_root(
-    source: str | Path, data: str | Path | None = None, named: Iterable[MeasurementSpec] = ()
-) -> Path:
-    """Folder that measurement files are relative to.
-
-    Without a folder that the user named it is the first of three that holds the files:
-    ``measurements/`` beside the design's folder, ``measurements/`` beside the design, the
-    design's folder. Where none holds them it is the first that exists.
-    """
-    if data is not None:
-        folder = Path(data)
-        if not folder.is_dir():
-            mend = "name the folder that holds the measurement files"
-            raise InputError(Fault("--data", f"there is no folder {str(folder)!r}", mend))
-        return folder
-    home = Path(source).resolve().parent
-    usual = [home.parent / "measurements", home / "measurements", home]
-    there = [folder for folder in usual if folder.is_dir()]
-    files = list(named)
-    complete = [folder for folder in there if files and _holds(folder, files)]
-    return next(iter([*complete, *there]), home)
-
-
-def _holds(folder: Path, files: Iterable[MeasurementSpec]) -> bool:
-    """Whether a folder has a file for each of some specifications."""
-    try:
-        for spec in files:
-            if spec.file is not None:
-                locate(spec.file, folder)
-            elif spec.files is not None:
-                locate_pattern(spec.files, folder)
-    except InputError:
-        return False
-    return True
 
 
 def loaded_problem(source: str | Path | Tables, overrides: Sequence[str] = ()) -> LoadedProblem:

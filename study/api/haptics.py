@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.api.comparison import explain
-from study.api.folders import (
-    REPORTS,
-    RESULTS,
-    data_root,
-    finished_manifest,
-    loaded_problem,
-    results_folder,
-)
+from study.api.folders import REPORTS, RESULTS, finished_manifest, loaded_problem, results_folder
 from study.api.predicting import opened, surfaces_of
 from study.api.solving import solve
 from study.ground.bounded_file import UnreadableError, read_json
@@ -375,7 +368,7 @@ def require(
         If the test does not determine the constants.
     """
     file = load_requirement(source, overrides)
-    places = provenance.folders(source, data_root(source))
+    places = provenance.folders(source, provenance.data_root(source))
     fitted, predicted = (provenance.located(p, places) for p in (file.fitted, file.predicted))
     file = replace(file, fitted=fitted, predicted=predicted)
     workers, tests = jobs or default_jobs(), file.asked.samples * len(file.asked.multiples)
@@ -545,7 +538,9 @@ def tracking(
         For a faulty file or faulty data, with everything that is wrong.
     """
     declared = load_tracking(source)
-    accuracy = judge_tracker(declared, data_root(source, data), default_name(str(source)))
+    accuracy = judge_tracker(
+        declared, provenance.data_root(source, data), default_name(str(source))
+    )
     if reports is None:
         return accuracy
     page = write_tracker(accuracy, Path(reports) / slug(accuracy.name))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import math
 import time
 from collections import Counter
@@ -20,9 +19,7 @@ from study.api.comparison import run_changes
 from study.api.folders import RESULTS, design_root, finished_manifest, load_design, results_folder
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
-from study.harness.design.generators import d_optimal, efficiency
-from study.harness.design.layout_kinds import words_of
-from study.harness.design.overview import Overview, overview
+from study.harness.design.overview import Augmentation, Overview, further_cells, overview
 from study.harness.design.spec import Design
 from study.harness.external.command import common_digest
 from study.harness.record.record import write_csv
@@ -34,7 +31,6 @@ from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
 from study.harness.runner.tasks import default_jobs
-from study.mechanics.setup.declaration import Bad
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -314,46 +310,6 @@ def run_sheet(
     return sheet
 
 
-# Further cells for a fraction that leaves a doubt: those that tell more terms apart.
-
-#: kinds of a design whose factors are samples of ranges, not levels
-_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
-
-
-@dataclass(frozen=True)
-class Augmentation(Keyed):
-    """Cells to be run besides those of a design."""
-
-    KEYS = "cells terms efficiency design=table"
-
-    #: Level of every factor, by its label.
-    cells: tuple[Mapping[str, str], ...]
-    own: tuple[Mapping[str, str], ...]
-    #: What all cells together tell apart.
-    terms: tuple[str, ...]
-    #: D-efficiency for these terms, 0 where some of them are one another.
-    before: float
-    after: float
-
-    @property
-    def efficiency(self) -> dict[str, float]:
-        """D-efficiency without and with the further cells."""
-        return {"before": self.before, "after": self.after}
-
-    def table(self) -> str:
-        """Write the table ``[design]`` with all cells: records of those that are done are kept."""
-
-        def key(name: str) -> str:
-            bare = name.replace("_", "").replace("-", "").isalnum()
-            return name if bare else json.dumps(name)
-
-        lines = [
-            "    { " + ", ".join(f"{key(k)} = {json.dumps(v)}" for k, v in cell.items()) + " },"
-            for cell in (*self.own, *self.cells)
-        ]
-        return "\n".join(["[design]", 'kind = "listed"', "treatments = [", *lines, "]"])
-
-
 def augment(
     design: Design | str | Path, cells: int, *, terms: int | Sequence[str] = 2
 ) -> Augmentation:
@@ -361,37 +317,4 @@ def augment(
 
     A design that runs every combination or samples ranges has none, and is refused.
     """
-    loaded = load_design(design)
-    rows = loaded.scheme.rows
-    factors = loaded.factors
-    sizes = [len(factor.levels) for factor in factors]
-    every = math.prod(sizes)
-    if rows is None or loaded.scheme.kind == "full":
-        rule = "runs every combination: there is no further cell"
-        raise InputError(Fault("design", rule, "add a level or a factor"))
-    if loaded.scheme.kind in _SAMPLED:
-        rule = f"a {loaded.scheme.kind} design samples ranges"
-        raise InputError(Fault("design.kind", rule, "ask it for more runs"))
-    names = [factor.name for factor in factors]
-    try:
-        words = words_of(names, terms if isinstance(terms, int) else list(terms))
-    except Bad as error:
-        raise InputError(Fault("terms", error.rule, error.mend)) from None
-    unknowns = 1 + sum(math.prod(sizes[k] - 1 for k in word) for word in words)
-    least = max(1, unknowns - len(rows))
-    if not least <= cells <= every - len(rows):
-        rule = f"{cells} further cells, of which there are {every - len(rows)}"
-        mend = (
-            f"{least} to {every - len(rows)}: {len(rows)} cells run, {unknowns} numbers are asked"
-        )
-        raise InputError(Fault("augment", rule, mend))
-    chosen_cells = d_optimal(sizes, words, cells, loaded.seed, rows)
-    return Augmentation(
-        *(
-            tuple({f.name: f.labels[k] for f, k in zip(factors, row, strict=True)} for row in cells)
-            for cells in (chosen_cells, rows)
-        ),
-        tuple(":".join(names[k] for k in word) for word in words),
-        efficiency(rows, sizes, words),
-        efficiency((*rows, *chosen_cells), sizes, words),
-    )
+    return further_cells(load_design(design), cells, terms)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
-import re
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
@@ -32,14 +29,11 @@ from study.api.opened_study import Study, count_cases
 from study.api.opened_study import load as load_study
 from study.api.planning import noted_progress
 from study.api.predicting import Permission
-from study.ground.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
-from study.ground.canonical import Keyed
 from study.ground.errors import (
     Fault,
     InputError,
     RefusedError,
     StoppedError,
-    StoreError,
     StudyError,
     WriteError,
 )
@@ -72,7 +66,7 @@ from study.harness.runner.virtual_specimens import usual_generator, write_virtua
 from study.reporting.figures.axes import load_libraries
 from study.reporting.output import write as provenance
 from study.reporting.output.page import DETAILS
-from study.reporting.output.write import checked_formats, main_file, write
+from study.reporting.output.write import Difference, Verification, checked_formats, main_file, write
 from study.reporting.results.study_result import StudyResult
 
 if TYPE_CHECKING:
@@ -407,55 +401,9 @@ OTHER_ARITHMETIC = 1e-9
 #: relative difference of a response that was solved again: the tolerance of fit and solver
 SOLVED_AGAIN = 1e-5
 
-#: bytes that a file of a report may have besides twice those of the one that is written again
-_SPARE_BYTES = 65_536
-
-#: kinds of files of a report by the beginning of their names
-_KINDS = {"figures": "figure-", "curves": "curves"}
 
 #: differences that are told one by one
 TOLD = 50
-
-_NUMBER = re.compile(r"[-+\u2212]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-#: what the clock of a run said of its own statistics, which no record holds
-_CLOCK = re.compile(r", statistics [^,(<]*|(?:(?<!\s)\s+)?\(sum [^)]{0,99}\)")
-#: where the results lay when the report was written
-_PLACE = re.compile(r"(?<=study report )[^\s<]+")
-_TEXTS = (".html", ".csv", ".json", ".tex", ".gz")
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One thing that is not what the records say."""
-
-    where: str
-    reported: str
-    recomputed: str
-
-
-@dataclass
-class Verification(Keyed):
-    """What a report was found to hold."""
-
-    KEYS = (
-        "agrees numbers numbers_total=numbers.total rounded tolerance records solved_again=solved "
-        "differences"
-    )
-
-    #: Numbers that were compared, by kind: page, tables, figures, curves.
-    numbers: Counter[str] = field(default_factory=Counter)
-    #: Lines whose numbers agree within the tolerance and not to the last digit.
-    rounded: int = 0
-    #: Relative difference of numbers that was passed over.
-    tolerance: float = 0.0
-    records: int = 0
-    solved: int = 0
-    differences: list[Difference] = field(default_factory=list)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether nothing differs."""
-        return not self.differences
 
 
 def verify(
@@ -525,73 +473,7 @@ def _compare_report(home: Path, folder: Path, verification: Verification) -> Non
         )
         if again.report is None:
             raise InputError(f"{folder}: {'; '.join(again.warnings)}")
-        fresh = again.report.parent
-        names = {
-            p.relative_to(top)
-            for top in (home, fresh)
-            for p in top.rglob("*")
-            if p.suffix in _TEXTS and p.name != provenance.NAME and os.path.isfile(p)
-        }
-        for name in sorted(names):
-            there = os.path.isfile(home / name), os.path.isfile(fresh / name)
-            if not all(there):
-                lost, made = ("there" if is_there else "missing" for is_there in there)
-                verification.differences.append(Difference(str(name), lost, made))
-                continue
-            text = _text(fresh / name)
-            try:
-                reported = _text(home / name, 2 * len(text.encode()) + _SPARE_BYTES)
-            except StoreError as error:
-                verification.differences.append(Difference(str(name), str(error), "readable"))
-                continue
-            _compare(str(name), _lines(reported), _lines(text), verification)
-
-
-def _text(path: Path, limit: int = MAX_BYTES) -> str:
-    """Text of a file of a report, unpacked, of at most so many bytes."""
-    raw = read_existing(path, limit)
-    try:
-        return (unzip(raw, path, limit) if path.suffix == ".gz" else raw).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise UnreadableError(path, f"is no text in UTF-8 ({error.reason})") from error
-
-
-def _lines(text: str) -> list[str]:
-    lines = text.splitlines()
-    lines = [_CLOCK.sub("", line) if "<dt>time</dt>" in line else line for line in lines]
-    return [_PLACE.sub("", line) for line in lines]
-
-
-def _compare(name: str, old: Sequence[str], new: Sequence[str], verification: Verification) -> None:
-    file = Path(name).name
-    kind = next((kind for kind, begin in _KINDS.items() if file.startswith(begin)), "tables")
-    if kind == "tables" and file.endswith((".html", ".tex")):
-        kind = "page"
-    for number, (first, second) in enumerate(itertools.zip_longest(old, new, fillvalue=""), 1):
-        numbers = _NUMBER.findall(second)
-        verification.numbers[kind] += len(numbers)
-        if first == second:
-            continue
-        if verification.tolerance > 0 and _rounding(first, second, numbers, verification.tolerance):
-            verification.rounded += 1
-            continue
-        same = next(
-            (k for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b),
-            min(len(first), len(second)),
-        )
-        begin = max(same - 30, 0)
-        reported, recomputed = first[begin : same + 30].strip(), second[begin : same + 30].strip()
-        verification.differences.append(Difference(f"{name}: line {number}", reported, recomputed))
-
-
-def _rounding(first: str, second: str, numbers: Sequence[str], tolerance: float) -> bool:
-    """Whether two lines differ by the last digits of their numbers alone."""
-    others = _NUMBER.findall(first)
-    if _NUMBER.sub("#", first) != _NUMBER.sub("#", second) or len(others) != len(numbers):
-        return False
-    old, new = ([float(v.replace("\u2212", "-")) for v in line] for line in (others, numbers))
-    pairs = zip(old, new, strict=True)
-    return all(math.isclose(a, b, rel_tol=tolerance, abs_tol=0.0) for a, b in pairs)
+        provenance.compare_reports(home, again.report.parent, verification)
 
 
 def _solve_again(

@@ -88,8 +88,9 @@ def virtual(
 ) -> None:
     """Write virtual measurements as CSV."""
     from study import api
-    from study.api.folders import data_root, design_root
+    from study.api.folders import design_root
     from study.harness.design.load import load
+    from study.harness.runner.provenance import data_root
     from study.laboratory.tracker.tracker_recording import is_tracking
 
     chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}

@@ -19,11 +19,11 @@ from study.reporting.output.terminal import say
 if TYPE_CHECKING:
     from study.api.comparison import CaseState
     from study.api.opened_study import Study as OpenedStudy
-    from study.api.planning import Augmentation, Plan
-    from study.api.study import Verification
-    from study.harness.design.overview import CellOverview, Overview
+    from study.api.planning import Plan
+    from study.harness.design.overview import Augmentation, CellOverview, Overview
     from study.harness.design.spec import Scheme
     from study.reporting.content.blocks import Block, Document
+    from study.reporting.output.write import Verification
     from study.statistics.surfaces.surface_result import SurfacePrediction
 
 

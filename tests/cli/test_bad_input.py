@@ -19,10 +19,7 @@ from tests.fem.surfaces import sphere, write
 from tests.registration.bodies import egg, scan
 from tests.shape_validation.test_shape import MOTION, cylinder, problem, write_csv, write_ply
 from tests.tracker_accuracy import virtual
-from tests.tracker_accuracy.test_tracking import (
-    DISPLACEMENT,
-    distance_study,
-)
+from tests.tracker_accuracy.test_tracking import DISPLACEMENT, distance_study
 
 Lines = Callable[[list[str]], list[str]]
 

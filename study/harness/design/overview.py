@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
-from study.ground.canonical import Json, plain
+from study.ground.canonical import Json, Keyed, plain
+from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell
 from study.harness.design.diagnostics import Faults
+from study.harness.design.generators import d_optimal, efficiency
+from study.harness.design.layout_kinds import words_of
 from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Combination, Design, Factor, Level, Treatment
+from study.mechanics.setup.declaration import Bad
 
 Groups = tuple[tuple[Treatment, ...], ...]
 Key = Callable[[Cell], Hashable]
@@ -268,3 +274,83 @@ def warnings(design: Design) -> tuple[str, ...]:
     if design.converge.ratio < 1.3:
         notes[f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"] = None
     return tuple(notes)
+
+
+# Further cells for a fraction that leaves a doubt: those that tell more terms apart.
+
+#: kinds of a design whose factors are samples of ranges, not levels
+_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
+
+
+@dataclass(frozen=True)
+class Augmentation(Keyed):
+    """Cells to be run besides those of a design."""
+
+    KEYS = "cells terms efficiency design=table"
+
+    #: Level of every factor, by its label.
+    cells: tuple[Mapping[str, str], ...]
+    own: tuple[Mapping[str, str], ...]
+    #: What all cells together tell apart.
+    terms: tuple[str, ...]
+    #: D-efficiency for these terms, 0 where some of them are one another.
+    before: float
+    after: float
+
+    @property
+    def efficiency(self) -> dict[str, float]:
+        """D-efficiency without and with the further cells."""
+        return {"before": self.before, "after": self.after}
+
+    def table(self) -> str:
+        """Write the table ``[design]`` with all cells: records of those that are done are kept."""
+
+        def key(name: str) -> str:
+            bare = name.replace("_", "").replace("-", "").isalnum()
+            return name if bare else json.dumps(name)
+
+        lines = [
+            "    { " + ", ".join(f"{key(k)} = {json.dumps(v)}" for k, v in cell.items()) + " },"
+            for cell in (*self.own, *self.cells)
+        ]
+        return "\n".join(["[design]", 'kind = "listed"', "treatments = [", *lines, "]"])
+
+
+def further_cells(loaded: Design, cells: int, terms: int | Sequence[str]) -> Augmentation:
+    """Choose further cells of a fraction by D-optimality, for terms such as ``"a:b"`` or an order.
+
+    A design that runs every combination or samples ranges has none, and is refused.
+    """
+    rows = loaded.scheme.rows
+    factors = loaded.factors
+    sizes = [len(factor.levels) for factor in factors]
+    every = math.prod(sizes)
+    if rows is None or loaded.scheme.kind == "full":
+        rule = "runs every combination: there is no further cell"
+        raise InputError(Fault("design", rule, "add a level or a factor"))
+    if loaded.scheme.kind in _SAMPLED:
+        rule = f"a {loaded.scheme.kind} design samples ranges"
+        raise InputError(Fault("design.kind", rule, "ask it for more runs"))
+    names = [factor.name for factor in factors]
+    try:
+        words = words_of(names, terms if isinstance(terms, int) else list(terms))
+    except Bad as error:
+        raise InputError(Fault("terms", error.rule, error.mend)) from None
+    unknowns = 1 + sum(math.prod(sizes[k] - 1 for k in word) for word in words)
+    least = max(1, unknowns - len(rows))
+    if not least <= cells <= every - len(rows):
+        rule = f"{cells} further cells, of which there are {every - len(rows)}"
+        mend = (
+            f"{least} to {every - len(rows)}: {len(rows)} cells run, {unknowns} numbers are asked"
+        )
+        raise InputError(Fault("augment", rule, mend))
+    chosen_cells = d_optimal(sizes, words, cells, loaded.seed, rows)
+    return Augmentation(
+        *(
+            tuple({f.name: f.labels[k] for f, k in zip(factors, row, strict=True)} for row in cells)
+            for cells in (chosen_cells, rows)
+        ),
+        tuple(":".join(names[k] for k in word) for word in words),
+        efficiency(rows, sizes, words),
+        efficiency((*rows, *chosen_cells), sizes, words),
+    )

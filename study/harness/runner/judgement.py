@@ -6,8 +6,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array
 from study.ground.canonical import plain
 from study.harness.design.cell import CellProblem, case_id
+from study.harness.design.forward_model import ForwardCell
 from study.harness.design.study_file import Converge
 from study.harness.runner.refinement import (
     FEWEST,
@@ -27,7 +32,9 @@ from study.harness.runner.refinement import (
     within,
 )
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
+from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.setup.geometry import Enclosed
+from study.mechanics.setup.setup import Problem
 from study.statistics.analysis.work_precision import (
     CostPoint,
     CostToAccuracy,
@@ -461,3 +468,46 @@ def _answer(
     if u is not None and u > accuracy * abs(value) / 3:
         text += f"; the reference itself is only known to {100 * u / abs(value):.2g} %"
     return text
+
+
+# Pictures of the meshes of a convergence study.
+
+#: cells whose coarsest and finest mesh are shown
+SHOWN = 4
+#: plane elements by their number of vertices
+_SHAPES = {3: "triangles", 4: "quadrilaterals"}
+
+
+def meshes(
+    cells: Sequence[SeriesJudgement], problems: Sequence[ForwardCell]
+) -> tuple[list[tuple[str, Array, NDArray[np.int64]]], Array | None]:
+    """Coarsest and finest plane mesh (n, 2) of cells, and the window (2, 2) to see, mm."""
+    from study.mechanics.mesh.mesher import build_mesh
+
+    drawn: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
+    window = None
+    for cell, problem in zip(cells, problems, strict=True):
+        sizes = [level.mesh_size_mm for level in cell.meshes if level.result.converged]
+        if not isinstance(problem, CellProblem) or problem.model.space == "3d":
+            continue
+        if not sizes or len(drawn) >= 2 * SHOWN:
+            continue
+        for size in (sizes[-1], sizes[0]):
+            mesh = build_mesh(SolveTask.of(problem, size).problem.at().setup)
+            elements = f"{size:.3g} mm, {len(mesh.cells)} elements"
+            label = f"{_SHAPES[mesh.cells.shape[1]]}, {elements}"
+            picture = label, np.asarray(mesh.points), np.asarray(mesh.cells)
+            drawn.setdefault(mesh.digest(), picture)
+        window = near(problem.at()) if window is None else window
+    return list(drawn.values()), window
+
+
+def near(made: Problem) -> Array:
+    """Corner that matters, (2, 2), mm: under an indenter, or where plate and side meet."""
+    height, area = height_and_area(made.specimen)
+    radius = float(np.sqrt(area / np.pi))
+    if made.test.indenter is not None:
+        reach = min(max(3 * made.test.depth_mm, 0.1 * radius), radius, height)
+        return np.array([[0.0, height - reach], [reach, height]])
+    reach = 0.4 * min(radius, height / 2)
+    return np.array([[radius - reach, height - reach], [radius, height]])

@@ -19,7 +19,8 @@ from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.forward_model import PlacedFile
 from study.harness.record.atomic_files import write_atomic
 from study.mechanics.measurement.marker_states import read_markers
-from study.mechanics.measurement.recording import check_relative, locate
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.recording import check_relative, locate, locate_pattern
 from study.mechanics.setup.geometry import Block, Enclosed, Surface
 
 #: Modules that do the tasks of a worker; what they import decides the numbers.
@@ -157,10 +158,10 @@ _WHERE = "specimen.file"
 _USUAL_DEPTH = 0.1
 
 
-def folders(source: str | Path, data_root: Path) -> tuple[Path, ...]:
+def folders(source: str | Path, root: Path) -> tuple[Path, ...]:
     """Where a surface may be: the data root first, as measurements; then beside the design."""
     home = Path(source).resolve().parent if Path(source).is_file() else None
-    places = [data_root, *([home] if home is not None else [])]
+    places = [root, *([home] if home is not None else [])]
     return tuple(dict.fromkeys(folder.resolve() for folder in places))
 
 
@@ -252,3 +253,39 @@ def placed_files(cell: Cell) -> list[PlacedFile]:
         if isinstance(problem, CellProblem):
             files += [problem.surface_file, problem.marker_file]
     return [file for file in files if file is not None]
+
+
+def data_root(
+    source: str | Path, data: str | Path | None = None, named: Iterable[MeasurementSpec] = ()
+) -> Path:
+    """Folder that measurement files are relative to.
+
+    Without a folder that the user named it is the first of three that holds the files:
+    ``measurements/`` beside the design's folder, ``measurements/`` beside the design, the
+    design's folder. Where none holds them it is the first that exists.
+    """
+    if data is not None:
+        folder = Path(data)
+        if not folder.is_dir():
+            mend = "name the folder that holds the measurement files"
+            raise InputError(Fault("--data", f"there is no folder {str(folder)!r}", mend))
+        return folder
+    home = Path(source).resolve().parent
+    usual = [home.parent / "measurements", home / "measurements", home]
+    there = [folder for folder in usual if folder.is_dir()]
+    files = list(named)
+    complete = [folder for folder in there if files and _holds(folder, files)]
+    return next(iter([*complete, *there]), home)
+
+
+def _holds(folder: Path, files: Iterable[MeasurementSpec]) -> bool:
+    """Whether a folder has a file for each of some specifications."""
+    try:
+        for spec in files:
+            if spec.file is not None:
+                locate(spec.file, folder)
+            elif spec.files is not None:
+                locate_pattern(spec.files, folder)
+    except InputError:
+        return False
+    return True
