@@ -294,7 +294,7 @@ def _worst(
 #: shares of the displacement that are looked at; the last one is the study itself
 SHARES = (0.25, 0.5, 0.75, 1.0)
 #: measured points that a response needs at least
-_FEWEST = 5
+_FEWEST_POINTS = 5
 
 
 def effects_by_depth(
@@ -316,7 +316,7 @@ def effects_by_depth(
     shares = [
         s
         for s in SHARES
-        if min(int((at <= s * depth * (1 + 1e-9)).sum()) for at in reached) >= _FEWEST
+        if min(int((at <= s * depth * (1 + 1e-9)).sum()) for at in reached) >= _FEWEST_POINTS
     ]
     if len(shares) < 2:
         return ()

@@ -546,17 +546,17 @@ def compare_reports(home: Path, fresh: Path, verification: Verification) -> None
             lost, made = ("there" if is_there else "missing" for is_there in there)
             verification.differences.append(Difference(str(name), lost, made))
             continue
-        text = _text(fresh / name)
+        text = _unpacked(fresh / name)
         try:
-            reported = _text(home / name, 2 * len(text.encode()) + _SPARE_BYTES)
+            reported = _unpacked(home / name, 2 * len(text.encode()) + _SPARE_BYTES)
         except StoreError as error:
             verification.differences.append(Difference(str(name), str(error), "readable"))
             continue
         _compare(str(name), _lines(reported), _lines(text), verification)
 
 
-def _text(path: Path, limit: int = MAX_BYTES) -> str:
-    """Text of a file of a report, unpacked, of at most so many bytes."""
+def _unpacked(path: Path, limit: int = MAX_BYTES) -> str:
+    """Read the text of a file of a report, of at most so many bytes."""
     raw = read_existing(path, limit)
     try:
         return (unzip(raw, path, limit) if path.suffix == ".gz" else raw).decode("utf-8")
