@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import platform
-import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
-import study
 from study import api
 from study.api.folders import is_table
-from study.ground.bounded_file import sha256_of
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import NUMBER, TYPED_COMMA, names_of, read_csv, read_tidy_csv
 from study.harness.design.study_file import SCORED, ResponseSpec
@@ -21,20 +16,18 @@ from study.harness.runner.expansion import held_out
 from study.harness.runner.record_analysis import analyze_records
 from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
-from study.reporting.output.analysis_page import write_analysis
+from study.reporting.output.analysis_page import analysis_data, write_page
 from study.reporting.output.page import Shown
 from study.reporting.results.study_result import (
     FITTED_CURVE,
     OTHER_SPECIMEN,
     OTHER_TEST,
-    ReportData,
     ResponseAnalysis,
 )
 from study.statistics.analysis.analysis_request import alpha_faults, threshold
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import (
-    Comparisons,
     FamilyTest,
     GroupMoments,
     SummaryAnalysis,
@@ -54,155 +47,6 @@ if TYPE_CHECKING:
     from study.statistics.analysis.linear_model import Model
 
 
-# Write the page of one analysis: of a CSV, a table, or a study's records.
-
-#: Names that the rows of an analysis have for themselves.
-TAKEN = frozenset(
-    ("row", "cell", "representative", "response", "block", "fitted", "residual", "leverage", "cook",
-     "standardized", "press", "score", "case_id", "status", "seconds", "mean", "n", "y", "factor",
-     "level", "other", "other_level", "place", "number")
-)  # fmt: skip
-_PACKAGES = ("numpy", "scipy", "pandas", "statsmodels")
-
-
-@dataclass(frozen=True)
-class AnalysisSource:
-    """Where the rows of an analysis come from, and how it was asked for."""
-
-    #: The CSV; None for a table in memory.
-    path: Path | None = None
-    #: What the command line was given: ``{"--response": "life"}``.
-    flags: Mapping[str, str] = field(default_factory=dict)
-    #: Differences that were asked for by name.
-    contrasts: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Name of the table."""
-        return "table" if self.path is None else self.path.name.split(".")[0] or "table"
-
-    def digest(self) -> str | None:
-        """Sha256 of the file."""
-        return None if self.path is None else sha256_of(self.path)
-
-    def commands(self) -> tuple[str, ...]:
-        """Lines that check the file and make the analysis again; none for a table in memory."""
-        if self.path is None:
-            return ()
-        check = f"{self.digest()}  {self.path}"
-        given = [word for flag, value in self.flags.items() if value for word in (flag, value)]
-        words = [word for text in self.contrasts for word in ("--contrast", text)]
-        again = ["study", "analyze", str(self.path), *given, *words]
-        return (f"echo {shlex.quote(check)} | sha256sum --check", shlex.join(again))
-
-
-def write_page(
-    analysis: AnalysisResult,
-    out_dir: str | Path,
-    *,
-    source: AnalysisSource | None = None,
-    compared: tuple[str, Comparisons] | None = None,
-    formats: Sequence[str] = ("html",),
-) -> Path:
-    """Write the page of an analysis, with the CSV of its tables and figures beside it."""
-    check_taken(analysis.request.factors)
-    data = report_data(analysis, source or AnalysisSource())
-    return write_analysis(analysis, data, out_dir, formats, compared)
-
-
-def check_taken(factors: Sequence[str]) -> None:
-    """Refuse factors with a name that the rows of a report have for themselves."""
-    taken = [name for name in factors if name in TAKEN]
-    if taken:
-        rule = "is a name that the report needs for a column of its own"
-        mend = "rename the column, say to the quantity that it holds"
-        raise InputError([Fault(f"column {name!r}", rule, mend) for name in taken])
-
-
-def report_data(analysis: AnalysisResult, source: AnalysisSource) -> ReportData:
-    """Gather what a report shows of one analysis: levels, rows, provenance."""
-    request, limit = analysis.request, analysis.request.scale.practical
-    rows, block = analysis.data.residuals, analysis.data.block
-    of_response = ResponseAnalysis(
-        request.response,
-        "",
-        analysis,
-        practical=None if limit is None else limit.value,
-        relative=bool(limit and limit.relative),
-        transform=request.scale.transform,
-        title=request.response,
-    )
-    data = data_of_table(
-        source,
-        of_response,
-        f"What does {request.response} depend on: {', '.join(request.factors)}?",
-        _levels(analysis),
-        _report_table(analysis),
-        len(analysis.data.cell_means),
-    )
-    blocks = () if block is None else tuple(rows["block"].astype(str).unique())
-    return replace(data, block=block or "", blocks=blocks, seed=request.seed, alpha=request.alpha)
-
-
-def data_of_table(
-    source: AnalysisSource,
-    response: ResponseAnalysis,
-    question: str,
-    factors: Mapping[str, tuple[str, ...]],
-    table: pd.DataFrame,
-    cells: int,
-) -> ReportData:
-    """Gather what a report shows of a table, whatever was asked of it."""
-    return ReportData(
-        name=source.name,
-        question=question,
-        factors=factors,
-        table=table,
-        responses=(response,),
-        citation="" if source.path is None else source.path.name,
-        provenance=provenance(source),
-        commands=source.commands(),
-        scheme=f"a table of {len(table):,} rows was analyzed",
-        cells=cells,
-        labels={name: name for name in (response.name, *factors)},
-        is_table=True,
-    )
-
-
-def _levels(analysis: AnalysisResult) -> dict[str, tuple[str, ...]]:
-    levels = {e.term: e.levels for e in analysis.effects if e.is_main}
-    rows = analysis.data.residuals
-    return {
-        name: levels.get(name) or tuple(rows[name].astype(str).unique())
-        for name in analysis.request.factors
-    }
-
-
-def _report_table(analysis: AnalysisResult) -> pd.DataFrame:
-    """Rows as a report wants them: levels, block, status, the response under its own name."""
-    rows = analysis.data.residuals
-    columns = {name: rows[name].astype(str) for name in analysis.request.factors}
-    if "block" in rows:
-        columns["block"] = rows["block"].astype(str)
-    frame = rows[["row"]].assign(**columns, status="converged")
-    frame = frame.rename(columns={"row": "case_id"})
-    frame[analysis.request.response] = rows["response"]
-    return frame
-
-
-def provenance(source: AnalysisSource) -> dict[str, str]:
-    """List versions, and the hash of the file."""
-    out = {"version of study": study.__version__, "version of python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            out[f"version of {package}"] = version(package)
-        except PackageNotFoundError:
-            continue
-    if source.path is not None:
-        out[f"sha256 of {source.path.name}"] = str(source.digest())
-    return out
-
-
 # An analysis as a notebook shows it: a frame, a table in HTML, a figure, a page.
 
 
@@ -216,13 +60,13 @@ class TableAnalysis(Shown, AnalysisResult):
 
     def blocks(self) -> Iterator[Block | None]:
         """Error term, table, effects and assumptions, as ``study analyze`` prints them."""
-        return analysis_blocks(self, report_data(self, AnalysisSource()))
+        return analysis_blocks(self, analysis_data(self))
 
     def plot(self) -> Drawing:
         """Draw the largest difference of every term with its interval against what matters."""
         from study.reporting.figures.effect_figures import shown_effect_sizes
 
-        data = report_data(self, AnalysisSource())
+        data = analysis_data(self)
         (item,) = facts(data)
         return shown_effect_sizes(item, data.labels)
 

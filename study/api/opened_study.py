@@ -28,7 +28,6 @@ from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.expansion import cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
 from study.harness.runner.record_analysis import (
-    SEE_SURFACE,
     analyze_records,
     different_answers,
     is_numeric,
@@ -54,6 +53,7 @@ from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.post_hoc import with_contrasts
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
+from study.statistics.surfaces.surface_fitting import SEE_SURFACE
 
 if TYPE_CHECKING:
     import pandas as pd

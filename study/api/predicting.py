@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study import api
-from study.api.analyzing import AnalysisSource, data_of_table
 from study.api.folders import RESULTS, design_root
 from study.ground import tabular, units
 from study.ground.errors import Fault, InputError, RefusedError, nearest
@@ -21,8 +20,6 @@ from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress
 from study.harness.runner.fit_problem import NOTHING, Allowed
-from study.harness.runner.record_analysis import SEE_SURFACE
-from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.surfaces.emulator import LARGEST, expected_seconds
 from study.statistics.surfaces.surface_fitting import (
     Surface,
@@ -39,12 +36,9 @@ from study.statistics.surfaces.surface_profile import FittedSurface
 from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from study.ground.arrays import Array
     from study.harness.record.record import Record
     from study.reporting.results.study_result import StudyResult
-    from study.statistics.surfaces.surface_factors import Runs
     from study.statistics.surfaces.surface_result import SurfacePrediction
 
 
@@ -313,43 +307,3 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
 
 
 # What the page of a surface that was fitted to a table shows.
-
-
-def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:
-    """Gather what a report shows of the surfaces of one response of a table."""
-    import pandas as pd
-
-    good = [(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
-    table = pd.concat([_rows(runs, labels) for runs, labels in good], ignore_index=True)
-    table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
-    runs, names = good[0][0], [*fits[0].labels, *good[0][0].names]
-    data = data_of_table(
-        source,
-        ResponseAnalysis(
-            runs.name, "", None, practical=fits[0].practical, title=runs.name, refused=SEE_SURFACE
-        ),
-        f"How does {runs.name} depend on {', '.join(names)}?",
-        {name: tuple(table[name].unique()) for name in names},
-        table,
-        sum(len(one.distinct()[0]) for one, _ in good),
-    )
-    return replace(
-        data,
-        block="block" if runs.blocks else "",
-        blocks=tuple(table["block"].unique()) if runs.blocks else (),
-        surfaces=tuple(fits),
-        ranges={f.name: f"{f.low:g} to {f.high:g}" for f in runs.factors},
-    )
-
-
-def _rows(runs: Runs, labels: Mapping[str, str]) -> pd.DataFrame:
-    import pandas as pd
-
-    settings = {
-        factor.name: [f"{factor.setting(float(x)):.6g}" for x in column]
-        for factor, column in zip(runs.factors, runs.coded.T, strict=True)
-    }
-    frame = pd.DataFrame({**{n: [at] * runs.response.size for n, at in labels.items()}, **settings})
-    if runs.blocks:
-        frame["block"] = list(runs.blocks)
-    return frame.assign(status="converged", **{runs.name: runs.response})

@@ -84,7 +84,7 @@ def solve(
 
 def doctor(as_json: Json = False) -> None:
     """Check the installation."""
-    from study.api.solving import examine
+    from study.harness.runner.tasks import examine
 
     findings = examine()
     heads = ("name", "outcome", "finding")

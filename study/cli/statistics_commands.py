@@ -194,17 +194,17 @@ def _show(
     analysis: AnalysisResult, source: Path, flags: Flags, report: Path | None, as_json: bool
 ) -> None:
     """Print an analysis, with what was asked for besides: a reference, a page."""
-    from study.api import analyzing
+    from study.reporting.output import analysis_page
     from study.statistics.analysis.post_hoc import against_reference
 
     given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
     named = tuple(contrast.name for contrast in analysis.contrasts)
-    asked = analyzing.AnalysisSource(source if source.is_file() else None, given, named)
+    asked = analysis_page.AnalysisSource(source if source.is_file() else None, given, named)
     reference, page = flags["--reference"], None
     compared = None if reference is None else against_reference(analysis, reference)
     if report is not None:
         formats = tuple(listed(flags["--format"])) or ("html",)
-        page = analyzing.write_page(
+        page = analysis_page.write_page(
             analysis, report, source=asked, compared=compared, formats=formats
         )
     if as_json:
@@ -218,7 +218,7 @@ def _show(
             }  # fmt: skip
         output.print_json(analysis.to_json() | further)
         return
-    data = analyzing.report_data(analysis, asked)
+    data = analysis_page.analysis_data(analysis, asked)
     from study.reporting.content import analysis_content
 
     say(analysis_content.analysis_blocks(analysis, data))
@@ -251,9 +251,8 @@ def _show_surfaces(
 ) -> None:
     """Fit a surface and print it."""
     from study import api
-    from study.api.analyzing import AnalysisSource, check_taken
-    from study.api.predicting import table_data
     from study.reporting.content import surface_content
+    from study.reporting.output.analysis_page import AnalysisSource, check_taken, surface_data
     from study.reporting.output.write import write
 
     if source.is_dir() or source.suffix == ".toml":
@@ -280,7 +279,7 @@ def _show_surfaces(
     output.warn([*notes, *at])
     given = {flag: value for flag, value in flags.items() if value}
     given |= {"--numeric": ",".join(numeric), "--surface": surface}
-    data = table_data(every, AnalysisSource(source, given))
+    data = surface_data(every, AnalysisSource(source, given))
     page = None
     if (folder := flags["--report"]) is not None:
         check_taken(list(data.factors))

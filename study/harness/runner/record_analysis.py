@@ -382,8 +382,6 @@ def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
 _FOR_SURFACES = (
     "central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive", "listed"
 )  # fmt: skip
-#: what stands in the place of a table of levels
-SEE_SURFACE = "its factors are numbers: see the surface"
 
 
 def is_numeric(design: Design) -> bool:

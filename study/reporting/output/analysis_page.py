@@ -6,11 +6,20 @@ coefficients, all pairs of levels, four residual plots in one, unusual observati
 
 from __future__ import annotations
 
+import platform
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pandas as pd
+
+from study import __version__ as package_version
+from study.ground.bounded_file import sha256_of
+from study.ground.errors import Fault, InputError
 from study.reporting.content import analysis_content, methods, sentences, tables
 from study.reporting.content.blocks import (
     Block,
@@ -29,19 +38,21 @@ from study.reporting.content.text import capital, clean, count, sentence, slug
 from study.reporting.figures.axes import Plot, made
 from study.reporting.output import study_page, write
 from study.reporting.output.page import Page, Pages, page_names, replace_file
+from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.analysis.post_hoc import (
     coefficient_table,
     diagnosed_rows,
     pairwise,
     unusual_observations,
 )
+from study.statistics.surfaces.surface_fitting import SEE_SURFACE
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from study.reporting.results.study_result import ReportData
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.comparisons import Comparisons
+    from study.statistics.surfaces.surface_factors import Runs
+    from study.statistics.surfaces.surface_profile import FittedSurface
 
 
 #: Cells beyond which their spreads, and rows beyond which their values, are not drawn one by one.
@@ -232,18 +243,20 @@ def _figures(
 _IN_LATEX = ("verdicts", "anova", "Coefficients", "Means", "pairwise comparisons")
 
 
-def write_analysis(
+def write_page(
     analysis: AnalysisResult,
-    data: ReportData,
     out_dir: str | Path,
+    *,
+    source: AnalysisSource | None = None,
+    compared: Reference | None = None,
     formats: Sequence[str] = ("html",),
-    reference: Reference | None = None,
 ) -> Path:
     """Write the page of an analysis and its numbers into a folder; return its main file."""
-    chosen = write.checked_formats(formats)
+    check_taken(analysis.request.factors)
+    data, chosen = analysis_data(analysis, source), write.checked_formats(formats)
     folder, rows = Path(out_dir), diagnosed_rows(analysis)
     stem = slug(f"{data.name} {analysis.request.response}")
-    pages = prepare(analysis, data, stem, rows, reference)
+    pages = prepare(analysis, data, stem, rows, compared)
     files = write.write_pages(folder, stem, pages, chosen)
     write.write_numbers(files, analysis.to_json())
     rows = analysis.data.residuals if rows is None else rows
@@ -251,9 +264,175 @@ def write_analysis(
     html, latex = folder / f"{stem}.html", folder / f"{stem}.tex"
     if "tex" in chosen:
         shown = [pages.tables[name] for name in _IN_LATEX if name in pages.tables]
-        if reference is not None:
-            shown.append(analysis_content.against_reference(*reference, data))
+        if compared is not None:
+            shown.append(analysis_content.against_reference(*compared, data))
         captions = [(table.name.capitalize(), table) for table in shown]
         text = write.document(captions, methods.paragraph(data, facts(data)))
         replace_file(latex, text)
     return {"html": html, "pdf": html, "tex": latex, "csv": files / "rows.csv"}[chosen[0]]
+
+
+# What a report shows of a table: of its analysis, or of surfaces over its numbers.
+
+#: Names that the rows of an analysis have for themselves.
+TAKEN = frozenset(
+    ("row", "cell", "representative", "response", "block", "fitted", "residual", "leverage", "cook",
+     "standardized", "press", "score", "case_id", "status", "seconds", "mean", "n", "y", "factor",
+     "level", "other", "other_level", "place", "number")
+)  # fmt: skip
+_PACKAGES = ("numpy", "scipy", "pandas", "statsmodels")
+
+
+@dataclass(frozen=True)
+class AnalysisSource:
+    """Where the rows of an analysis come from, and how it was asked for."""
+
+    #: The CSV; None for a table in memory.
+    path: Path | None = None
+    #: What the command line was given: ``{"--response": "life"}``.
+    flags: Mapping[str, str] = field(default_factory=dict)
+    #: Differences that were asked for by name.
+    contrasts: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the table."""
+        return "table" if self.path is None else self.path.name.split(".")[0] or "table"
+
+    def commands(self) -> tuple[str, ...]:
+        """Lines that check the file and make the analysis again; none for a table in memory."""
+        if self.path is None:
+            return ()
+        check = f"{sha256_of(self.path)}  {self.path}"
+        given = [word for flag, value in self.flags.items() if value for word in (flag, value)]
+        words = [word for text in self.contrasts for word in ("--contrast", text)]
+        again = ["study", "analyze", str(self.path), *given, *words]
+        return (f"echo {shlex.quote(check)} | sha256sum --check", shlex.join(again))
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Versions, and the hash of the file."""
+        out = {"version of study": package_version, "version of python": platform.python_version()}
+        for package in _PACKAGES:
+            with suppress(PackageNotFoundError):
+                out[f"version of {package}"] = version(package)
+        if self.path is not None:
+            out[f"sha256 of {self.path.name}"] = sha256_of(self.path)
+        return out
+
+
+def check_taken(factors: Sequence[str]) -> None:
+    """Refuse factors with a name that the rows of a report have for themselves."""
+    taken = [name for name in factors if name in TAKEN]
+    if taken:
+        rule = "is a name that the report needs for a column of its own"
+        mend = "rename the column, say to the quantity that it holds"
+        raise InputError([Fault(f"column {name!r}", rule, mend) for name in taken])
+
+
+def analysis_data(analysis: AnalysisResult, source: AnalysisSource | None = None) -> ReportData:
+    """Gather what a report shows of one analysis: levels, rows, provenance."""
+    request, limit = analysis.request, analysis.request.scale.practical
+    rows, block = analysis.data.residuals, analysis.data.block
+    of_response = ResponseAnalysis(
+        request.response,
+        "",
+        analysis,
+        practical=None if limit is None else limit.value,
+        relative=bool(limit and limit.relative),
+        transform=request.scale.transform,
+        title=request.response,
+    )
+    data = data_of_table(
+        source or AnalysisSource(),
+        of_response,
+        f"What does {request.response} depend on: {', '.join(request.factors)}?",
+        _levels(analysis),
+        _report_table(analysis),
+        len(analysis.data.cell_means),
+    )
+    blocks = () if block is None else tuple(rows["block"].astype(str).unique())
+    return replace(data, block=block or "", blocks=blocks, seed=request.seed, alpha=request.alpha)
+
+
+def data_of_table(
+    source: AnalysisSource,
+    response: ResponseAnalysis,
+    question: str,
+    factors: Mapping[str, tuple[str, ...]],
+    table: pd.DataFrame,
+    cells: int,
+) -> ReportData:
+    """Gather what a report shows of a table, whatever was asked of it."""
+    return ReportData(
+        name=source.name,
+        question=question,
+        factors=factors,
+        table=table,
+        responses=(response,),
+        citation="" if source.path is None else source.path.name,
+        provenance=source.provenance,
+        commands=source.commands(),
+        scheme=f"a table of {len(table):,} rows was analyzed",
+        cells=cells,
+        labels={name: name for name in (response.name, *factors)},
+        is_table=True,
+    )
+
+
+def _levels(analysis: AnalysisResult) -> dict[str, tuple[str, ...]]:
+    levels = {e.term: e.levels for e in analysis.effects if e.is_main}
+    rows = analysis.data.residuals
+    return {
+        name: levels.get(name) or tuple(rows[name].astype(str).unique())
+        for name in analysis.request.factors
+    }
+
+
+def _report_table(analysis: AnalysisResult) -> pd.DataFrame:
+    """Rows as a report wants them: levels, block, status, the response under its own name."""
+    rows, response = analysis.data.residuals, analysis.request.response
+    names = [name for name in (*analysis.request.factors, "block") if name in rows]
+    frame = rows[["row"]].rename(columns={"row": "case_id"})
+    frame = frame.assign(**{name: rows[name].astype(str) for name in names}, status="converged")
+    return frame.assign(**{response: rows["response"]})
+
+
+def surface_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:
+    """Gather what a report shows of the surfaces of one response of a table."""
+    import pandas as pd
+
+    good = [(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
+    table = pd.concat([_settings_of(runs, labels) for runs, labels in good], ignore_index=True)
+    table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
+    runs, names = good[0][0], [*fits[0].labels, *good[0][0].names]
+    data = data_of_table(
+        source,
+        ResponseAnalysis(
+            runs.name, "", None, practical=fits[0].practical, title=runs.name, refused=SEE_SURFACE
+        ),
+        f"How does {runs.name} depend on {', '.join(names)}?",
+        {name: tuple(table[name].unique()) for name in names},
+        table,
+        sum(len(one.distinct()[0]) for one, _ in good),
+    )
+    return replace(
+        data,
+        block="block" if runs.blocks else "",
+        blocks=tuple(table["block"].unique()) if runs.blocks else (),
+        surfaces=tuple(fits),
+        ranges={f.name: f"{f.low:g} to {f.high:g}" for f in runs.factors},
+    )
+
+
+def _settings_of(runs: Runs, labels: Mapping[str, str]) -> pd.DataFrame:
+    import pandas as pd
+
+    settings = {
+        factor.name: [f"{factor.setting(float(x)):.6g}" for x in column]
+        for factor, column in zip(runs.factors, runs.coded.T, strict=True)
+    }
+    frame = pd.DataFrame({**{n: [at] * runs.response.size for n, at in labels.items()}, **settings})
+    if runs.blocks:
+        frame["block"] = list(runs.blocks)
+    return frame.assign(status="converged", **{runs.name: runs.response})

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 
 Surface = Literal["auto", "quadratic", "emulator", "none"]
+#: what stands in the place of a table of levels
+SEE_SURFACE = "its factors are numbers: see the surface"
 #: most factors of a quadratic surface that is chosen by itself
 FEW = 5
 #: how far a range may go beyond the runs, in coded units: a Latin hypercube of ten runs has its

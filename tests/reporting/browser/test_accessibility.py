@@ -19,11 +19,11 @@ import pandas as pd
 import pytest
 
 from study import api
-from study.api.analyzing import AnalysisSource as Source
-from study.api.predicting import table_data
 from study.api.serving import Folders, StudyServer
 from study.harness.record.store import Store
 from study.reporting.output import write
+from study.reporting.output.analysis_page import AnalysisSource as Source
+from study.reporting.output.analysis_page import surface_data
 from tests.cli.small import PROBLEM
 from tests.cli.test_labels_and_numbers import table as mixed_table
 from tests.cli.test_require import PLATES
@@ -101,7 +101,7 @@ def pages(demo: Path, html: str, tmp_path_factory: pytest.TempPathFactory) -> li
     api.converge(folder / "problem.toml", results=folder, reports=folder / "series")
     runs, _ = mixed_table(folder)
     surfaces = api.fit_surfaces(runs, "force", ["tip", "depth"], ["material"], practical=1.0)
-    write.write(table_data(surfaces, Source(runs, {})), folder / "surface", ["html"])
+    write.write(surface_data(surfaces, Source(runs, {})), folder / "surface", ["html"])
     api.tracking(distance_study(folder, 1), reports=folder / "tracker")
     api.export(folder / "problem.toml", out=folder / "law")
     api.require(folder / "plates.toml", jobs=1, out=folder / "sensors")
