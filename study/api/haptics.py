@@ -157,15 +157,6 @@ class _Source:
         return ForceLawSource(self.name, problem, half_ranges, covariance)
 
 
-def _source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> _Source:
-    """Read a problem from whatever holds it; its name and content show what that is."""
-    if path.suffix == ".json":
-        return _calibrated(path, test)
-    if path.suffix == ".toml" and path.is_file() and not case:
-        return _written(path, overrides)
-    return _recorded(path, case)
-
-
 def _written(path: Path, overrides: Sequence[str]) -> _Source:
     """Problem of a file."""
     kind = load.file_kind(path)
@@ -304,7 +295,13 @@ def export(
     if not 0 < tolerance < 1:
         rule = f"must be a share between 0 and 1, got {tolerance:g}"
         raise InputError(Fault("--tolerance", rule, "for example 0.002"))
-    read = _source_of(Path(source), case, test, overrides)
+    path = Path(source)
+    if path.suffix == ".json":
+        read = _calibrated(path, test)
+    elif path.suffix == ".toml" and path.is_file() and not case:
+        read = _written(path, overrides)
+    else:
+        read = _recorded(path, case)
     if form in PROGRAMS:
         return export_material(read.name, read.material, form, Path(out))
     check(read.material, None)

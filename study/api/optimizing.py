@@ -37,8 +37,8 @@ from study.reporting.results.study_answers import (
     Confirmed,
     InputSet,
     Inverted,
+    OtherChoice,
     Recommendation,
-    Rival,
 )
 from study.statistics.surfaces.surface_factors import Runs, never_run
 from study.statistics.surfaces.surface_inversion import InversionAgreement, agreeing
@@ -333,7 +333,7 @@ def _at(
         key=lambda candidate: (candidate.assurance == "predicted", sign * candidate.value),
     )
     rivals = tuple(
-        Rival({n: str(candidate.settings[n]) for n in chosen}, candidate.value)
+        OtherChoice({n: str(candidate.settings[n]) for n in chosen}, candidate.value)
         for candidate in ranked[1:]
     )
     return replace(ranked[0], rivals=rivals, notes=(*ranked[0].notes, *notes))

@@ -245,13 +245,12 @@ def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> tupl
     stored = store.records(
         {row["case"]: row["input"] for row in rows_of_study if ID.fullmatch(row["case"])}
     )
-    return tuple(record for record in stored if _is_of(record, design))
-
-
-def _is_of(record: Record, design: Design) -> bool:
-    """Whether a record is of a setting of a design: numbers in its ranges, else its levels."""
-    return {factor.name for factor in design.factors} == record.levels.keys() and all(
-        record.levels[name] in labels for name, labels in design.lists.items()
+    names = {factor.name for factor in design.factors}
+    return tuple(
+        record
+        for record in stored
+        if names == record.levels.keys()
+        and all(record.levels[name] in labels for name, labels in design.lists.items())
     )
 
 

@@ -334,6 +334,9 @@ def analysis_data(analysis: AnalysisResult, source: AnalysisSource | None = None
     """Gather what a report shows of one analysis: levels, rows, provenance."""
     request, limit = analysis.request, analysis.request.scale.practical
     rows, block = analysis.data.residuals, analysis.data.block
+    levels = {e.term: e.levels for e in analysis.effects if e.is_main}
+    texts = {n: rows[n].astype(str) for n in (*request.factors, "block") if n in rows}
+    table = rows[["row"]].rename(columns={"row": "case_id"}).assign(**texts, status="converged")
     of_response = ResponseAnalysis(
         request.response,
         "",
@@ -347,8 +350,8 @@ def analysis_data(analysis: AnalysisResult, source: AnalysisSource | None = None
         source or AnalysisSource(),
         of_response,
         f"What does {request.response} depend on: {', '.join(request.factors)}?",
-        _levels(analysis),
-        _report_table(analysis),
+        {n: levels.get(n) or tuple(rows[n].astype(str).unique()) for n in request.factors},
+        table.assign(**{request.response: rows["response"]}),
         len(analysis.data.cell_means),
     )
     blocks = () if block is None else tuple(rows["block"].astype(str).unique())
@@ -378,24 +381,6 @@ def data_of_table(
         labels={name: name for name in (response.name, *factors)},
         is_table=True,
     )
-
-
-def _levels(analysis: AnalysisResult) -> dict[str, tuple[str, ...]]:
-    levels = {e.term: e.levels for e in analysis.effects if e.is_main}
-    rows = analysis.data.residuals
-    return {
-        name: levels.get(name) or tuple(rows[name].astype(str).unique())
-        for name in analysis.request.factors
-    }
-
-
-def _report_table(analysis: AnalysisResult) -> pd.DataFrame:
-    """Rows as a report wants them: levels, block, status, the response under its own name."""
-    rows, response = analysis.data.residuals, analysis.request.response
-    names = [name for name in (*analysis.request.factors, "block") if name in rows]
-    frame = rows[["row"]].rename(columns={"row": "case_id"})
-    frame = frame.assign(**{name: rows[name].astype(str) for name in names}, status="converged")
-    return frame.assign(**{response: rows["response"]})
 
 
 def surface_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:

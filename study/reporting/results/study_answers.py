@@ -205,7 +205,7 @@ class Confirmed(Keyed):
 
 
 @dataclass(frozen=True)
-class Rival:
+class OtherChoice:
     """Levels that were not chosen, and the best value with them."""
 
     settings: Mapping[str, str]
@@ -246,7 +246,7 @@ class Recommendation(Keyed):
     #: What the factors that nobody chooses do there, over what was run of them.
     spread: ResponseSpread | None = None
     #: Other levels of the choices that are no numbers, and their best values, the best first.
-    rivals: tuple[Rival, ...] = ()
+    rivals: tuple[OtherChoice, ...] = ()
     #: The true model's run there; None where none was made.
     confirmed: Confirmed | None = None
     notes: tuple[str, ...] = ()
