@@ -18,8 +18,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from study.api.analyzing import AnalysisSource as Source
-from study.api.analyzing import analyze, write_page
+from study.api.analyzing import analyze
+from study.reporting.output.analysis_page import AnalysisSource as Source
+from study.reporting.output.analysis_page import write_page
 
 #: rows, kind, seconds asked of the analysis
 CASES = (

@@ -23,13 +23,12 @@ from pathlib import Path
 
 import numpy as np
 
-from study.api.comparison import manifest_of
 from study.api.folders import load_design
 from study.api.planning import plan, status
 from study.api.study import report, run
 from study.harness.execution.local import Loky
 from study.harness.record.store import Store
-from study.harness.runner.batch import run_batch
+from study.harness.runner.batch import manifest_of, run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseTask
 from study.harness.runner.tasks import processes

@@ -197,10 +197,12 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                 plain = is_dimensionless(name)
                 error = (fit.get("standard_error") or {}).get(name)
                 ends = (fit.get("ci95") or {}).get(name) or (None, None)
-                scaled = (None if v is None else v if plain else 1000.0 * v for v in (error, *ends))
+                error, low, high = (
+                    None if v is None else v if plain else 1000.0 * v for v in (error, *ends)
+                )
                 yield FittedConstant(
                     levels, record.block or "", name, value if plain else 1000.0 * value,
-                    "" if plain else "kPa", *scaled, bool(fit["identifiable"]),
+                    "" if plain else "kPa", error, low, high, bool(fit["identifiable"]),
                     str(fit.get("reason") or ""), "" if specimen == "all" else specimen,
                     _correlated(name, fit),
                     float((rss / n) ** 0.5) if n and rss is not None else None,

@@ -345,11 +345,13 @@ def further_cells(loaded: Design, cells: int, terms: int | Sequence[str]) -> Aug
         )
         raise InputError(Fault("augment", rule, mend))
     chosen_cells = d_optimal(sizes, words, cells, loaded.seed, rows)
+
+    def labels(row: Sequence[int]) -> dict[str, str]:
+        return {f.name: f.labels[k] for f, k in zip(factors, row, strict=True)}
+
     return Augmentation(
-        *(
-            tuple({f.name: f.labels[k] for f, k in zip(factors, row, strict=True)} for row in cells)
-            for cells in (chosen_cells, rows)
-        ),
+        tuple(map(labels, chosen_cells)),
+        tuple(map(labels, rows)),
         tuple(":".join(names[k] for k in word) for word in words),
         efficiency(rows, sizes, words),
         efficiency((*rows, *chosen_cells), sizes, words),

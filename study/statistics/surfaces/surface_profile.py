@@ -255,7 +255,7 @@ class FittedSurface(Keyed):
         return rows
 
     @property
-    def unconfirmed(self) -> list[dict[str, float]]:
+    def unconfirmed(self) -> list[Mapping[str, float]]:
         """Settings whose runs would confirm what is said of the factors, each once."""
         judged = () if self.found is None else self.found.sensitivity
         every = [at for item in judged for at in item.confirm]
