@@ -23,6 +23,7 @@ from study.harness.runner.study_uncertainty import numerical_bound
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.convergence.contrast_bound import SeriesBounds
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
+from tests.pages import both_pages
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
 Lost = Callable[[dict[str, str], int], bool]
@@ -101,6 +102,19 @@ def test_a_study_of_imported_runs_says_with_which_option_a_size_is_given(tmp_pat
     study = api.import_runs(tmp_path / "t.csv", ["gel"], ["y=N"], results=tmp_path / "results")
     (sentence,) = (line for line in study.answers if "No smallest difference" in line)
     assert sentence.endswith("Give one with --practical.")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_blocks_of_imported_runs_have_the_name_of_their_column(tmp_path: Path) -> None:
+    lines = [f"{m},s{n},{ord(m) + n + 0.1 * (n % 3) * (m == 'a')}" for m in "ab" for n in range(6)]
+    (tmp_path / "t.csv").write_text("\n".join(["gel,donor,y", *lines]))
+    study = api.import_runs(
+        tmp_path / "t.csv", "gel", "y=N", block="donor", practical="y=0.5 N",
+        results=tmp_path / "results",
+    )  # fmt: skip
+    page = both_pages(api.report(study.folder, reports=tmp_path, formats=["html"]).report)
+    assert "Effects hold in all donors alike" in page
+    assert "6 (donor): s0" in page
 
 
 # What an effect of a study whose meshes are a factor is held against: known truths.
