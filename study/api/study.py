@@ -402,10 +402,6 @@ OTHER_ARITHMETIC = 1e-9
 SOLVED_AGAIN = 1e-5
 
 
-#: differences that are told one by one
-TOLD = 50
-
-
 def verify(
     path: str | Path,
     *,

@@ -13,7 +13,7 @@ from study.cli import output
 from study.ground.errors import Fault, InputError
 from study.ground.units import listed
 from study.reporting.content.blocks import Sentence, Table, Verbatim
-from study.reporting.content.text import between, case_counts, general
+from study.reporting.content.text import case_counts, general
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from study.harness.design.overview import Augmentation, CellOverview, Overview
     from study.harness.design.spec import Scheme
     from study.reporting.content.blocks import Block, Document
-    from study.reporting.output.write import Verification
-    from study.statistics.surfaces.surface_result import SurfacePrediction
 
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
@@ -429,27 +427,12 @@ def predict(
 ) -> None:
     """Predict responses at settings that were not run, inside those that were."""
     from study import api
+    from study.reporting.content.surface_content import prediction_blocks
 
     predictions = api.predict(path, settings(at), response=response, results=results)
     document = {"predictions": [prediction.to_json() for prediction in predictions]}
     notes = [note for prediction in predictions for note in prediction.notes]
-    output.show(document, as_json, lambda _: _predictions(predictions), notes)
-
-
-def _predictions(predictions: Sequence[SurfacePrediction]) -> Iterator[Block]:
-    yield Table.of(
-        "",
-        predictions,
-        {
-            "Response": lambda of: of.response,
-            "Prediction": lambda of: f"{general(of.value[0])} {of.unit}".strip(),
-            "95 % interval": lambda of: between((of.low[0], of.high[0]), 4),
-        },
-    )
-    yield Sentence(
-        "predicted by a surface fitted to the runs; about 95 of 100 simulations at such settings "
-        "lie in their interval"
-    )
+    output.show(document, as_json, lambda _: prediction_blocks(predictions), notes)
 
 
 def _running(runner: Document | None, seconds_left: float | None) -> str:
@@ -520,32 +503,5 @@ def verify(
         path, results=results, reports=reports, resolve=resolve, seed=seed, data=data,
         allow_commands=allow_commands, tolerance=tolerance,
     )  # fmt: skip
-    output.show(verification, as_json, _verified)
+    output.show(verification, as_json, lambda found: found.blocks())
     raise typer.Exit(0 if verification.agrees else 1)
-
-
-def _verified(verification: Verification) -> Iterator[Block]:
-    from study.api.study import TOLD
-
-    counted = ", ".join(
-        f"{count} of {kind}" for kind, count in sorted(verification.numbers.items())
-    )
-    yield Verbatim(f"{verification.numbers.total()} numbers computed again (100 %): {counted}")
-    yield Verbatim(f"{verification.records} records checked against their sums")
-    if verification.solved:
-        yield Verbatim(f"{verification.solved} cases solved again from nothing")
-    if verification.rounded:
-        yield Verbatim(
-            f"{verification.rounded} lines agree to a relative {verification.tolerance:g} and not "
-            "to the last digit: another processor, or other libraries, add up the same numbers "
-            "otherwise"
-        )
-    for difference in verification.differences[:TOLD]:
-        yield Verbatim(
-            f"{difference.where}\n    reported:   {difference.reported}\n    recomputed: "
-            f"{difference.recomputed}"
-        )
-    if len(verification.differences) > TOLD:
-        yield Verbatim(f"and {len(verification.differences) - TOLD} more")
-    differ = f"{len(verification.differences)} differences"
-    yield Verbatim("all agree" if verification.agrees else differ)

@@ -43,7 +43,11 @@ if TYPE_CHECKING:
     from study.reporting.results.study_result import ReportData
     from study.statistics.surfaces.quadratic import SurfaceTerm
     from study.statistics.surfaces.surface_profile import FittedSurface
-    from study.statistics.surfaces.surface_result import Sensitivity, SurfaceAnalysis
+    from study.statistics.surfaces.surface_result import (
+        Sensitivity,
+        SurfaceAnalysis,
+        SurfacePrediction,
+    )
 
 
 # What uncertain inputs do to a response over ranges: sentences and the table of inputs.
@@ -566,3 +570,20 @@ def _settings(settings: Mapping[str, float | str], units: Mapping[str, str]) -> 
 
 def _setting(value: float | str, unit: str) -> str:
     return value if isinstance(value, str) else f"{value:.4g} {unit}".strip()
+
+
+def prediction_blocks(predictions: Sequence[SurfacePrediction]) -> Iterator[Block]:
+    """Tabulate predictions with their intervals."""
+    yield Table.of(
+        "",
+        predictions,
+        {
+            "Response": lambda of: of.response,
+            "Prediction": lambda of: f"{general(of.value[0])} {of.unit}".strip(),
+            "95 % interval": lambda of: between((of.low[0], of.high[0]), 4),
+        },
+    )
+    yield Sentence(
+        "predicted by a surface fitted to the runs; about 95 of 100 simulations at such settings "
+        "lie in their interval"
+    )

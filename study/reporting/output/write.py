@@ -47,6 +47,7 @@ from study.reporting.content.blocks import (
     Points,
     Sentence,
     Table,
+    Verbatim,
     titled,
 )
 from study.reporting.content.methods import paragraph
@@ -486,6 +487,8 @@ def _version(name: str) -> str:
 
 # Two writings of a report: every number of the one beside that of the other.
 
+#: differences that are told one by one
+MOST_TOLD = 50
 #: bytes that a file of a report may have besides twice those of the one that is written again
 _SPARE_BYTES = 65_536
 #: kinds of files of a report by the beginning of their names
@@ -530,6 +533,29 @@ class Verification(Keyed):
     def agrees(self) -> bool:
         """Whether nothing differs."""
         return not self.differences
+
+    def blocks(self) -> Iterator[Block]:
+        """How many numbers were computed again, and what differs."""
+        counted = ", ".join(f"{count} of {kind}" for kind, count in sorted(self.numbers.items()))
+        yield Verbatim(f"{self.numbers.total()} numbers computed again (100 %): {counted}")
+        yield Verbatim(f"{self.records} records checked against their sums")
+        if self.solved:
+            yield Verbatim(f"{self.solved} cases solved again from nothing")
+        if self.rounded:
+            yield Verbatim(
+                f"{self.rounded} lines agree to a relative {self.tolerance:g} and not "
+                "to the last digit: another processor, or other libraries, add up the same numbers "
+                "otherwise"
+            )
+        for difference in self.differences[:MOST_TOLD]:
+            yield Verbatim(
+                f"{difference.where}\n    reported:   {difference.reported}\n    recomputed: "
+                f"{difference.recomputed}"
+            )
+        if len(self.differences) > MOST_TOLD:
+            yield Verbatim(f"and {len(self.differences) - MOST_TOLD} more")
+        differ = f"{len(self.differences)} differences"
+        yield Verbatim("all agree" if self.agrees else differ)
 
 
 def compare_reports(home: Path, fresh: Path, verification: Verification) -> None:
