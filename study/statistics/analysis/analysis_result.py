@@ -127,7 +127,8 @@ class AnalysisResult(Keyed):
 
     def keyed(self) -> dict[str, object]:
         """Give what stands under every key, the tests of what is assumed among them."""
-        return super().keyed() | self.assumptions.to_json()
+        effects = [effect.to_json() for effect in self.effects]
+        return super().keyed() | {"effects": effects, **self.assumptions.to_json()}
 
     def verdicts(self) -> list[dict[str, object]]:
         """One line a factor or interaction, as ``study run --json`` lists them."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from study.ground.canonical import Keyed, plain
+from study.ground.canonical import plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -137,7 +137,7 @@ class SimpleEffect:
 
 
 @dataclass(frozen=True)
-class Effect(Keyed):
+class Effect:
     """Size of one term in response units (or as a ratio, for a log response).
 
     ``range`` is the largest difference between level means of a factor, or between the pure
@@ -179,9 +179,9 @@ class Effect(Keyed):
     lost_without: tuple[str, ...] | None = None
     withdrawn: tuple[str, ...] = ()
 
-    def keyed(self) -> dict[str, object]:
-        """Give what stands under every key; without a practical difference verdicts are null."""
-        document = {item.name: getattr(self, item.name) for item in fields(self)}
+    def to_json(self) -> dict[str, object]:
+        """Document of the effect; without a practical difference its verdicts are null."""
+        document: dict[str, object] = {**plain(self)}
         if self.practical is None:
             document["verdict"] = None
             every = [{**plain(e), "verdict": None} for e in self.simple_effects]
