@@ -304,6 +304,3 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     if all(fitted.found is None for fitted in each):
         raise RefusedError(f"no combination carries a surface: {each[0].refused}")
     return compared(noted(each, (*table.notes, *notes), surface))
-
-
-# What the page of a surface that was fitted to a table shows.
