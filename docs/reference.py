@@ -21,14 +21,14 @@ from study.mechanics.setup import declaration
 from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS
 from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_section import TestSection
+from study.mechanics.setup.test_kind import Test
 
 HERE = Path(__file__).parent
 #: Header of a table in a file, and the class that declares its keys.
 TABLES: tuple[tuple[str, type], ...] = (
     ("[study]", study_file.StudyTable),
     *((f'[specimen] with shape = "{name}"', kind) for name, kind in SPECIMENS.items()),
-    ("[test]", TestSection),
+    ("[test]", Test),
     *((f'indenter with shape = "{name}"', kind) for name, kind in INDENTERS.items()),
     ("[model]", Model),
     ("[measurements]", MeasurementSpec),

@@ -158,7 +158,7 @@ def _unfit(record: Any) -> str:
 
 
 def _plain(config: Config) -> dict[str, Any]:
-    from study.harness.design.cell import plain
+    from study.ground.canonical import plain
 
     made: dict[str, Any] = plain(config)
     return made

@@ -20,7 +20,7 @@ from study.mechanics.setup.declaration import MAX_NAME, keys_of, written_keys
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, FaceMotion, Gravity
 from study.mechanics.setup.material_section import CompressibilityTable
 from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_section import TestSection
+from study.mechanics.setup.test_kind import Test
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ _SHAPES: Mapping[str, Mapping[str, type]] = {"specimen": SPECIMENS, "test.indent
 #: every such table by its dotted name
 PLACES: Mapping[str, Place] = {
     "specimen": Place(tuple(SPECIMENS.values()), "shape"),
-    "test": Place((TestSection,)),
+    "test": Place((Test,)),
     "test.indenter": Place(tuple(INDENTERS.values()), "shape"),
     "test.motion": Place((FaceMotion,)),
     "test.gravity": Place((Gravity,)),

@@ -104,7 +104,7 @@ def _gauge_section(problem: CellProblem) -> Broken:
     if is_gauge and kind.takes_indenter:
         rule = f"{test.kind} does not deform a specimen the same everywhere"
         yield "test.kind", rule, "give the specimen's shape and size"
-    if is_gauge and "bonded" in (test.interface, test.held_below) and not kind.takes_indenter:
+    if is_gauge and "bonded" in (test.interface, test.base) and not kind.takes_indenter:
         rule = "bonded faces do not let a specimen deform the same everywhere"
         yield "test.interface", rule, "leave it out, or give a cylinder or block"
     energy = ENERGIES.get(problem.material.model)

@@ -49,8 +49,8 @@ from study.mechanics.setup.calibration_table import (
 from study.mechanics.setup.declaration import shown, values_of, written_keys
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Specimen
 from study.mechanics.setup.setup import Model
+from study.mechanics.setup.test_kind import Test
 from study.mechanics.setup.test_kinds import TEST_KINDS
-from study.mechanics.setup.test_section import TestSection
 
 #: key of a table, rule and mend
 Broken = Iterator[tuple[str, str, str]]
@@ -154,12 +154,14 @@ def _markers_broken(table: Table, markers: MarkerSpec) -> Broken:
 # Specimen, test and discretization of a cell, with the defaults that other tables decide.
 
 
-def loading_from(table: object, faults: Faults, path: str = "test") -> TestSection:
+def loading_from(table: object, faults: Faults, path: str = "test") -> Test:
     """Read how the specimen is loaded; the measured range may give the displacement later."""
-    section = read_table(TestSection, table, path, faults)
+    section = read_table(Test, table, path, faults)
     written: Table = table if isinstance(table, Mapping) else {}
-    base = section.base if "base" in written else section.held_below
     kind, where = TEST_KINDS.get(section.kind), f"{path}.indenter"
+    base = section.base
+    if "base" not in written:
+        base = section.interface if kind is None else kind.usual_base(section.interface)
     indenter = None
     if kind is not None and kind.takes_indenter:
         if "indenter" in written:

@@ -15,7 +15,7 @@ from pathlib import Path
 from study.ground.canonical import canonical, digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import Cell, CellProblem, plain
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.forward_section import ForwardModel
 from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
 from study.harness.record.record import Record
@@ -90,7 +90,7 @@ def _check_count(count: int) -> None:
 
 def _seeds(design: Design, case: Case, count: int) -> list[int]:
     """Seeds of the repeats of a case: hashes of the study's seed, the cell and the number."""
-    cell = [canonical(design.seed), canonical(plain(case.cell.document()))]
+    cell = [canonical(design.seed), canonical(case.cell.document())]
     return [int(digest([*cell, number], 8), 16) for number in range(1, count + 1)]
 
 
@@ -193,7 +193,7 @@ def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePai
 
 def _name(problem: CellProblem) -> str:
     spec, test = problem.measurements, values_of(replace(problem.test, steps=1))
-    return digest([plain(problem.specimen), plain(test), None if spec is None else spec.as_dict()])
+    return digest([problem.specimen, test, None if spec is None else spec.as_dict()])
 
 
 def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:

@@ -31,7 +31,7 @@ from study.mechanics.measurement.recording import locate
 from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_section import TestSection
+from study.mechanics.setup.test_kind import Test
 
 # Programs and functions of a study: found, named, allowed, and asked for curves.
 
@@ -184,9 +184,7 @@ def fitted_test(asked: str, problem: CellProblem) -> FittedTest:
     if method == "closed-form":  # its mesh, depth, steps and base do not enter
         test = problem.test
         speed = test.speed_mm_per_s if problem.material.relaxation else None
-        entering = TestSection(
-            test.kind, "frictionless", speed_mm_per_s=speed, prestretch=test.prestretch
-        )
+        entering = Test(test.kind, speed_mm_per_s=speed, prestretch=test.prestretch)
         problem = replace(problem, test=entering, model=Model(), forward=None)
     alone = problem.alone()
     if method == "external":  # its program may read what the user gives besides

@@ -18,7 +18,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import Cell, CellProblem, Config, case_id, plain
+from study.harness.design.cell import Cell, CellProblem, Config, case_id
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case
 from study.harness.record.document import SpaceRow
@@ -202,10 +202,10 @@ def discretization_key(problem: ForwardCell) -> str:
 def _column(job: CaseJob) -> str:
     """Name of a column: everything but the mesh, that of the calibration left out too."""
     problem, other = job.case.problem, job.case.cell.fitted_elsewhere
-    document = plain(problem.document())
+    document = problem.document()
     if problem.refinement is not None:
         return digest(_without(document, "parameters", problem.refinement.name))
-    fitted = {} if other is None else _without(plain(other.document()), "model", *_MESH_KEYS)
+    fitted = {} if other is None else _without(other.document(), "model", *_MESH_KEYS)
     return digest([_without(document, "model", *_MESH_KEYS), fitted.get("model")])
 
 

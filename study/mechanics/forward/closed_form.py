@@ -23,7 +23,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Enclosed, Indenter, Specimen
 from study.mechanics.setup.material_section import CompressibilityTable
 from study.mechanics.setup.setup import Problem, Setup
-from study.mechanics.setup.test_section import course_of
+from study.mechanics.setup.test_kind import course_of
 
 if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution

@@ -11,10 +11,24 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
+
+import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
+from study.mechanics.setup.declaration import (
+    Duration,
+    Length,
+    Reads,
+    as_written,
+    choice,
+    integer,
+    measured,
+    number,
+    section,
+    word,
+)
 from study.mechanics.setup.geometry import FaceMotion, Gravity, Indenter
 
 # The load steps of a test, and the settings of the iteration that go with its size.
@@ -79,29 +93,58 @@ class StepRule:
 
 Interface = Literal["frictionless", "bonded"]
 Face = Literal["top", "base"]
+_CONDITIONS = "frictionless", "bonded"
+_SYNONYMS = {"lubricated": "frictionless"}
 
 
-@dataclass(frozen=True)
+def _kind(value: object) -> str:
+    from study.mechanics.setup.test_kinds import TEST_KINDS
+
+    return choice(*TEST_KINDS)(value)
+
+
+@section
 class Test:
-    """How a specimen is loaded: a :class:`TestSection` with nothing left to its kind.
+    """How a specimen is loaded, of which a file leaves a part to the kind of the test.
 
     Its displacement is None where the measurements have yet to say it.
     """
 
     __test__ = False  # not a pytest class
 
-    kind: str
-    displacement_mm: float | None
-    interface: Interface = "frictionless"
-    base: Interface = "frictionless"
-    steps: int = 10
-    indenter: Indenter | None = None
-    speed_mm_per_s: float | None = None
-    hold_s: float | None = None
-    cycles: int | None = None
+    #: One of :data:`study.mechanics.setup.test_kinds.TEST_KINDS`.
+    kind: Annotated[str, Reads(_kind, mend="compression, ...", given=_kind)]
+    #: Final displacement; the end of the measured range may give it.
+    displacement_mm: Length | None = None
+    #: What holds the specimen where it is loaded.
+    interface: Annotated[
+        Interface, word(*_CONDITIONS, synonyms=_SYNONYMS, mend="frictionless or bonded")
+    ] = "frictionless"
+    #: What holds it below: as above in compression, bonded in
+    #: indentation, unless given.
+    base: Annotated[Interface, word(*_CONDITIONS, synonyms=_SYNONYMS)] | None = None
+    #: Displacements at which the force is asked for.
+    steps: Annotated[int, Reads(integer(1, 10_000))] = 10
+    #: Of an indentation.
+    indenter: Annotated[Indenter | None, as_written()] = None
+    #: Of the displacement; a material that relaxes resists a fast test more.
+    speed_mm_per_s: Annotated[float, measured("speed")] | None = None
+    #: How long the final displacement is held.
+    hold_s: Duration | None = None
+    #: How often it is reached and left again, at the same speed.
+    cycles: Annotated[int | None, Reads(integer(1, 1000))] = None
+    #: Final motion of the plate above besides the displacement, of a plate motion.
     motion: FaceMotion | None = None
+    #: Weight of the specimen.
     gravity: Gravity | None = None
-    prestretch: float | None = None
+    #: Of a simple shear: stretch along the normal of the sheared faces before the test.
+    prestretch: Annotated[float, Reads(number(0.2, 5.0))] | None = None
+
+    def __post_init__(self) -> None:
+        from study.mechanics.setup.test_kinds import TEST_KINDS
+
+        if self.base is None:
+            object.__setattr__(self, "base", TEST_KINDS[self.kind].usual_base(self.interface))
 
     @property
     def weight_N_mm3(self) -> float:  # noqa: N802
@@ -121,6 +164,41 @@ class Test:
         depth = displacement_mm if self.displacement_mm is None else self.displacement_mm
         deeper = replace(self, displacement_mm=depth)
         return replace(deeper, displacement_mm=deeper.depth_mm)
+
+
+# Course of a test in time: a ramp at one speed, and what follows it, a hold or cycles.
+
+#: first row of a hold over its duration: rows are even on a logarithmic scale, as relaxation is
+_FIRST_OF_HOLD = 1e-3
+
+
+def course_of(test: Test) -> tuple[Array, Array] | None:
+    """Displacements and times that a test prescribes; None without a speed.
+
+    Displacement is linear between the rows; the unloaded begin at 0 s is left out.
+    Shapes: returns (n,), mm and s.
+
+    Examples
+    --------
+    >>> ramp = Test("tension", 4.0, steps=2, speed_mm_per_s=0.5, cycles=1)
+    >>> course_of(ramp)
+    (array([2., 4., 2., 0.]), array([ 4.,  8., 12., 16.]))
+    """
+    speed = test.speed_mm_per_s
+    if speed is None:
+        return None
+    share = np.arange(1, test.steps + 1) / test.steps
+    ramp = test.depth_mm / speed
+    if test.cycles is not None:
+        once = np.concatenate([share, 1 - share])
+        time = (np.arange(2 * test.cycles)[:, None] + share).ravel() * ramp
+        return test.depth_mm * np.tile(once, test.cycles), time
+    displacement, time = test.depth_mm * share, ramp * share
+    if test.hold_s is not None:
+        held = test.hold_s * np.geomspace(_FIRST_OF_HOLD, 1.0, test.steps)
+        displacement = np.append(displacement, np.full(test.steps, test.depth_mm))
+        time = np.append(time, ramp + held)
+    return displacement, time
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -249,7 +249,7 @@ class PlateMotion(Compression):
 
 
 #: every kind of test by its name in a file
-TEST_KINDS: Mapping[str, TestKind] = {
+TEST_KINDS: dict[str, TestKind] = {
     "compression": Compression(),
     "indentation": Indentation(),
     "plate-motion": PlateMotion(),
