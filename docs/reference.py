@@ -13,11 +13,10 @@ from pathlib import Path
 import gallery_pictures
 
 import study
-from study.ground import units
+from study.ground import declaration, units
 from study.harness.design import study_file
 from study.harness.design.layout_kinds import LAYOUTS
 from study.mechanics.measurement.measurement_section import MeasurementSpec
-from study.mechanics.setup import declaration
 from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS
 from study.mechanics.setup.setup import Model

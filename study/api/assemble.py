@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from study.ground.curve import Curve
-from study.harness.design.diagnostics import flatten
+from study.ground.diagnostics import flatten
 from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.runner.batch import notes_of
 from study.harness.runner.case_series import stored_convergence

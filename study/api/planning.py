@@ -35,6 +35,7 @@ from study.api.folders import (
 )
 from study.ground.arrays import Array
 from study.ground.canonical import Keyed
+from study.ground.declaration import Bad
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import share_of, words_of
@@ -54,7 +55,6 @@ from study.harness.runner.fit_problem import externals
 from study.harness.runner.provenance import code_version
 from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
 from study.harness.runner.tasks import default_jobs
-from study.mechanics.setup.declaration import Bad
 from study.statistics.surfaces.emulator import (
     REFERENCES,
     BlockedEmulator,

@@ -19,8 +19,8 @@ from urllib.parse import quote, unquote, urlsplit
 
 from study.api.folders import REPORTS, RESULTS
 from study.ground.bounded_file import read_existing, read_regular
+from study.ground.diagnostics import parse_toml
 from study.ground.errors import Fault, InputError, StoreError
-from study.harness.design.diagnostics import parse_toml
 from study.harness.record import atomic_files
 from study.harness.record.document import ManifestDocument, fault_of
 from study.harness.record.record import CONVERGED, unseal

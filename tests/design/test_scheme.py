@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from study.api.study import load_design
+from study.ground.diagnostics import Faults
 from study.ground.errors import InputError
 from study.harness.design import overview, spec
 from study.harness.design.cell import Cell
-from study.harness.design.diagnostics import Faults
 from study.harness.design.load import dump, loads
 from study.harness.design.overview import calibration_factors, inert_cells
 from study.harness.design.spec import Design, Level

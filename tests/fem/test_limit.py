@@ -16,8 +16,7 @@ from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Block, Cone, Cylinder
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Interface, Test
-from study.mechanics.setup.test_kinds import buckling_strain
+from study.mechanics.setup.test_kind import Interface, Test, buckling_strain
 from study.mechanics.solver.equilibrium import least_stiffness, mirrored
 from study.mechanics.solver.finite_element_solution import follow, solve
 from study.mechanics.solver.linear_solver import pardiso_available

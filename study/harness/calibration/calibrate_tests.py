@@ -14,6 +14,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.curve import Curve
+from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibration_bound import estimated_bound, with_numerical
 from study.harness.calibration.calibration_result import CalibrationResult, CurveFit, PartialFit
@@ -62,7 +63,6 @@ from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check
 from study.mechanics.measurement.conditioning import is_caution
 from study.mechanics.measurement.recording import LARGEST_STRETCH
-from study.mechanics.setup.declaration import table_of
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit

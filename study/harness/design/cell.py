@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Self, cast
 
 from study.ground.canonical import Json, canonical, hashed
+from study.ground.declaration import field_named, section_of, table_of, values_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.forward_model import ForwardCell, PlacedFile
 from study.mechanics.setup import setup
-from study.mechanics.setup.declaration import field_named, section_of, table_of, values_of
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Enclosed, Specimen, Surface
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem, Setup

@@ -12,13 +12,7 @@ from typing import Annotated, Literal, Protocol
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.errors import nearest
-from study.harness.design import generators
-from study.harness.design.diagnostics import Faults, flatten, noted
-from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
-from study.harness.design.spec import Factor, Scheme
-from study.harness.design.study_file import MAX_RUNS
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     AsWritten,
     Bad,
     Reads,
@@ -30,6 +24,12 @@ from study.mechanics.setup.declaration import (
     section,
     shown,
 )
+from study.ground.diagnostics import Faults, flatten, noted
+from study.ground.errors import nearest
+from study.harness.design import generators
+from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
+from study.harness.design.spec import Factor, Scheme
+from study.harness.design.study_file import MAX_RUNS
 
 #: factors with the levels that a design needs, and which combinations of them are run
 Made = tuple[tuple[Factor, ...], Scheme]

@@ -13,12 +13,9 @@ from importlib import resources
 from pathlib import Path
 from typing import TypeVar
 
+from study.ground import diagnostics
 from study.ground.contrast import sides_of
-from study.ground.errors import Fault, InputError, nearest
-from study.harness.design import diagnostics, overlay, plausibility
-from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.design.cell import Cell, CellProblem
-from study.harness.design.diagnostics import (
+from study.ground.diagnostics import (
     Faults,
     Table,
     Tables,
@@ -29,6 +26,10 @@ from study.harness.design.diagnostics import (
     quoted_path,
     read_table,
 )
+from study.ground.errors import Fault, InputError, nearest
+from study.harness.design import overlay, plausibility
+from study.harness.design.calibration_section import CalibrationDesign
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.factors import (
     Presets,
     exclusions_from,

@@ -12,17 +12,12 @@ from statistics import NormalDist
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from study.ground.arrays import Array
-from study.ground.errors import InputError
-from study.harness.design.diagnostics import Faults, Table, noted, read_table
-from study.mechanics.material.energy import CompressibleEnergy, Energy
-from study.mechanics.material.material import ENERGIES, MODELS, constant_names, is_constant_key
-from study.mechanics.material.relaxation import MOST_TERMS
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     AsWritten,
     Bad,
+    Field,
     Reads,
     choice,
     integer,
@@ -32,6 +27,11 @@ from study.mechanics.setup.declaration import (
     shown,
     written_keys,
 )
+from study.ground.diagnostics import Faults, Table, noted, read_table
+from study.ground.errors import InputError
+from study.mechanics.material.energy import CompressibleEnergy, Energy
+from study.mechanics.material.material import ENERGIES, MODELS, constant_names, is_constant_key
+from study.mechanics.material.relaxation import MOST_TERMS
 from study.mechanics.setup.material_section import (
     CompressibilityTable,
     MaterialSection,

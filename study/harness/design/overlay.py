@@ -7,16 +7,16 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from study.ground.declaration import MAX_NAME, keys_of, written_keys
+from study.ground.diagnostics import Table
 from study.ground.errors import nearest
 from study.ground.units import INTERNAL
-from study.harness.design.diagnostics import Table
 from study.harness.design.forward_section import ForwardModel
 from study.harness.design.material_table import MaterialTable
 from study.harness.design.parameters import is_parameter
 from study.mechanics.material.material import ENERGIES, is_constant_key, is_dimensionless
 from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
-from study.mechanics.setup.declaration import MAX_NAME, keys_of, written_keys
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, FaceMotion, Gravity
 from study.mechanics.setup.material_section import CompressibilityTable
 from study.mechanics.setup.setup import Model

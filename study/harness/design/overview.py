@@ -6,8 +6,8 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 from study.ground.canonical import Json, plain
+from study.ground.diagnostics import Faults
 from study.harness.design.cell import Cell
-from study.harness.design.diagnostics import Faults
 from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Combination, Design, Factor, Level, Treatment
 

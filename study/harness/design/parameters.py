@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 
 from study.ground import units
+from study.ground.declaration import MAX_NAME, Bad, quoted, shown, text
+from study.ground.diagnostics import Faults, Table, noted
 from study.ground.errors import UnitError, nearest
-from study.harness.design.diagnostics import Faults, Table, noted
 from study.harness.design.forward_model import ForwardCell, Value
 from study.harness.design.forward_section import ForwardModel
-from study.mechanics.setup.declaration import MAX_NAME, Bad, quoted, shown, text
 
 MOST_PARAMETERS = 1000
 #: words that a range or a distribution of a factor has for itself

@@ -6,14 +6,14 @@ import math
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
+from study.ground.declaration import values_of
+from study.ground.diagnostics import Faults, is_known
 from study.harness.design.cell import CellProblem
-from study.harness.design.diagnostics import Faults, is_known
 from study.harness.design.forward_model import ForwardCell
 from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import ENERGIES, Material
 from study.mechanics.material.stability import PLAUSIBLE_MU0, stability, surface_warning
-from study.mechanics.setup.declaration import values_of
 from study.mechanics.setup.geometry import (
     Cone,
     Enclosed,
@@ -25,7 +25,7 @@ from study.mechanics.setup.geometry import (
 )
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Setup
-from study.mechanics.setup.test_kinds import TEST_KINDS, PlateMotion, buckling_strain
+from study.mechanics.setup.test_kind import TEST_KINDS, PlateMotion, buckling_strain
 
 #: place of a fault in the tables of a problem, such as ``"test.kind"``; rule and mend
 Broken = Iterator[tuple[str, str, str]]

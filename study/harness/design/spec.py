@@ -8,10 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from study.ground.declaration import Bad
+from study.ground.diagnostics import Faults, Table
 from study.ground.errors import Fault, InputError
 from study.harness.design import overlay
 from study.harness.design.cell import Cell, CellProblem, block_ids, tested
-from study.harness.design.diagnostics import Faults, Table
 from study.harness.design.forward_model import ForwardCell, Value
 from study.harness.design.material_table import InputDistribution
 from study.harness.design.parameters import (
@@ -36,7 +37,6 @@ from study.harness.design.study_file import (
 from study.mechanics.material.material import is_constant
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
-from study.mechanics.setup.declaration import Bad
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from study.ground.canonical import canonical, digest
 from study.ground.curve import Curve
+from study.ground.declaration import values_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.forward_section import ForwardModel
@@ -47,7 +48,6 @@ from study.harness.runner.provenance import code_version
 from study.harness.runner.response import units_of
 from study.mechanics.measurement.measured_test import MeasuredTest, Measurements, Selection
 from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHING
-from study.mechanics.setup.declaration import values_of
 
 # Repeats of every cell for an error term: other meshes, or fits to resampled noise.
 

@@ -18,6 +18,7 @@ import numpy as np
 from study.ground.bounded_file import UnreadableError, read_existing, sha256_of
 from study.ground.canonical import digest
 from study.ground.curve import Curve
+from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem, tested
 from study.harness.design.forward_model import ForwardCell
@@ -28,7 +29,6 @@ from study.harness.external.exchange import PythonFunction
 from study.harness.runner.provenance import code_version
 from study.mechanics.material.material import ENERGIES
 from study.mechanics.measurement.recording import locate
-from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model
 from study.mechanics.setup.test_kind import Test

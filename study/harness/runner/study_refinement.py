@@ -17,6 +17,7 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.canonical import digest
+from study.ground.declaration import table_of, with_table
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem, Config, case_id
 from study.harness.design.forward_model import ForwardCell
@@ -31,7 +32,6 @@ from study.harness.runner.job import CaseJob, Origin, Work, varied
 from study.harness.runner.refinement import FEWEST, OTHER_MESH, base_size_mm
 from study.harness.runner.solve_task import SolveResult, SolveTask
 from study.mechanics.measurement.measurement_section import Range
-from study.mechanics.setup.declaration import table_of, with_table
 from study.mechanics.setup.geometry import Block, Cylinder, Enclosed
 
 PURPOSE: Final = "refinement"

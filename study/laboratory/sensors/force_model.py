@@ -9,20 +9,10 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import numpy as np
 
-from study.ground import units
+from study.ground import diagnostics, units
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.ground.errors import Fault, InputError
-from study.harness.design import diagnostics
-from study.harness.design.cell import CellProblem
-from study.harness.design.diagnostics import Faults, read_table
-from study.harness.design.load import default_name, loads_problem
-from study.harness.design.study_file import StudyTable
-from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.forward import finite_element
-from study.mechanics.forward.closed_form import height_and_area
-from study.mechanics.material.homogeneous import response
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Bad,
     Reads,
     integer,
@@ -31,6 +21,15 @@ from study.mechanics.setup.declaration import (
     section,
     shown,
 )
+from study.ground.diagnostics import Faults, read_table
+from study.ground.errors import Fault, InputError
+from study.harness.design.cell import CellProblem
+from study.harness.design.load import default_name, loads_problem
+from study.harness.design.study_file import StudyTable
+from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.forward import finite_element
+from study.mechanics.forward.closed_form import height_and_area
+from study.mechanics.material.homogeneous import response
 from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:

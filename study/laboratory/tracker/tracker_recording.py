@@ -11,18 +11,10 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import numpy as np
-from pydantic import Field
 
+from study.ground import diagnostics
 from study.ground.arrays import Array, Ints
-from study.ground.errors import Fault, InputError, nearest
-from study.ground.tabular import CsvTable, read_csv
-from study.ground.units import unit_factor
-from study.harness.design import diagnostics
-from study.harness.design.diagnostics import Faults, read_table
-from study.harness.record.atomic_files import write_atomic
-from study.laboratory.registration.rigid import check_places
-from study.mechanics.measurement.measurement_section import Axes, csv_path, three_columns
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Bad,
     Length,
     LengthOrZero,
@@ -34,7 +26,14 @@ from study.mechanics.setup.declaration import (
     text,
     unit_of_length,
 )
-from study.mechanics.setup.declaration import name as label
+from study.ground.declaration import name as label
+from study.ground.diagnostics import Faults, read_table
+from study.ground.errors import Fault, InputError, nearest
+from study.ground.tabular import CsvTable, read_csv
+from study.ground.units import unit_factor
+from study.harness.record.atomic_files import write_atomic
+from study.laboratory.registration.rigid import check_places
+from study.mechanics.measurement.measurement_section import Axes, csv_path, three_columns
 
 # The file of a tracker study: its tables are classes, and a class's fields are the keys.
 
@@ -139,7 +138,7 @@ class TrackingTable:
     #: Printed above the answer.
     question: Annotated[str, Reads(text)] = ""
     #: Size of tests; intervals have the level 1 - alpha.
-    alpha: Annotated[float, Reads(number(0, 0.5))] = Field(default=0.05)
+    alpha: Annotated[float, Reads(number(0, 0.5))] = 0.05
 
 
 @dataclass(frozen=True)

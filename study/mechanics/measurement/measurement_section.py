@@ -7,13 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Literal
 
-from pydantic import Field
-
 from study.ground import units
 from study.ground.bounded_file import ENCODINGS
-from study.ground.errors import Fault, InputError, UnitError
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Bad,
+    Field,
     Force,
     Read,
     Reads,
@@ -29,6 +27,7 @@ from study.mechanics.setup.declaration import (
     unit_of_length,
     word,
 )
+from study.ground.errors import Fault, InputError, UnitError
 
 #: what may part the cells of a file, by its name in a study file; found out where it is not said
 DELIMITERS: Mapping[str, str | None] = {

@@ -15,6 +15,7 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.bounded_file import read_bytes, table_text
+from study.ground.declaration import Bad, relative_path
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, parse_csv
 from study.ground.units import parse
@@ -25,7 +26,6 @@ from study.mechanics.measurement.measurement_section import (
     Columns,
     MeasurementSpec,
 )
-from study.mechanics.setup.declaration import Bad, relative_path
 
 
 def read_table(

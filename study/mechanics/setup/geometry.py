@@ -7,12 +7,11 @@ from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from study.ground.arrays import Array
-from study.ground.errors import Fault
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Coordinate,
+    Field,
     Length,
     LengthOrZero,
     Reads,
@@ -23,6 +22,7 @@ from study.mechanics.setup.declaration import (
     unit_of_length,
     word,
 )
+from study.ground.errors import Fault
 
 _CYLINDER = measured("length", mend="cylinder takes radius, height")
 _BLOCK = measured("length", mend="block takes width, depth, height")

@@ -6,14 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, cast
 
-from study.ground.errors import Fault, InputError
-from study.mechanics.material.energy import FREE, Bounds, DeclaredConstants
-from study.mechanics.material.material import Material, constant_names, energy_named
-from study.mechanics.material.relaxation import (
-    RelaxationTerm,
-    relaxation_names,
-)
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Bad,
     Pressure,
     Reads,
@@ -22,6 +15,13 @@ from study.mechanics.setup.declaration import (
     number,
     section,
     section_of,
+)
+from study.ground.errors import Fault, InputError
+from study.mechanics.material.energy import FREE, Bounds, DeclaredConstants
+from study.mechanics.material.material import Material, constant_names, energy_named
+from study.mechanics.material.relaxation import (
+    RelaxationTerm,
+    relaxation_names,
 )
 
 

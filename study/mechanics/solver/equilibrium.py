@@ -27,7 +27,7 @@ from study.mechanics.element.function_space import (
 )
 from study.mechanics.mesh.structured import KINDS, Mesh, mirror
 from study.mechanics.setup.setup import Problem, Setup
-from study.mechanics.setup.test_kinds import buckling_strain
+from study.mechanics.setup.test_kind import buckling_strain
 from study.mechanics.solver.internal_force import ContactBlocks, Tangent
 from study.mechanics.solver.linear_solver import (
     KeptFactors,

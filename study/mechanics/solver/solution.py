@@ -12,7 +12,7 @@ from study.ground.arrays import Array, Ints
 from study.ground.curve import Curve, hermite_work
 from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Problem
-from study.mechanics.setup.test_kinds import buckling_strain
+from study.mechanics.setup.test_kind import buckling_strain
 from study.mechanics.solver.equilibrium import (
     ContactFigures,
     Equilibria,
