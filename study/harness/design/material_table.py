@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from statistics import NormalDist
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -29,14 +28,10 @@ from study.ground.declaration import (
 )
 from study.ground.diagnostics import Faults, Table, noted, read_table
 from study.ground.errors import InputError
-from study.mechanics.material.energy import CompressibleEnergy, Energy
+from study.mechanics.material.energy import Compressibility, CompressibleEnergy, Energy
 from study.mechanics.material.material import ENERGIES, MODELS, constant_names, is_constant_key
 from study.mechanics.material.relaxation import MOST_TERMS
-from study.mechanics.setup.material_section import (
-    CompressibilityTable,
-    MaterialSection,
-    RelaxationKey,
-)
+from study.mechanics.setup.material_section import MaterialSection, RelaxationKey
 
 # The key ``material.relaxation``: terms by which the stress fades, or a grid of their times.
 
@@ -117,7 +112,7 @@ def _grid(value: Table, faults: Faults, path: str) -> tuple[RelaxationKey, ...]:
 
 
 #: keys of which a material has one
-_COMPRESSIBILITY = written_keys(CompressibilityTable)
+_COMPRESSIBILITY = written_keys(Compressibility)
 #: value of a constant that could not be read: mu0 and all that follows from it are unknown then
 _UNREAD = math.nan
 _MOST_TERMS = 9
@@ -161,7 +156,7 @@ def material_from(table: object, faults: Faults, path: str = "material") -> Mate
     return MaterialSection(energy.name, order, values, volume, fading)
 
 
-def _compressibility(written: Table, faults: Faults, path: str) -> CompressibilityTable:
+def _compressibility(written: Table, faults: Faults, path: str) -> Compressibility:
     volume = {key: value for key, value in written.items() if key in _COMPRESSIBILITY}
     given = [key for key, value in volume.items() if value is not False]
     mend = f"give one of {', '.join(_COMPRESSIBILITY)}"
@@ -170,7 +165,7 @@ def _compressibility(written: Table, faults: Faults, path: str) -> Compressibili
     first, *others = [key for key in _COMPRESSIBILITY if key in given] or [""]
     if others:
         faults.add(f"{path}.{first}", f"stands beside {' and '.join(others)}", mend)
-    return read_table(CompressibilityTable, volume, path, faults)
+    return read_table(Compressibility, volume, path, faults)
 
 
 def _moduli(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str, float]:
@@ -282,37 +277,32 @@ class InputDistribution:
     low: float
     high: float
 
-    def below(self, value: float) -> float:
-        """Probability of less than a value, before anything is cut off."""
-        a, b = self.numbers[0], self.numbers[1]
+    def _frozen(self) -> Any:
+        """Distribution of scipy with these numbers."""
+        from scipy import stats
+
         if self.kind == "normal":
-            return NormalDist(a, b).cdf(value)
+            return stats.norm(*self.numbers)
         if self.kind == "lognormal":
-            return NormalDist(math.log(a), math.log(b)).cdf(math.log(value)) if value > 0 else 0.0
+            median, factor = self.numbers
+            return stats.lognorm(math.log(factor), scale=median)
+        width = self.numbers[-1] - self.numbers[0]
         if self.kind == "uniform":
-            return min(max((value - a) / (b - a), 0.0), 1.0)
-        return _below_triangle(value, *self.numbers)
+            return stats.uniform(self.numbers[0], width)
+        low, mode, _ = self.numbers
+        return stats.triang((mode - low) / width, low, width)
 
     @property
     def outside(self) -> float:
         """Probability that is cut off."""
-        return self.below(self.low) + 1.0 - self.below(self.high)
+        distribution = self._frozen()
+        return float(distribution.cdf(self.low) + distribution.sf(self.high))
 
     def quantile(self, shares: Array) -> Array:
         """Values, in the unit of the range, below which such shares of the distribution lie."""
-        from scipy import special
-
-        first, last = self.below(self.low), self.below(self.high)
-        p = first + shares * (last - first)
-        a, b = self.numbers[0], self.numbers[1]
-        if self.kind == "normal":
-            quantiles = a + b * special.ndtri(p)
-        elif self.kind == "lognormal":
-            quantiles = a * np.exp(math.log(b) * special.ndtri(p))
-        elif self.kind == "uniform":
-            quantiles = a + p * (b - a)
-        else:
-            quantiles = _triangle(p, *self.numbers)
+        distribution = self._frozen()
+        first, last = distribution.cdf([self.low, self.high])
+        quantiles = distribution.ppf(first + shares * (last - first))
         return np.asarray(np.clip(quantiles, self.low, self.high))
 
     def halved(self) -> InputDistribution:
@@ -335,19 +325,3 @@ class InputDistribution:
         parts = [f"{name} {v:.4g}" + ("" if name == "factor" or not unit else f" {unit}")
                 for name, v in named]  # fmt: skip
         return ", ".join([self.kind, *parts])
-
-
-def _below_triangle(x: float, low: float, mode: float, high: float) -> float:
-    if x <= low:
-        return 0.0
-    if x >= high:
-        return 1.0
-    if x <= mode:
-        return (x - low) ** 2 / ((high - low) * (mode - low))
-    return 1.0 - (high - x) ** 2 / ((high - low) * (high - mode))
-
-
-def _triangle(p: Array, low: float, mode: float, high: float) -> Array:
-    rising = low + np.sqrt(p * (high - low) * (mode - low))
-    falling = high - np.sqrt((1.0 - p) * (high - low) * (high - mode))
-    return np.asarray(np.where(p < (mode - low) / (high - low), rising, falling))

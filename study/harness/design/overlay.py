@@ -14,11 +14,11 @@ from study.ground.units import INTERNAL
 from study.harness.design.forward_section import ForwardModel
 from study.harness.design.material_table import MaterialTable
 from study.harness.design.parameters import is_parameter
+from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.material import ENERGIES, is_constant_key, is_dimensionless
 from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, FaceMotion, Gravity
-from study.mechanics.setup.material_section import CompressibilityTable
 from study.mechanics.setup.setup import Model
 from study.mechanics.setup.test_kind import Test
 
@@ -43,7 +43,7 @@ class Place:
         return self.varying or tuple(dict.fromkeys(declared))
 
 
-_COMPRESSIBILITY = written_keys(CompressibilityTable)
+_COMPRESSIBILITY = written_keys(Compressibility)
 _MEASURED = ("file", "files", "range", "points", "zero", "toe", "sign", "displacement_zero",
              "direction", "branch", "cycle")  # fmt: skip
 #: keys of the constants that the energies declare, those of two terms where there is a choice;
@@ -64,7 +64,7 @@ PLACES: Mapping[str, Place] = {
     "test.indenter": Place(tuple(INDENTERS.values()), "shape"),
     "test.motion": Place((FaceMotion,)),
     "test.gravity": Place((Gravity,)),
-    "material": Place((MaterialTable, CompressibilityTable), "model", _COMPRESSIBILITY),
+    "material": Place((MaterialTable, Compressibility), "model", _COMPRESSIBILITY),
     "model": Place((Model,), alternatives=("mesh", "mesh_size")),
     "measurements": Place((MeasurementSpec,), "", ("file", "files"), _MEASURED),
     "markers": Place((MarkerSpec,), varying=("plate",)),

@@ -10,7 +10,6 @@ from study.ground.declaration import values_of
 from study.ground.diagnostics import Faults, is_known
 from study.harness.design.cell import CellProblem
 from study.harness.design.forward_model import ForwardCell
-from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import ENERGIES, Material
 from study.mechanics.material.stability import PLAUSIBLE_MU0, stability, surface_warning
@@ -59,9 +58,8 @@ def initial_shear_modulus(material: MaterialSection) -> float | None:
     constants = material.constants
     if not constants or any(math.isnan(v) for v in constants.values()):
         return None
-    energy, volume = ENERGIES[material.model], material.compressibility
-    resistance = Compressibility(volume.bulk_modulus_MPa, volume.poisson_ratio)
-    mu0 = energy.initial_shear_modulus(constants, resistance)
+    energy = ENERGIES[material.model]
+    mu0 = energy.initial_shear_modulus(constants, material.compressibility)
     # a linear solid with E > 9 K is refused for its Poisson's ratio below -1
     return None if energy.small_strain and not 0 < mu0 < math.inf else mu0
 

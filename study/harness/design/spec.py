@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from study.ground.canonical import Keyed
 from study.ground.declaration import Bad
 from study.ground.diagnostics import Faults, Table
 from study.ground.errors import Fault, InputError
@@ -93,8 +94,10 @@ class Factor:
 
 
 @dataclass(frozen=True)
-class Scheme:
+class Scheme(Keyed):
     """Which combinations of levels are run."""
+
+    KEYS = "kind summary resolution defining_relation aliases"
 
     kind: str = "full"
     #: Index of the level of every factor, one tuple a cell; None for the full factorial.

@@ -30,11 +30,12 @@ from study.harness.runner import provenance
 from study.harness.runner.job import TRUTH_SUFFIX
 from study.harness.runner.solve_task import SolveTask, by_workers
 from study.harness.runner.tasks import processes
+from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.geometry import Block, Enclosed
-from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
+from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import MeshName, Model, Order, Setup
 
 #: what a fit should find
@@ -155,7 +156,7 @@ def reference_curve(
     loaded = problem if as_designed else problem.loaded(interface="bonded", base="bonded")
     # the grid runs a little past the range, as a real test does
     loaded = loaded.loaded(steps=virtual.steps, displacement_mm=1.03 * setup.test.depth_mm)
-    volume = CompressibilityTable(poisson_ratio=poisson_ratio)
+    volume = Compressibility(poisson_ratio=poisson_ratio)
     solid = MaterialSection(truth.model, None, truth.constants, volume)
     model = _reference_model(setup, virtual, as_designed)
     made = replace(loaded.alone(), material=solid, model=model, forward=None)

@@ -192,7 +192,7 @@ class Material:
     @property
     def compressibility(self) -> Compressibility:
         """How it resists a change of volume."""
-        return Compressibility(self.bulk_modulus, self.poisson_ratio, self.incompressible)
+        return Compressibility(self.poisson_ratio, self.bulk_modulus, self.incompressible)
 
     @property
     def names(self) -> tuple[str, ...]:
