@@ -503,6 +503,8 @@ def test_imported_runs_as_an_instrument_exports_them(tmp_path):
         imported("peak=kN", ".")
     (one,) = fault.value.faults
     assert "holds a decimal comma ('1,5')" in one.rule
+    path.write_text(path.read_text().replace("kN", "N/mm2"))
+    assert imported("peak=N/mm^2").total == imported("peak=MPa").total == 4
     assert one.mend == "write --decimal ,"
 
 

@@ -226,7 +226,6 @@ def tested(problem: ForwardCell) -> CellProblem:
 
 
 def _material(section: MaterialSection) -> Config:
-    volume = section.compressibility
     document: Config = {
         "model": section.model,
         "order": section.order,
@@ -234,11 +233,8 @@ def _material(section: MaterialSection) -> Config:
     }
     if section.relaxation:
         document["relaxation"] = [term.document() for term in section.relaxation]
-    if volume.incompressible:
-        return {**document, "incompressible": True}
-    if volume.bulk_modulus_MPa is not None:
-        return {**document, "bulk_modulus_MPa": volume.bulk_modulus_MPa}
-    return {**document, "poisson_ratio": volume.poisson_ratio}
+    given = values_of(section.compressibility).items()
+    return {**document, **{key: v for key, v in given if v is not None and v is not False}}
 
 
 def _model(model: Model) -> Config:

@@ -281,13 +281,3 @@ def constraint_of(rule: object, why: object, config: Table) -> Constraint:
         mend = "write all of them in one unit in [parameters]"
         raise Bad(f"compares numbers in {' and '.join(map(repr, plain))}", mend)
     return limit
-
-
-def constraints_of(config: Table) -> tuple[Constraint, ...]:
-    """Every sound constraint of a file; what is wrong with another one is told where it is read."""
-    written = config.get("constraint")
-    constraints = []
-    for row in written if isinstance(written, list) else ():
-        with suppress(Bad, KeyError, TypeError, AttributeError):
-            constraints.append(constraint_of(row["rule"], row["why"], config))
-    return tuple(constraints)

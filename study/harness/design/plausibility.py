@@ -270,11 +270,6 @@ def footprint(indenter: Indenter, depth: float | None) -> float | None:
     return wide if shaft is None else min(wide, shaft)
 
 
-def cautions(setup: Setup, material: MaterialSection) -> tuple[str, ...]:
-    """Sentences about moduli, sizes and depths that no soft material, specimen or test has."""
-    return (*_moduli(material), *_sizes(setup.specimen, setup.model), *_depth(setup, material))
-
-
 #: share of the compression by Euler's load above which a column is cautioned about
 CLOSE_TO_BUCKLING = 0.9
 
@@ -283,7 +278,8 @@ def cautions_of(problem: ForwardCell) -> tuple[str, ...]:
     """Cautions of what a cell computes; of a stranger's program nothing is known to be unusual."""
     if not isinstance(problem, CellProblem):
         return ()
-    return cautions(problem.setup, problem.material)
+    setup, material = problem.setup, problem.material
+    return (*_moduli(material), *_sizes(setup.specimen, setup.model), *_depth(setup, material))
 
 
 def _moduli(material: MaterialSection) -> Iterator[str]:

@@ -18,7 +18,6 @@ from study.harness.design.forward_model import ForwardCell, Value
 from study.harness.design.material_table import InputDistribution
 from study.harness.design.parameters import (
     Constraint,
-    constraints_of,
     is_parameter,
     parameters_from,
     stands_alone,
@@ -157,6 +156,8 @@ class Design:
     #: Standard uncertainty of inputs, in internal units, by dotted key.
     uncertainty: Mapping[str, float]
     report: Report
+    #: Inequalities of parameters; cells that break one are left out.
+    constraints: tuple[Constraint, ...] = ()
     #: Distributions of inputs that are ranges, by dotted key.
     inputs: Mapping[str, InputDistribution] = field(default_factory=dict)
     #: Which combinations of the levels are run.
@@ -189,11 +190,6 @@ class Design:
     def is_alone(self) -> bool:
         """Whether it describes parameters alone, for a program or function of somebody else."""
         return stands_alone(self.config)
-
-    @cached_property
-    def constraints(self) -> tuple[Constraint, ...]:
-        """Inequalities of parameters; cells that break one are left out."""
-        return constraints_of(self.config)
 
     @cached_property
     def is_measured(self) -> bool:

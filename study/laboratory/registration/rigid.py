@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
@@ -458,6 +459,13 @@ def _described(points: Array, values: Array, scale: float) -> FittedSphere:
     )
 
 
+def student_half(error: ArrayLike, freedom: float, alpha: float) -> Array:
+    """Half width of the interval of an estimate with a standard error, by Student's t."""
+    from scipy.stats import t
+
+    return np.asarray(t.ppf(1 - alpha / 2, freedom) * np.asarray(error))
+
+
 # Agreement of two methods of measurement: bias and limits (Bland and Altman 1986), with exact
 # intervals by the noncentral t distribution (Carkeet 2015).
 
@@ -492,7 +500,7 @@ def limits_of_agreement(
     first: Array, second: Array, alpha: float = 0.05, where: str = "agreement"
 ) -> MethodAgreement:
     """Bias and limits of agreement of ``first - second``. Shapes: first, second (n,)."""
-    from scipy.stats import linregress, nct, t
+    from scipy.stats import linregress, nct
 
     n = len(first)
     if n < FEWEST:
@@ -500,7 +508,7 @@ def limits_of_agreement(
         raise InputError(Fault(where, rule, "measure at more positions"))
     difference = first - second
     bias, sd = float(difference.mean()), float(difference.std(ddof=1))
-    half = float(t.ppf(1 - alpha / 2, n - 1)) * sd / np.sqrt(n)
+    half = float(student_half(sd / np.sqrt(n), n - 1, alpha))
     shift = LIMIT * np.sqrt(n)
     ends = nct.ppf([alpha / 2, 1 - alpha / 2], n - 1, shift) * sd / np.sqrt(n)
     mean = (first + second) / 2
@@ -548,8 +556,6 @@ def deming_line(
     x: Array, y: Array, variance_ratio: float, alpha: float = 0.05, where: str = "regression"
 ) -> DemingLine:
     """Line between two quantities that both have errors. Shapes: x, y (n,)."""
-    from scipy.stats import t
-
     n = len(x)
     values, counts = np.unique(x, return_counts=True)
     if n < FEWEST_PAIRS or values.size < 2:
@@ -565,7 +571,7 @@ def deming_line(
         raise InputError(Fault(where, rule, "compare the columns of both quantities"))
     pseudo = n * np.array([offset, scale]) - (n - 1) * left_out
     errors = pseudo.std(axis=0, ddof=1) / np.sqrt(n)
-    half = float(t.ppf(1 - alpha / 2, n - 2)) * errors
+    half = student_half(errors, n - 2, alpha)
     residual = y - offset - scale * x
     return DemingLine(
         scale=scale,

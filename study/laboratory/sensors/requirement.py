@@ -80,15 +80,13 @@ class PropagatedQuantity:
     value: float
     #: shape (n_sources,); standard uncertainty by one unit of every source.
     per_source: Array
-    #: shape (n_sources,); standard uncertainties of the sources.
-    given: Array
-    #: shape (n_sources,); whether a source is one of the tracker.
-    is_position: Array
+    sources: tuple[SensorErrorSource, ...]
 
     @property
     def parts(self) -> Array:
         """Standard uncertainty that every source makes, over the value."""
-        return np.asarray(self.per_source * self.given / abs(self.value))
+        given = np.array([source.given for source in self.sources])
+        return np.asarray(self.per_source * given / abs(self.value))
 
     @property
     def relative(self) -> float:
@@ -98,7 +96,8 @@ class PropagatedQuantity:
     def at_multiples(self, position: Array, force: Array) -> Array:
         """Relative standard uncertainty with both sensors' errors so many times as large."""
         squares = self.parts**2
-        of_position_alone = float(squares[self.is_position.astype(bool)].sum())
+        is_position = np.array([source.sensor == "position" for source in self.sources])
+        of_position_alone = float(squares[is_position].sum())
         other = float(squares.sum()) - of_position_alone
         return np.asarray(np.sqrt(position**2 * of_position_alone + force**2 * other))
 
@@ -154,27 +153,18 @@ def propagate(
         )
     pseudo_inverse = inverse @ at.jacobian.T
     effects = np.stack([_covariance_root(pseudo_inverse, source) for source in sources])
-    given = np.array([source.given for source in sources])
-    of_position = np.array([source.sensor == "position" for source in sources])
     variance = np.einsum("skn,skn->sk", effects, effects)
     gradient = predicted.jacobian[0]
     force = np.einsum("k,skn->sn", gradient, effects)
     return Propagation(
         sources,
         tuple(
-            PropagatedQuantity(
-                name, unit, float(value), np.sqrt(variance[:, k]), given, of_position
-            )
+            PropagatedQuantity(name, unit, float(value), np.sqrt(variance[:, k]), sources)
             for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
         ),
         PropagatedQuantity(
-            "force",
-            "N",
-            float(predicted.force_N[0]),
-            np.linalg.norm(force, axis=1),
-            given,
-            of_position,
-        ),  # fmt: skip
+            "force", "N", float(predicted.force_N[0]), np.linalg.norm(force, axis=1), sources
+        ),
         pseudo_inverse,
         gradient,
     )

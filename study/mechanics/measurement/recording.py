@@ -18,7 +18,7 @@ from study.ground.bounded_file import read_bytes, table_text
 from study.ground.declaration import Bad, relative_path
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, parse_csv
-from study.ground.units import parse
+from study.ground.units import agree, parse
 from study.mechanics.measurement.measurement_section import (
     KINEMATIC,
     KINETIC,
@@ -485,11 +485,7 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
     if spec.unit_row:
         shown = {}  # what is declared wins over the file
     for who, word in shown.items():
-        try:
-            named = parse(f"1 {word}", dimension) if word else factor
-        except InputError:
-            continue  # the last word of the name is no unit of this dimension
-        if not np.isclose(named, factor, rtol=1e-9):
+        if word and agree(word, unit) is False:  # the last word of a name may be no unit at all
             rule = f"{who} says {word}, but {unit} is declared in measurements.units"
             mend = "declare the unit that the file is in"
             raise InputError(Fault(f"{table.source}: column {column!r}", rule, mend))
