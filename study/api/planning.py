@@ -35,7 +35,7 @@ from study.api.folders import (
 )
 from study.ground.arrays import Array
 from study.ground.canonical import Keyed
-from study.ground.declaration import Bad
+from study.ground.declaration import Bad, values_of
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import share_of, words_of
@@ -179,8 +179,7 @@ class Plan(Keyed):
         rule = self.design.scheme.sequential
         if rule is None:
             return super().keyed()
-        keys = ("start", "batch", "budget", "until", "q2", "seed")
-        adaptive = {key: getattr(rule, key) for key in keys}
+        adaptive = {k: v for k, v in values_of(rule).items() if k not in ("kind", "added")}
         return super().keyed() | {"adaptive": {**adaptive, "most_seconds": self.most_seconds}}
 
 

@@ -179,7 +179,7 @@ def test_3d_agrees_with_axisymmetric(
     [
         (indentation(Cone(90, 1), 1), "not between 0 and 90 deg"),
         (indentation(Cone(0, 1), 1), "not between 0 and 90 deg"),
-        (indentation(NEEDLE, 50), "not smaller than the specimen's height"),
+        (indentation(NEEDLE, 50), "reaches the height of the specimen"),
         (indentation(Flat(30), 1), "beyond 25 mm"),
         (indentation(Flat(3, 4), 1), "edge_radius"),
     ],

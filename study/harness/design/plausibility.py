@@ -24,7 +24,12 @@ from study.mechanics.setup.geometry import (
 )
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Setup
-from study.mechanics.setup.test_kind import TEST_KINDS, PlateMotion, buckling_strain
+from study.mechanics.setup.test_kind import (
+    TEST_KINDS,
+    PlateMotion,
+    beyond_height,
+    buckling_strain,
+)
 
 #: place of a fault in the tables of a problem, such as ``"test.kind"``; rule and mend
 Broken = Iterator[tuple[str, str, str]]
@@ -78,13 +83,12 @@ def _moduli_broken(problem: CellProblem) -> Broken:
 
 
 def _displacement(problem: CellProblem) -> Broken:
-    depth, height = problem.test.displacement_mm, problem.height_mm
-    kind = TEST_KINDS.get(problem.test.kind)
+    height, kind = problem.height_mm, TEST_KINDS.get(problem.test.kind)
     if kind is not None and kind.sense > 0:
         return  # what is lengthened has no end
-    if depth is not None and height is not None and depth >= height:
-        rule = f"{depth:g} mm reaches the height of the specimen, {height:g} mm"
-        yield "test.displacement", rule, "make it smaller than specimen.height"
+    if problem.test.displacement_mm is not None and height is not None:
+        for fault in beyond_height(problem.test, height):
+            yield fault.where, fault.rule, fault.mend
 
 
 def _gauge_section(problem: CellProblem) -> Broken:
@@ -191,15 +195,8 @@ def _indenter(problem: CellProblem) -> Broken:
         *(v for k, v in values_of(indenter).items() if k != "shaft_radius_mm")
     ):
         return
-    if isinstance(indenter, Flat) and indenter.edge_radius_mm > indenter.radius_mm:
-        rule = (
-            f"{indenter.edge_radius_mm:g} mm is larger than the radius, {indenter.radius_mm:g} mm"
-        )
-        yield "test.indenter.edge_radius", rule, "round less"
-    shaft = indenter.shaft_radius_mm if isinstance(indenter, Cone) else None
-    if isinstance(indenter, Cone) and shaft is not None and indenter.tip_radius_mm > shaft:
-        rule = f"{indenter.tip_radius_mm:g} mm is larger than the shaft radius, {shaft:g} mm"
-        yield "test.indenter.tip_radius", rule, "a tip is inside its shaft"
+    for fault in indenter.faults():
+        yield fault.where, fault.rule, fault.mend
     half = half_width(problem.specimen)
     reach = footprint(indenter, problem.test.displacement_mm)
     if half is not None and reach is not None and reach >= half:

@@ -419,8 +419,8 @@ def beyond_height(test: Test, height_mm: float) -> Iterator[Fault]:
     """Refuse a displacement into a specimen that reaches its height."""
     depth = test.depth_mm
     if depth >= height_mm:
-        rule = f"{depth:g} mm is not smaller than the specimen's height, {height_mm:g} mm"
-        yield Fault("test.displacement", rule, "press less deep")
+        rule = f"{depth:g} mm reaches the height of the specimen, {height_mm:g} mm"
+        yield Fault("test.displacement", rule, "make it smaller than specimen.height")
 
 
 def buckling_strain(test: Test, specimen: Specimen) -> float | None:
