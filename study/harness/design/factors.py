@@ -31,10 +31,10 @@ from study.ground.diagnostics import (
 from study.ground.errors import nearest
 from study.ground.units import parse, split
 from study.harness.design import overlay
-from study.harness.design.material_table import DISTRIBUTION_KEYS
 from study.harness.design.parameters import number_and_unit
 from study.harness.design.spec import Factor, Level, Span
 from study.harness.design.study_file import DesignFile, Exclusion
+from study.statistics.surfaces.input_distribution import DISTRIBUTION_KEYS
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100

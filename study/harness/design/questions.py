@@ -39,7 +39,6 @@ from study.harness.design.factors import grouped
 from study.harness.design.forward_section import TAKEN
 from study.harness.design.generators import model_columns
 from study.harness.design.layout_kinds import word_of, words_of
-from study.harness.design.material_table import DISTRIBUTION_KEYS, PARAMETERS, InputDistribution
 from study.harness.design.parameters import number_in
 from study.harness.design.spec import Expected, Factor, Scheme, Span
 from study.harness.design.study_file import (
@@ -52,6 +51,11 @@ from study.harness.design.study_file import (
     Terms,
     is_simulated,
     response_unit,
+)
+from study.statistics.surfaces.input_distribution import (
+    DISTRIBUTION_KEYS,
+    PARAMETERS,
+    InputDistribution,
 )
 
 # The tables ``[[response]]``: what is answered, and the smallest difference that matters.

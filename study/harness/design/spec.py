@@ -15,7 +15,6 @@ from study.ground.errors import Fault, InputError
 from study.harness.design import overlay
 from study.harness.design.cell import Cell, CellProblem, block_ids, tested
 from study.harness.design.forward_model import ForwardCell, Value
-from study.harness.design.material_table import InputDistribution
 from study.harness.design.parameters import (
     Constraint,
     is_parameter,
@@ -37,6 +36,7 @@ from study.harness.design.study_file import (
 from study.mechanics.material.material import is_constant
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
+from study.statistics.surfaces.input_distribution import InputDistribution
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.special import stdtrit
@@ -22,6 +21,7 @@ from study.statistics.surfaces.emulator import (
     jansen,
     sobol_indices,
 )
+from study.statistics.surfaces.input_distribution import InputDistribution
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_factors import Runs
 from study.statistics.surfaces.surface_result import SurfaceAnalysis
@@ -34,20 +34,6 @@ PERCENTILES = np.array([2.5, 5.0, 25.0, 50.0, 75.0, 95.0, 97.5])
 OWN_SAMPLE = 11
 
 Model = QuadraticSurface | Emulator | BlockedEmulator
-
-
-class Spread(Protocol):
-    """Distribution of an input, inside the range that was run."""
-
-    @property
-    def outside(self) -> float:
-        """Probability that is cut off."""
-
-    def quantile(self, shares: Array) -> Array:
-        """Values below which such shares lie, in the unit of the input."""
-
-    def halved(self) -> Spread:
-        """Give the same with half the spread."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +97,10 @@ class Propagated:
 
 
 def propagate(
-    found: SurfaceAnalysis, inputs: Mapping[str, Spread], fixed: Mapping[str, float], seed: int = 0
+    found: SurfaceAnalysis,
+    inputs: Mapping[str, InputDistribution],
+    fixed: Mapping[str, float],
+    seed: int = 0,
 ) -> Propagated:
     """Carry the distributions of inputs through a surface."""
     from scipy.stats import qmc
@@ -148,7 +137,7 @@ class _Inputs:
     """Uncertain and fixed inputs of a surface."""
 
     runs: Runs
-    spreads: Mapping[str, Spread]
+    spreads: Mapping[str, InputDistribution]
     fixed: Mapping[str, float]
 
     def coded(self, shares: Array) -> Array:
