@@ -283,11 +283,20 @@ class Equilibria:
     instability: Instability | None = None
 
     def quantities(self) -> dict[str, Array]:
-        """Responses of each point by their names: kPa, mm^2 and N."""
+        """Responses of each point by their names: kPa, mm^2, N and N mm."""
+        of_bodies = {
+            f"{prefix}{name}": np.array([float(np.linalg.norm(vector)) for vector in vectors])
+            for prefix, body in (("", self.plate), ("base_", self.base))
+            for name, vectors in (
+                ("side_force", [held.side for held in body]),
+                ("moment", [held.moment for held in body]),
+            )
+        }
         return {
             "peak_contact_pressure": 1e3 * np.array([c.peak_pressure_MPa for c in self.contact]),
             "contact_area": np.array([c.area_mm2 for c in self.contact]),
-            "side_force": np.array([float(np.hypot(*one.side)) for one in self.plate]),
+            "base_force": np.array([held.axial for held in self.base]),
+            **of_bodies,
         }
 
     def to_json(self) -> dict[str, object]:
