@@ -13,8 +13,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
-from study.mechanics.solver.finite_element_solution import solve
-from study.mechanics.solver.load_path import NoEquilibrium, PrescribedMotion
+from study.mechanics.solver.finite_element_solution import NoEquilibrium, PrescribedMotion, solve
 
 from .problems import GEL
 
