@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Flags, Ints
 from study.ground.curve import Curve
 from study.mechanics.element.function_space import deformation_gradient
 from study.mechanics.material.stability import always_elliptic, ellipticity
@@ -168,9 +168,6 @@ class LoadPath:
         self.J = system.volume_ratios(self.state.x)
         self.rule = problem.setup.step_rule(options.steps, system.mesh.height_mm)
         self.step_mm = self.rule.first_mm
-        #: how many of the steps so far were asked for; others were added where energy was missing
-        #: or the curve bends
-        self.requested = 0
         self.steps: list[Step] = []
         #: displacements at which the surface snapped to another equilibrium, mm
         self.snaps: list[float] = []
@@ -185,10 +182,9 @@ class LoadPath:
         if self.rest is None:
             self.reason = FALLS
             return self
-        for target, asked in self._targets():
+        for target in self._targets():
             if not self._advance(target, _LOAD_PATH_HALVINGS):
                 break
-            self.requested += asked
             self.progress(target / self.problem.test.depth_mm)
         error, fills = self.options.curve_error, not (self._follows or self.system.sticks)
         if error and fills and self._complete:
@@ -196,8 +192,8 @@ class LoadPath:
         self._look_back()
         return self
 
-    def _targets(self) -> list[tuple[float, bool]]:
-        """Displacements, and whether they are requested; an earlier solve's may be among them.
+    def _targets(self) -> list[float]:
+        """List the requested displacements; those of an earlier solve may be among them.
 
         Curves of one problem then have the same points, and their difference is one of forces.
         """
@@ -209,7 +205,7 @@ class LoadPath:
         added = [d for d in followed if d < asked[-1]]
         near = 1e-9 * self.system.mesh.height_mm
         others = [d for d in added if min(abs(d - own) for own in asked) > near]
-        return sorted([(d, True) for d in asked] + [(d, False) for d in others])
+        return sorted([*asked, *others])
 
     def _advance(self, target: float, halvings: int) -> bool:
         """Reach a displacement and write it down, in halves where energy does not add up."""
@@ -545,9 +541,15 @@ class LoadPath:
         return [step.state.displacement_mm for step in self.steps]
 
     @property
+    def _asked(self) -> Flags:
+        """Steps that were requested: others were added where energy is missing or a curve bends."""
+        places = np.array(self._reached) * self.problem.test.steps / self._whole_mm
+        return np.asarray(np.abs(places - np.round(places)) < 1e-6)
+
+    @property
     def _complete(self) -> bool:
         """Whether every requested step is there."""
-        return self.requested == self.problem.test.steps
+        return np.count_nonzero(self._asked) == self.problem.test.steps
 
     @property
     def _whole_mm(self) -> float:
@@ -564,10 +566,7 @@ class LoadPath:
 
     def _drop_from(self, displacement_mm: float) -> None:
         """Forget the steps from a displacement on."""
-        kept = int(np.searchsorted(self._reached, displacement_mm * (1 - 1e-12)))
-        steps = np.array(self._reached[kept:]) * self.problem.test.steps / self._whole_mm
-        self.requested -= int((np.abs(steps - np.round(steps)) < 1e-6).sum())
-        del self.steps[kept:]
+        del self.steps[int(np.searchsorted(self._reached, displacement_mm * (1 - 1e-12))) :]
         self.snaps = [place for place in self.snaps if place < displacement_mm]
 
     def _lies_apart(self, before: Step, after: Step) -> bool:
@@ -621,9 +620,7 @@ class LoadPath:
         """Return what was written down; ``seconds`` is the time that it took."""
         system, state, lost = self.system, self.state, self._lost()
         # the steps that were requested, or all, with the iterations of those left out before them
-        requested = np.array(self._reached) * self.problem.test.steps / self._whole_mm
-        asked = np.abs(requested - np.round(requested)) < 1e-6
-        kept = np.flatnonzero(asked | (self.options.curve_error is not None))
+        kept = np.flatnonzero(self._asked | (self.options.curve_error is not None))
         total = np.cumsum([0, *(step.iterations for step in self.steps)])[np.r_[0, kept + 1]]
         balance, work = self._balance()
         curve, gave_way = self._curve(work), bool(lost) or self.instability is not None
