@@ -145,7 +145,7 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
         weights = weights * 2 * np.pi * radius
         hoop = np.ascontiguousarray((values / radius).transpose(1, 2, 0))
     element_nodes = basis.element_dofs.T.astype(np.int64)
-    nodes = node_places(basis, mesh)
+    nodes = np.array(basis.doflocs.T)
     pressure_shape, pressure_dofs = pressure_of(basis, model)
     dim = mesh.points.shape[1]
     displacement = (dim * element_nodes[:, :, None] + np.arange(dim)).reshape(ne, -1)
@@ -165,14 +165,6 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
         facets=facets,
         facet_weights=areas,
     )
-
-
-def node_places(basis: Any, mesh: Mesh) -> Array:
-    """Find the reference positions of the nodes of a basis, shape (n_nodes, dim), mm."""
-    nodes = np.array(basis.doflocs.T)
-    if np.isnan(nodes).any():  # scikit-fem gives bubbles no place
-        nodes[np.asarray(basis.interior_dofs)[-1]] = mesh.points[mesh.cells].mean(axis=1)
-    return nodes
 
 
 def nodal_volumes(mesh: Mesh, model: Model) -> Array:
@@ -207,10 +199,13 @@ def basis_of(mesh: Mesh, model: Model, order: int) -> Any:
         np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(cells.T)
     )
     degree = "2" if model.element_order == "quadratic" else "1"
+    bubbles = simplex and degree == "1" and model.formulation == "mixed"
     if simplex:
-        bubbles = degree == "1" and model.formulation == "mixed"
         degree = "Mini" if bubbles else f"P{degree}"
-    return skfem.Basis(fem_mesh, getattr(skfem, f"Element{stem}{degree}")(), intorder=order)
+    basis = skfem.Basis(fem_mesh, getattr(skfem, f"Element{stem}{degree}")(), intorder=order)
+    if bubbles:  # scikit-fem gives them no place
+        basis.doflocs[:, basis.interior_dofs[-1]] = mesh.points[mesh.cells].mean(axis=1).T
+    return basis
 
 
 def pressure_of(basis: Any, model: Model) -> tuple[Array, Ints]:

@@ -549,7 +549,7 @@ class LoadPath:
     @property
     def _complete(self) -> bool:
         """Whether every requested step is there."""
-        return np.count_nonzero(self._asked) == self.problem.test.steps
+        return int(np.count_nonzero(self._asked)) == self.problem.test.steps
 
     @property
     def _whole_mm(self) -> float:

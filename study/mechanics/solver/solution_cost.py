@@ -19,7 +19,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.errors import Fault
 from study.mechanics.contact.contact import constraints
-from study.mechanics.element.function_space import Nodes, basis_of, node_places, pressure_of
+from study.mechanics.element.function_space import Nodes, basis_of, pressure_of
 from study.mechanics.mesh.graded import BULGE, CORE, UNDER_CONE, around, has_room, inward, sizes_of
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.size_field import SizeField
@@ -364,7 +364,7 @@ def _iteration(setup: Setup, dofs: float) -> float:
 def unknowns(setup: Setup, mesh: Mesh) -> int:
     """Free displacements and pressures of a problem on a mesh, without its element arrays."""
     basis = basis_of(mesh, setup.model, 1)
-    space = cast(Nodes, SimpleNamespace(nodes=node_places(basis, mesh), dim=mesh.points.shape[1]))
+    space = cast(Nodes, SimpleNamespace(nodes=basis.doflocs.T, dim=mesh.points.shape[1]))
     held = constraints(setup, space, mesh).dofs.size
     pressures = int(pressure_of(basis, setup.model)[1].max(initial=-1)) + 1
     return int(space.dim * basis.N + pressures - held)

@@ -517,9 +517,9 @@ def _body(surface: Surface, changed: int, size: int) -> Body:
     extent, notes = np.ptp(turned, axis=0), inspected.notes
     low, high = PLAUSIBLE_MM
     if not low <= float(extent.max()) <= high:
-        size = " x ".join(f"{v:.4g}" for v in extent)
+        lengths = " x ".join(f"{v:.4g}" for v in extent)
         notes += (
-            f"specimen.unit: the specimen is {size} mm, outside {low:g} to {high:g} mm: is it "
+            f"specimen.unit: the specimen is {lengths} mm, outside {low:g} to {high:g} mm: is it "
             f"really in {surface.unit}?",
         )
     return _stood(turned, inspected.triangles, surface, notes)

@@ -363,11 +363,8 @@ def grid_convergence(
     elif behaviour == "oscillatory":
         u = max(u, float(np.ptp(f)) / 2)
     carried = (high - low) / 2 <= RESOLVED_ORDER
-    gci: tuple[float | None, float | None] = (None, None)
-    ratio: float | None = None
-    if limit is not None:
-        gci, ratio = _indices(h, f, used, factor, u)
     ordered = limit is not None
+    gci_fine, gci_coarse, ratio = _indices(h, f, used, factor, u) if ordered else (None,) * 3
     verdict = _verdict(behaviour, f, u)
     if behaviour == "monotone":
         verdict = _monotone_verdict((low, order, high), formal_order, factor, limited, consistent)
@@ -378,13 +375,13 @@ def grid_convergence(
         observed_order=order if behaviour == "monotone" and carried else None,
         formal_order=formal_order,
         extrapolated=limit,
-        gci_fine=gci[0],
+        gci_fine=gci_fine,
         factor_of_safety=factor if ordered else None,
         u_num=u,
         asymptotic_ratio=ratio,
         verdict=verdict,
         order_used=used if ordered else None,
-        gci_coarse=gci[1],
+        gci_coarse=gci_coarse,
         order_interval=(low, high) if math.isfinite(high) and high > low else None,
         warnings=tuple(_warnings(h, float(f[0]), limit)),
     )  # fmt: skip
@@ -392,19 +389,17 @@ def grid_convergence(
 
 def _indices(
     h: Array, f: Array, used: float, factor: float, u: float
-) -> tuple[tuple[float | None, float | None], float | None]:
+) -> tuple[float | None, float | None, float | None]:
     """GCI of the finest and of the next mesh, and their ratio over that of the sizes."""
     fine = u / abs(float(f[0])) if f[0] else None
     if h.size == 2 or not f[1]:
-        return (fine, None), None
+        return fine, None, None
     by_fine, by_coarse = (
         abs(f[i + 1] - f[i]) / ((h[i + 1] / h[i]) ** used - 1) / abs(f[i]) if f[i] else math.inf
         for i in (0, 1)
     )
-    coarse = factor * float(by_coarse)
-    if not f[0]:
-        return (None, coarse), None
-    return (fine, coarse), float(by_coarse / ((h[1] / h[0]) ** used * by_fine))
+    ratio = float(by_coarse / ((h[1] / h[0]) ** used * by_fine)) if f[0] else None
+    return fine, factor * float(by_coarse), ratio
 
 
 def _fitted(
@@ -561,6 +556,10 @@ class NumericalUncertainty:
 # Comparison of a simulated with a measured curve: E and its uncertainty (ASME V&V 20-2009).
 
 
+#: columns of a comparison, in the document of a result
+KEYS = "displacement_mm simulated_N measured_N error_N u_num_N u_input_N u_data_N u_val_N"
+
+
 def compare(
     displacement_mm: Array,
     simulated_N: Array,  # noqa: N803
@@ -595,12 +594,9 @@ def compare(
         verdict = f"the model is off by E = {e:.3g} N +- {end:.2g} N at the end{lacking}"
     else:
         verdict = f"|E| = {abs(e):.2g} N is within u_val = {end:.2g} N at the end{lacking}"
-    columns = {
-        "displacement_mm": displacement_mm, "simulated_N": simulated_N, "measured_N": measured_N,
-        "error_N": error, "u_num_N": num, "u_input_N": inputs, "u_data_N": data, "u_val_N": total,
-    }  # fmt: skip
+    columns = (displacement_mm, simulated_N, measured_N, error, num, inputs, data, total)
     outside = float(np.mean(np.abs(error) > total))
     return {
-        **{name: column.tolist() for name, column in columns.items()},
+        **{name: c.tolist() for name, c in zip(KEYS.split(), columns, strict=True)},
         "unknown": unknown, "outside": outside, "verdict": verdict,
     }  # fmt: skip
