@@ -177,7 +177,7 @@ def solution_json(solution: Solution) -> dict[str, object]:
         "message": solution.message,
         **replace(curve, quantities={}).as_dict(),
         "force_gradient": {k: v.tolist() for k, v in curve.force_gradient.items()},
-        "parameters": {} if warm is None else dict(warm.values),
+        "parameters": {} if warm is None else dict(warm.system.material.constants),
         "dofs": solution.dofs,
         "elements": solution.elements,
         "newton_iterations": list(solution.newton_iterations),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
+from study.harness.calibration.calibration_bound import estimated_bound
 from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
 from study.harness.runner.staged_fit import TOLERANCES, StagedSearch, staged_fit
@@ -189,3 +190,18 @@ def test_coverage_of_intervals_over_300_fem_fits() -> None:
     assert np.all(covered / 300 >= 0.91)
     # chi^2/8 has a variance of 2/8; the mean of 300 a standard deviation of 0.029
     assert chi / 300 == pytest.approx(1, abs=0.09)
+
+
+def test_mesh_bound_does_not_depend_on_where_the_search_began() -> None:
+    """Load steps chosen at the constants of the start differ from those chosen at the fit's own."""
+    setting, true = config(SOFTENING, steps=3), SOFTENING[2]
+    measured = curve(config(SOFTENING, steps=12), true)
+    found, model, names = fitted(setting, measured, [3 * 6.4e-3, 0.0])
+    parts = [Part("inverse-fem", CellProblem.of(setting), (MeasuredCurve("virtual", measured),))]
+    at_its_own = fit_task.InverseFem(CellProblem.of(setting), [measured], names)
+    searched, own = (estimated_bound(found, parts, [m]) for m in (model, at_its_own))
+    assert searched is not None
+    assert own is not None
+    assert searched.mesh == pytest.approx(own.mesh, rel=1e-6)
+    # what the search's steps leave is an error of steps, and is counted there
+    assert (searched.steps >= 0.5 * own.steps).all()

@@ -196,9 +196,11 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
 
 
 def test_comparison_says_what_is_unknown() -> None:
-    found = compare([1.0, 2.0], [1.0, 2.0], [1.0, 1.99], None, 0.05)
-    assert found.unknown == ("numerics", "data")
-    assert "within u_val" in found.verdict
-    assert "numerics, data not known" in found.verdict
-    assert compare([1.0], [1.0], [0.5]).verdict.startswith("no uncertainty")
-    assert compare([1.0, 2.0], [1.0, 2.5], [1.0, 2.0], 0.1, 0.0, 0.0).outside == 0.5
+    d, known = np.array([1.0, 2.0]), np.full(2, 0.05)
+    unknown = dict.fromkeys(("numerics", "inputs", "data"))
+    found = compare(d, d, np.array([1.0, 1.99]), {**unknown, "inputs": known})
+    assert found["unknown"] == ["numerics", "data"]
+    assert "within u_val" in str(found["verdict"])
+    assert "numerics, data not known" in str(found["verdict"])
+    assert str(compare(d, d, d, unknown)["verdict"]).startswith("no uncertainty")
+    assert compare(d, d + [0, 0.5], d, {**unknown, "numerics": 2 * known})["outside"] == 0.5

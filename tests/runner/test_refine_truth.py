@@ -17,7 +17,7 @@ from study.harness.design.load import loads_problem
 from study.harness.runner import judgement, refinement
 from study.harness.runner.refinement import formal_order, refine
 from study.harness.runner.solve_task import in_process
-from tests.fem.answers import layers
+from tests.fem.problems import layers
 
 DISC = """
 schema = 1

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.harness.calibration.measured_tests import in_order, parts_of, read_tests
 from study.harness.design.calibration_section import CalibrationDesign
@@ -150,27 +149,34 @@ def estimated_bound(
 ) -> ConstantBound | None:
     """Bound the numerical error from one coarser mesh; None where every test has a closed form.
 
-    A force that is wrong by e moves the estimates by -(J'J)^-1 J'e, as an error of a row does.
+    A force that is wrong by e moves the estimates by -(J'J)^-1 J'e, as an error of a row does. The
+    load steps of the fit were chosen at the constants that its search began with: meshes are
+    compared on steps chosen at its own, and how far the two differ is an error of the steps.
     """
     names, constants = fit.names, fit.values
     simulated = [model if isinstance(model, InverseFem) else None for model in models]
     if all(model is None for model in simulated) or not fit.curves:
         return None
     mesh: list[Array] = []
-    steps: list[Array] = []
+    again: list[Array] = []
+    stepped: list[Array] = []
     nothing = np.full(len(names), np.nan)
     try:
         for part, model in zip(parts, simulated, strict=True):
             if model is None:
-                zeros = [np.zeros(len(curve.curve)) for curve in part.measured]
-                mesh, steps = [*mesh, *zeros], [*steps, *zeros]
+                zeros = np.zeros(sum(len(curve.curve) for curve in part.measured))
+                mesh, again, stepped = [*mesh, zeros], [*again, zeros], [*stepped, zeros]
                 continue
-            here, size = model(constants), model.mesh_size_mm or 0.0
+            here, size = _force(model, part, constants), model.mesh_size_mm or 0.0
             order = _order(part, names, constants) or _LOWEST_ORDER
-            share = _SAFETY / (_RATIO**order - 1)
             coarse = replace(part, problem=part.problem.on_mesh(mesh_size_mm=_RATIO * size))
-            mesh += [share * e for e in _moved(coarse, names, constants, here)]
-            steps += _moved(_with_more_steps(part), names, constants, here)
+            chosen_here, coarser, finer = (
+                _force(fit_task.models_of([other], names)[0], part, constants)
+                for other in (part, coarse, _with_more_steps(part))
+            )
+            mesh.append(_SAFETY / (_RATIO**order - 1) * (coarser - chosen_here))
+            again.append(chosen_here - here)
+            stepped.append(finer - here)
     except (EvaluationFailed, InputError) as error:
         why = f"a coarser mesh, or more load steps, has no answer ({error})"
         return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why, True)
@@ -179,21 +185,21 @@ def estimated_bound(
     inverse, _ = scaled_inverse(weights[:, None] * jacobian)
     used = np.concatenate([m.weights > 0 for m in measured])
     by_force = inverse @ (weights[:, None] ** 2 * jacobian).T
-    by_mesh, by_steps = (np.abs(by_force @ np.concatenate(e)[used]) for e in (mesh, steps))
-    values = constants[None]
-    return ConstantBound(names, (_RATIO, 1.0), values, by_mesh, by_steps, is_estimate=True)
+    by_mesh, *by_steps = (
+        np.abs(by_force @ np.concatenate(e)[used]) for e in (mesh, again, stepped)
+    )
+    steps = np.maximum(*by_steps)
+    return ConstantBound(names, (_RATIO, 1.0), constants[None], by_mesh, steps, is_estimate=True)
 
 
-def _moved(
-    part: FitPart, names: tuple[str, ...], constants: Array, here: Sequence[Curve]
-) -> list[Array]:
-    """Change of the forces at the measured points from one discretization to another, N."""
-    (model,) = fit_task.models_of([part], names)
-    other = model(constants)
-    return [
-        b.force_at(c.displacement_mm) - a.force_at(c.displacement_mm)
-        for a, b, c in zip(here, other, part.curves, strict=True)
-    ]
+def _force(model: Predict, part: FitPart, constants: Array) -> Array:
+    """Let a model predict the measured points of a part, one curve after the other, N."""
+    return np.concatenate(
+        [
+            curve.force_at(asked.displacement_mm)
+            for curve, asked in zip(model(constants), part.curves, strict=True)
+        ]
+    )
 
 
 def with_numerical(fit: Fit, bound: ConstantBound) -> Fit:

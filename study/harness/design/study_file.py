@@ -49,6 +49,10 @@ SIMULATED = {
     "peak_contact_pressure": "kPa",
     "contact_area": "mm^2",
     "side_force": "N",
+    "moment": "N mm",
+    "base_force": "N",
+    "base_side_force": "N",
+    "base_moment": "N mm",
     "dofs": "",
 }
 

@@ -47,7 +47,7 @@ from study.mechanics.setup.geometry import Block
 from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:
-    from study.mechanics.solver.load_path import MovedPlate
+    from study.mechanics.solver.finite_element_solution import MovedPlate
     from study.mechanics.solver.solution import Solution
 
 # The motion of a plate that markers inside a specimen tell, and what they are off.
@@ -99,7 +99,7 @@ class _Fitter:
         self, markers: MarkerStates, label: str, problem: Problem, solution: Solution
     ) -> None:
         from study.mechanics.element.function_space import interpolation
-        from study.mechanics.solver.load_path import PrescribedMotion
+        from study.mechanics.solver.finite_element_solution import PrescribedMotion
 
         self.motion = plate = PrescribedMotion(problem, solution)
         self.interpolated = interpolation(plate.system.mesh, problem.model, markers.rest)
@@ -180,7 +180,7 @@ def predicted_markers(
     cell: CellProblem, constants: Mapping[str, float] | None, label: str, depth_mm: float
 ) -> PredictedCurve:
     """Predict a state of a marked specimen and compare all markers; constants MPa."""
-    from study.mechanics.solver.load_path import NoEquilibrium
+    from study.mechanics.solver.finite_element_solution import NoEquilibrium
 
     began, problem = time.perf_counter(), cell.loaded(displacement_mm=depth_mm).at(constants)
     spec, file = cell.markers, cell.marker_file

@@ -67,8 +67,11 @@ CURVE_RESPONSES: Mapping[str, Callable[[Curve, Curve], float]] = {
     "peak_force_error": peak_force_error,
     "work_error": work_error,
 }
-#: largest values over the test of what finite elements say of plate or indenter
-CONTACT = ("peak_contact_pressure", "contact_area", "side_force")
+#: largest values over the test of what finite elements say of plate or indenter, and of the base
+CONTACT = (
+    "peak_contact_pressure", "contact_area", "side_force", "moment",
+    "base_force", "base_side_force", "base_moment",
+)  # fmt: skip
 #: points between which the work of a curve is summed: the trapezoidal rule is then off by a
 #: millionth of the work, for a force that grows with the square of the displacement
 _POINTS = 400

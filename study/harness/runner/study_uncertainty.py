@@ -330,14 +330,14 @@ def _row(
     measured, predicted = pair
     d = places_of(measured)
     force = predicted.force_at(d)
-    agreement = compare(
-        d, force, measured.force_at(d),
-        None if mesh is None else mesh * np.abs(force),
-        None if inputs is None else inputs * np.abs(force),
-        _data(measured, d, fact.get("scatter_N"), uncertainty),
-    )  # fmt: skip
+    u = {
+        "numerics": None if mesh is None else mesh * np.abs(force),
+        "inputs": None if inputs is None else inputs * np.abs(force),
+        "data": _data(measured, d, fact.get("scatter_N"), uncertainty),
+    }
+    agreement = compare(d, force, measured.force_at(d), u)
     facts = {"case_id": record.case_id, "levels": dict(record.levels), "block": record.block}
-    return facts | {"label": fact["score"], "role": fact["role"]} | agreement.to_json()
+    return facts | {"label": fact["score"], "role": fact["role"]} | agreement
 
 
 def _data(

@@ -59,7 +59,7 @@ class Model:
     #: Size of a named mesh over that of the next finer one; ``converge.ratio`` of the file.
     mesh_ratio: Annotated[float, DERIVED] = 1.5
     mesh_size_mm: Length | None = None
-    #: Moves the nodes of the mesh at random (see :mod:`study.mechanics.mesh.perturbation`).
+    #: Moves the nodes of the mesh at random (see :mod:`study.mechanics.mesh.mesher`).
     mesh_seed: Annotated[int | None, DERIVED] = None
 
     @property
