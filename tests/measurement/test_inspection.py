@@ -112,7 +112,7 @@ UGLY: dict[str, tuple[bytes, str]] = {
     "points between thousands alone": (
         ("Weg [um];Kraft [mN]\n" + POINTS.replace(",", ".")).encode(), "tension"),
     "decimal commas in quotes between commas": (
-        ("Weg,Kraft\n" + layouts.german(QUOTED).replace('".', '",')).encode(), "tension"),
+        ("Weg_mm,Kraft_N\n" + layouts.german(QUOTED).replace('".', '",')).encode(), "tension"),
     "UTF-16 without its mark": (
         written("Weg (mm)\tKraft (N)\n", UP, force(UP), sep="\t").encode("utf-16-le"), "tension"),
     "typographic minus": (
@@ -187,8 +187,12 @@ def test_ugly_recordings_give_the_constant_behind_them(tmp_path, name):
             written("strain,stress_kPa\n", UP[:27], force(UP[:27])),
             "or per cent .a stretch of 1.039",
         ),
+        (
+            written("Weg_mm,Kraft\n", UP, 1e3 * force(UP)),
+            r"no unit of 'Kraft' .0 to 5\d{3}.; N is the guess: write units.force = \"N\", or",
+        ),
     ],
-    ids=["unknown unit", "ratio or per cent"],
+    ids=["unknown unit", "ratio or per cent", "millinewton without a word"],
 )
 def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
     (tmp_path / "a.csv").write_text(content)

@@ -558,6 +558,12 @@ def _unit_for(
             )
             return ""
         unit = "%" if largest > _PERCENT else unit
+    if dimension != "ratio":
+        notes.append(
+            f"the file names no unit of {column.name!r} ({values.min():.4g} to {values.max():.4g}); "
+            f'{unit} is the guess: write units.{quantity} = "{unit}", or the unit of the instrument'
+        )
+        return ""
     notes.append(f"the file names no unit of {column.name!r}: {unit} is assumed")
     return unit
 
@@ -671,7 +677,7 @@ def _place(
 
 def _unit_of(table: Mapping[str, object], quantity: str) -> str:
     units = table["units"]
-    return str(units.get(quantity, "mm")) if isinstance(units, Mapping) else "mm"
+    return str(units.get(quantity, "?")) if isinstance(units, Mapping) else "?"
 
 
 def _zero_of(
