@@ -232,11 +232,6 @@ def aicc(rss: float, n: int, parameters: int) -> float:
     """Small-sample Akaike criterion of a least-squares fit (Hurvich and Tsai 1989).
 
     The error variance counts as a parameter. Infinite where ``n`` is too small for it.
-
-    Examples
-    --------
-    >>> round(aicc(2.0, 20, 3), 4)
-    -35.385
     """
     if not math.isfinite(rss):
         return math.inf

@@ -161,13 +161,6 @@ def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Arr
     """Influence of rows from that of the points interpolated between them.
 
     Shapes: by_point (p, m); places (m,), mm; rows (n,); returns (p, n).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> points = np.array([[1.0, 2.0, 4.0]])
-    >>> interpolation_transposed(points, np.array([0.0, 0.25, 3.0]), np.array([0.0, 1.0]))
-    array([[2.5, 4.5]])
     """
     place = np.interp(places, rows, np.arange(rows.size, dtype=float))
     left = np.minimum(place.astype(int), max(rows.size - 2, 0))

@@ -408,14 +408,7 @@ def _common_trend(group: Sequence[_Recording]) -> tuple[float, Array]:
 
 
 def akaike_weights(aicc: Mapping[str, float]) -> dict[str, float]:
-    """Share of the evidence that each model has (Burnham and Anderson 2002, sec. 2.9).
-
-    Examples
-    --------
-    >>> weights = akaike_weights({"one": 10.0, "two": 12.0})
-    >>> {name: round(value, 4) for name, value in weights.items()}
-    {'one': 0.7311, 'two': 0.2689}
-    """
+    """Share of the evidence that each model has (Burnham and Anderson 2002, sec. 2.9)."""
     finite = {name: value for name, value in aicc.items() if math.isfinite(value)}
     if not finite:
         return dict.fromkeys(aicc, math.nan)

@@ -298,15 +298,7 @@ def trend(series: Sequence[Series], columns: Sequence[Array]) -> tuple[float, Ar
 
 
 def effective_rows(rows: int, correlation: float) -> float:
-    """Independent rows worth as much as correlated ones for a mean.
-
-    Examples
-    --------
-    >>> round(effective_rows(60, 0.5), 9)
-    20.0
-    >>> effective_rows(60, -0.2)
-    60.0
-    """
+    """Independent rows worth as much as correlated ones for a mean."""
     rho = max(correlation, 0.0) if math.isfinite(correlation) else 0.0
     return rows * (1 - rho) / (1 + rho)
 

@@ -350,13 +350,7 @@ class Polynomial(PolynomialEnergy):
 
 @functools.cache
 def index_pair(name: str) -> tuple[int, int]:
-    """Powers (i, j) of a constant C_ij; the last digit is j.
-
-    Examples
-    --------
-    >>> index_pair("C20"), index_pair("C01")
-    ((2, 0), (0, 1))
-    """
+    """Powers (i, j) of a constant C_ij; the last digit is j."""
     match = _NAME.fullmatch(name)
     if match is None or match.groups() == ("0", "0"):
         raise InputError(Fault(f"material.{name}", "is not a polynomial constant such as C10"))

@@ -560,7 +560,7 @@ def _unit_for(
         unit = "%" if largest > _PERCENT else unit
     if dimension != "ratio":
         notes.append(
-            f"the file names no unit of {column.name!r} ({values.min():.4g} to {values.max():.4g}); "
+            f"the file names no unit of {column.name!r}, {values.min():.4g} to {values.max():.4g}; "
             f'{unit} is the guess: write units.{quantity} = "{unit}", or the unit of the instrument'
         )
         return ""

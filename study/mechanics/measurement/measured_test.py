@@ -230,18 +230,7 @@ IMPLAUSIBLE = "no soft material"
 
 
 def apparent_modulus(setup: Setup, displacement_mm: float, force_N: float) -> float | None:  # noqa: N803
-    """Young's modulus in MPa that one point of a curve speaks for.
-
-    Examples
-    --------
-    A cylinder of 10 mm radius and 20 mm height, pressed 2 mm by 3.1416 N: 10 kPa over 10 %.
-
-    >>> from study.mechanics.setup import geometry, setup
-    >>> cylinder = geometry.Cylinder(10.0, 20.0)
-    >>> setup = setup.Setup(cylinder, setup.Test("compression", None), setup.Model(), 20.0)
-    >>> round(apparent_modulus(setup, 2.0, 3.1416), 4)
-    0.1
-    """
+    """Young's modulus in MPa that one point of a curve speaks for."""
     indenter = setup.test.indenter
     if indenter is not None:
         return force_N * _PLANE / _half_space(indenter, displacement_mm)

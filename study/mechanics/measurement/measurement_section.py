@@ -83,13 +83,7 @@ class Range:
     high: float
 
     def in_mm(self, height_mm: float | None = None) -> tuple[float, float]:
-        """Both ends in mm.
-
-        Examples
-        --------
-        >>> Range("percent", 1.0, 20.0).in_mm(30.0)
-        (0.3, 6.0)
-        """
+        """Both ends in mm."""
         if self.kind == "mm":
             return self.low, self.high
         if height_mm is None:
@@ -368,16 +362,7 @@ class MeasurementSpec:
     sheet: Annotated[str, Reads(text)] = ""
 
     def plain_text(self, text: str) -> tuple[str, list[int], str]:
-        r"""Text with a header line, where its lines stand, and its delimiter if that is known.
-
-        Examples
-        --------
-        >>> spec = MeasurementSpec(Columns(), skip_lines=1, comment="#", delimiter="space")
-        >>> spec.plain_text("of 1944\nl  P\n# first row\n1.02   0.0255")
-        ('l\tP\n1.02\t0.0255', [2, 4], '\t')
-        >>> MeasurementSpec(Columns(), header=False).plain_text("1.02, 0.0255\n1.1, 0.12")
-        ('1,2\n1.02, 0.0255\n1.1, 0.12', [1, 1, 2], ',')
-        """
+        """Text with a header line, where its lines stand, and its delimiter if that is known."""
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         at = [
             k
