@@ -259,7 +259,9 @@ def intervals(
 _EXPLAINED = 0.1
 
 
-def trend(series: Sequence[Series], columns: Sequence[Array]) -> tuple[float, Array]:
+def trend(
+    series: Sequence[Series], columns: Sequence[Array], explained: float = _EXPLAINED
+) -> tuple[float, Array]:
     """P that the residuals hold no trend beyond a drift, and the trend, shape (n,).
 
     F test of further columns, given an autoregression of the rows, averaged over the correlations
@@ -278,7 +280,7 @@ def trend(series: Sequence[Series], columns: Sequence[Array]) -> tuple[float, Ar
     basis, _ = np.linalg.qr(jacobian / np.linalg.norm(jacobian, axis=0))
     added = added / np.linalg.norm(added, axis=0)
     left, size, _ = np.linalg.svd(added - basis @ (basis.T @ added), full_matrices=False)
-    left = left[:, size > _EXPLAINED]
+    left = left[:, size > explained]
     count, nothing = left.shape[1], np.zeros_like(residual)
     ends = np.cumsum([part.residual.size for part in series])[:-1]
     wider = [
