@@ -137,16 +137,6 @@ def test_points_without_weight_change_nothing():
     assert (first.n, second.n) == (50, 50)
 
 
-def test_held_out_curves_are_predicted_but_not_fitted():
-    predict, d = predictor(*RP2, depth=9.0)
-    (one,) = virtual(predict, [7e-3, 1e-3], d)
-    other = MeasuredCurve("other", Curve(d, 2 * one.curve.force_N), role="held-out")
-    found = fit(lambda v: [*predict(v), *predict(v)], [one, other], RP2[1], [5e-3, 0.0])
-    assert found.values == pytest.approx([7e-3, 1e-3], abs=1e-12)
-    assert found.n == d.size
-    assert len(found.curves) == 2
-
-
 def test_two_tests_together_identify_what_one_cannot():
     compress, d = predictor(*MR, depth=4.2)
     extend, e = predictor(*MR, depth=15.0, mode="equibiaxial", sign=1.0)
@@ -257,7 +247,6 @@ def _measured(force, label="A"):
         (_measured([1.0]), "1 points cannot determine 2 constants"),
         (_measured([1, np.nan, 3]), "not finite"),
         (_measured([]), "has 0 displacements"),
-        ([MeasuredCurve("A", _measured([1, 2, 3])[0].curve, role="held-out")], "role 'fit'"),
         ([MeasuredCurve("A", _measured([1, 2, 3])[0].curve, -1.0)], "not negative"),
         ([MeasuredCurve("A", _measured([1, 2, 3])[0].curve, np.ones(2))], "2 weights for 3"),
     ],

@@ -125,9 +125,7 @@ def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> lis
 
 def _measured_curve(curve: FitCurve) -> MeasuredCurve:
     """Curve as the fit sees it; a loss other than squares is counted in units of the noise."""
-    seen = MeasuredCurve(
-        curve.label, curve.measured.curve, curve.weight, "fit", curve.measured.recordings
-    )
+    seen = MeasuredCurve(curve.label, curve.measured.curve, curve.weight, curve.measured.recordings)
     if curve.loss == "linear":
         return seen
     noise = noise_of(curve.measured)

@@ -119,7 +119,7 @@ def fit(
     resume: Iteration | None = None,
     priors: Sequence[Prior] = (),
 ) -> Fit:
-    """Fit constants to the measured curves whose role is ``fit``. Shapes: start (p,)."""
+    """Fit constants to measured curves. Shapes: start (p,)."""
     _check(measured, names, start)
     model = ResidualFunction(predict, measured, names, priors)
     result = levenberg_marquardt(
@@ -149,7 +149,7 @@ class ResidualFunction:
         try:
             curves = tuple(self.predict(values))
             self.curves_at[values.tobytes()] = curves
-            pairs = [(m, c) for m, c in zip(self.measured, curves, strict=True) if m.role == "fit"]
+            pairs = zip(self.measured, curves, strict=True)
             residuals, rows = zip(*(self._one(m, c) for m, c in pairs), strict=True)
         except EvaluationFailed as error:
             self.failure = str(error)
@@ -183,7 +183,7 @@ class ResidualFunction:
 
 
 def _report(result: LeastSquaresSearch, model: ResidualFunction) -> Fit:
-    fitted = [(m, m.weights > 0) for m in model.measured if m.role == "fit"]
+    fitted = [(m, m.weights > 0) for m in model.measured]
     force = np.concatenate([m.curve.force_N[used] for m, used in fitted])
     weight = np.concatenate([m.weights[used] for m, used in fitted])
     residual = result.residual[: force.size]
@@ -250,11 +250,10 @@ def _check(measured: Sequence[MeasuredCurve], names: Sequence[str], start: Array
     size, points = np.size(start), 0
     if size != len(names):
         faults.append(Fault("start", f"{size} values for {len(names)} constants"))
-    fitted = [m for m in measured if m.role == "fit"]
-    if not fitted:
+    if not measured:
         faults.append(Fault("tests", "none has the role 'fit'"))
     elif not faults:
-        points = sum(int(np.count_nonzero(m.weights > 0)) for m in fitted)
+        points = sum(int(np.count_nonzero(m.weights > 0)) for m in measured)
         if points < len(names):
             rule = f"{points} points cannot determine {len(names)} constants ({', '.join(names)})"
             faults.append(Fault("measurements", rule, "give more points or a simpler energy"))

@@ -86,8 +86,6 @@ class MeasuredCurve:
     #: shape (n,); factor on the residual, for instance one over the scatter; zero leaves a point
     #: out.
     weight: float | Array = 1.0
-    #: ``fit``, or ``held-out``: predicted and scored, never fitted.
-    role: Literal["fit", "held-out"] = "fit"
     #: Rows as recorded, of every repeat, whose linear interpolation and mean the curve is; none
     #: where the curve's points are the rows.
     recordings: tuple[Curve, ...] = ()
@@ -143,7 +141,7 @@ def curve_faults(measured: MeasuredCurve) -> list[Fault]:
     if not (np.all(np.isfinite(weights)) and np.all(weights >= 0)):
         return [Fault(where, "weights must be finite and not negative")]
     used = weights > 0
-    if measured.role != "fit" or np.count_nonzero(used) < 2:
+    if np.count_nonzero(used) < 2:
         return []
     d, force = d[used], force[used]
     # the force of a course in time may fall while it is held
