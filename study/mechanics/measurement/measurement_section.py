@@ -302,11 +302,9 @@ class MeasurementSpec:
     columns: Columns = Field(
         description='for example columns = { displacement = "displacement_mm", force = "force_N" }'
     )
-    #: Column and unit of displacement and force.
     units: Units = Units()
     #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
     file: Annotated[str | None, Reads(csv_path)] = None
-    #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
     files: Annotated[str | None, Reads(csv_pattern)] = None
     #: Column of the unit that was replicated.
     block: Annotated[str | None, Reads(name)] = None
@@ -318,15 +316,14 @@ class MeasurementSpec:
     points: Annotated[int | Literal["raw"], Reads(_points)] = 200
     #: Which rows give constants, which give responses.
     fit: Annotated[dict[str, Labels] | None, Reads(rows)] = None
-    #: Which rows give constants, which give responses.
     score: Annotated[dict[str, Labels] | None, Reads(rows)] = None
     #: Whether fit and score also change places.
     swap: Annotated[bool, Reads(flag)] = False
-    #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
+    #: Rule of the load cell's zero.
     zero: Annotated[str, Reads(choice("none", "first", "fit"))] = "none"
     #: Force in N at which contact counts as made.
     toe: Force | None = None
-    #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
+    #: Sign of a force that resists.
     sign: Annotated[str, Reads(choice("positive", "negative"))] = "positive"
     #: Recorded displacement of the unloaded specimen in contact: a row, or a value in mm.
     displacement_zero: Annotated[str | float | None, Reads(_displacement_zero)] = None
@@ -336,18 +333,13 @@ class MeasurementSpec:
     branch: Annotated[str | int, Reads(_branch)] = "auto"
     #: Branch of a cycle that is given by its number.
     cycle: Annotated[str, Reads(choice("loading", "unloading"))] = "loading"
-    #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
     decimal: Annotated[str, Reads(choice(".", ","))] = "."
     #: Printed in the report.
     citation: Annotated[str, Reads(text)] = ""
     #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
     #: is no plain CSV.
     skip_lines: Annotated[int, Reads(integer(0, MAX_SKIPPED))] = 0
-    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
-    #: is no plain CSV.
     comment: Annotated[str, Reads(_mark)] = ""
-    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
-    #: is no plain CSV.
     delimiter: Annotated[str, Reads(choice("", *DELIMITERS))] = ""
     #: Whether a line names the columns; without one columns are named by their number.
     header: Annotated[bool, Reads(flag)] = True
