@@ -209,10 +209,11 @@ def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
     ("rows", "rule"),
     [
         (written("", UP, np.minimum(force(UP), 2.8)), "the load cell was at its limit.*range = "),
+        (written("", UP, np.where(UP > 5, 0.05, force(UP))), "the specimen tore.*range = "),
         (written("", np.r_[0, UP + 0.4], np.r_[0, force(UP)]), "displacement_zero = "),
         (written("", UP, force(UP)) + "Maximum,6.0,5.0\n", "a.csv:43: has 3 cells"),
     ],
-    ids=["saturated", "slack", "line of results"],
+    ids=["saturated", "torn to less than its first rows", "slack", "line of results"],
 )
 def test_what_no_reading_mends_is_refused_with_what_to_write(tmp_path, rows, rule):
     content = ("d_mm,f_N\n" + rows).encode()

@@ -634,8 +634,13 @@ def _place(
     if min(d.max() - d[0], d[0] - d.min()) > _BOTH_WAYS * travel:
         # it begins in the middle: loading goes where the force is larger
         far = max(int(np.argmin(d)), int(np.argmax(d)), key=lambda k: abs(float(f[k])))
-    # of the first rows the middle one: a single row may be a trigger
-    falls, pushes = d[far] < d[0], float(f[far] - np.median(f[:_FIRST]))
+    # of the first rows the middle one: a single row may be a trigger; a specimen that tore, or was
+    # unloaded at the end of the travel, resisted before
+    away = f - np.median(f[:_FIRST])
+    most = int(np.argmax(np.abs(away)))
+    falls, pushes = d[far] < d[0], float(away[far])
+    if abs(pushes) < NO_FORCE * abs(float(away[most])):
+        pushes = float(away[most])
     through = d.min() < rest - 2 * TURN * travel and d.max() > rest + 2 * TURN * travel
     ends = f[[int(np.argmin(d)), int(np.argmax(d))]]
     through = through and ends[0] * ends[1] < 0
