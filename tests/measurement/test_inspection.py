@@ -189,7 +189,7 @@ def test_ugly_recordings_give_the_constant_behind_them(tmp_path, name):
         ),
         (
             written("Weg_mm,Kraft\n", UP, 1e3 * force(UP)),
-            r"no unit of 'Kraft', 0 to 5\d{3}.; N is the guess: write units.force = \"N\", or",
+            r"no unit of 'Kraft', 0 to \d{4}; N is the guess: write units.force = \"N\", or",
         ),
     ],
     ids=["unknown unit", "ratio or per cent", "millinewton without a word"],
