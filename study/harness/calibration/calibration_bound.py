@@ -49,14 +49,14 @@ class ConstantBound:
     """Constants on several meshes, and how far discretization may move them."""
 
     names: tuple[str, ...]
-    #: Element sizes over that of the fit, from coarse to fine; empty without elements.
-    sizes: tuple[float, ...]
-    #: shape (meshes, p); constants on every mesh, MPa (exponents plain).
-    values: Array
     #: shape (p,); bounds of the error by the mesh and by the load steps of the fit; NaN where a fit
     #: failed.
     mesh: Array
     steps: Array
+    #: Element sizes over that of the fit, from coarse to fine; empty without elements.
+    sizes: tuple[float, ...] = ()
+    #: Constants on every mesh, each shape (p,), MPa (exponents plain).
+    values: Sequence[Array] = ()
     #: Which fit gave no constants; else empty.
     failure: str = ""
     #: Whether the bounds follow from one coarser mesh and the sensitivities, without another fit.
@@ -110,7 +110,7 @@ def numerical_bound(
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
-        return ConstantBound(names, (), np.zeros((0, len(names))), zero, zero)
+        return ConstantBound(names, zero, zero)
     model = simulated[0].problem.model
     base, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
     # from coarse to fine, and the own mesh again with more steps
@@ -122,9 +122,8 @@ def numerical_bound(
         stage = f"numerical bound, fit {number + 1} of {len(made)}"
         done = single_stage(stage, changed_parts, start, search).fit
         if not done.converged:
-            nothing = np.full(len(names), np.nan)
             why = f"{stage}, gave no constants ({done.message})"
-            return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why)
+            return ConstantBound(names, zero + np.nan, zero + np.nan, failure=why)
         solutions.append(done.values)
     *series, stepped = solutions
     values, sizes = np.array(series), tuple(_RATIO ** float(step - base) for step in levels)
@@ -136,7 +135,7 @@ def numerical_bound(
     again = values[levels.index(base)]
     reference = start if first_fit.joint is None else again
     steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
-    return ConstantBound(names, sizes, values, mesh, steps)
+    return ConstantBound(names, mesh, steps, sizes, series)
 
 
 #: order that is assumed where the elements promise none
@@ -158,7 +157,6 @@ def estimated_bound(
         return None
     mesh: list[Array] = []
     steps: list[Array] = []
-    nothing = np.full(len(names), np.nan)
     try:
         for part, model in zip(parts, simulated, strict=True):
             if model is None:
@@ -173,15 +171,16 @@ def estimated_bound(
             steps += _moved(_with_more_steps(part), names, constants, here)
     except (EvaluationFailed, InputError) as error:
         why = f"a coarser mesh, or more load steps, has no answer ({error})"
-        return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why, True)
+        nothing = np.full(len(names), np.nan)
+        return ConstantBound(names, nothing, nothing, failure=why, is_estimate=True)
     measured = [curve for part in parts for curve in part.measured]
     jacobian, weights, _ = fitted_rows(fit, measured)
     inverse, _ = scaled_inverse(weights[:, None] * jacobian)
     used = np.concatenate([m.weights > 0 for m in measured])
     by_force = inverse @ (weights[:, None] ** 2 * jacobian).T
     by_mesh, by_steps = (np.abs(by_force @ np.concatenate(e)[used]) for e in (mesh, steps))
-    values = constants[None]
-    return ConstantBound(names, (_RATIO, 1.0), values, by_mesh, by_steps, is_estimate=True)
+    sizes = (_RATIO, 1.0)
+    return ConstantBound(names, by_mesh, by_steps, sizes, [constants], is_estimate=True)
 
 
 def _moved(

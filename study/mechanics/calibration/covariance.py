@@ -107,13 +107,13 @@ def scaled_condition(jacobian: Array, values: Array) -> float:
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
 
-def student_t(degrees_of_freedom: int, level: float = 0.95) -> float:
-    """Two-sided quantile of Student's t; NaN without degrees of freedom."""
+def student_t(degrees_of_freedom: int) -> float:
+    """Two-sided quantile of Student's t at 95 %; NaN without degrees of freedom."""
     if degrees_of_freedom <= 0:
         return float("nan")
     from scipy.special import stdtrit
 
-    return float(stdtrit(degrees_of_freedom, 0.5 + level / 2))
+    return float(stdtrit(degrees_of_freedom, 0.975))
 
 
 def identifiability(names: Sequence[str], values: Array, estimate: Uncertainty) -> tuple[bool, str]:

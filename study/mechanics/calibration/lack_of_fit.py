@@ -36,18 +36,6 @@ ALPHA = 0.05
 
 
 @dataclass(frozen=True)
-class Repeated:
-    """Residuals of one averaged curve and the scatter of the repeats it averages."""
-
-    #: shape (n,); weighted residual of the mean.
-    residual: Array
-    #: shape (n,); standard deviation of the repeats, times the same weights.
-    scatter: Array
-    #: How many were averaged; at least two.
-    repeats: int
-
-
-@dataclass(frozen=True)
 class LackOfFit:
     """Comparison of what the model misses with what repeats scatter."""
 
@@ -76,19 +64,23 @@ class ResidualPattern:
     p: float
 
 
-def lack_of_fit(curves: Sequence[Repeated], parameters: int) -> LackOfFit | None:
-    """F test of lack of fit against the pure error of repeats (Draper and Smith 1998, 2.1)."""
-    points = sum(c.residual.size for c in curves)
-    df, df_error = points - parameters, sum(c.residual.size * (c.repeats - 1) for c in curves)
-    missed = sum(c.repeats * float(c.residual @ c.residual) for c in curves)
-    pure = sum((c.repeats - 1) * float(c.scatter @ c.scatter) for c in curves)
+def lack_of_fit(curves: Sequence[tuple[Array, Array, int]], parameters: int) -> LackOfFit | None:
+    """F test of lack of fit against the pure error of repeats (Draper and Smith 1998, 2.1).
+
+    Of each averaged curve: residual of the mean, standard deviation of the repeats times the same
+    weights, both of shape (n,), and how many were averaged, at least two.
+    """
+    df = sum(left.size for left, _, _ in curves) - parameters
+    df_error = sum(left.size * (repeats - 1) for left, _, repeats in curves)
+    missed = sum(repeats * float(left @ left) for left, _, repeats in curves)
+    pure = sum((repeats - 1) * float(scatter @ scatter) for _, scatter, repeats in curves)
     if df <= 0 or df_error <= 0 or pure <= 0:
         return None
     from scipy.special import fdtrc
 
     statistic = (missed / df) / (pure / df_error)
     many = float(fdtrc(df, df_error, statistic))
-    few = float(fdtrc(len(curves), sum(c.repeats - 1 for c in curves), statistic))
+    few = float(fdtrc(len(curves), sum(repeats - 1 for *_, repeats in curves), statistic))
     clear: Literal["lack-of-fit", "adequate"] = "lack-of-fit" if many < ALPHA else "adequate"
     agree = (many < ALPHA) == (few < ALPHA)
     return LackOfFit(statistic, df, df_error, many, few, clear if agree else "undecided")
@@ -404,7 +396,8 @@ def _drift_of_one(fit: Fit, recording: _Recording) -> str:
 
     Constants take up most of such a drift, so that little of it is left in the residuals: with 5 %
     of the largest force and noise of .2 % of it, one constant and 40 rows, it is seen in 3 of 4
-    tests (100 rows: in all), beside noise of 1 % in 1 of 20, with two constants in 1 of 5.
+    tests (100 rows: in all), beside noise of 1 % in 1 of 25, with two constants and 100 rows in 1
+    of 4.
     """
     if (counted := _by_noise(fit, recording)) is None:
         return ""
