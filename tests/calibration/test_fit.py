@@ -72,14 +72,6 @@ def test_planar_data_leave_mooney_rivlin_rank_one():
     assert np.all(np.isnan(found.standard_error))
 
 
-def test_a_reduced_polynomial_is_identifiable():
-    predict, d = predictor(*RP2, depth=6.0)
-    rng = np.random.default_rng(2011)
-    found = fit(predict, virtual(predict, [7e-3, 1e-3], d, 1e-3, rng), RP2[1], [5e-3, 0.0])
-    assert found.identifiable
-    assert found.ci95[0, 0] < 7e-3 < found.ci95[0, 1]
-
-
 def test_as_many_points_as_constants():
     predict, d = predictor(*RP2, depth=9.0, points=2)
     found = fit(predict, virtual(predict, [7e-3, 1e-3], d), RP2[1], [5e-3, 0.0])
