@@ -280,7 +280,7 @@ def compare(
         )
         for label, group in groups.items()
     }
-    extra = [sum(np.outer(error, error) for error in pair) for pair in systematic.values()]
+    extra = [np.outer(mesh, mesh) + np.outer(zero, zero) for mesh, zero in systematic.values()]
     test = agreement(list(compared.values()), extra)
     power: dict[str, float] = {}
     detectable: dict[str, float] = {}
