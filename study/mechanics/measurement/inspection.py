@@ -148,7 +148,6 @@ class Inspection:
     columns: tuple[InspectedColumn, ...]
     #: Phases of the recording in words, the lines of each, and how far and hard at either end.
     phases: tuple[dict[str, Any], ...]
-    cycles: int
     #: Table ``[measurements]``.
     measurements: Mapping[str, object]
     #: What is assumed, and what to look at.
@@ -171,7 +170,8 @@ class Inspection:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study inspect --json``."""
-        return dict(plain({**vars(self), "toml": self.toml}))
+        cycles = max((phase["cycle"] for phase in self.phases), default=0)
+        return dict(plain({**vars(self), "cycles": cycles, "toml": self.toml}))
 
 
 def _toml(value: object) -> str:
@@ -213,7 +213,6 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     table["columns"] = {q: columns[k].name for q, k in chosen.items()}
     table["units"] = {quantity: unit for quantity, unit in units.items() if unit}
     groups = _groups(columns, block, table)
-    phases: tuple[Phase, ...] = ()
     kinematic = next((q for q in KINEMATIC if q in chosen), None)
     kinetic = next((q for q in KINETIC if q in chosen), None)
     placed: list[dict[str, Any]] = []
@@ -237,8 +236,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         source, encoding, sheets, block.delimiter, block.decimal,
         tuple(line.strip()[:120] for line in lines[: block.skip] if line.strip())[:8],
         block.header, block.units, block.at[0], block.at[-1], len(block.at),
-        tuple(columns), tuple(placed), max((p.cycle for p in phases), default=0),
-        table, tuple(notes),
+        tuple(columns), tuple(placed), table, tuple(notes),
     )  # fmt: skip
 
 
