@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -106,16 +106,20 @@ class CurveModulus:
     correlation: float | None = None
     #: Root mean square of the residuals over that of the forces.
     relative_rms: float | None = None
-    label: str = ""
-    groups: Mapping[str, str] = field(default_factory=dict)
+    recording: Recording | None = None
+
+    @property
+    def label(self) -> str:
+        """Test of the file."""
+        return "" if self.recording is None else self.recording.where
 
     def to_json(self) -> dict[str, object]:
         """Plain values, moduli in kPa."""
-        document = asdict(self)
-        low_high = document.pop("interval_MPa")
+        document = {**vars(self)}
+        recording, low_high = document.pop("recording"), document.pop("interval_MPa")
         return {
-            "label": document.pop("label"),
-            "groups": dict(document.pop("groups")),
+            "label": self.label,
+            "groups": dict(recording.groups),
             "modulus_kPa": _kilo(document.pop("modulus_MPa")),
             "standard_error_kPa": _kilo(document.pop("error_MPa")),
             "ci95_kPa": None if low_high is None else [_kilo(v) for v in low_high],
@@ -443,7 +447,7 @@ def indentation_modulus(
                 poisson_ratio=test.layer.poisson_ratio, deepest_mm=test.deepest_mm(validity),
                 find_contact=test.find_contact,
             )  # fmt: skip
-        fitted.append(replace(modulus, label=recording.where, groups=recording.groups))
+        fitted.append(replace(modulus, recording=recording))
         if modulus.modulus_MPa is not None:
             block = test.spec.block
             unit = recording.where if block is None else recording.groups[block]

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -126,6 +126,13 @@ class InspectedColumn:
     labels: tuple[str, ...] = ()
 
 
+#: a phase in words, its first and last line, and the kinematic and kinetic quantity at either end
+InspectedPhase = TypedDict(
+    "InspectedPhase",
+    {"phase": str, "cycle": int, "lines": list[int], "from": list[float], "to": list[float]},
+)
+
+
 @dataclass(frozen=True)
 class Inspection:
     """What a file holds, how it is written, and how it is read."""
@@ -147,7 +154,7 @@ class Inspection:
     rows: int
     columns: tuple[InspectedColumn, ...]
     #: Phases of the recording in words, the lines of each, and how far and hard at either end.
-    phases: tuple[dict[str, Any], ...]
+    phases: tuple[InspectedPhase, ...]
     #: Table ``[measurements]``.
     measurements: Mapping[str, object]
     #: What is assumed, and what to look at.
@@ -215,7 +222,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     groups = _groups(columns, block, table)
     kinematic = next((q for q in KINEMATIC if q in chosen), None)
     kinetic = next((q for q in KINETIC if q in chosen), None)
-    placed: list[dict[str, Any]] = []
+    placed: list[InspectedPhase] = []
     if "stretch_1" in chosen:
         notes.append("two stretches and two stresses: one biaxial test, first direction first")
     elif kinematic and kinetic:
@@ -226,7 +233,8 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         phases = _place(kinematic, d, f, table, notes)
         placed = [
             {"phase": p.words, "cycle": p.cycle, "lines": [at[p.first], at[p.last]],
-             "from": [d[p.first], f[p.first]], "to": [d[p.last], f[p.last]]}
+             "from": [float(d[p.first]), float(f[p.first])],
+             "to": [float(d[p.last]), float(f[p.last])]}
             for p in phases
         ]  # fmt: skip
     else:
