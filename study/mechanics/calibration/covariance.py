@@ -157,19 +157,6 @@ def identifiability(names: Sequence[str], values: Array, estimate: Uncertainty) 
     return True, caution
 
 
-def verdict_at_end(
-    names: Sequence[str], values: Array, estimate: Uncertainty, free: NDArray[np.bool_], ended: str
-) -> tuple[bool, str]:
-    """Verdict on a fit that ended at a kink, at an edge or at a bound. Shapes: free (p,)."""
-    identifiable, reason = identifiability(names, values, estimate)
-    if ended:
-        return False, ended if identifiable or not reason else f"{ended}; besides, {reason}"
-    if not free.all():
-        held = [name for name, is_free in zip(names, free, strict=True) if not is_free]
-        return False, f"{', '.join(held)} ended at a bound"
-    return identifiable, reason
-
-
 def _widest(names: Sequence[str], values: Array, estimate: Uncertainty) -> str:
     width = estimate.ci95[:, 1] - estimate.ci95[:, 0]
     # an interval that changes no force by more than this says that the constant is zero

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.mechanics.calibration.covariance import influence, uncertainty, verdict_at_end
+from study.mechanics.calibration.covariance import identifiability, influence, uncertainty
 from study.mechanics.calibration.levenberg_marquardt import (
     Iteration,
     LeastSquaresSearch,
@@ -194,9 +194,15 @@ def _report(result: LeastSquaresSearch, model: ResidualFunction) -> Fit:
     )
     identifiable, reason = False, result.status.sentence
     if result.status.usable:
-        ended = "" if result.converged else reason
-        free = ~result.at_bound
-        identifiable, reason = verdict_at_end(model.names, result.x, estimate, free, ended)
+        identifiable, why = identifiability(model.names, result.x, estimate)
+        if result.converged:
+            reason = why
+        elif why and not identifiable:
+            reason = f"{reason}; besides, {why}"
+        held = [name for name, at in zip(model.names, result.at_bound, strict=True) if at]
+        if held and result.converged:
+            reason = f"{', '.join(held)} ended at a bound"
+        identifiable = identifiable and result.converged and not held
     if not result.converged:
         none = np.full_like(estimate.covariance, np.nan)
         estimate = replace(

@@ -407,20 +407,19 @@ def _drift_of_one(fit: Fit, recording: _Recording) -> str:
     scale = np.linalg.norm(series.jacobian, axis=0)
     both = np.column_stack([series.jacobian / scale, column])
     *shift, drift_N = np.linalg.lstsq(both, -series.residual, rcond=None)[0]  # noqa: N806
-    free = np.isfinite(fit.standard_error)
-    moved, half = np.array(shift) / scale, 0.5 * np.diff(fit.ci95[free], axis=1)[:, 0]
+    (free,) = np.nonzero(np.isfinite(fit.standard_error))
+    moved = np.abs(np.array(shift) / scale)
+    beyond = 2 * moved / np.diff(fit.ci95[free], axis=1)[:, 0]
     share = abs(float(drift_N)) / float(np.abs(recording.rows.force_N).max())
-    if p >= _CLEAR or share < _DRIFTS or not (np.abs(moved) > half).any():
+    if p >= _CLEAR or share < _DRIFTS or not beyond.max() > 1:
         return ""
-    names = [name for name, is_free in zip(fit.names, free, strict=True) if is_free]
-    by = ", ".join(
-        f"{name} by {100 * abs(change / value):.2g} %"
-        for name, change, value in zip(names, moved, fit.values[free], strict=True)
-    )
+    most = int(beyond.argmax())
+    by = 100 * moved[most] / abs(fit.values[free[most]])
     return (
         f"{recording.label}: the residuals are those of a force that drifts by {100 * share:.2g} % "
-        f"of its largest value (p = {p:.1g}), which moves {by}, beyond the interval: compare the "
-        "load cell's readings before and after the test, or take another energy"
+        f"of its largest value (p = {p:.1g}), which moves {fit.names[free[most]]} by {by:.2g} %, "
+        "beyond its interval: compare the load cell's readings before and after the test, or take "
+        "another energy"
     )
 
 
