@@ -316,7 +316,7 @@ class _LagMoments:
     @classmethod
     def of(cls, series: Sequence[Series], pseudo: Pseudo | None = None) -> _LagMoments | None:
         """Moments of all series; None where the residual or a constant leaves nothing."""
-        parts = series if pseudo is None else [*series, pseudo]
+        parts: list[Series | Pseudo] = [*series, *([] if pseudo is None else [pseudo])]
         jacobian = np.concatenate([part.jacobian for part in parts])
         residual = np.concatenate([part.residual for part in parts])
         norms = np.linalg.norm(jacobian, axis=0)
