@@ -395,9 +395,9 @@ def _drift_of_one(fit: Fit, recording: _Recording) -> str:
     """Say by how much a drift in proportion to time moves the constants, if beyond an interval.
 
     Constants take up most of such a drift, so that little of it is left in the residuals: with 5 %
-    of the largest force and noise of .2 % of it, one constant and 40 rows, it is seen in 3 of 4
-    tests (100 rows: in all), beside noise of 1 % in 1 of 25, with two constants and 100 rows in 1
-    of 4.
+    of the largest force and noise of .2 % of it, one constant and 40 rows, it is seen in 7 of 8
+    tests (100 rows: in all), beside noise of 1 % in 1 of 80, with two constants and 100 rows in 3
+    of 8 (``validation/calibrations.py``).
     """
     if (counted := _by_noise(fit, recording)) is None:
         return ""
