@@ -23,39 +23,11 @@ from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import (
     MeasuredCurve,
     NuisanceEstimate,
+    NuisanceParameter,
     Prior,
     pseudo_jacobian,
 )
 from study.mechanics.calibration.serial_correlation import row_noise
-
-#: change of an input without an uncertainty from which its influence is taken, over its value
-_STEP = 0.01
-
-
-@dataclass(frozen=True)
-class NuisanceParameter:
-    """One nuisance parameter of a fit; mm, N, MPa, degrees or plain."""
-
-    #: What it is called, and its key in the file.
-    name: str
-    key: str
-    expected: float
-    #: Standard uncertainty of it; None where nothing is known.
-    uncertainty: float | None
-    #: Whether the tests may move it; else its uncertainty is propagated.
-    is_fitted: bool
-    #: Places of the curves that it moves, in the order of the fit.
-    curves: tuple[int, ...]
-
-    @property
-    def is_input(self) -> bool:
-        """Whether it is an input of the simulation."""
-        return self.key not in (OFFSET, ZERO, FRICTION)
-
-    @property
-    def step(self) -> float:
-        """Change from which its influence is taken."""
-        return self.uncertainty or _STEP * abs(self.expected)
 
 
 def parameters_of(
@@ -281,7 +253,8 @@ def _shares(
             plates = {"frictionless": -1.0, "bonded": 1.0}
     inner = {("", 0): 0.0 if by is not None and by is not friction else 1.0}
     for param in movers:
-        if not param.is_input or (by is not None and by is not friction and param is not by):
+        is_input = param.key not in (OFFSET, ZERO, FRICTION)
+        if not is_input or (by is not None and by is not friction and param is not by):
             continue
         t = (value[param.name] - param.expected) / param.step
         parabola = np.array([0.5 * t * (t - 1), -t * t, 0.5 * t * (t + 1)])
@@ -456,11 +429,9 @@ class _NuisanceFit:
             value, error = param.expected, param.step
             interval = (value - 1.96 * error, value + 1.96 * error)
         shares = np.clip(np.nan_to_num(gone), 0.0, 1.0)
-        return NuisanceEstimate(
-            param.name, param.key, "fitted" if param.is_fitted else "propagated", param.expected,
-            param.uncertainty, value, error, interval,
-            dict(zip(self.names, shares.tolist(), strict=True)),
-        )  # fmt: skip
+        shown = dict(zip(self.names, shares.tolist(), strict=True))
+        return NuisanceEstimate(**vars(param), value=value, standard_error=error, ci95=interval,
+                                shares=shown)  # fmt: skip
 
 
 def with_nuisance(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -155,6 +154,9 @@ def curve_faults(measured: MeasuredCurve) -> list[Fault]:
     return [Fault(where, rule, mend)] if work <= 0 else []
 
 
+#: change of an input without an uncertainty from which its influence is taken, over its value
+_STEP = 0.01
+
 # Priors of parameters as pseudo-observations (Theil and Goldberger 1961, Int. Econ. Rev. 2, 65).
 
 
@@ -201,18 +203,31 @@ def known_covariance(priors: Sequence[Prior], names: Sequence[str], inverse: Arr
 
 
 @dataclass(frozen=True)
-class NuisanceEstimate:
-    """One nuisance parameter after the fit; mm, N, MPa, degrees or plain."""
+class NuisanceParameter:
+    """One nuisance parameter of a fit; mm, N, MPa, degrees or plain."""
 
     #: What it is called, and its key in the file.
     name: str
     key: str
-    #: Whether the tests helped to find it, or its uncertainty was carried to the constants.
-    treated: Literal["fitted", "propagated"]
     #: Value that was expected before the fit.
     expected: float
     #: Standard uncertainty of that; None where nothing was known.
     uncertainty: float | None
+    #: Whether the tests may move it; else its uncertainty is propagated.
+    is_fitted: bool
+    #: Places of the curves that it moves, in the order of the fit.
+    curves: tuple[int, ...]
+
+    @property
+    def step(self) -> float:
+        """Change from which its influence is taken."""
+        return self.uncertainty or _STEP * abs(self.expected)
+
+
+@dataclass(frozen=True)
+class NuisanceEstimate(NuisanceParameter):
+    """The same after the fit."""
+
     value: float
     standard_error: float
     ci95: tuple[float, float]
