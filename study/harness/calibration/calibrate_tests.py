@@ -232,15 +232,12 @@ def calibrate(
     specimens = tuple(_partial(setting, label, group) for label, group in by_specimen.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)
     result = _result(setting, curves, done)
-    result = replace(result, fit=named_open(fit, others))
-    parts = parts_of(setting.tests, in_order(curves))
+    parts, judged = parts_of(setting.tests, in_order(curves)), named_open(fit, others)
     numerical = estimated_bound(fit, parts, done.models) if fit.converged else None
-    if numerical is not None:
-        result = replace(
-            result, fit=with_numerical(result.fit, numerical), numerical=numerical.as_dict()
-        )
     result = replace(
         result,
+        fit=judged if numerical is None else with_numerical(judged, numerical),
+        numerical=None if numerical is None else numerical.as_dict(),
         specimens=specimens,
         same_constants_p=_same_constants(fit, specimens),
         population=population([specimen.fit for specimen in specimens]),

@@ -48,14 +48,14 @@ class ConstantBound:
     """Constants on several meshes, and how far discretization may move them."""
 
     names: tuple[str, ...]
-    #: Element sizes over that of the fit, from coarse to fine; empty without elements.
-    sizes: tuple[float, ...]
-    #: shape (meshes, p); constants on every mesh, MPa (exponents plain).
-    values: Array
     #: shape (p,); bounds of the error by the mesh and by the load steps of the fit; NaN where a fit
     #: failed.
     mesh: Array
     steps: Array
+    #: Element sizes over that of the fit, from coarse to fine; empty without elements.
+    sizes: tuple[float, ...] = ()
+    #: Constants on every mesh, each shape (p,), MPa (exponents plain).
+    values: Sequence[Array] = ()
     #: Which fit gave no constants; else empty.
     failure: str = ""
     #: Whether the bounds follow from one coarser mesh and the sensitivities, without another fit.
@@ -109,7 +109,7 @@ def numerical_bound(
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
-        return ConstantBound(names, (), np.zeros((0, len(names))), zero, zero)
+        return ConstantBound(names, zero, zero)
     model = simulated[0].problem.model
     base, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
     # from coarse to fine, and the own mesh again with more steps
@@ -121,9 +121,8 @@ def numerical_bound(
         stage = f"numerical bound, fit {number + 1} of {len(made)}"
         done = single_stage(stage, changed_parts, start, search).fit
         if not done.converged:
-            nothing = np.full(len(names), np.nan)
             why = f"{stage}, gave no constants ({done.message})"
-            return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why)
+            return ConstantBound(names, zero + np.nan, zero + np.nan, failure=why)
         solutions.append(done.values)
     *series, stepped = solutions
     values, sizes = np.array(series), tuple(_RATIO ** float(step - base) for step in levels)
@@ -135,7 +134,7 @@ def numerical_bound(
     again = values[levels.index(base)]
     reference = start if first_fit.joint is None else again
     steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
-    return ConstantBound(names, sizes, values, mesh, steps)
+    return ConstantBound(names, mesh, steps, sizes, series)
 
 
 #: order that is assumed where the elements promise none
@@ -160,7 +159,6 @@ def estimated_bound(
     mesh: list[Array] = []
     again: list[Array] = []
     stepped: list[Array] = []
-    nothing = np.full(len(names), np.nan)
     try:
         for part, model in zip(parts, simulated, strict=True):
             if model is None:
@@ -179,7 +177,8 @@ def estimated_bound(
             stepped.append(finer - here)
     except (EvaluationFailed, InputError) as error:
         why = f"a coarser mesh, or more load steps, has no answer ({error})"
-        return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why, True)
+        nothing = np.full(len(names), np.nan)
+        return ConstantBound(names, nothing, nothing, failure=why, is_estimate=True)
     measured = [curve for part in parts for curve in part.measured]
     jacobian, weights, _ = fitted_rows(fit, measured)
     inverse, _ = scaled_inverse(weights[:, None] * jacobian)
@@ -188,8 +187,8 @@ def estimated_bound(
     by_mesh, *by_steps = (
         np.abs(by_force @ np.concatenate(e)[used]) for e in (mesh, again, stepped)
     )
-    steps = np.maximum(*by_steps)
-    return ConstantBound(names, (_RATIO, 1.0), constants[None], by_mesh, steps, is_estimate=True)
+    steps, sizes = np.maximum(*by_steps), (_RATIO, 1.0)
+    return ConstantBound(names, by_mesh, steps, sizes, [constants], is_estimate=True)
 
 
 def _force(model: Predict, part: FitPart, constants: Array) -> Array:

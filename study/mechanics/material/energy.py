@@ -141,11 +141,12 @@ class Energy(ABC):
     def bounds(self, constant: str) -> Bounds:
         """Range of a constant within which a fit looks, MPa or plain."""
 
-    @abstractmethod
     def initial_shear_modulus(
         self, constants: Constants, compressibility: Compressibility
     ) -> float:
-        """Return the initial shear modulus mu0 in MPa."""
+        """Return mu0 in MPa: a sum over the constants, where W is linear in its moduli."""
+        gradient = self.initial_shear_modulus_gradient(constants, compressibility)
+        return float(sum(w * constants[n] for n, w in gradient.items()))
 
     @abstractmethod
     def initial_shear_modulus_gradient(
@@ -269,13 +270,6 @@ class IsochoricEnergy(Energy):
     def always_stable(self, constants: Constants) -> bool:
         """Whether Drucker's criterion is known to hold at every stretch; False says nothing."""
         return False
-
-    def initial_shear_modulus(
-        self, constants: Constants, compressibility: Compressibility
-    ) -> float:
-        """Sum of the constants times their share of mu0, where W is linear in its moduli."""
-        gradient = self.initial_shear_modulus_gradient(constants, compressibility)
-        return float(sum(w * constants[n] for n, w in gradient.items()))
 
 
 class CompressibleEnergy(Energy):

@@ -91,32 +91,22 @@ class Gauge:
     is_homogeneous: bool
 
 
-def displacement_and_force(
-    kinematic: str,
-    deformed: Array,
-    kinetic: str,
-    resisted: Array,
-    gauge: Gauge | None,
-    where: str,
-    *,
-    in_order: bool = False,
-) -> tuple[Array, Array]:
-    """Curve of a test as it was recorded.
-
-    Shapes: deformed, resisted (rows,), mm, MPa; returns (rows,).
-    """
+def displacement_and_force(recording: Recording, gauge: Gauge | None) -> tuple[Array, Array]:
+    """Displacements and forces of a test, mm and N, both of shape (rows,)."""
+    kinematic, kinetic = recording.quantities
+    deformed, resisted, where = recording.kinematic, recording.kinetic, recording.where
     if gauge is not None and gauge.mode == "biaxial" and kinematic not in SECOND:
         rule = "a biaxial test has a stretch and a stress in each of two directions"
         mend = "name columns stretch_1, stretch_2, stress_1 and stress_2"
         raise InputError(Fault(where, rule, mend))
     if kinematic == "displacement" and kinetic == "force":
         return deformed, resisted
-    section = _checked(kinematic, kinetic, gauge, where)
+    section = _checked(recording, gauge)
     if section.mode == "simple-shear":
         shear = deformed / section.length_mm if kinematic == "displacement" else deformed
         force = resisted if kinetic == "force" else section.area_mm2 * resisted
         turned = np.where(shear < 0, -1.0, 1.0)
-        if in_order or (turned > 0).all():
+        if recording.time_s is not None or (turned > 0).all():
             return shear * section.length_mm, force
         order = np.argsort(np.abs(shear), kind="stable")
         return np.abs(shear)[order] * section.length_mm, (turned * force)[order]
@@ -143,16 +133,17 @@ def displacement_and_force(
     return displacement, _force(kinetic, resisted, stretch, section)
 
 
-def _checked(kinematic: str, kinetic: str, gauge: Gauge | None, where: str) -> Gauge:
+def _checked(recording: Recording, gauge: Gauge | None) -> Gauge:
     if gauge is None or not gauge.is_homogeneous:
-        rule = f"{kinematic} and {kinetic} are those of a specimen that deforms the same everywhere"
+        pair = " and ".join(recording.quantities)
+        rule = f"{pair} are those of a specimen that deforms the same everywhere"
         mend = "give displacement and force, or a test without bonded faces"
-        raise InputError(Fault(where, rule, mend))
-    for column in (kinematic, kinetic):
+        raise InputError(Fault(recording.where, rule, mend))
+    for column in recording.quantities:
         modes = _MODES.get(column, (gauge.mode,))
         if gauge.mode not in modes:
             rule = f"a column {column} has no meaning in {gauge.mode} loading"
-            raise InputError(Fault(where, rule, f"it belongs to {', '.join(modes)}"))
+            raise InputError(Fault(recording.where, rule, f"it belongs to {', '.join(modes)}"))
     return gauge
 
 
