@@ -105,6 +105,17 @@ def test_welch_withdraws_what_the_pooled_variance_claims() -> None:
     assert anova(even, "y", ["a"], practical=2.5, exact=False).effect("a").verdict == NO_DIFFERENCE
 
 
+def test_two_rows_that_agree_by_chance_do_not_make_their_group_sure() -> None:
+    """Welch's interval alone would take them for the surest rows: .085 false claims, not .05."""
+    table = groups(5, (10, 2), (0.3, 0.0))
+    table.loc[10:, "y"] += [2.3, 2.35]
+    found = anova(table, "y", ["a"], practical=1.7, exact=False)
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert "Welch" in found.effect("a").why
+    tests = pd.concat([table] + [table[10:] + [0, shift] for shift in (0.3, -0.3)])
+    assert anova(tests, "y", ["a"], practical=1.7, exact=False).effect("a").verdict == MATTERS
+
+
 def test_readings_as_coarse_as_the_differences_claim_nothing() -> None:
     table = crossed(s=3, a=2)
     table["y"] = 7.0 + table["s"] + 2.0 * table["a"]  # one step more, in every block
