@@ -212,25 +212,28 @@ def test_the_gate_changes_no_number(levels: dict[str, int], block: str | None) -
     assert {e.verdict for e in claims.effects if e.is_main} == {NO_DIFFERENCE}
 
 
-def test_levels_nested_with_names_of_their_own_are_strata() -> None:
+@pytest.mark.parametrize("sizes", [(4, 4, 4), (3, 4, 2)])
+def test_levels_nested_with_names_of_their_own_are_strata(sizes: tuple[int, ...]) -> None:
     """F of the upper stratum is that of the batch means, that of the lower one within batches."""
     random = np.random.default_rng(12)
     table = pd.DataFrame(
-        [(f"L{i}", f"L{i}b{j}", k) for i in range(3) for j in range(4) for k in range(5)],
+        [(f"L{i}", f"L{i}b{j}", k) for i in range(3) for j in range(sizes[i]) for k in range(5)],
         columns=["lab", "batch", "k"],
     )
-    batch = pd.Series(random.normal(0, 2, 12), index=table["batch"].unique())
-    table["y"] = table["batch"].map(batch) + random.normal(0, 0.5, 60)
+    batches = sum(sizes)
+    batch = pd.Series(random.normal(0, 2, batches), index=table["batch"].unique())
+    table["y"] = table["batch"].map(batch) + random.normal(0, 0.5, 5 * batches)
     found = anova(table, "y", ["lab", "batch"], practical=1.0, exact=False)
     means = table.groupby(["lab", "batch"])["y"].mean()
     expected = f_oneway(*(means[lab] for lab in ("L0", "L1", "L2")))
     upper, lower = found.anova.row("lab"), found.anova.row("lab:batch")
-    assert (upper.df, upper.df_error, upper.error) == (2, 9, "lab:batch")
+    assert (upper.df, upper.df_error, upper.error) == (2, batches - 3, "lab:batch")
     assert upper.f == pytest.approx(expected.statistic, rel=1e-9)
     assert upper.p == pytest.approx(expected.pvalue, rel=1e-9)
-    assert (lower.df, lower.df_error) == (9, 48)
+    assert (lower.df, lower.df_error) == (batches - 3, 4 * batches)
     within = table.groupby("batch")["y"].var().mean()
-    between = 5 * table.groupby("batch")["y"].mean().groupby(lambda b: b[:2]).var().mean()
+    scatter = table.groupby("batch")["y"].mean().groupby(lambda b: b[:2]).var()
+    between = 5 * scatter @ (np.array(sizes) - 1) / (batches - 3)
     assert lower.f == pytest.approx(between / within, rel=1e-9)
     assert sum("batch lies within lab" in note for note in found.notes) == 1
     assert any("--model lab,lab:batch" in note for note in found.notes)

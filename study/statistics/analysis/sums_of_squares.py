@@ -23,6 +23,7 @@ from study.statistics.analysis.linear_model import (
     ModelMatrix,
     Term,
     factorize,
+    nested_in,
     term_name,
 )
 
@@ -101,12 +102,13 @@ def fitted(model: Factorization, y: Array) -> Factored:
 
 def term_sums(fit: Factored, kind: str) -> list[TermSum]:
     """Sum of squares of every term but the intercept."""
-    sums = []
-    for i in range(1, len(fit.matrix.terms)):
+    sums, nested = [], set(nested_in(fit.matrix.terms[1:]))
+    for i, term in enumerate(fit.matrix.terms[1:], 1):
         space = fit.space(i, kind)
         df, part = space.basis.shape[1], space.basis.T @ fit.z
-        sums.append(TermSum(fit.matrix.terms[i], df, float(part @ part), space.basis,
-                            space.nominal_df, space.aliases))  # fmt: skip
+        # parents may hold different numbers of a nested factor's levels: none of them is lost
+        nominal = df if nested & set(term) else space.nominal_df
+        sums.append(TermSum(term, df, float(part @ part), space.basis, nominal, space.aliases))
     return sums
 
 
