@@ -239,6 +239,31 @@ def test_levels_nested_with_names_of_their_own_are_strata(sizes: tuple[int, ...]
     assert any("--model lab,lab:batch" in note for note in found.notes)
 
 
+def test_a_nested_factor_that_meets_a_third_one_is_a_block_of_its_levels() -> None:
+    """Its means at two temperatures are no two batches: temperature is compared within them."""
+    random = np.random.default_rng(3)
+    levels = itertools.product(range(2), range(4), ("cold", "hot"), range(3))
+    rows = [(f"L{i}", f"L{i}b{j}", temp, k) for i, j, temp, k in levels]
+    table = pd.DataFrame(rows, columns=["lab", "batch", "temp", "k"])
+    batch = pd.Series(random.normal(0, 1, 8), index=table["batch"].unique())
+    both = pd.Series(random.normal(0, 0.3, 16), index=(table["batch"] + table["temp"]).unique())
+    table["y"] = table["batch"].map(batch) + (table["batch"] + table["temp"]).map(both)
+    table["y"] += 1.5 * (table["temp"] == "hot") + random.normal(0, 0.1, len(table))
+    found = anova(table, "y", ["lab", "batch", "temp"], error="pooled", exact=False)
+    means = table.pivot_table("y", ["lab", "batch"], "temp")
+    of_batch, change = means.mean(axis=1), means["hot"] - means["cold"]
+    lab, temp = found.anova.row("lab"), found.anova.row("temp")
+    assert (lab.error, lab.df_error) == ("lab:batch", 6)
+    expected = f_oneway(of_batch["L0"], of_batch["L1"])
+    assert (lab.f, lab.p) == pytest.approx((expected.statistic, expected.pvalue), rel=1e-9)
+    scatter = change.groupby("lab").var().mean()
+    assert temp.f == pytest.approx(8 * change.mean() ** 2 / scatter, rel=1e-9)
+    assert temp.df_error == 6
+    own = anova(table, "y", ["lab", "batch", "temp"], exact=False).anova.row("temp")
+    assert (own.f, own.error) == (pytest.approx(temp.f), "lab:batch:temp")
+    assert own.df_error < 6
+
+
 def test_an_empty_cell_leaves_what_can_be_estimated() -> None:
     """Sequential sums by the residual sums of nested fits; the lost cell is named once."""
     table = crossed(a=3, b=2, r=4)

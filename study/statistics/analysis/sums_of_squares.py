@@ -107,7 +107,7 @@ def term_sums(fit: Factored, kind: str) -> list[TermSum]:
         space = fit.space(i, kind)
         df, part = space.basis.shape[1], space.basis.T @ fit.z
         # parents may hold different numbers of a nested factor's levels: none of them is lost
-        nominal = df if nested & set(term) else space.nominal_df
+        nominal = (df if nested & set(term) else 0) or space.nominal_df
         sums.append(TermSum(term, df, float(part @ part), space.basis, nominal, space.aliases))
     return sums
 
