@@ -32,7 +32,6 @@ from study.statistics.analysis.analysis_result import (
 )
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.assumptions import (
-    add_robustness,
     assumptions_of,
     is_representative,
 )
@@ -425,7 +424,7 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
         quick = replace(request, simulated=False)
         again = (lambda rows: _found(rows, quick).effects, refound)
         out = replace(out, effects=without_each(table, *request.layout.block, out.effects, again))
-    result = assemble(add_robustness(out))
+    result = assemble(out)
     if not out.data.missing:
         return result
 

@@ -111,15 +111,19 @@ class Assumptions:
 
 def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
     """Run the tests of what an analysis assumes; its warnings come with theirs."""
+    robustness, power = _robustness(out)
+    if power is not None and not np.isfinite(power.ci95).all():
+        out = out.warn(
+            "Box-Cox: the interval of the exponent is open: the response varies too little beside "
+            "its mean to exclude even the largest exponents that a double can hold"
+        )
     if out.crossed is not None and out.replicates != "noise":
         tests, warnings = _by_contrast(out, out.crossed)
         warnings = (*out.warnings, *warnings)
     else:
         out, tests = _of_residuals(out)
         warnings = out.warnings
-    tests = replace(
-        tests, sphericity=out.sphericity, robustness=out.robustness, box_cox=out.box_cox
-    )
+    tests = replace(tests, sphericity=out.sphericity, robustness=robustness, box_cox=power)
     if out.fit is not None and out.fit.df_residual > 0:
         tests = replace(
             tests,
@@ -380,29 +384,21 @@ def _ordinary(fit: Factored) -> dict[str, float | None]:
 _MOST_CELLS = 600
 
 
-def add_robustness(out: AnalysisOutcome) -> AnalysisOutcome:
-    """Outcome with Box-Cox and the table of defensible analyses, where there is an error."""
+def _robustness(out: AnalysisOutcome) -> tuple[AnalysisSensitivity | None, BoxCoxResult | None]:
+    """Table of defensible analyses and Box and Cox's exponent, where there is an error."""
     if out.fit is None or out.plots is not None or out.data.also:
-        return out
+        return None, None
     if out.crossed is not None:
-        return replace(out, robustness=_blocked(out, out.crossed))
+        return _blocked(out, out.crossed), None
     if out.data.block is not None or out.replicates != "runs" or out.error.source != "E0":
-        return out
-    if np.unique(out.data.cell).size > _MOST_CELLS or out.fit.rss <= 0:
-        return out
-    if not isinstance(out.fit, Factored):
-        return out
+        return None, None
+    many = np.unique(out.data.cell).size > _MOST_CELLS
+    if many or out.fit.rss <= 0 or not isinstance(out.fit, Factored):
+        return None, None
     fit = out.fit if not out.request.scale.is_log else fitted(out.fit, out.data.y)
     table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
-    if out.data.y.min() <= 0:
-        return replace(out, robustness=table)
-    power = box_cox(out.data.y, out.fit.matrix.columns)
-    if not np.isfinite(power.ci95).all():
-        out = out.warn(
-            "Box-Cox: the interval of the exponent is open: the response varies too little beside "
-            "its mean to exclude even the largest exponents that a double can hold"
-        )
-    return replace(out, robustness=table, box_cox=power)
+    power = box_cox(out.data.y, out.fit.matrix.columns) if out.data.y.min() > 0 else None
+    return table, power
 
 
 def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:

@@ -296,7 +296,7 @@ def own_tests(
     total = float(np.sum((shifted - shifted.mean()) ** 2))
     tests = OwnTests({}, [], {}, [], total)
     wanted = {frozenset(term): term for term in terms}
-    mean = TermSum((), 1, 0.0, np.full((n, 1), 1 / np.sqrt(n)), 1)
+    mean = TermSum(np.full((n, 1), 1 / np.sqrt(n)), 1)
     inner = [replace(s, basis=cells.q @ s.basis) for s in term_sums(cells, kind)]
     for s in (mean, *inner):
         values = s.basis.T @ shifted

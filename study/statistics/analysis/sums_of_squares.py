@@ -22,6 +22,7 @@ from study.statistics.analysis.linear_model import (
     Factorization,
     ModelMatrix,
     Term,
+    TermSpace,
     factorize,
     nested_in,
     term_name,
@@ -51,15 +52,16 @@ class Factored(Factorization):
 
 
 @dataclass(frozen=True)
-class TermSum:
-    """Sum of squares of one term, the space it lives in, and what is lost to aliasing."""
+class TermSum(TermSpace):
+    """Sum of squares of one term in its space."""
 
-    term: Term
-    df: int
-    ss: float
-    basis: Array
-    nominal_df: int
-    aliases: tuple[str, ...] = ()
+    term: Term = ()
+    ss: float = 0.0
+
+    @property
+    def df(self) -> int:
+        """Degrees of freedom."""
+        return self.basis.shape[1]
 
 
 def factor(matrix: ModelMatrix, y: Array) -> Factored:
@@ -105,10 +107,10 @@ def term_sums(fit: Factored, kind: str) -> list[TermSum]:
     sums, nested = [], set(nested_in(fit.matrix.terms[1:]))
     for i, term in enumerate(fit.matrix.terms[1:], 1):
         space = fit.space(i, kind)
-        df, part = space.basis.shape[1], space.basis.T @ fit.z
+        part = space.basis.T @ fit.z
         # parents may hold different numbers of a nested factor's levels: none of them is lost
-        nominal = (df if nested & set(term) else 0) or space.nominal_df
-        sums.append(TermSum(term, df, float(part @ part), space.basis, nominal, space.aliases))
+        nominal = (part.size if nested & set(term) else 0) or space.nominal_df
+        sums.append(TermSum(space.basis, nominal, space.aliases, term, float(part @ part)))
     return sums
 
 
