@@ -124,7 +124,7 @@ def trajectories(count: int, number: int, levels: int, seed: int) -> Array:
     Shapes: returns (paths * (count + 1), count).
     """
     rng, jump = np.random.default_rng(seed), levels // 2
-    runs: list[Array] = []
+    runs: list[Ints] = []
     taken: set[tuple[int, ...]] = set()
     for _ in range(100 * number):
         path = [rng.integers(0, levels, count)]

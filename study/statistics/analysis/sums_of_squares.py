@@ -61,7 +61,7 @@ class TermSum(TermSpace):
     @property
     def df(self) -> int:
         """Degrees of freedom."""
-        return self.basis.shape[1]
+        return int(self.basis.shape[1])
 
 
 def factor(matrix: ModelMatrix, y: Array) -> Factored:
