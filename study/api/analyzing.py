@@ -104,8 +104,8 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
         return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
     if analysis.request.error != "welch":
         of_levels: dict[str, list[Array]] = {}
-        for (name, _), cell in rows.groupby([factor, "cell"], sort=False)["response"]:
-            of_levels.setdefault(str(name), []).append(cell.to_numpy())
+        for (name, _), replicates in rows.groupby([factor, "cell"], sort=False)["response"]:
+            of_levels.setdefault(str(name), []).append(replicates.to_numpy())
         return dunnett(of_levels, reference, alpha, seed)
     cells = [np.asarray(at) for at in rows.groupby("cell", sort=False).indices.values()]
     level, y = rows[factor].astype(str).to_numpy(), rows["response"].to_numpy()

@@ -189,18 +189,20 @@ def dunnett(
 ) -> Comparisons:
     """Compare levels with one of them, each the mean of its cells, by the pooled variance."""
     cells = {name: levels[name] for name in (reference, *levels)}
-    every = [cell for own in cells.values() for cell in own]
+    every = [cell for of_level in cells.values() for cell in of_level]
     df = float(sum(cell.size - 1 for cell in every))
     if df < 1:
         rule = "needs two rows or more in some cell: nothing scatters"
         raise InputError(Fault("--reference", rule, "add rows, or leave it out"))
-    if len({len(own) for own in cells.values()}) > 1:
+    if len({len(of_level) for of_level in cells.values()}) > 1:
         rule = "compares levels that stand in the same cells, and some cells are empty"
         raise InputError(Fault("--reference", rule, "analyze the complete part of the table"))
     shift = float(every[0][0])
-    means = np.array([np.mean([np.mean(c - shift) for c in own]) for own in cells.values()])
+    means = np.array([np.mean([np.mean(c - shift) for c in level]) for level in cells.values()])
     square = sum(float(np.sum((cell - cell.mean()) ** 2)) for cell in every) / df
-    part = np.array([np.sum([1 / c.size for c in own]) / len(own) ** 2 for own in cells.values()])
+    part = np.array(
+        [np.sum([1 / c.size for c in level]) / len(level) ** 2 for level in cells.values()]
+    )
     share = part[1:] + part[0]
     root = np.sqrt(share)
     correlation = np.diag(part[1:] / share) + np.outer(1 / root, 1 / root) * part[0]

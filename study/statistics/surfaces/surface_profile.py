@@ -232,11 +232,10 @@ def elementary_effects(runs: Runs) -> tuple[ElementaryEffect, ...]:
     for name, step, moved in zip(runs.names, steps.T, moves.T, strict=True):
         pair = moved & (moves.sum(axis=1) == 1)
         effect = np.diff(runs.response)[pair] / step[pair]
-        means = (
-            (float(effect.mean()), float(np.abs(effect).mean())) if effect.size else (None, None)
-        )
+        mu = float(effect.mean()) if effect.size else None
+        size = float(np.abs(effect).mean()) if effect.size else None
         sigma = float(effect.std(ddof=1)) if effect.size > 1 else None
-        screened.append(ElementaryEffect(name, effect.size, *means, sigma))
+        screened.append(ElementaryEffect(name, int(effect.size), mu, size, sigma))
     return tuple(sorted(screened, key=lambda e: -(e.mu_star or 0.0)))
 
 
