@@ -46,20 +46,16 @@ from study.statistics.analysis.normality import (
 from study.statistics.analysis.strata import OwnTests, own_tests
 from study.statistics.analysis.sums_of_squares import (
     Factored,
-    TermSum,
     TwoWayFit,
     factor,
     fitted,
     influential,
-    least_squares,
     term_row,
     term_sums,
 )
 from study.statistics.analysis.unreplicated import non_additivity, ulp_floor
 
 if TYPE_CHECKING:
-    from statsmodels.regression.linear_model import OLSResults
-
     from study.statistics.analysis.anova_table import Influential
     from study.statistics.analysis.normality import NormalityResult
     from study.statistics.analysis.sums_of_squares import SphericityResult
@@ -277,31 +273,37 @@ def _of_residuals(out: AnalysisOutcome) -> tuple[AnalysisOutcome, Assumptions]:
 
 
 def hc3(fit: Factored) -> dict[str, WaldTest]:
-    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts."""
-    if fit.df_residual < 1 or float(fit.leverage.max()) > 1 - 1e-10:
-        return {
-            term_name(t): WaldTest(term_name(t), None, None, None, "a row has leverage one")
-            for t in fit.matrix.terms[1:]
-        }
-    robust = least_squares(fit, "HC3")
-    return {term_name(s.term): _wald(robust, s, fit.df_residual) for s in term_sums(fit, "III")}
+    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts.
 
-
-def _wald(robust: OLSResults, term: TermSum, df_residual: int) -> WaldTest:
-    """F test that the coefficients of the fit are zero along the directions of one term."""
+    The fit goes to statsmodels on its orthonormal columns, with the response less its reference
+    value: the pseudo-inverse of such columns is their transpose, so nothing is factored again.
+    """
+    from statsmodels.regression.linear_model import OLS, OLSResults
     from statsmodels.tools.sm_exceptions import ValueWarning
 
-    name = term_name(term.term)
-    if term.df < term.nominal_df:
-        return WaldTest(name, None, None, None, "not estimable")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ValueWarning)
-        test = robust.f_test(term.basis.T)
-    if test.df_num < term.df:
-        # statsmodels would go on with fewer constraints, which is the test of another hypothesis
-        return WaldTest(name, None, None, None, "cells without spread: a singular covariance")
-    df = (float(term.df), float(df_residual))
-    return WaldTest(name, float(test.fvalue), df, float(test.pvalue))
+    model = OLS(fit.q @ fit.z + fit.residual, fit.q, hasconst=False)
+    model.pinv_wexog, model.df_model, model.df_resid = fit.q.T, fit.rank, fit.df_residual
+    robust = None
+    if fit.df_residual > 0 and float(fit.leverage.max()) <= 1 - 1e-10:
+        robust = OLSResults(model, fit.z, np.eye(fit.rank), cov_type="HC3", use_t=True)
+    tests = {}
+    for s in term_sums(fit, "III"):
+        name = term_name(s.term)
+        if robust is None or s.df < s.nominal_df:
+            reason = "a row has leverage one" if robust is None else "not estimable"
+            tests[name] = WaldTest(name, None, None, None, reason)
+            continue
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ValueWarning)
+            test = robust.f_test(s.basis.T)
+        if test.df_num < s.df:
+            # statsmodels would go on with fewer constraints, the test of another hypothesis
+            reason = "cells without spread: a singular covariance"
+            tests[name] = WaldTest(name, None, None, None, reason)
+        else:
+            df = (float(s.df), float(fit.df_residual))
+            tests[name] = WaldTest(name, float(test.fvalue), df, float(test.pvalue))
+    return tests
 
 
 def box_cox(y: Array, matrix: Array) -> BoxCoxResult:

@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,9 +26,6 @@ from study.statistics.analysis.linear_model import (
     nested_in,
     term_name,
 )
-
-if TYPE_CHECKING:
-    from statsmodels.regression.linear_model import OLSResults
 
 
 @dataclass(frozen=True)
@@ -513,21 +509,6 @@ def influence(fit: Factored | TwoWayFit) -> Influence:
         variance = fit.rss / np.float64(fit.df_residual)
         cook = fit.residual**2 / variance * fit.leverage / left**2 / fit.rank
         return Influence(fit.leverage, cook, fit.residual / left)
-
-
-def least_squares(fit: Factored, cov_type: str = "nonrobust") -> OLSResults:
-    """Fit on its orthonormal columns, with the response less its reference value.
-
-    The values of NIST's SmLs09 are 1e12 with a spread of 0.1: with the shift the largest Cook's
-    distance has 14.9 digits, without it statsmodels leaves 0.5. The pseudo-inverse of
-    orthonormal columns is their transpose, so nothing is factored again.
-    """
-    from statsmodels.regression.linear_model import OLS, OLSResults
-
-    model = OLS(fit.q @ fit.z + fit.residual, fit.q, hasconst=False)
-    model.pinv_wexog = fit.q.T
-    model.df_model, model.df_resid = fit.rank, fit.df_residual
-    return OLSResults(model, fit.z, np.eye(fit.rank), cov_type=cov_type, use_t=True)
 
 
 def influential(fit: Factored | TwoWayFit) -> Influential | None:
