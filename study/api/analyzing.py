@@ -15,6 +15,7 @@ import numpy as np
 import study
 from study import api
 from study.api.folders import is_table
+from study.ground.arrays import Array
 from study.ground.bounded_file import sha256_of
 from study.ground.canonical import Keyed
 from study.ground.curve import Curve
@@ -102,8 +103,10 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
         blocks = [np.arange(len(means))]
         return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
     if analysis.request.error != "welch":
-        groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
-        return dunnett(groups, reference, alpha, seed)
+        of_levels: dict[str, list[Array]] = {}
+        for (name, _), replicates in rows.groupby([factor, "cell"], sort=False)["response"]:
+            of_levels.setdefault(str(name), []).append(replicates.to_numpy())
+        return dunnett(of_levels, reference, alpha, seed)
     cells = [np.asarray(at) for at in rows.groupby("cell", sort=False).indices.values()]
     level, y = rows[factor].astype(str).to_numpy(), rows["response"].to_numpy()
     share = np.zeros(len(rows))

@@ -41,8 +41,10 @@ from study.statistics.surfaces.emulator import (
 from study.statistics.surfaces.quadratic import QuadraticSurface, fit_quadratic
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_profile import (
+    SCREENS,
     FittedSurface,
     LevelDifference,
+    elementary_effects,
     level_difference,
 )
 from study.statistics.surfaces.surface_propagation import propagate
@@ -392,6 +394,10 @@ def _surfaces_at(
             if not isinstance(runs, Runs):
                 raise runs
             fitted_here = replace(fitted_here, practical=difference_of(practical, runs.response))
+            if surface == "morris":
+                screened = elementary_effects(runs)
+                each.append(replace(fitted_here, refused=SCREENS, screened=screened))
+                continue
             model = fitted(runs, surface) if together is None else together[k]
             made = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
             each.append(replace(fitted_here, found=made))
@@ -472,7 +478,7 @@ def _differences(
 
 #: kinds of a design whose settings are chosen for a surface
 _FOR_SURFACES = (
-    "central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive", "listed"
+    "central-composite", "box-behnken", "latin-hypercube", "sobol", "morris", "adaptive", "listed"
 )  # fmt: skip
 
 #: what stands in the place of a table of levels
@@ -496,6 +502,11 @@ def surfaces(
         return ()
     originals = [record for record in records if not is_repeat(record.extra)]
     places, sizes = labels_of(design), [len(f.labels) for f in design.factors if f.span is None]
+    kind = design.analysis.surface
+    if kind == "auto" and design.scheme.kind == "morris":
+        kind = "morris"
+        place = {tuple(t.levels.values()): n for n, t in enumerate(design.treatments)}
+        originals.sort(key=lambda record: place[tuple(record.levels.values())])
     units_of = {f.name: f.span.unit for f in design.factors if f.span is not None}
     surfaces_fitted: list[FittedSurface] = []
     for response in design.responses:
@@ -507,7 +518,7 @@ def surfaces(
         bound = None if half_width is None else 2.0 * half_width
         each = _surfaces_at(
             FittedSurface(response.name, response.unit, None, bound=bound, units=units_of),
-            places, sizes, design.analysis.surface,
+            places, sizes, kind,
             [partial(_runs_of_records, response.name, some, half_width, factors)
              for some in good],
             response.practical,

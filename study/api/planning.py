@@ -566,7 +566,7 @@ def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float
 # Further cells for a fraction that leaves a doubt: those that tell more terms apart.
 
 #: kinds of a design whose factors are samples of ranges, not levels
-_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
+_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "morris", "adaptive")
 
 
 @dataclass(frozen=True)

@@ -122,6 +122,7 @@ def test_two_aliases_are_refused_and_one_of_them_is_analyzed() -> None:
         (RANGES, 'kind = "latin-hypercube"\nruns = 12', 12),
         (RANGES, 'kind = "sobol"\nruns = 16', 16),
         (TWO, 'kind = "sobol"\nruns = 16', 16),
+        (RANGES, 'kind = "morris"\ntrajectories = 4', 16),
         (TWO, 'zip = [["model.space", "test.interface"]]', 8),
     ],
 )

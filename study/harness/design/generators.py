@@ -116,6 +116,27 @@ def sobol(count: int, runs: int, seed: int) -> Array:
     return np.asarray(sampler.random_base2(int(runs).bit_length() - 1), dtype=float)
 
 
+def trajectories(count: int, number: int, levels: int, seed: int) -> Array:
+    """Paths that move each factor once, by half of its levels (Morris 1991), in 0 to 1.
+
+    No run belongs to two of them; fewer are made where no more fit the grid.
+    Shapes: returns (paths * (count + 1), count).
+    """
+    rng, jump = np.random.default_rng(seed), levels // 2
+    runs: list[Ints] = []
+    taken: set[tuple[int, ...]] = set()
+    for _ in range(100 * number):
+        path = [rng.integers(0, levels, count)]
+        for j in rng.permutation(count):
+            step = jump if path[-1][j] < jump else -jump
+            path.append(path[-1] + step * (np.arange(count) == j))
+        cells = {tuple(run.tolist()) for run in path}
+        if taken.isdisjoint(cells) and len(runs) < number * (count + 1):
+            runs += path
+            taken |= cells
+    return np.array(runs) / (levels - 1)
+
+
 def _ordered(runs: Array) -> Array:
     """Sort the runs as a table: the last basic factor varies fastest."""
     return runs[np.lexsort(runs.T[::-1])]

@@ -594,7 +594,8 @@ def _surface(fitted: FittedSurface, data: ReportData) -> Check:
     """Whether a surface predicts runs that it has not seen."""
     name, of = "Surface predicts runs left out", surface_content.title(fitted, data)
     if fitted.found is None:
-        return Check(name, "fail", clean(fitted.refused), "No verdict for this response.", of)
+        outcome = "not applicable" if fitted.screened else "fail"
+        return Check(name, outcome, clean(fitted.refused), "No verdict for this response.", of)
     q2 = fitted.found.model.q2
     if q2 >= GIVEN:
         use = "Between the runs its values may be used."

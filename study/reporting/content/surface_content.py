@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from study.reporting.results.study_answers import Confirmed, Inverted, Recommendation
     from study.reporting.results.study_result import ReportData
     from study.statistics.surfaces.quadratic import SurfaceTerm
-    from study.statistics.surfaces.surface_profile import FittedSurface
+    from study.statistics.surfaces.surface_profile import ElementaryEffect, FittedSurface
     from study.statistics.surfaces.surface_result import Sensitivity, SurfaceAnalysis
 
 
@@ -138,6 +138,8 @@ def at_labels(one: FittedSurface, data: ReportData) -> str:
 
 def would_change(data: ReportData) -> str:
     """Say what would make the answer surer."""
+    if any(one.screened for one in data.surfaces):
+        return sentence("a surface or a factorial of the factors that change most")
     good = [one.found for one in data.surfaces if one.found is not None]
     parts = []
     poor = [found for found in good if not found.model.q2 >= 0.9]
@@ -338,6 +340,25 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
     return Table.of(_table_name("sensitivity", one), ranked, columns, tail=1, note=note)
 
 
+def screening(one: FittedSurface, data: ReportData) -> Table | None:
+    """Elementary effects of the factors, the largest mean size first; None of a surface."""
+    unit = clean(one.unit)
+    columns: dict[str, Callable[[ElementaryEffect], str]] = {
+        "factor": lambda e: clean(name_of(e.factor, data.labels)),
+        "effects": lambda e: str(e.effects),
+        "\N{GREEK SMALL LETTER MU}*": lambda e: quantity(e.mu_star, unit),
+        "\N{GREEK SMALL LETTER MU}": lambda e: quantity(e.mu, unit),
+        "\N{GREEK SMALL LETTER SIGMA}": lambda e: quantity(e.sigma, unit),
+    }
+    note = (
+        "Elementary effects: change of the response over the whole range of a factor, by pairs of "
+        "runs that differ in it alone. Mean size, mean and standard deviation. Of a straight line "
+        "without interactions the deviation is 0."
+    )
+    table_of = Table.of(_table_name("screening", one), one.screened, columns, note=note)
+    return table_of if one.screened else None
+
+
 def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
     """Coefficients of a quadratic surface in coded factors; None of an emulator."""
     model = None if one.found is None else one.found.model
@@ -361,6 +382,16 @@ def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
 def surface_answer(one: FittedSurface, data: ReportData) -> str:
     """Say which numbers drive a response, and how sure that is."""
     named = sentence(title(one, data)).rstrip(".")
+    if one.screened:
+        sizes = [
+            f"{name_of(e.factor, data.labels)} {quantity(e.mu_star, clean(one.unit))}"
+            for e in one.screened
+        ]
+        return (
+            f"{named}: over its whole range a factor changes it on average by {listing(sizes)}. "
+            "This screens, and is no verdict: leave out what changes little, and run a surface or "
+            "a factorial of the others."
+        )
     if one.found is None:
         return f"{named}: no surface could be fitted. {clean(one.refused)}"
     moved = _ranges(one.found)
@@ -442,6 +473,7 @@ def surface_blocks(
     yield Heading(capital(named), 2, anchor, one.unit)
     if one.found is None:
         yield Sentence(lines[0], kind="missing")
+        yield screening(one, data)
         return
     yield figures.get("shares")
     yield Points(lines)
