@@ -290,15 +290,6 @@ def test_where_no_block_is_whole_every_row_counts(data: ReportData):
     assert len(comparable(replace(data, table=table), "mu0")) == len(table) - len(data.blocks)
 
 
-def test_failures_name_the_levels_they_share():
-    items = (
-        Failure("a", {"material": "m", "plates": "p"}, "1", "timeout"),
-        Failure("b", {"material": "m", "plates": "q"}, "2", "timeout"),
-    )
-    assert "All have m. Cases" in sentences.failures(items, 9)
-    assert "All have" not in sentences.failures(items[:1], 9)
-
-
 def test_warnings_that_differ_in_names_and_numbers_are_one_line(data: ReportData):
     found = [
         ("error", "material: 1 of 3 degrees of freedom are not estimable"),

@@ -64,9 +64,7 @@ def test_an_unknown_says_whether_measuring_it_pays(glue: float, words: str) -> N
 def test_only_choices_are_recommended() -> None:
     data = study(DECLARED)
     found = facts(data)
-    said = " ".join(
-        [recommendation.best_cell(data, found), recommendation.recommendation(data, found[0])]
-    )
+    said = recommendation.recommendation(data, found[0])
     assert "soft" in said
     assert "dry" not in said
     assert "glued" not in said

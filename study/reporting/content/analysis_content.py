@@ -32,7 +32,12 @@ from study.reporting.content.text import (
 from study.reporting.results.study_result import Check, ReportData
 from study.statistics.analysis import repeats
 from study.statistics.analysis.anova_table import Effect, Row
-from study.statistics.analysis.simple_effects import NOT_RESOLVED, REFUSALS
+from study.statistics.analysis.simple_effects import (
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+    REFUSALS,
+)
 from study.statistics.surfaces.emulator import GIVEN, RANKED
 from study.statistics.surfaces.surface_profile import FittedSurface
 
@@ -219,13 +224,14 @@ def _raw_ends(ends: Ends | None, suffix: str = "") -> dict[str, object]:
     return {f"low{suffix}": low, f"high{suffix}": high}
 
 
-def judged(item: Facts, data: ReportData) -> Points:
-    """Say of every factor, and of every interaction that matters, what it does."""
-    return Points([
-        effect_words.verdict(effect, item, data.labels)
-        for effect in item.terms
-        if effect.is_main or effect.strength == "matters"
-    ])  # fmt: skip
+def open_effects(item: Facts, data: ReportData) -> Points | None:
+    """Say of every factor that is left open why it is; None where each has its verdict."""
+    lines = [
+        effect_words.open_verdict(effect, item, data.labels)
+        for effect in item.effects
+        if effect.practical is not None and effect.verdict not in (MATTERS, NO_DIFFERENCE)
+    ]
+    return Points(lines) if lines else None
 
 
 def contrasts(facts: Facts) -> Table | None:

@@ -60,7 +60,7 @@ def answer(
 ) -> tuple[str, ...]:
     """Sentences that answer the study's question: what matters, what does not, so what.
 
-    The short ones speak of three responses, and leave the missing goal to the recommendation.
+    The short ones speak of three responses, and leave what to use to the recommendation.
     """
     analyzed = [facts for facts in all_facts if facts.terms]
     if not analyzed:
@@ -75,7 +75,6 @@ def answer(
     rest = count(len(analyzed) - len(named), "more response")
     first = [*(verdicts_of(data, facts) for facts in named), *left_out(data, all_facts)]
     has_size = any(facts.has_size for facts in analyzed)
-    has_goal = any(facts.better for facts in analyzed)
     parts = (
         *(first if is_short else [" ".join(filter(None, first))]),
         f"The figure below shows the effects on {rest}." if named != analyzed else "",
@@ -83,10 +82,8 @@ def answer(
         without_verdict(all_facts),
         *effect_words.by_condition(data, all_facts),
         _one_not_other(data, all_facts) if has_size else "",
-        recommendation.best_cell(data, all_facts)
-        if has_goal or (has_size and not is_short)
-        else "",
         *effect_words.unknowns(data, all_facts),
+        *(() if is_short else recommendation.recommendations(data, all_facts)),
     )
     return tuple(text for text in parts if text)
 
@@ -412,20 +409,10 @@ def failures(items: Sequence[Failure], total: int) -> str:
     named = listing([f"{number} {clean(status)}" for status, number in kinds.items()])
     share = percent(len(items) / total) if total else MISSING
     return (
-        f"{count(len(items), 'case')} of {total:,} ({share}) failed: {named}.{_in_common(items)} "
+        f"{count(len(items), 'case')} of {total:,} ({share}) failed: {named}. "
         "Cases that fail are not missing at random, so effects of the factors they share are "
         "uncertain beyond their intervals."
     )
-
-
-def _in_common(items: Sequence[Failure]) -> str:
-    """Levels that all failed cases have, where they have any."""
-    levels = dict(items[0].levels) if len(items) > 1 else {}
-    for item in items:
-        levels = {k: v for k, v in levels.items() if item.levels.get(k) == v}
-    if not levels:
-        return ""
-    return f" All have {listing([clean(level) for level in levels.values()])}."
 
 
 # Warnings of several responses and terms as few sentences.

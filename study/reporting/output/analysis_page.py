@@ -88,7 +88,6 @@ def prepare(
             Heading("Assumptions", 2, "assumptions"),
             analysis_content.checks(analysis),
             figures.get("spread"),
-            *study_page.IF_VIOLATED,
         ]
     if warnings:
         blocks += [Heading("Warnings", 2, "warnings"), Points(warnings)]
@@ -140,7 +139,7 @@ def _variance(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterat
 
 def _means(data: ReportData, item: Facts, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
     yield Heading("Means and effects", 2, "means")
-    yield analysis_content.judged(item, data)
+    yield analysis_content.open_effects(item, data)
     yield from study_page.drawn(figures, "contrasts", "means", "interactions")
     yield from titled(analysis_content.means(item, data))
     yield from titled(analysis_content.simple_effects(item, data))

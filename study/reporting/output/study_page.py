@@ -53,10 +53,6 @@ if TYPE_CHECKING:
     from study.harness.execution.local import Worker
 
 EFFECTS = Heading("Effects in full", 2, "answer")
-IF_VIOLATED = (
-    Heading("What happens if they are violated"),
-    Definitions.of(effect_words.WHAT_IF),
-)
 GLOSSARY = (Heading("Glossary", 2, "glossary"), Definitions.of(methods.TERMS.items()))
 
 _VERSION = "version of "
@@ -219,12 +215,7 @@ def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
         )
     if data.is_table:
         return ()
-    lines = tuple(
-        recommendation.recommendation(data, facts)
-        for facts in all_facts
-        if facts.terms and facts.better and data.table[facts.name].notna().any()
-    )
-    if lines:
+    if lines := recommendation.recommendations(data, all_facts):
         return lines
     if not any(facts.terms for facts in all_facts):
         return ("Nothing can be recommended, because no response could be analyzed.",)
@@ -387,7 +378,7 @@ def _response(
     if item.result is None or not item.terms:
         yield Sentence(f"Not analyzed. {' '.join(item.warnings)}", kind="missing")
         return
-    yield analysis_content.judged(item, data)
+    yield analysis_content.open_effects(item, data)
     yield from titled(analysis_content.contrasts(item), analysis_content.ASKED)
     yield from drawn(figures, "contrasts")
     title = f"Analysis of variance, type {item.result.anova.type}"
@@ -441,7 +432,6 @@ def _assumptions(
             yield Heading(capital(item.title))
             yield analysis_content.checks(item.result, f"tests of assumptions {item.name}")
             yield from drawn(figures, "residuals", "spread")
-    yield from IF_VIOLATED
 
 
 def _specimens(data: ReportData, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
