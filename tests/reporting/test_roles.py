@@ -87,4 +87,4 @@ def test_the_best_cell_is_not_called_cheapest_where_another_is_cheaper() -> None
     table = data.table.assign(seconds=np.where(dry, 2.0, 1.7), error=np.where(dry, 9.5, 10.0))
     said = recommendation.recommendation(replace(data, table=table), facts(data)[0])
     assert "dry" in said
-    assert "the cheapest one within reach takes 85" in said
+    assert "the cheapest of those as good in practice takes 85" in said

@@ -14,7 +14,7 @@ from study.reporting.content import (
     sentences,
 )
 from study.reporting.content.recommendation import cheaper, recommendation, would_change
-from study.reporting.content.report_facts import Facts, Group, describe, facts, groups
+from study.reporting.content.report_facts import Facts, facts
 from study.reporting.results.study_result import Failure, ReportData
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import (
@@ -136,8 +136,7 @@ LEVENE = SpreadTest(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
 )  # fmt: skip
 def test_a_check_says_why(tests: Assumptions, name: str, outcome: str, finding: str):
     tested = replace(with_result(error(), tests), terms=(effect(MATTERS),))
-    checks = analysis_content.all_checks(EMPTY, (tested,)).groups
-    (check,) = next(group.items for group in checks if group.name == name)
+    (check,) = [c for c in analysis_content.all_checks(EMPTY, (tested,)) if c.name == name]
     assert (check.outcome, check.finding) == (outcome, finding)
     assert tested.result is not None
     shown = analysis_content.checks(tested.result)
@@ -216,23 +215,6 @@ def test_an_effect_is_no_finer_than_a_thousandth_of_what_matters():
     # ln 1.43363 = 0.3602; over 7.4 is 0.04867, a factor of 1.0499
     one = replace(same, u_num=0.85, effect_over_u_num=7.4)
     assert flat(effect_words.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
-    times = (replace(one, effect_over_u_num=times) for times in (7.4, 4321.0, None))
-    assert [*map(effect_words.over_numerical, times)] == ["7.4", "> 100", "\N{EN DASH}"]
-
-
-def test_copies_are_one_computation_and_named_together(data: ReportData):
-    found = facts(data)[0]
-    ranked = groups(data, found)
-    assert sum(map(len, ranked)) == 32
-    assert [g.mean for g in ranked] == sorted(g.mean for g in ranked)
-    spaces, orders = ("axisymmetric", "3d"), ("linear", "quadratic")
-    cells = (("mooney-rivlin", "frictionless", s, o) for s in spaces for o in orders)
-    four = Group(1.0, tuple(dict(zip(data.factors, cell, strict=True)) for cell in cells))
-    assert describe(four, data) == "mooney-rivlin, frictionless, any space, any element order"
-    odd = Group(1.0, (*four.members[:2], {**four.members[3], "material": "neo-hookean"}))
-    assert describe(odd, data).endswith("(and 2 cells that agree with it in every phantom)")
-    pair = Group(1.0, (four.members[0], {**four.members[3], "material": "neo-hookean"}))
-    assert describe(pair, data).endswith("(and 1 cell that agrees with it in every phantom)")
 
 
 def test_the_cheaper_level_of_the_model_is_named_and_no_other_factor(data: ReportData):

@@ -46,9 +46,6 @@ from study.statistics.analysis.simple_effects import (
 # A difference is rounded to what the declared threshold makes meaningful: a thousandth of
 # 0.5 pp is 0.0005 pp, so nothing is printed finer than 0.001 pp.
 
-#: ratios effect / u_num beyond this are only said to be so
-_FAR = 100.0
-
 
 def decimals(effect: Effect) -> int | None:
     """Decimals at which an effect is worth printing."""
@@ -119,16 +116,6 @@ def _bounding(ratio: float, effect: Effect) -> str:
 def with_unit(number: str, unit: str) -> str:
     """Return a number as text with its unit, where it has one."""
     return number if number == MISSING or not unit else f"{number}{THIN}{unit}"
-
-
-def over_numerical(effect: Effect) -> str:
-    """Effect over its numerical uncertainty; below 3 it may be the mesh."""
-    times = effect.effect_over_u_num
-    if times is None or not math.isfinite(times):
-        return MISSING
-    if times >= _FAR:
-        return f"> {_FAR:.0f}"
-    return f"{times:.2g}" if times >= 0.1 else "< 0.1"
 
 
 def shown_difference(difference: float, effect: Effect, facts: Facts) -> str:

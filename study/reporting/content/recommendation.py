@@ -147,9 +147,9 @@ def _why_best(cheap: pd.Series, good: pd.DataFrame) -> str:
         return "no other cell comes within the difference that matters"
     share = float(good["seconds"].min()) / max(float(cheap["seconds"]), 1e-9)
     if share >= 1:
-        return "it is the most accurate cell, and of those within reach the cheapest"
+        return "it is the most accurate cell, and the cheapest of those as good in practice"
     return (
-        "it is the most accurate cell; the cheapest one within reach takes "
+        "it is the most accurate cell; the cheapest of those as good in practice takes "
         f"{percent(share)} of its time"
     )
 

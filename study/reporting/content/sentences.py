@@ -19,7 +19,7 @@ from study.reporting.content.effect_words import (
     size,
     sole_setting,
 )
-from study.reporting.content.report_facts import Facts
+from study.reporting.content.report_facts import ERROR_TERMS, Facts
 from study.reporting.content.text import (
     MISSING,
     clean,
@@ -33,7 +33,7 @@ from study.reporting.content.text import (
     term_name,
 )
 from study.reporting.results.study_result import FITTED_CURVE, Failure, ReportData
-from study.statistics.analysis.anova_table import Effect, ErrorTerm
+from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,
@@ -43,16 +43,6 @@ from study.statistics.analysis.simple_effects import (
 
 #: responses that a short answer speaks of one by one
 MOST_RESPONSES = 3
-_SOURCES = {
-    "E0": "independent replicates in the cells",
-    "E1": "measured replicates as blocks",
-    "E2": "measurement noise, by bootstrap through the fit",
-    "E3": "mesh-seed replicates",
-    "E4": "numerical uncertainty",
-    "E5": "pooled high-order interactions (an assumption)",
-    "E6": "Lenth's pseudo standard error",
-    "E7": "none",
-}
 
 
 def answer(
@@ -67,7 +57,10 @@ def answer(
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
         if data.surfaces:
-            return tuple(surface_content.surface_answer(one, data) for one in data.surfaces)
+            return tuple(
+                surface_content.surface_answer(one, data, is_short=is_short)
+                for one in data.surfaces
+            )
         if data.is_table and (notes := [note for facts in all_facts for note in facts.warnings]):
             return tuple(sentence(clean(note)) for note in notes)
         return ("No response could be analyzed; the reasons stand below.",)
@@ -305,30 +298,27 @@ def _may_be_chosen_alone(effect: Effect) -> bool:
 
 
 def error_term(facts: Facts, data: ReportData) -> str:
-    """Say where the error of the table comes from and what its p answers."""
+    """Say where the error of the table comes from, what its p answers and how it was made."""
     if facts.result is None:
         return "No error term: the response was not analyzed."
     term = facts.result.error_term
-    what = _SOURCES.get(term.source, term.source)
     reason = f": {term.reason}" if term.reason else ""
-    text = sentence(f"the error term is {term.source}, {what}{reason}")
-    return f"{text} {_question(term, data)}".strip()
-
-
-def _question(term: ErrorTerm, data: ReportData) -> str:
-    """Say what the p-values answer, then how they were made (which comes in parentheses)."""
-    if not term.question:
-        return ""
+    what = f"the error term is {term.source}, {ERROR_TERMS.get(term.source, term.source)}{reason}"
     question = term.question.rstrip(".")
-    if data.block and data.block != "block":
-        block = clean(data.block)
-        question = re.sub(r"\bblocks\b", lambda _: plural_of(block), question)
-        question = re.sub(r"\bblock\b", lambda _: block, question)
-        question = question.replace(f"levels of {block}", plural_of(block))
-    match = re.fullmatch(r"(.*\?)\s*\((.*)\)", question)
-    text = f"{match[1]} {sentence(match[2])}" if match else question
-    end = "" if text[-1] in ".?" else "."
-    return f"The p-values answer one question: {text}{end}"
+    if match := re.fullmatch(r"(.*\?)\s*\((.*)\)", question):
+        question = f"{match[1]} {sentence(match[2])}"
+    if question:
+        end = "" if question[-1] in ".?" else "."
+        question = f" The p-values answer one question: {question}{end}"
+    return _named_blocks(f"{sentence(what)}{question}", clean(data.block))
+
+
+def _named_blocks(text: str, block: str) -> str:
+    """Text of the analysis with what the blocks are: phantoms, batches."""
+    if block in ("", "block"):
+        return text
+    many = plural_of(block)
+    return re.sub(r"levels of block|blocks?\b", lambda m: block if m[0] == "block" else many, text)
 
 
 _BY_TERM = (

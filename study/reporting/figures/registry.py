@@ -95,12 +95,6 @@ def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
             f", joined across cells by a thin line; {unit} means run from "
             f"{significant(float(spread.min()))} to {quantity(float(spread.max()), facts.unit)}"
         )
-    copies = int(shown["copies"].sum())
-    if copies > len(shown):
-        text += (
-            f"; {count(len(shown), 'row')} for {copies} cells, since cells that agree in every "
-            f"{unit} are one computation"
-        )
     return sentence(text)
 
 
