@@ -707,7 +707,8 @@ def _resolution(facts: Facts, data: ReportData, bounded: int) -> Check:
         if effect.u_needed is not None
     ]
     named = listing([term_name(effect.term, data.labels) for effect in open_ones])
-    finding = f"mesh error is too large to judge {named}; the measurements alone would suffice"
+    finding = f"mesh error is too large to judge {named}"
+    finding += "; the measurements alone would suffice" if data.is_measured else ""
     mend = (
         f"Refine: mesh error would have to be {listing(needed)}." if needed else "Refine the mesh."
     )

@@ -57,8 +57,10 @@ def answer(
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
         if data.surfaces:
+            # of one surface there is room to say all
+            in_short = is_short and len(data.surfaces) > 1
             return tuple(
-                surface_content.surface_answer(one, data, is_short=is_short)
+                surface_content.surface_answer(one, data, is_short=in_short)
                 for one in data.surfaces
             )
         if data.is_table and (notes := [note for facts in all_facts for note in facts.warnings]):
@@ -309,7 +311,10 @@ def error_term(facts: Facts, data: ReportData) -> str:
         question = f"{match[1]} {sentence(match[2])}"
     if question:
         end = "" if question[-1] in ".?" else "."
-        question = f" The p-values answer one question: {question}{end}"
+        start = "The p-values answer one question"
+        if question.startswith("no p: "):
+            start, question = "There are no p-values", question.removeprefix("no p: ")
+        question = f" {start}: {question}{end}"
     return _named_blocks(f"{sentence(what)}{question}", clean(data.block))
 
 
@@ -373,8 +378,9 @@ def distinct(facts: Facts, data: ReportData) -> str:
         return ""
     differ = f"only {number} differ" if number > 1 else "none differs from another"
     return (
-        f"Of {count(total, 'cell')} {differ}: the others give the same numbers in every "
-        f"{clean(data.block) or 'block'}, so tests of the residuals take one cell of each kind."
+        f"Of {count(total, 'cell')} {differ}: the others give the same numbers"
+        f"{f' in every {clean(data.block)}' if data.block else ''}, so tests of the residuals take "
+        "one cell of each kind."
     )
 
 

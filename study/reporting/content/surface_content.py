@@ -385,7 +385,7 @@ def surface_answer(one: FittedSurface, data: ReportData, *, is_short: bool = Fal
         less = [f"{len(sizes) - _NAMED} more by less"] if is_short and sizes[_NAMED:] else []
         said = f"over its range, {listing([*sizes[: _NAMED if less else None], *less])}"
     if is_short:
-        limit = f" ({one.practical:.3g} {clean(one.unit)} matter)" if one.practical else ""
+        limit = f" (what matters: {one.practical:.3g} {clean(one.unit)})" if one.practical else ""
         return " ".join(
             (f"{named}: {said}{limit if moved else ''}.", *uncertainty_answer(one, data))
         )

@@ -149,25 +149,26 @@ MOST = 2000
 CELL = "cell-"
 
 
+def in_order(data: ReportData) -> pd.DataFrame:
+    """Rows of the table in the order of the design, those of a cell in that of the blocks."""
+    orders = {**data.factors, "block": data.blocks}
+    ranks = {
+        name: {label: k for k, label in enumerate(labels)}
+        for name, labels in orders.items()
+        if name in data.table
+    }
+    # a label that is not listed comes last
+    return data.table.sort_values(
+        list(ranks), key=lambda column: column.astype(str).map(ranks[str(column.name)])
+    )
+
+
 def by_cell(data: ReportData) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
     """Levels and rows of every cell, cells in the order of the design, rows in that of blocks."""
     if data.table.empty:  # nothing is computed yet, or what was is lost
         return []
-    groups = [
-        (tuple(str(level) for level in levels), _in_order(group, data.blocks))
-        for levels, group in data.table.groupby(list(data.factors), sort=False)
-    ]
-    return sorted(
-        groups, key=lambda cell: fit_rank(dict(zip(data.factors, cell[0], strict=True)), data)
-    )
-
-
-def _in_order(group: pd.DataFrame, blocks: Sequence[str]) -> pd.DataFrame:
-    if "block" not in group:
-        return group
-    order = {block: k for k, block in enumerate(blocks)}
-    place = group["block"].map(lambda block: order.get(str(block), len(order)))
-    return group.loc[place.sort_values(kind="stable").index]
+    groups = in_order(data).groupby(list(data.factors), sort=False)
+    return [(tuple(str(level) for level in levels), group) for levels, group in groups]
 
 
 def lists_records(data: ReportData) -> bool:

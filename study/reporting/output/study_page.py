@@ -275,6 +275,7 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
     computed = f"{present:,} of {count(data.planned, 'cell')} computed"
     if present >= data.planned:
         computed = count(present, "cell")
+    inputs = grouped_inputs(data.inputs)
     yield Heading("Study", 2, "study")
     yield Definitions([
         Definition("Factors", [
@@ -285,8 +286,10 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
         Definition("Cases", [Sentence(f"{computed}, {len(data.table):,} cases")]),
         Definition("Responses", [Sentence(note(f), f.title) for f in all_facts]),
         Definition("Measurements", [Sentence(" ".join(measured))]),
-        *(Definition(key, [Sentence(text)]) for key, text in grouped_inputs(data.inputs).items()),
-        *(Definition(key, [Sentence(text)], "assumed") for key, text in data.assumed.items()),
+        *(Definition(key, [Sentence(text)], "assumed" * (key in data.assumed))
+          for key, text in inputs.items()),
+        *(Definition(key, [Sentence(text)], "assumed")
+          for key, text in data.assumed.items() if key not in inputs),
         *([Definition("Excluded", [Sentence(f"{what}: {why}") for what, why in data.exclusions])]
           if data.exclusions else []),
     ])  # fmt: skip
