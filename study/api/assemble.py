@@ -265,10 +265,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
     outcome = "pass" if not study.failed and not missing else "caution"
     consequence = "no effect rests on a part of the cases"
     if outcome != "pass":
-        consequence = (
-            "cases that fail are not missing at random, so effects of the factors that they share "
-            "are uncertain (see Failures)"
-        )
+        consequence = "cases that fail are not missing at random: effects may be biased"
     yield Check(
         "every case has an answer",
         outcome,

@@ -7,8 +7,6 @@ whole one also from three sides.
 
 from __future__ import annotations
 
-from typing import Any
-
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -95,6 +93,7 @@ def _is_whole(points: Array) -> bool:
 
 
 def _solid(points: Array, faces: Ints, displacement: Array) -> Canvas:
+    from mpl_toolkits.mplot3d import Axes3D
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     after, is_whole = points + displacement, _is_whole(points)
@@ -108,7 +107,7 @@ def _solid(points: Array, faces: Ints, displacement: Array) -> Canvas:
     places = (grid[0, :3], grid[0, 3:], *(grid[-1, k : k + 2] for k in (0, 2, 4)))
     panels: list[Axes] = []
     for place, (words, shape, color, view) in zip(places, views, strict=False):
-        ax: Any = figure.add_subplot(place, projection="3d", proj_type="ortho")
+        ax: Axes3D = figure.add_subplot(place, projection="3d", proj_type="ortho")
         thin = 0.35 if len(faces) < 3000 else 0.15
         drawn = Poly3DCollection(
             shape[faces],
@@ -141,6 +140,6 @@ def _colors(displacement: Array, faces: Ints) -> tuple[Array, ScalarMappable]:
 
 
 def _bar(figure: Canvas, panels: list[Axes], scale: ScalarMappable) -> None:
-    bar: Any = figure.colorbar(scale, ax=panels, shrink=0.7, aspect=18, pad=0.02)
+    bar = figure.colorbar(scale, ax=panels, shrink=0.7, aspect=18, pad=0.02)
     bar.set_label("displacement (mm)")
     bar.outline.set_visible(False)
