@@ -272,7 +272,8 @@ def anova(facts: Facts, data: ReportData, name: str = "") -> Table:
     A table has Minitab's five digits and all its error strata; the effects of a study, of which
     there may be as many strata, have the degrees of freedom of their errors beside their own.
     """
-    table, digits = facts.result and facts.result.anova, 5 if data.is_table else 3
+    table = None if facts.result is None else facts.result.anova
+    digits = 5 if data.is_table else 3
     rows = [r for r in facts.rows if data.is_table or is_effect(r, [*data.factors])
             or ":" not in r.term]  # fmt: skip
     names = {**data.labels, "block": data.labels.get("block", data.block or "block")}

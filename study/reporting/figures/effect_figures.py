@@ -89,7 +89,8 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
     """Every observation of the best cells with the rank of its cell, best first."""
     factors, rows = list(data.factors), comparable(data, facts.name)
     ranked = cells(data, facts.name)[:: -1 if facts.better == "higher" else 1].head(most)
-    names = ranked[factors].agg(lambda levels: " \N{MIDDLE DOT} ".join(map(clean, levels)), axis=1)
+    levels = ranked[factors].itertuples(index=False)
+    names = [" \N{MIDDLE DOT} ".join(map(clean, cell)) for cell in levels]
     ranked = ranked[factors].assign(label=names, cell_mean=ranked["mean"], rank=range(len(ranked)))
     rows = rows[[*factors, *(["block"] if "block" in rows else [])]].assign(value=rows[facts.name])
     every = rows.astype(dict.fromkeys(factors, str)).merge(ranked, on=factors)

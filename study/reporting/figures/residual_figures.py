@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.typing import HashableList
 
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, count, name_of, p_value, sentence, term_name
@@ -255,6 +256,7 @@ def draw_residuals(
     points: pd.DataFrame, facts: Facts, data: ReportData, *, ordered: bool = False
 ) -> Canvas:
     """Draw views of the residuals; rows of a table have an order, runs have none."""
+    rows: list[HashableList[str]]
     rows = [["normal", "fits"], ["histogram", "order"], ["factors", "factors"]]
     if not ordered:
         rows = [["normal", "fits"], ["histogram", "factors"]]
