@@ -290,7 +290,9 @@ def anova(facts: Facts, data: ReportData, name: str = "") -> Table:
         "F": lambda row: "" if row.f is None else f_value(row.f),
         "p": lambda row: "" if row.p is None else p_value(row.p),
     }
-    if facts.result and facts.result.variation.lenth:
+    if not data.is_table and all(row.p is None for row in rows):
+        del columns["F"], columns["p"]
+    elif facts.result and facts.result.variation.lenth:
         columns["p (Lenth)"] = columns.pop("p")
     if any(row.p_gg is not None for row in rows):
         columns["GG epsilon"] = lambda row: "" if row.p_gg is None else _fixed(row.epsilon_gg, 3)

@@ -90,7 +90,7 @@ def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
     low, high = significant(float(means_of.min())), quantity(float(means_of.max()), facts.unit)
     kind = "geometric cell means" if facts.ratio else "cell means"
     text = f"{kind} (diamonds) run from {low} to {high}; each dot is one {unit}"
-    if "block" in frame:
+    if "block" in frame and frame["block"].notna().any():
         spread = frame.groupby("block")["value"].mean()
         text += (
             f", joined across cells by a thin line; {unit} means run from "

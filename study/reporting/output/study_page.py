@@ -433,14 +433,18 @@ def _beside(data: ReportData) -> Iterator[Block]:
 def _assumptions(
     parts: Sequence[tuple[Facts, Mapping[str, Figure]]],
 ) -> Iterator[Block | None]:
-    if not parts:
-        return
-    yield Heading("Assumptions", 2, "assumptions")
+    blocks: list[Block] = []
     for item, figures in parts:
         if item.result is not None and item.terms:
-            yield Heading(capital(item.title))
-            yield analysis_content.checks(item.result, f"tests of assumptions {item.name}")
-            yield from drawn(figures, "residuals", "spread")
+            table = analysis_content.checks(item.result, f"tests of assumptions {item.name}")
+            shown: list[Block] = [
+                *([table] if table else []),
+                *drawn(figures, "residuals", "spread"),
+            ]
+            blocks += [Heading(capital(item.title)), *shown] if shown else []
+    if blocks:
+        yield Heading("Assumptions", 2, "assumptions")
+        yield from blocks
 
 
 def _specimens(data: ReportData, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
