@@ -265,7 +265,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
     outcome = "pass" if not study.failed and not missing else "caution"
     consequence = "no effect rests on a part of the cases"
     if outcome != "pass":
-        consequence = "cells that failed are not missing at random"
+        consequence = "cases that fail are not missing at random: effects may be biased"
     yield Check(
         "every case has an answer",
         outcome,
@@ -281,13 +281,27 @@ def _checks(study: StudyResult) -> Iterator[Check]:
     fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
     if fits:
         if any(fit.get("verdict", DESCRIBES) != DESCRIBES for fit in fits.values()):
-            yield _adequacy(fits)
+            yield _adequacy(fits, _names_of_fits(study))
         yield _identifiability(fits)
         yield _stability(fits)
     yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
 
 
-def _adequacy(fits: Mapping[str, Mapping[str, Any]]) -> Check:
+def _names_of_fits(study: StudyResult) -> dict[str, str]:
+    """Levels, block and specimen of each fit by its key."""
+    entering = calibration_factors(study.design)
+    return {
+        fit["key"]: ", ".join(
+            [*(level for name, level in record.levels.items() if name in entering)]
+            + ([record.block] if record.block else [])
+            + ([f"specimen {specimen}"] if specimen != "all" else [])
+        )
+        for record in reversed(study.plain)
+        for specimen, fit in (record.fit or {}).items()
+    }
+
+
+def _adequacy(fits: Mapping[str, Mapping[str, Any]], names: Mapping[str, str]) -> Check:
     """Count the fits that do not describe their rows, with the words of the first, worst."""
     doubtful = [fit for fit in fits.values() if fit.get("verdict", DESCRIBES) == "doubtful"]
     bad = [fit for fit in fits.values() if fit.get("verdict") == "does not describe"]
@@ -295,10 +309,13 @@ def _adequacy(fits: Mapping[str, Mapping[str, Any]]) -> Check:
     finding = (
         f"{good} of {len(fits)} calibrations describe their rows, {len(doubtful)} are doubtful"
     )
-    return Check(
-        "fits describe their data", "caution", f"{finding}, {len(bad)} do not",
-        f"of the first, {(bad or doubtful)[0]['misfit']}",
-    )  # fmt: skip
+    first = (bad or doubtful)[0]
+    named = names[first["key"]] or "the only one"
+    use = f"check {count(len(doubtful), 'doubtful fit')}, for example {named}"
+    if bad:
+        use = f"use no constant of {count(len(bad), 'fit')} that missed the data, such as {named}"
+    finding += f", {len(bad)} do not; of {named}, {first['misfit']}"
+    return Check("fits describe their data", "caution", finding, use)
 
 
 def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:

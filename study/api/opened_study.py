@@ -122,7 +122,7 @@ class Study(Shown, StudyResult):
         for item in facts(data):
             for effect in item.effects:
                 if effect.verdict == NOT_RESOLVED or refused(effect):
-                    yield Sentence(effect_words.verdict(effect, item, data.labels))
+                    yield Sentence(effect_words.open_verdict(effect, item, data.labels))
             if (table := contrasts(item)) is not None:
                 yield replace(table, name=f"{item.title}: asked for", note="")
 

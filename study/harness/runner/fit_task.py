@@ -118,8 +118,8 @@ def parts_of(task: FitTask) -> list[FitPart]:
     """Parts of a fit, each with the measured curves that belong to it."""
     tests = task.problem.tests
     data = [
-        MeasuredCurve(f"measured {k}", curve, recordings=curve.recorded)
-        for k, curve in enumerate(task.measured)
+        MeasuredCurve(f"curve {k}", curve, recordings=curve.recorded)
+        for k, curve in enumerate(task.measured, 1)
     ]
     groups = [data] if len(tests) == 1 else [[curve] for curve in data]
     return [

@@ -17,6 +17,7 @@ from study.reporting.content.blocks import (
 )
 from study.reporting.content.text import (
     MISSING,
+    THIN,
     TIMES,
     between,
     capital,
@@ -214,9 +215,10 @@ def extremes(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         return ()
     lines = []
     for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):
-        value = quantity(extreme.value, clean(one.unit))
+        value = significant(extreme.value)
         if extreme.half_width == extreme.half_width:  # NaN where no run can be left out
             value += f" \N{PLUS-MINUS SIGN} {significant(extreme.half_width, 2)}"
+        value += f"{THIN}{clean(one.unit)}" if one.unit not in ("", "1") else ""
         at = settings(found.runs.settings(extreme.at), one, data)
         lines.append(f"The {word} prediction in these ranges is {value} at {at}.")
     return tuple(lines)
@@ -379,8 +381,12 @@ def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
     return Table.of(_table_name("coefficients", one), model.terms, columns, note=note)
 
 
-def surface_answer(one: FittedSurface, data: ReportData) -> str:
-    """Say which numbers drive a response, and how sure that is."""
+#: factors that a short answer names
+_NAMED = 3
+
+
+def surface_answer(one: FittedSurface, data: ReportData, *, is_short: bool = False) -> str:
+    """Say which numbers drive a response, in short the strongest of them; how sure that is."""
     named = sentence(title(one, data)).rstrip(".")
     if one.screened:
         sizes = [
@@ -407,7 +413,13 @@ def surface_answer(one: FittedSurface, data: ReportData) -> str:
             f"{quantity(size, clean(one.unit))}"
             for place, (name, size) in enumerate(moved.items())
         ]
-        said = f"over its range, {listing(sizes)}"
+        less = [f"{len(sizes) - _NAMED} more by less"] if is_short and sizes[_NAMED:] else []
+        said = f"over its range, {listing([*sizes[: _NAMED if less else None], *less])}"
+    if is_short:
+        limit = f" (what matters: {one.practical:.3g} {clean(one.unit)})" if one.practical else ""
+        return " ".join(
+            (f"{named}: {said}{limit if moved else ''}.", *uncertainty_answer(one, data))
+        )
     beside = (_judged(one, data), *differences(one, data), accuracy(one))
     parts = (f"{named}: {said}.", *beside, *uncertainty_answer(one, data))
     return " ".join(text for text in parts if text)
@@ -434,7 +446,7 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
     said = []
     for verdict, verb, more in (
         (MATTERS, "matter", ""),
-        (f"{MATTERS}, if confirmed", "matter", ", if the runs that are named confirm it"),
+        (f"{MATTERS}, if confirmed", "matter", ", if the two confirming runs of each agree"),
         (NO_DIFFERENCE, "make", " no practical difference"),
     ):
         if names := by.pop(verdict, []):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from study.ground.canonical import Json, plain
+from study.ground.canonical import Json, Keyed, plain
 from study.harness.design.factors import settings_of
 from study.harness.design.spec import Design, Factor
 from study.harness.record.record import Record
@@ -189,9 +189,10 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Confirmed:
+class Confirmed(Keyed):
     """What the true model says at a recommended setting."""
 
+    KEYS = "settings values inside_interval=predicted keeps_limits=kept"
     settings: Mapping[str, str]
     #: Responses in their units, means over the blocks; NaN where the run has no answer.
     values: Mapping[str, float]
@@ -238,7 +239,6 @@ class Recommendation:
     def to_json(self) -> dict[str, Json]:
         """Plain values."""
         of_each = zip(self.bounds, self.limited, strict=True)
-        run = self.confirmed
         names = ("goal", "response", "unit", "settings", "held", "units", "value", "low", "high")
         answer: dict[str, object] = {
             **{name: getattr(self, name) for name in (*names, "notes")},
@@ -251,10 +251,7 @@ class Recommendation:
             "at_end_of_range": self.at_end,
             "over_what_is_not_chosen": self.spread,
             "rivals": [{"settings": at, "value": value} for at, value in self.rivals],
-            "confirmed": None if run is None else {
-                "settings": run.settings, "values": run.values,
-                "inside_interval": run.predicted, "keeps_limits": run.kept,
-            },
+            "confirmed": self.confirmed,
         }  # fmt: skip
         return plain(answer)
 
@@ -263,9 +260,10 @@ class Recommendation:
 
 
 @dataclass(frozen=True)
-class InputSet:
+class InputSet(Keyed):
     """What a measured curve says of one input."""
 
+    KEYS = "name unit best low high open_low open_high verdict"
     name: str
     unit: str
     #: Setting of the best curve, and the ends of those that agree, in that unit.
@@ -287,24 +285,25 @@ class InputSet:
 
 
 @dataclass(frozen=True)
-class Checked:
+class Checked(Keyed):
     """A run of the true model at a setting of the set."""
 
+    KEYS = "settings rms_N=rms agrees"
     settings: Mapping[str, str]
     #: What its curve misses of the measured one, root mean square in N; NaN without an answer.
     rms: float
     #: Whether it is no more than the limit.
     agrees: bool
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values."""
-        return {"settings": self.settings, "rms_N": self.rms, "agrees": self.agrees}
-
 
 @dataclass(frozen=True)
-class Inverted:
+class Inverted(Keyed):
     """All inputs whose curve agrees with a measured one."""
 
+    KEYS = (
+        "sentence held units rows q2 members notes inputs combinations rms_N=rms limit_N=limit "
+        "relative_rms=relative best_run end_runs"
+    )
     #: One for every input that is asked for.
     inputs: tuple[InputSet, ...]
     #: What is determined where inputs by themselves are not.
@@ -342,18 +341,3 @@ class Inverted:
                 f"the curve does not determine {', '.join(loose)} alone; it determines {products}"
             )
         return f"the curve does not determine {', '.join(loose)} inside of what was run"
-
-    def to_json(self) -> dict[str, Json]:
-        """Plain values."""
-        names = ("sentence", "held", "units", "rows", "q2", "members", "notes")
-        answer: dict[str, object] = {
-            **{name: getattr(self, name) for name in names},
-            "inputs": [vars(item) | {"verdict": item.verdict} for item in self.inputs],
-            "combinations": [vars(item) | {"words": item.words} for item in self.combinations],
-            "rms_N": self.rms,
-            "limit_N": self.limit,
-            "relative_rms": self.relative,
-            "best_run": None if self.best_run is None else self.best_run.to_json(),
-            "end_runs": [run.to_json() for run in self.end_runs],
-        }
-        return plain(answer)

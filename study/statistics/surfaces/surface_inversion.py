@@ -10,6 +10,7 @@ import scipy
 from scipy.special import fdtri
 
 from study.ground.arrays import Array, Flags, Ints
+from study.ground.canonical import Keyed
 from study.ground.errors import settled
 from study.statistics.surfaces.surface_factors import box_points
 from study.statistics.surfaces.surface_optimum import run_box
@@ -40,9 +41,10 @@ LEVEL = 0.95
 
 
 @dataclass(frozen=True)
-class FactorCombination:
+class FactorCombination(Keyed):
     """A product of powers of the inputs that a curve determines, where inputs alone are not."""
 
+    KEYS = "exponents value ratio words"
     #: Powers of the inputs that count, by name; the first one is 1.
     exponents: Mapping[str, float]
     #: Of the product, in the inputs' units.
