@@ -13,7 +13,7 @@ from study.harness.runner import case
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import fit_problem
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.job import CaseJob, CaseTask, FitJob, ScorePair, fits_of
+from study.harness.runner.job import CaseJob, FitJob, ScorePair, fits_of
 from study.harness.runner.solve_task import SolveResult, SolveTask, solutions
 
 from .conftest import DESIGN
@@ -81,5 +81,5 @@ def test_a_record_judges_its_fit_over_the_simulated_test(depth: float, stable: b
     pair = ScorePair("all", None, FitJob("fit", fit_problem(cell), ()), pressed_mm=depth)
     fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
     job = CaseJob(Case(Treatment({}, cell), None, cell, "case"), (pair,), "hash")
-    task = CaseTask(job, "study", {}, {pair.fit_key: FitResult("converged", fit)})
+    task = job.sent({pair.fit_key: FitResult("converged", fit)})
     assert case._fits(task)["all"]["stable"] is stable

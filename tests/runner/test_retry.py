@@ -21,7 +21,7 @@ from study.harness.record.store import Store
 from study.harness.runner.batch import computed, notes_of, run_batch
 from study.harness.runner.case_series import refine_cases
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import CaseTask, Work
+from study.harness.runner.job import CaseJob, Work
 from study.harness.runner.study_refinement import study_series
 from study.harness.runner.tasks import adapted, limit_of, processes
 from tests.pages import both_pages
@@ -152,8 +152,8 @@ def test_an_executor_is_given_more_time_or_fewer_tasks() -> None:
 def late_between_bonded_plates(place: Loky, tasks: Any, finished: Any = None) -> Any:
     """Do tasks here, of which those between bonded plates take more than 15 s."""
 
-    def perform(task: CaseTask) -> Any:
-        late = place.limit_s == 15.0 and "bonded" in task.job.case.levels.values()
+    def perform(task: CaseJob) -> Any:
+        late = place.limit_s == 15.0 and "bonded" in task.case.levels.values()
         return stopped_late(15.0) if late else place.perform(task)
 
     return Inline(perform).run(tasks, finished)

@@ -69,11 +69,11 @@ class Costs:
             is_tested = isinstance(problem, CellProblem)
             quick = external.section.model == "python" and not is_tested
             overhead = FUNCTION_SECONDS if quick else _OVERHEAD_S
-            return overhead + job.predictions * external.section.price_s
+            return overhead + len(job.scored) * external.section.price_s
         if not job.origin.predicts or job.forward != "simulation":
             return _OVERHEAD_S
         solve_s = self.solve_seconds(job.case.tested, job.depth_mm)
-        solves = float(job.predictions)
+        solves = float(len(job.scored))
         if job.group:
             # weight stays what it is where a modulus doubles, so that nothing scales
             tested = job.case.tested
@@ -132,7 +132,7 @@ def _evaluations(names: Sequence[str]) -> int:
 def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
     """Count the calls of other programs in cases, and in fits as if these wrote no gradients."""
     external_cases = (job for job in cases if job.forward == "external" and job.origin.predicts)
-    predicted = sum(job.predictions for job in external_cases)
+    predicted = sum(len(job.scored) for job in external_cases)
     return predicted + sum(
         _evaluations(fit.problem.material.calibrated_names)
         for fit in fits

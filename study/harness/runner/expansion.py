@@ -214,7 +214,7 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     def job(case: Case, origin: Origin) -> CaseJob:
         place = id(case.cell)  # one for all blocks of a cell, kept alive by its cases
         if place not in shared:
-            shared[place] = Computed.of(_located(case, places, model_of), list(asked))
+            shared[place] = Computed.of(_located(case, places, model_of), asked)
         return _job(case, data, design, origin, shared[place])
 
     jobs = _anchored(job(case, origin) for case, origin in planned)
@@ -260,9 +260,11 @@ class Computed:
     forward: Forward
     #: What enters the names of its cases besides their content and their measurements.
     names: tuple[object, ...]
+    #: Unit of every response that the records hold.
+    units: Mapping[str, str]
 
     @classmethod
-    def of(cls, case: Case, asked: Sequence[str]) -> Computed:
+    def of(cls, case: Case, units: Mapping[str, str]) -> Computed:
         """Work out what the cases of a cell share, from one whose files were found."""
         problem, cell = fit_problem(case.cell), case.cell
         names = (
@@ -270,7 +272,7 @@ class Computed:
             *(file.sha256 for file in provenance.placed_files(cell)),
             *identity(cell.problem),
         )
-        return cls(cell, problem, _forward_of(case, problem), (sorted(asked), *names))
+        return cls(cell, problem, _forward_of(case, problem), (sorted(units), *names), units)
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -324,7 +326,7 @@ def _located(
 
 def case_job(case: Case, work: Work, origin: Origin) -> CaseJob:
     """Make the job of one more case of a study."""
-    computed = Computed.of(case, list(work.responses))
+    computed = Computed.of(case, work.responses)
     return _job(case, work.data, work.design, origin, computed)
 
 
@@ -335,7 +337,10 @@ def _job(
     placed = replace(case, cell=computed.cell)
     pairs = tuple(_score_pairs(placed, computed.problem, data, design))
     content = [case.case_id, [pair.identity for pair in pairs], *computed.names]
-    return CaseJob(placed, pairs, digest(content), computed.forward, origin)
+    return CaseJob(
+        placed, pairs, digest(content), computed.forward, origin,
+        study=design.name, units=computed.units,
+    )  # fmt: skip
 
 
 def _forward_of(case: Case, problem: FitProblem) -> Forward:
@@ -459,7 +464,7 @@ def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):
-        solutions[group] += job.predictions
+        solutions[group] += len(job.scored)
         first.setdefault(group, job)
     anchored = []
     for job, group in zip(jobs, groups, strict=True):

@@ -16,7 +16,7 @@ from study.harness.execution.cluster import Client, Cluster
 from study.harness.execution.local import Loky
 from study.harness.execution.task import Document, Executor, Perform
 from study.harness.runner import case, fit_task, solve_task
-from study.harness.runner.job import CaseTask
+from study.harness.runner.job import CaseJob
 from study.harness.runner.provenance import versions
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
@@ -27,7 +27,7 @@ Engine = Executor | Client | str | Path
 PING = "ping"
 #: what does a task, by its class
 KINDS: dict[type, Perform] = {
-    CaseTask: case.perform,
+    CaseJob: case.perform,
     fit_task.FitTask: fit_task.perform,
     solve_task.SolveTask: solve_task.perform,
     str: lambda task: {"status": "converged"},
