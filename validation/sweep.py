@@ -182,7 +182,7 @@ def _uncertainty(
 ) -> tuple[str, float | None]:
     """Behaviour of a series and uncertainty on its coarsest mesh; it rests on the public GCI."""
     from study.harness.runner.case_series import half_width, steps
-    from study.harness.runner.refinement import formal_order
+    from study.mechanics.forward.formal_order import formal_order
 
     if len(values) < 2:
         return "one mesh", None

@@ -29,8 +29,7 @@ from study.harness.record.document import (
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.expansion import cases_by_id, relabeled
-from study.harness.runner.record_analysis import analyze_records
-from study.harness.runner.study_uncertainty import stored_numerical
+from study.harness.runner.record_analysis import analyze_records, stored_numerical
 from study.mechanics.measurement.conditioning import is_caution
 from study.reporting.content import (
     comparison_content,
@@ -241,7 +240,7 @@ def count_cases(study: Path | StudyResult) -> int:
 def unfinished_note(store: Store, later: ManifestDocument) -> str:
     """Say that what is shown is the last finished run, and how far the later one is."""
     counted = Store(store.path).survey(later["cases"])
-    done, total = len(counted.done) + len(counted.failed), len(later["cases"])
+    done, total = len(counted.entries), len(later["cases"])
     return (
         f"this is the last finished run; one of an edited design has computed {done} of its "
         f"{total} cases: run {later['source']} again to finish it"

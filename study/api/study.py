@@ -58,8 +58,8 @@ from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed, externals
 from study.harness.runner.provenance import placed_files, versions
-from study.harness.runner.study_uncertainty import compare_spaces, validate
-from study.harness.runner.study_uncertainty import refine as refine_study
+from study.harness.runner.study_refinement import compare_spaces, validate
+from study.harness.runner.study_refinement import refine as refine_study
 from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.reporting.figures.axes import load_libraries

@@ -109,7 +109,8 @@ def test_mesh_seeds_make_cases_whose_meshes_differ(one_mix: Path) -> None:
     seeds = {job.case.tested.model.mesh_seed for job in work.jobs}
     assert len(seeds) == 20  # meshes of two cells have nothing to do with each other
     # a fit on a mesh is one of its own, one without a mesh is shared by all
-    plates = {f: len({j.needs for j in work.jobs if j.case.levels["plates"] == f})
+    plates = {f: len({tuple(fit.key for fit in j.fits) for j in work.jobs
+                      if j.case.levels["plates"] == f})
               for f in ("bonded", "frictionless")}  # fmt: skip
     assert plates == {"bonded": 10, "frictionless": 2}
     assert [job.origin.mesh_seed for job in work.plain().jobs] == 4 * [1]

@@ -107,17 +107,11 @@ class ReadyQueue:
             if self._open[number] == 0:
                 self._make_ready(number)
 
-    def give_back(self, task: Task) -> None:
-        """Have a task done once more, before all others."""
-        self._tasks.append(task)
-        self._numbers[task.key] = number = -len(self._tasks)
+    def put_back(self, task: Task) -> None:
+        """Take back a task for which there was no room, or whose worker died, at its place."""
+        number = self._numbers[task.key]
         self._open[number] = 0
         self._make_ready(number)
-
-    def put_back(self, task: Task) -> None:
-        """Take back a task for which there was no room; it keeps its place."""
-        self._open[self._numbers[task.key]] = 0
-        self._make_ready(self._numbers[task.key])
 
     def take(self, group: str) -> Task | None:
         """Next task for a worker that keeps something of a group; None while there is none."""
@@ -126,7 +120,7 @@ class ReadyQueue:
         if number is None:
             return None
         del self._open[number]
-        return self._tasks[number if number >= 0 else -number - 1]
+        return self._tasks[number]
 
     def hold(self, group: str) -> None:
         """Give a group to a worker: no other gets its tasks."""
@@ -141,7 +135,7 @@ class ReadyQueue:
                 heapq.heappush(self._fronts, (self._ready[group][0], group))
 
     def _make_ready(self, number: int) -> None:
-        group = self._tasks[number if number >= 0 else -number - 1].group
+        group = self._tasks[number].group
         heapq.heappush(self._ready[group], number)
         heapq.heappush(self._fronts, (number, group))
 
@@ -336,7 +330,7 @@ class Supervisor:
         task = tasks[0]
         self.deaths[task.key] = self.deaths.get(task.key, 0) + 1
         if self.deaths[task.key] < MAX_DEATHS:
-            self.ready.give_back(task)
+            self.ready.put_back(task)
             return []
         return [Outcome(task.key, {"status": "crashed", "message": f"{how}, twice"}, seconds)]
 
@@ -344,7 +338,7 @@ class Supervisor:
         """Have tasks done one by one, whose worker died or was late: nobody knows of which."""
         self.alone.update(task.key for task in tasks)
         for task in tasks:
-            self.ready.give_back(task)
+            self.ready.put_back(task)
         return []
 
     def _limit(self, desk: Desk) -> float | None:

@@ -61,7 +61,7 @@ def attempts(work: Work, store: Store, limited: bool) -> Attempts:
     if not work.design.retry:
         return again
     jobs = {job.case.case_id: job for job in work.jobs}
-    for case_id in store.survey(work.input_hashes).failed:
+    for case_id in store.survey(work.input_hashes).statuses:
         record = store.read(case_id)
         if record is None:
             continue

@@ -20,18 +20,19 @@ from study.harness.design.study_file import Converge
 from study.harness.record.record import Record
 from study.harness.runner.batch import has_other_mesh
 from study.harness.runner.job import CaseJob
-from study.harness.runner.judgement import SeriesJudgement, combined, inconclusive
 from study.harness.runner.refinement import (
     FEWEST,
     QUANTITIES,
-    FormalOrder,
+    SeriesJudgement,
     Values,
     base_size_mm,
-    formal_order,
+    combined,
     in_mind,
+    inconclusive,
     judged,
     series_sizes,
 )
+from study.mechanics.forward.formal_order import FormalOrder, formal_order
 from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
     ConvergenceResult,
@@ -39,27 +40,6 @@ from study.statistics.convergence.grid_convergence import (
     assumed_order,
     grid_convergence,
 )
-
-
-def half_width(
-    values: Sequence[float],
-    sizes: Sequence[float],
-    formal: float | None,
-    end: Literal["coarsest", "finest"] = "coarsest",
-) -> tuple[str, float]:
-    """Behaviour of a series from coarse to fine, and half-width for an end mesh; sizes in mm."""
-    order = assumed_order(formal) if len(values) == 2 else formal
-    result = grid_convergence(sizes, values, formal_order=order)
-    bound = result.u_num if end == "finest" else result.bound_of(values[0])
-    return result.behaviour, math.inf if bound is None else bound
-
-
-def steps(sizes: Sequence[float], ratio: float) -> Sequence[float]:
-    """Mesh sizes, or powers of the ratio asked for where the meshes do not say theirs."""
-    if len(set(sizes)) < len(sizes) or min(sizes) <= 0:
-        return [ratio**-k for k in range(len(sizes))]
-    return sizes
-
 
 #: Relative error of a fitted constant or a score at the tolerances of fit and solver.
 TOLERANCE = 1e-6
@@ -93,6 +73,12 @@ class CaseSeries:
     def every(self) -> tuple[CaseJob, ...]:
         """Cases of the series and that on another mesh."""
         return self.jobs if self.other is None else (*self.jobs, self.other)
+
+    def taking(self, records: Mapping[str, Record]) -> CaseSeries:
+        """Take what is computed of its cases, and return it."""
+        names = (job.case.case_id for job in self.every)
+        self.records |= {name: records[name] for name in names if name in records}
+        return self
 
     @property
     def levels(self) -> dict[str, str]:
@@ -136,7 +122,12 @@ class CaseSeries:
         self, values: Sequence[float], sizes: Sequence[float], formal: float | None
     ) -> tuple[str, float]:
         """Behaviour of some values from coarse to fine, and half-width on the study's mesh."""
-        return half_width(values, steps(sizes, self.ratio), formal, self.own)
+        if len(set(sizes)) < len(sizes) or min(sizes) <= 0:  # the meshes do not say theirs
+            sizes = [self.ratio**-k for k in range(len(sizes))]
+        order = assumed_order(formal) if len(values) == 2 else formal
+        result = grid_convergence(sizes, values, formal_order=order)
+        bound = result.u_num if self.own == "finest" else result.bound_of(values[0])
+        return result.behaviour, math.inf if bound is None else bound
 
     def uncertainty(self, response: str, unit: str) -> NumericalUncertainty:
         """Numerical uncertainty of a response on the study's mesh.
