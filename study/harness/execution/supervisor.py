@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import json
 import math
 import queue
 import time
@@ -89,10 +88,10 @@ class ReadyQueue:
     def __len__(self) -> int:
         return len(self._open)
 
-    def stuck(self) -> RuntimeError:
-        """Error of tasks that cannot be handed out: what they need is none of these."""
-        names = ", ".join(self._tasks[number].key for number in self._open)
-        return RuntimeError(f"tasks wait for something that nobody makes: {names}")
+    @property
+    def waiting(self) -> list[str]:
+        """Keys of the tasks that are not handed out."""
+        return [self._tasks[number].key for number in self._open]
 
     def finish(self, key: str, result: Document) -> None:
         """Note a result; tasks that waited for it become ready."""
@@ -236,7 +235,8 @@ class Supervisor:
                 self._hand_out(desks, done)
                 busy = [desk for desk in desks if desk.tasks]
                 if not busy:
-                    raise self.ready.stuck()
+                    waiting = ", ".join(self.ready.waiting)
+                    raise RuntimeError(f"tasks wait for something that nobody makes: {waiting}")
                 ended = [*self._answered(busy, done), *self._late(busy)]
                 for outcome in ended:
                     self.ready.finish(outcome.key, outcome.result)
@@ -370,7 +370,7 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class Inline:
-    """Executor without processes: a task that dies takes the run along."""
+    """Executor without processes, and its only slot: a task that dies takes the run along."""
 
     perform: Perform
 
@@ -378,12 +378,11 @@ class Inline:
         self, tasks: Sequence[Task], finished: Results | None = None
     ) -> Generator[Outcome, None, None]:
         """Yield the outcome of every task in its turn."""
-        ready, group = ReadyQueue(tasks, finished or {}), ""
-        while len(ready):
-            task = ready.take(group)
-            if task is None:
-                raise ready.stuck()
-            group, began = task.group, time.monotonic()
-            (result,) = json.loads(answers(self.perform, [task.payload(ready.results)]))
-            ready.finish(task.key, result)
-            yield Outcome(task.key, result, time.monotonic() - began)
+        yield from Supervisor(ReadyQueue(tasks, finished or {}), [self]).outcomes()
+
+    def start(self, payloads: Sequence[object], done: Done, ticket: object) -> None:
+        """Do some tasks."""
+        done.put((ticket, Answer(answers(self.perform, payloads))))
+
+    def kill(self) -> None:
+        """Nothing runs elsewhere."""

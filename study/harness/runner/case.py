@@ -26,7 +26,6 @@ from study.harness.record.document import (
     MarkerDocument,
     ParameterDocument,
     PlateFitDocument,
-    Quantity,
     ResponseDocument,
     SolverDocument,
 )
@@ -205,7 +204,7 @@ def predicted_markers(
     return replace(predicted, markers=document)
 
 
-def marker_responses(cell: CellProblem, document: MarkerDocument) -> dict[str, Quantity]:
+def marker_responses(cell: CellProblem, document: MarkerDocument) -> dict[str, ResponseDocument]:
     """Errors of the markers, with the plate that the study asks for, mm."""
     plate = None if cell.markers is None else cell.markers.plate
     # of all markers first; then, where layers are named, of those outside them
@@ -304,7 +303,7 @@ def _predicted(job: CaseJob) -> tuple[Record, bytes]:
         for direction, prediction in pairs
     ]
     seconds = _seconds(job, predictions)
-    means: dict[str, ResponseDocument] = {**response.averaged(scores)}
+    means = response.averaged(scores)
     means["seconds"] = {"value": seconds["total"], "unit": "s"}
     marked = [prediction.markers for prediction in predictions if prediction.markers is not None]
     for document in marked:
@@ -335,7 +334,7 @@ def _predicted(job: CaseJob) -> tuple[Record, bytes]:
     return replace(record, curves=curves, mesh=last.mesh, solver=_solver(predictions)), last.folder
 
 
-def _constants(job: CaseJob, pair: ScorePair) -> dict[str, Quantity]:
+def _constants(job: CaseJob, pair: ScorePair) -> dict[str, ResponseDocument]:
     """Constants of a direction, fitted or given, in the units in which they are shown."""
     fit = job.outcome(pair)
     if fit is not None:
@@ -432,7 +431,9 @@ def _seconds(job: CaseJob, predictions: Sequence[PredictedCurve]) -> dict[str, f
     return {"fit": fitted, "predict": predicted, "total": fitted + predicted}
 
 
-def _parameters(job: CaseJob, constants: Mapping[str, Quantity]) -> dict[str, ParameterDocument]:
+def _parameters(
+    job: CaseJob, constants: Mapping[str, ResponseDocument]
+) -> dict[str, ParameterDocument]:
     """Each averaged constant with the error of that average."""
     outcomes = [job.outcome(pair) for pair in job.identified]
     fits = [FitDocument() if fit is None else fit.fit for fit in outcomes]
@@ -448,7 +449,8 @@ def _parameters(job: CaseJob, constants: Mapping[str, Quantity]) -> dict[str, Pa
         pair = fits[0].get("ci95", {}).get(name) if len(fits) == 1 else None
         ends = [scale * float(end) for end in pair or () if end is not None]
         parameters[name] = {
-            **mean,
+            "value": mean["value"],
+            "unit": mean["unit"],
             "standard_error": None if error is None else float(error),
             "ci95": ends if len(ends) == 2 else None,
         }

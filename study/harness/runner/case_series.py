@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -23,16 +23,16 @@ from study.harness.runner.job import CaseJob
 from study.harness.runner.refinement import (
     FEWEST,
     QUANTITIES,
+    FormalOrder,
     SeriesJudgement,
     Values,
     base_size_mm,
-    combined,
-    in_mind,
+    given_mesh,
     inconclusive,
     judged,
+    promised,
     series_sizes,
 )
-from study.mechanics.forward.formal_order import FormalOrder, formal_order
 from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
     ConvergenceResult,
@@ -89,12 +89,7 @@ class CaseSeries:
     @property
     def formal(self) -> FormalOrder:
         """Order that the elements of the study's mesh promise, or a stranger's solver."""
-        refinement = self.base.case.problem.refinement
-        if refinement is not None:
-            order = refinement.formal_order
-            given = f"as [converge] says of parameters.{refinement.name}"
-            return FormalOrder(order, "nobody says it" if order is None else given)
-        return formal_order(in_mind(self.base if self.own == "coarsest" else self.jobs[-1]))
+        return promised(self.base if self.own == "coarsest" else self.jobs[-1])
 
     @property
     def good(self) -> list[tuple[CaseJob, Record]]:
@@ -212,29 +207,24 @@ class CaseSeries:
 
     def judge(self, spec: Converge, units: Mapping[str, str]) -> SeriesJudgement:
         """Judge curves, responses and constants of the series."""
-        records, formal = [record for _, record in self.good], self.formal
-        warnings = list(self._unanswered())
-        values = quantities(records, units)
-        name = spec.qoi if spec.qoi in QUANTITIES else "peak_force"
-        verdict = f"an order needs three meshes with an answer, there are {len(records)}"
-        facts = SeriesJudgement(
-            inconclusive(
-                spec.qoi, QUANTITIES[name][1], [], [], formal_order=formal.order, verdict=verdict
-            ),
-            {},
-            formal.why,
-            levels=self.base.case.levels,
-            block=self.base.case.block,
-        )
+        records, formal, base = [record for _, record in self.good], self.formal, self.base.case
+        warnings, values = tuple(self._unanswered()), quantities(records, units)
         if len(records) < FEWEST or not values:
-            return facts.warned(*warnings)
-        qoi = spec.qoi if spec.qoi in values else next(iter(values))
+            unit = QUANTITIES[spec.qoi if spec.qoi in QUANTITIES else "peak_force"][1]
+            verdict = f"an order needs three meshes with an answer, there are {len(records)}"
+            main = inconclusive(spec.qoi, unit, [], [], formal_order=formal.order, verdict=verdict)
+            judgement = SeriesJudgement(main, {}, formal.why, levels=base.levels, block=base.block)
+            return judgement.warned(*warnings)
         elements = [int(record.mesh.get("elements", 0)) for record in records]
         sizes = [size_of(job) for job, _ in self.good]
-        if self.base.case.problem.refinement is None:
-            sizes = series_sizes(sizes, elements, self.base.case.tested.setup)
+        if base.problem.refinement is None:
+            sizes = series_sizes(sizes, elements, base.tested.setup)
         results = judged(sizes, values, formal.order, TOLERANCE)
-        return combined(facts, qoi, results, spec.tolerance, warnings)
+        main = results[spec.qoi if spec.qoi in values else next(iter(values))]
+        return SeriesJudgement(
+            replace(main, warnings=(*warnings, *main.warnings)), results, formal.why,
+            spec.tolerance, base.levels, given_mesh(main), block=base.block,
+        ).noted()  # fmt: skip
 
     def _unanswered(self) -> Iterable[str]:
         """Say which meshes gave no answer, and why."""

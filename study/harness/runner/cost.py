@@ -109,11 +109,11 @@ class Costs:
 
     def case_memory_MB(self, job: CaseJob) -> float:  # noqa: N802
         """Peak memory of one case; none worth counting without a simulation of its own."""
-        simulated = job.forward == "simulation" and job.origin.predicts
+        problem = job.case.problem
         if job.forward == "external":
-            external = External.of(job.case.problem)
-            return 0.0 if external is None else external.section.memory_MB or 0.0
-        return self.memory_MB(job.case.problem) if simulated else 0.0
+            return (None if problem.forward is None else problem.forward.memory_MB) or 0.0
+        is_solved = job.forward == "simulation" and job.origin.predicts
+        return self.memory_MB(problem) if is_solved else 0.0
 
     def _estimate(self, problem: CellProblem, depth_mm: float | None) -> tuple[float, float]:
         document = problem.document()  # of all that differ in their material alone

@@ -450,8 +450,7 @@ def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
             and job.forward == "simulation"
             and not job.case.tested.setup.has_close_equilibria
         )
-        content = [job.case.cell.content_key, job.depth_mm]
-        groups.append(digest(content, 32) if shares else "")
+        groups.append(digest([job.case.cell.content_key, job.depth_mm], 32) if shares else "")
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):

@@ -64,7 +64,7 @@ class Origin:
 
     def to_json(self) -> dict[str, object]:
         """Plain data without what does not apply."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 #: ends in the name of the file that says how virtual measurements were made

@@ -24,7 +24,8 @@ from study.ground.errors import Fault, InputError, nearest
 from study.ground.memory import free_memory_MB
 from study.harness.design.cell import CellProblem
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
-from study.mechanics.forward.formal_order import FormalOrder, element_size_mm
+from study.mechanics.forward.formal_order import FormalOrder as FormalOrder
+from study.mechanics.forward.formal_order import element_size_mm, formal_order
 from study.mechanics.setup.geometry import Enclosed, Flat
 from study.mechanics.setup.setup import Problem, Setup
 from study.statistics.convergence.grid_convergence import (
@@ -302,6 +303,16 @@ def in_mind(job: CaseJob) -> Problem:
     return job.case.tested.with_placeholder(job.depth_mm if job.directions else 1.0)
 
 
+def promised(job: CaseJob) -> FormalOrder:
+    """Order that the elements of a case promise, or what is said of a stranger's solver."""
+    refinement = job.case.problem.refinement
+    if refinement is None:
+        return formal_order(in_mind(job))
+    order = refinement.formal_order
+    given = f"as [converge] says of parameters.{refinement.name}"
+    return FormalOrder(order, "nobody says it" if order is None else given)
+
+
 # Meshes of a series that can be judged, and the sizes by which they are.
 
 
@@ -440,19 +451,6 @@ def _source(source: str, name: str, good: Sequence[tuple[float, SolveResult]]) -
     return ErrorSource(source, name, unit, settings, values, u, relative)
 
 
-def one_table(
-    quantities: Mapping[str, ConvergenceResult], others: Sequence[ErrorSource]
-) -> tuple[ErrorSource, ...]:
-    """Set the sources of error of every quantity side by side."""
-    table: list[ErrorSource] = []
-    for name, result in quantities.items():
-        u, value = result.u_num, result.value[0]
-        relative = None if u is None or not value else u / abs(value)
-        mesh = ErrorSource("mesh", name, result.unit, result.mesh_size, result.value, u, relative)
-        table += [mesh, *(row for row in others if row.quantity == name)]
-    return tuple(table)
-
-
 #: what is said of a source whose error is too large beside that of the mesh, and what it is
 #: multiplied by for that
 _REMARKS = {
@@ -534,6 +532,12 @@ class SeriesJudgement:
         warnings = tuple(dict.fromkeys([*self.main.warnings, *sentences]))
         return replace(self, main=replace(self.main, warnings=warnings))
 
+    def noted(self) -> SeriesJudgement:
+        """Copy that says which quantities have not the wanted accuracy, each warning once."""
+        if self.accuracy is None or not self.unsettled:
+            return self.warned()
+        return self.warned(f"not within {100 * self.accuracy:g} %: {', '.join(self.unsettled)}")
+
     def to_json(self) -> dict[str, object]:
         """Document of ``study converge``: the keys of the main quantity, and all others."""
         of_problem = {
@@ -558,36 +562,29 @@ class SeriesJudgement:
 
 def judge(series: RefinementSeries, tolerance: float | None = None) -> SeriesJudgement:
     """Judge the series of a problem."""
-    (function, unit), formal = quantity(series.spec.qoi), series.formal
+    spec, formal = series.spec, series.formal
+    function, unit = quantity(spec.qoi)
     meshes, warnings = usable(series.levels)
-    facts = SeriesJudgement(
-        inconclusive(
-            series.spec.qoi,
-            unit,
-            [level.mesh_size_mm for level in meshes],
-            [function(level.result.curve) for level in meshes],
-            formal_order=formal.order,
-        ),
-        {},
-        formal.why,
-        levels=series.levels_of,
-        meshes=tuple(reversed(series.levels)),
-        stopped=series.stopped,
-    )
-    if len(meshes) < FEWEST:
+    values = [function(level.result.curve) for level in meshes]
+    results: Mapping[str, ConvergenceResult] = {}
+    given, accuracy = None, None
+    if len(meshes) >= FEWEST:
+        fraction = tolerance / abs(values[-1]) if tolerance and values[-1] else SOLVER_TOLERANCE
+        results = judged_meshes(meshes, series.setup, formal.order, fraction)
+        main, accuracy = results[spec.qoi], spec.tolerance
+        given = {**given_mesh(main), "mesh_size": meshes[0].mesh_size_mm}
+        main = replace(main, warnings=(*warnings, *main.warnings))
+    else:
+        sizes = [level.mesh_size_mm for level in meshes]
+        main = inconclusive(spec.qoi, unit, sizes, values, formal_order=formal.order)
         if len(meshes) == FEWEST - 1:
-            pair = judged_meshes(meshes, series.setup, assumed_order(formal.order))
-            of_two = pair[series.spec.qoi]
-            verdict = f"{facts.main.verdict}; {of_two.verdict}"
-            facts = replace(facts, main=replace(of_two, verdict=verdict))
-        return facts.warned(*warnings)
-    fraction = SOLVER_TOLERANCE
-    if tolerance and (main := function(meshes[-1].result.curve)):
-        fraction = tolerance / abs(main)
-    results = judged_meshes(meshes, series.setup, formal.order, fraction)
-    judgement = combined(facts, series.spec.qoi, results, series.spec.tolerance, warnings)
-    given = {**given_mesh(judgement.main), "mesh_size": meshes[0].mesh_size_mm}
-    return replace(judgement, given=given)
+            pair = judged_meshes(meshes, series.setup, assumed_order(formal.order))[spec.qoi]
+            main = replace(pair, verdict=f"{main.verdict}; {pair.verdict}")
+        main = replace(main, warnings=(*main.warnings, *warnings))
+    return SeriesJudgement(
+        main, results, formal.why, accuracy, series.levels_of, given,
+        tuple(reversed(series.levels)), series.stopped,
+    ).noted()  # fmt: skip
 
 
 def with_sources(
@@ -595,35 +592,19 @@ def with_sources(
 ) -> SeriesJudgement:
     """Add errors of steps, solver and choice of a mesh to those of the problem's own mesh."""
     rows, warnings = other_sources(series.problem, series.good[0].mesh_size_mm, solve)
-    table = one_table(judgement.quantities, rows)
+    table: list[ErrorSource] = []
+    for name, result in judgement.quantities.items():  # all sources of a quantity side by side
+        u, value = result.u_num, result.value[0]
+        relative = None if u is None or not value else u / abs(value)
+        mesh = ErrorSource("mesh", name, result.unit, result.mesh_size, result.value, u, relative)
+        table += [mesh, *(row for row in rows if row.quantity == name)]
     given, key = judgement.given, ("another mesh", judgement.main.qoi)
     other = next((row.u for row in rows if (row.source, row.quantity) == key), None)
     u = None if given is None else given["u_num"]
     if given is not None and u is not None and other is not None:
         given = {**given, "u_num": math.hypot(u, other)}
-    judgement = replace(judgement, sources=table, given=given)
+    judgement = replace(judgement, sources=tuple(table), given=given)
     return judgement.warned(*warnings, *remarks(table))
-
-
-def combined(
-    facts: SeriesJudgement,
-    qoi: str,
-    results: Mapping[str, ConvergenceResult],
-    accuracy: float | None,
-    warnings: Sequence[str],
-) -> SeriesJudgement:
-    """Judgement of several judged quantities, all of which must settle."""
-    main = results[qoi]
-    judgement = replace(
-        facts,
-        main=replace(main, warnings=(*warnings, *main.warnings)),
-        quantities=results,
-        accuracy=accuracy,
-        given=given_mesh(main),
-    )
-    if accuracy is None or not judgement.unsettled:
-        return judgement.warned()
-    return judgement.warned(f"not within {100 * accuracy:g} %: {', '.join(judgement.unsettled)}")
 
 
 def given_mesh(result: ConvergenceResult) -> Mapping[str, float | None]:

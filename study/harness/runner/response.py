@@ -10,7 +10,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.harness.design.study_file import MARKED, RESPONSES, SIMULATED, is_simulated, simulated_at
-from study.harness.record.document import Quantity
+from study.harness.record.document import ResponseDocument
 from study.mechanics.material.material import is_dimensionless, unit_shown
 
 #: kPa in one MPa: a fit is in MPa, a response in kPa
@@ -101,7 +101,7 @@ def in_shown_units(constants: Sequence[str], values: Array) -> dict[str, object]
 
 def score(
     predicted: Curve, measured: Curve | None = None, names: Iterable[str] = ()
-) -> dict[str, Quantity]:
+) -> dict[str, ResponseDocument]:
     """Every response that a predicted curve has, with its unit."""
     values = {name: simulated(name, predicted) for name in of_prediction(names)}
     if measured is not None:
@@ -115,9 +115,9 @@ def of_prediction(names: Iterable[str]) -> list[str]:
     return [name for name in names if is_simulated(name) and name != "dofs"]
 
 
-def constants_of(constants: Mapping[str, float], mu0: float | None) -> dict[str, Quantity]:
+def constants_of(constants: Mapping[str, float], mu0: float | None) -> dict[str, ResponseDocument]:
     """List the initial shear modulus and every constant: moduli in kPa, others as they are."""
-    shown: dict[str, Quantity] = {
+    shown: dict[str, ResponseDocument] = {
         name: {"value": scale_of(name) * float(value), "unit": unit_shown(name)}
         for name, value in constants.items()
     }
@@ -126,9 +126,9 @@ def constants_of(constants: Mapping[str, float], mu0: float | None) -> dict[str,
     return {"mu0": {"value": KPA * mu0, "unit": RESPONSES["mu0"]}, **shown}
 
 
-def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
+def averaged(scores: Sequence[Mapping[str, ResponseDocument]]) -> dict[str, ResponseDocument]:
     """Mean over the directions, with units; a mean that is not finite is None."""
-    out: dict[str, Quantity] = {}
+    out: dict[str, ResponseDocument] = {}
     for name, first in scores[0].items():
         numbers = [score[name]["value"] for score in scores if name in score]
         mean = float(np.mean(np.array(numbers, dtype=float)))

@@ -278,26 +278,23 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
             reference_curve, problem, truth(generator.truth), generator.poisson_ratio,
             as_designed=several, virtual=design.virtual or Virtual(),
         )  # fmt: skip
-        reference, stated = of(), {}
+        reference = of()
+        note_of = {
+            "generator": asdict(generator),
+            "material": asdict(truth(generator.truth)),
+            "citation": CITATION,
+        }
         if design.virtual is not None:
             apart = of(coarser=True).force_at(reference.displacement_mm) - reference.force_N
             change = float(np.abs(apart).max() / np.abs(reference.force_N).max())
-            stated = {"reference": {**asdict(design.virtual), "change_by_coarser_mesh": change}}
-        weighs = problem.test.gravity is not None
-        which = number if several else None
+            note_of["reference"] = {**asdict(design.virtual), "change_by_coarser_mesh": change}
+        weighs, which = problem.test.gravity is not None, number if several else None
         tests = list(generate(reference, generator, spec, noise=which, weighs=weighs))
         for name, rows in _files(spec, tests).items():
-            path = out / name
-            write_atomic(path, rows.encode())
-            note_of = {
-                "generator": asdict(generator),
-                "material": asdict(truth(generator.truth)),
-                "citation": CITATION,
-                **stated,
-            }
-            note = path.with_name(path.name + TRUTH_SUFFIX)
-            write_atomic(note, json.dumps(note_of, indent=2, default=dict).encode())
-            written += [path, note]
+            paths = [out / name, out / f"{name}{TRUTH_SUFFIX}"]
+            write_atomic(paths[0], rows.encode())
+            write_atomic(paths[1], json.dumps(note_of, indent=2, default=dict).encode())
+            written += paths
     return written
 
 
@@ -396,11 +393,10 @@ def _specimens(spec: MeasurementSpec, batch: str) -> list[dict[str, str]]:
     """Specimens of a batch: one for each of the fit and score selections."""
     base = {spec.block: batch} if spec.block else {}
     chosen: list[dict[str, str]] = []
-    for where in (spec.fit, spec.score):
-        if where:
-            labels = {k: str(v[0] if isinstance(v, (list, tuple)) else v) for k, v in where.items()}
-            if {**base, **labels} not in chosen:
-                chosen.append({**base, **labels})
+    for where in filter(None, (spec.fit, spec.score)):
+        first = {k: str(v[0] if isinstance(v, (list, tuple)) else v) for k, v in where.items()}
+        if {**base, **first} not in chosen:
+            chosen.append({**base, **first})
     return chosen or [base]
 
 
