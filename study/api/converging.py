@@ -31,7 +31,6 @@ from study.harness.runner import provenance, refinement, study_refinement
 from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed
 from study.harness.runner.case_series import CaseSeries, refine_cases, stored_convergence
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob, fits_of
 from study.harness.runner.refinement import (
@@ -44,7 +43,7 @@ from study.harness.runner.refinement import (
     with_sources,
 )
 from study.harness.runner.solve_task import SolveTask, by_workers, in_process, kept, slug, store_of
-from study.harness.runner.tasks import default_jobs, processes
+from study.harness.runner.tasks import Costs, default_jobs, processes
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.forward.formal_order import FormalOrder
 from study.mechanics.forward.formal_order import formal_order as promised

@@ -47,12 +47,11 @@ from study.harness.record.document import AdaptiveStep
 from study.harness.record.record import write_csv
 from study.harness.record.store import Store, Survey
 from study.harness.runner.batch import missing, open_fits
-from study.harness.runner.cost import Costs, program_calls
 from study.harness.runner.expansion import expand, relabeled
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.provenance import code_version
 from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
-from study.harness.runner.tasks import default_jobs
+from study.harness.runner.tasks import Costs, default_jobs, program_calls
 from study.mechanics.setup.declaration import Bad
 from study.statistics.surfaces.emulator import (
     REFERENCES,

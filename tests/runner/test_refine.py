@@ -13,8 +13,8 @@ from study.harness.record.store import Store
 from study.harness.runner import refinement, study_refinement
 from study.harness.runner.batch import computed, run_batch
 from study.harness.runner.case_series import refine_cases
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
+from study.harness.runner.tasks import Costs
 
 from .conftest import fake
 

@@ -18,13 +18,13 @@ from study.harness.record.record import Record, table
 from study.harness.record.store import Store
 from study.harness.runner import fit_task
 from study.harness.runner.batch import run_batch
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import FitProblem, fit_problem
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask
 from study.harness.runner.job import Work
 from study.harness.runner.study_refinement import refinement_work
+from study.harness.runner.tasks import Costs
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 

@@ -23,7 +23,6 @@ from study.harness.runner.case_series import refine_cases
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob, Work
 from study.harness.runner.study_refinement import study_series
-from study.harness.runner.tasks import adapted, limit_of, processes
 from tests.pages import both_pages
 
 from .conftest import DESIGN, fake, make_data
@@ -141,13 +140,6 @@ def test_a_task_that_lacked_memory_is_computed_alone(ran: Ran) -> None:
     (note,) = notes_of(bonded_mooney(records))
     assert note["cause"] == "crashed"
     assert note["what"] == "computed with nothing else beside it"
-
-
-def test_an_executor_is_given_more_time_or_fewer_tasks() -> None:
-    place = processes(4, 10.0)
-    assert limit_of(adapted(place, 4.0)) == 40.0
-    assert adapted(place, alone=True).jobs == 1  # type: ignore[attr-defined]
-    assert limit_of(adapted(processes(2), 4.0)) is None
 
 
 def late_between_bonded_plates(place: Loky, tasks: Any, finished: Any = None) -> Any:

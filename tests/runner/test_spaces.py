@@ -15,7 +15,6 @@ from study.harness.design.load import loads
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.batch import Progress
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.harness.runner.solve_task import SolveResult, in_process, kept, solutions
@@ -26,7 +25,7 @@ from study.harness.runner.study_refinement import (
     refinement_work,
     upcoming,
 )
-from study.harness.runner.tasks import processes
+from study.harness.runner.tasks import Costs, processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import finished
 

@@ -21,7 +21,6 @@ from study.harness.execution.task import Document, Executor, Outcome, Results, T
 from study.harness.external.command import check_allowed
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.fit_summary import FitResult
@@ -29,7 +28,7 @@ from study.harness.runner.fit_task import FitTask
 from study.harness.runner.job import CaseJob, FitJob, Work, fits_of
 from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.solve_task import LASTING
-from study.harness.runner.tasks import adapted, limit_of
+from study.harness.runner.tasks import Costs, adapted, limit_of
 
 # What is tried when a case has no answer: declared in the design, by cause, and never silent.
 #

@@ -53,7 +53,7 @@ _NUMERIC_ROOMS = (
 #: Modules that name results or foretell what they cost, and decide none of their numbers.
 _WITHOUT_NUMBERS = (
     "study.mechanics.solver.solution_cost",
-    "study.harness.runner.cost",
+    "study.harness.runner.tasks",
     "study.harness.runner.provenance",
 )
 _PACKAGES = ("numpy", "scipy", "numba", "scikit-fem", "gmsh", "pypardiso", "mkl")

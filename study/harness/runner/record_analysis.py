@@ -357,21 +357,16 @@ def _own_series(
     values = np.log(y.where(y > 0)) if transform == "log" else y
     labels = [table[name].astype(str) for name in (*names, mesh)]
     mean = values.groupby(labels, sort=False).mean()
-    u_by_cell = {}
+    by_cell = {}
     for row in rows:
         if set(row.levels) != set(names) or len(row.series) < _NEEDED:
             continue
         cell = tuple(row.levels[name] for name in names)
-        by_mesh = [float(mean.get((*cell, level), math.nan)) for level in reversed(meshes)]
+        by_mesh = [float(mean.get((*cell, level), math.nan)) for level in meshes]
         if np.isfinite(by_mesh).all() and len(row.mesh_size) == len(by_mesh):
-            u_by_cell[cell] = CellSeries(
-                tuple(reversed(row.mesh_size)),
-                tuple(by_mesh),
-                row.formal_order,
-                studied=math.fsum(by_mesh) / len(by_mesh),
-                reference=1.0 if transform == "log" else None,
-            )
-    return u_by_cell
+            studied = math.fsum(by_mesh) / len(by_mesh)
+            by_cell[cell] = _cell_series(row, by_mesh, studied, transform)
+    return by_cell
 
 
 def _refined_series(
@@ -390,17 +385,19 @@ def _refined_series(
             continue
         levels = {name: level for name, level in row.levels.items() if name in names}
         at = next((c for c in cells if levels.items() <= c.items()), None)
-        if at is None:
-            continue
-        finest = np.argsort(row.mesh_size)
-        by_cell[tuple(at[name] for name in names)] = CellSeries(
-            tuple(row.mesh_size[i] for i in finest),
-            tuple(values[i] for i in finest),
-            row.formal_order,
-            studied=values[0],
-            reference=1.0 if transform == "log" else None,
-        )
+        if at is not None:
+            cell = tuple(at[name] for name in names)
+            by_cell[cell] = _cell_series(row, values, values[0], transform)
     return by_cell
+
+
+def _cell_series(
+    row: NumericalUncertainty, values: Sequence[float], studied: float, transform: str
+) -> CellSeries:
+    """Series of a cell from fine to coarse."""
+    finest, reference = np.argsort(row.mesh_size), 1.0 if transform == "log" else None
+    sizes, ordered = (tuple(of[i] for i in finest) for of in (row.mesh_size, values))
+    return CellSeries(sizes, ordered, row.formal_order, studied=studied, reference=reference)
 
 
 def u_of_steps(records: Sequence[Record], response: str, transform: str) -> float:

@@ -38,11 +38,11 @@ from study.harness.runner.case_series import (
     refine_cases,
     size_of,
 )
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job, meshed
 from study.harness.runner.job import CaseJob, Origin, Work, varied
 from study.harness.runner.refinement import FEWEST, OTHER_MESH, base_size_mm
 from study.harness.runner.solve_task import SolveResult, SolveTask, by_workers, kept
+from study.harness.runner.tasks import Costs
 from study.mechanics.measurement.measurement_section import Range
 from study.mechanics.setup.declaration import table_of, with_table
 from study.mechanics.setup.geometry import Block, Cylinder, Enclosed
