@@ -17,8 +17,7 @@ from study.ground.errors import Fault, InputError, MissingDataError, RefusedErro
 from study.harness.design.load import dump, load, loads
 from study.harness.record.document import ManifestDocument
 from study.harness.record.record import Record
-from study.harness.record.store import Store
-from study.harness.record.survey import differences
+from study.harness.record.store import Store, differences
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import TRUTH_SUFFIX, Work
 from study.harness.runner.provenance import versions
@@ -516,7 +515,7 @@ def check_stale(work: Work, store: Store, stale: str) -> list[str]:
     count; those of other libraries count unless they are to be computed again.
     """
     now = versions()
-    others = [change.sentence for change in store.other_libraries(work.input_hashes, now)]
+    others = store.other_libraries(work.input_hashes, now)
     store.made_with(now, strict=stale == RERUN)
     if stale == REFUSE:
         foreign = len(store.survey(work.input_hashes).foreign)

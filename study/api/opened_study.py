@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from study.api.fitting_surfaces import SEE_SURFACE, is_numeric, surfaces
 from study.api.folders import RESULTS, finished_manifest, results_folder
 from study.api.predicting import joined
 from study.ground.errors import Fault, InputError, StudyError, nearest
-from study.harness.design.load import loads
+from study.harness.design.load import dump, loads
 from study.harness.design.overview import duplicates
 from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Design
@@ -29,8 +30,7 @@ from study.harness.record.document import (
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.expansion import cases_by_id, relabeled
-from study.harness.runner.record_analysis import analyze_records
-from study.harness.runner.study_uncertainty import stored_numerical
+from study.harness.runner.record_analysis import analyze_records, stored_numerical
 from study.mechanics.measurement.conditioning import is_caution
 from study.reporting.content import (
     comparison_content,
@@ -159,11 +159,19 @@ def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bo
     InputError
         If there are none.
     """
-    folder = results_folder(path, results)
+    return opened(results_folder(path, results), tell_unfinished=tell_unfinished)
+
+
+def opened(folder: Path, ended: Design | None = None, *, tell_unfinished: bool = True) -> Study:
+    """Open a study; the design of a run that has just ended is not read and resolved again."""
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
     manifest = finished_manifest(store)
-    design = loads(manifest["design"], manifest["source"])
+    if ended is not None and dump(ended) == manifest["design"]:
+        design = copy.copy(ended)  # with its cells, as it would be read
+        vars(design).update(source=manifest["source"], text=manifest["design"])
+    else:
+        design = loads(manifest["design"], manifest["source"])
     cases = cases_by_id(design, manifest["blocks"])
     stored = store.records(manifest["cases"])
     records = relabeled(stored, design, cases)
@@ -241,7 +249,7 @@ def count_cases(study: Path | StudyResult) -> int:
 def unfinished_note(store: Store, later: ManifestDocument) -> str:
     """Say that what is shown is the last finished run, and how far the later one is."""
     counted = Store(store.path).survey(later["cases"])
-    done, total = len(counted.done) + len(counted.failed), len(later["cases"])
+    done, total = len(counted.entries), len(later["cases"])
     return (
         f"this is the last finished run; one of an edited design has computed {done} of its "
         f"{total} cases: run {later['source']} again to finish it"

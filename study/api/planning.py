@@ -46,15 +46,13 @@ from study.harness.design.study_file import Sequential
 from study.harness.external.command import common_digest
 from study.harness.record.document import AdaptiveStep
 from study.harness.record.record import write_csv
-from study.harness.record.store import Store
-from study.harness.record.survey import Survey
+from study.harness.record.store import Store, Survey
 from study.harness.runner.batch import missing, open_fits
-from study.harness.runner.cost import Costs, program_calls
 from study.harness.runner.expansion import expand, relabeled
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.provenance import code_version
 from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
-from study.harness.runner.tasks import default_jobs
+from study.harness.runner.tasks import Costs, default_jobs, program_calls
 from study.statistics.surfaces.emulator import (
     REFERENCES,
     BlockedEmulator,
@@ -237,9 +235,9 @@ def _counted(
     plain = work.plain()
     # cells of the spaces' control that have no solution yet
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    controls = upcoming(plain, store.on_demand(hashes), store)
+    controls = upcoming(plain, store.by_case(hashes), store)
     seconds = costs.total_seconds(fits, todo, workers)
-    if not own_series(plain, {}):  # else the cells themselves are a series of meshes
+    if not own_series(plain):  # else the cells themselves are a series of meshes
         finer = missing(refinement_work(plain), store)
         seconds += Costs().total_seconds(open_fits(finer, store), finer, workers)
     each = Costs()
@@ -252,7 +250,7 @@ def _counted(
     )
     return Plan(
         work.design, described, work.blocks, len(work.jobs), len(survey.done),
-        len(survey.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
+        len(survey.statuses), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
         len(controls), program_calls(fits, todo),
         tuple(line for program in commands for line in program.lines()), common_digest(commands),
     )  # fmt: skip
@@ -315,7 +313,7 @@ def status(
 def _counts(survey: Survey) -> dict[str, int]:
     """Cases of a study: all, and those that are done, failed and missing."""
     counts = {
-        "done": len(survey.done), "failed": len(survey.failed), "missing": len(survey.missing),
+        "done": len(survey.done), "failed": len(survey.statuses), "missing": len(survey.missing),
     }  # fmt: skip
     return {"total": sum(counts.values()), **counts}
 

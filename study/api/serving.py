@@ -24,7 +24,7 @@ from study.ground.errors import Fault, InputError, StoreError
 from study.harness.record import atomic_files
 from study.harness.record.document import ManifestDocument, fault_of
 from study.harness.record.record import CONVERGED, unseal
-from study.harness.record.survey import CURRENT, FileStamp
+from study.harness.record.store import CURRENT, FileStamp
 from study.reporting.content.text import clean, slug
 from study.reporting.output.page import (
     StudyProgress,

@@ -22,12 +22,12 @@ from study.harness.calibration.measured_tests import in_order, parts_of, read_te
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.runner import fit_task
 from study.harness.runner.fit_task import InverseFem
-from study.harness.runner.refinement import formal_order
 from study.harness.runner.response import in_shown_units
 from study.harness.runner.staged_fit import FitPart, Predict, Progress, StagedSearch, single_stage
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.identifiability import fitted_rows
 from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.forward.formal_order import formal_order
 from study.mechanics.setup.setup import MESH_LEVELS
 from study.statistics.convergence.grid_convergence import grid_convergence
 

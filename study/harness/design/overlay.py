@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -128,7 +127,7 @@ def lay(tables: Table, settings: Table) -> dict[str, object]:
     A key takes away what cannot stand beside it: ``mesh`` a ``mesh_size`` (and the other
     ways round), a shape the sizes of another shape, an energy the constants of another.
     """
-    merged = copy.deepcopy(dict(tables))
+    merged = {name: _copied(table) for name, table in tables.items()}
     for key, value in settings.items():
         _make_room(merged, key, value)
     for key, value in settings.items():
@@ -139,8 +138,15 @@ def lay(tables: Table, settings: Table) -> dict[str, object]:
             if not isinstance(inner, dict):
                 inner = node[part] = {}
             node = inner
-        node[last] = copy.deepcopy(value)
+        node[last] = _copied(value)
     return merged
+
+
+def _copied(value: object) -> object:
+    """Copy of a value as a file has it, in less than half the time of :func:`copy.deepcopy`."""
+    if isinstance(value, dict):
+        return {key: _copied(inner) for key, inner in value.items()}
+    return [_copied(inner) for inner in value] if isinstance(value, list) else value
 
 
 def _make_room(merged: dict[str, object], key: str, value: object) -> None:
