@@ -373,9 +373,12 @@ class LoadPath:
 
         What is missed where no more can be added, or after the last round, is said in the message.
         """
+        failed = set[float]()  # their intervals stay, and so would what was found there
         for _ in range(_ROUNDS):
-            added = [self._insert(place_mm) for place_mm in self.logbook.coarse_intervals(error)]
-            if not any(added):
+            places = [mm for mm in self.logbook.coarse_intervals(error) if mm not in failed]
+            added = [mm for mm in places if self._insert(mm)]
+            failed.update(set(places).difference(added))
+            if not added:
                 return
 
     def _insert(self, displacement: float) -> bool:
