@@ -486,7 +486,7 @@ def refitted(task: FitTask) -> FitResult:
     names = tuple(base.fit["names"])
     start = np.array([base.constants[name] for name in names])
     parts = parts_of(task)
-    models = [_Remembering(model) for model in models_of(parts, names)]
+    models = models_of(parts, names)
     predicted = [curve for model in models for curve in model(start)]
     points = sum(len(curve) for curve in task.measured)
     share = points / max(1, points - len(names))
@@ -531,19 +531,3 @@ def _drawn(measured: Curve, residuals: Residuals, seed: int, number: int) -> Cur
     name = digest([measured.displacement_mm.tolist(), measured.force_N.tolist()], 16)
     random = np.random.default_rng([seed, int(name, 16), number])
     return Curve(measured.displacement_mm, resampled(residuals, random))
-
-
-class _Remembering:
-    """A model that does not solve again for the constants it was last asked for."""
-
-    def __init__(self, model: Predict) -> None:
-        self._model = model
-        self._values = b""
-        self._curves: list[Curve] = []
-
-    def __call__(self, values: Array) -> list[Curve]:
-        """Predict the curves at constants in MPa."""
-        if values.tobytes() != self._values:
-            self._curves = self._model(values)
-            self._values = values.tobytes()
-        return self._curves
