@@ -306,10 +306,13 @@ class LoadPath:
 
         What is missed where no more can be added, or after the last round, is said in the message.
         """
+        failed = set[float]()  # intervals that took no step: another try would fail again
         for _ in range(_ROUNDS):
-            curve = self._curve(self._balance()[1])
-            added = [self._insert(place_mm) for place_mm in curve.coarse_intervals(error)]
-            if not any(added):
+            coarse = self._curve(self._balance()[1]).coarse_intervals(error)
+            places = [mm for mm in coarse if mm not in failed]
+            added = [mm for mm in places if self._insert(mm)]
+            failed.update(set(places).difference(added))
+            if not added:
                 return
 
     def _insert(self, displacement: float) -> bool:
