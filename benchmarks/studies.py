@@ -30,7 +30,7 @@ from study.harness.execution.local import Loky
 from study.harness.record.store import Store
 from study.harness.runner.batch import manifest_of, run_batch
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import CaseTask
+from study.harness.runner.job import CaseJob
 from study.harness.runner.tasks import processes
 from study.mechanics.forward.closed_form import compression
 from study.mechanics.material.material import Material
@@ -301,7 +301,7 @@ def idle_parts(folder: Path, jobs: int) -> dict[str, Callable[[], object]]:
     }
 
 
-def do_nothing(task: CaseTask) -> dict[str, object]:
+def do_nothing(task: CaseJob) -> dict[str, object]:
     """Answer a case without solving it: a task for a worker."""
     record = task.record("converged", "")
     return {"status": record.status, "message": "", "record": record.to_json()}

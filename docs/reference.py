@@ -13,22 +13,21 @@ from pathlib import Path
 import gallery_pictures
 
 import study
-from study.ground import units
+from study.ground import declaration, units
 from study.harness.design import study_file
 from study.harness.design.layout_kinds import LAYOUTS
 from study.mechanics.measurement.measurement_section import MeasurementSpec
-from study.mechanics.setup import declaration
 from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS
 from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_section import TestSection
+from study.mechanics.setup.test_kind import Test
 
 HERE = Path(__file__).parent
 #: Header of a table in a file, and the class that declares its keys.
 TABLES: tuple[tuple[str, type], ...] = (
     ("[study]", study_file.StudyTable),
     *((f'[specimen] with shape = "{name}"', kind) for name, kind in SPECIMENS.items()),
-    ("[test]", TestSection),
+    ("[test]", Test),
     *((f'indenter with shape = "{name}"', kind) for name, kind in INDENTERS.items()),
     ("[model]", Model),
     ("[measurements]", MeasurementSpec),

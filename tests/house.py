@@ -111,7 +111,8 @@ def declared(root: Path) -> set[str]:
 
 def undeclared_imports(root: Path) -> set[str]:
     """Packages that are imported and not declared."""
-    known = declared(root) | set(sys.stdlib_module_names) | {"study"}
+    # matplotlib brings mpl_toolkits with it
+    known = declared(root) | set(sys.stdlib_module_names) | {"study", "mpl_toolkits"}
     return {
         f"{path}: {name}"
         for path, tree in trees(root)

@@ -23,8 +23,9 @@ from itertools import product
 import numpy as np
 
 from study.ground.arrays import Array
-from study.harness.runner.refinement import formal_order, series_sizes
+from study.harness.runner.refinement import series_sizes
 from study.mechanics.forward.contact_law import Layer, force_law
+from study.mechanics.forward.formal_order import formal_order
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Indenter, Sphere

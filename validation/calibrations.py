@@ -10,6 +10,9 @@ for each kind of noise. Their force is that of a mesh three times finer than any
 meshes are taken in turn. It prints how often the 95 % interval of C10, noise and mesh together,
 holds the truth. Offsets are drawn in ``tests/calibration/test_nuisance.py``, eight specimens in
 ``tests/calibration/test_random_effects.py``.
+
+``python -m validation.calibrations drift 20`` draws so many tests of each of four solids with and
+without a load cell that drifts by 5 % of the largest force, and prints how often that is told.
 """
 
 from __future__ import annotations
@@ -27,8 +30,13 @@ import numpy as np
 
 import study
 from study.ground.arrays import Array
+from study.ground.curve import Curve
 from study.harness.calibration.model_comparison import choose
 from study.harness.design.load import load_calibration
+from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.lack_of_fit import adequacy
+from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.forward.finite_element import solve
 from study.mechanics.material.homogeneous import response
 from study.mechanics.material.material import Material
@@ -162,13 +170,49 @@ def coverage(draws: int) -> None:
             print(f"bonded, {kind} noise: {_covered(draws, of_mesh(kind))}", flush=True)
 
 
+#: solids of the drift: energy, constants in MPa, largest elongation over the length
+DRIFTING: tuple[tuple[str, dict[str, float], float], ...] = (
+    ("neo-hookean", {"C10": 0.015}, 0.5),
+    ("neo-hookean", {"C10": 0.015}, -0.3),
+    ("reduced-polynomial", {"C10": 0.015, "C20": 0.003}, 1.0),
+    ("mooney-rivlin", {"C10": 0.01, "C01": 0.005}, -0.3),
+)
+
+
+def drift(draws: int) -> None:
+    """Print how often a drift in proportion to time is told, and how often one is that is none."""
+    rng = np.random.default_rng(1)
+    cases = product((0.05, 0.0), DRIFTING, (40, 100), (("white", 0.002), ("white", 0.01),
+                    ("correlated", 0.01), ("proportional", 0.03)))  # fmt: skip
+    for size, (model, constants, end), rows, (kind, level) in cases:
+        names, d = tuple(constants), np.linspace(abs(end) / rows, abs(end), rows)
+        sign = np.sign(end)
+
+        def predict(values: Array, model: str = model, names: tuple[str, ...] = names,
+                    d: Array = d, sign: float = sign) -> list[Curve]:  # fmt: skip
+            material = Material(model, dict(zip(names, values, strict=True)), incompressible=True)
+            state = response(material, "uniaxial", 1 + sign * d)
+            slopes = {name: sign * slope for name, slope in state.gradient.items()}
+            return [Curve(d, sign * state.stress, force_gradient=slopes)]
+
+        truth, named = np.array(list(constants.values())), 0
+        force = predict(truth)[0].force_N
+        drifted = force + size * force.max() * np.linspace(0, 1, rows)
+        for _ in range(draws):
+            measured = [MeasuredCurve("a", Curve(d, drifted + noise(kind, force, level, rng)))]
+            done = with_serial_correlation(fit(predict, measured, names, 0.9 * truth), measured)
+            named += "drifts by" in adequacy(done, measured).sentence
+        print(f"{model} to {100 * end:.0f} %, {rows} rows, {kind} noise of {100 * level:g} %, "
+              f"drift of {100 * size:g} %: told in {named} of {draws}", flush=True)  # fmt: skip
+
+
 def main() -> None:
     """Print what the arguments ask for."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("what", choices=("energies", "coverage"))
+    parser.add_argument("what", choices=("energies", "coverage", "drift"))
     parser.add_argument("draws", type=int)
     asked = parser.parse_args()
-    (energies if asked.what == "energies" else coverage)(asked.draws)
+    {"energies": energies, "coverage": coverage, "drift": drift}[asked.what](asked.draws)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from numpy.random import Generator
 
 from study.api import folders
 from study.cli.app import VERBS, run
-from study.harness.design.diagnostics import dump_toml
+from study.ground.diagnostics import dump_toml
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from validation.fuzz_inputs import (

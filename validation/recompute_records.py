@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from study.ground.declaration import table_of
 from study.ground.errors import InputError
 from study.harness.design.study_file import simulated_at
 from study.harness.record.document import CurveKey
-from study.mechanics.setup.declaration import table_of
 
 Config = Mapping[str, Any]
 
@@ -132,8 +132,7 @@ def _is_of_a_curve(name: str) -> bool:
 def _sticks(config: Config) -> bool:
     """Whether an indenter holds what it touches where it meets it: load steps matter then."""
     from study.harness.design.cell import CellProblem
-    from study.mechanics.setup.test_kind import IndenterContact
-    from study.mechanics.setup.test_kinds import TEST_KINDS
+    from study.mechanics.setup.test_kind import TEST_KINDS, IndenterContact
 
     made = CellProblem.of(config).setup.test.to_depth(1.0)
     contacts = TEST_KINDS[made.kind].contacts(made)
@@ -158,7 +157,7 @@ def _unfit(record: Any) -> str:
 
 
 def _plain(config: Config) -> dict[str, Any]:
-    from study.harness.design.cell import plain
+    from study.ground.canonical import plain
 
     made: dict[str, Any] = plain(config)
     return made

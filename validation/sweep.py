@@ -181,12 +181,12 @@ def _uncertainty(
     problem: Problem, values: Sequence[float], sizes: Sequence[float]
 ) -> tuple[str, float | None]:
     """Behaviour of a series and uncertainty on its coarsest mesh; it rests on the public GCI."""
-    from study.harness.runner.case_series import half_width, steps
-    from study.harness.runner.refinement import formal_order
+    from study.harness.runner.case_series import CaseSeries
+    from study.mechanics.forward.formal_order import formal_order
 
     if len(values) < 2:
         return "one mesh", None
-    return half_width(values, steps(sizes, RATIO), formal_order(problem).order)
+    return CaseSeries((), RATIO).half_width(values, sizes, formal_order(problem).order)
 
 
 def verdict(found: Mapping[str, Any]) -> str:

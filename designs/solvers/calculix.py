@@ -35,15 +35,14 @@ FORCE = re.compile(r"total force .* for set TOP and time\s+(\S+)")
 def deck(problem: dict) -> str:
     """Text of the input file."""
     # the mesh generator takes a second to load, and the curve does not need it
+    from study.harness.design.cell import CellProblem
     from study.mechanics.mesh.mesher import build_mesh
-    from study.mechanics.setup.setup import Setup
 
     model, test, material = problem["model"], problem["test"], problem["material"]
     kind = ELEMENTS.get((model["element_order"], model["element_shape"], model["formulation"]))
     if kind is None or model["space"] != "axisymmetric" or test["kind"] != "compression":
         sys.exit("ERROR: this adapter knows compression in CAX4, CAX8, CAX8R and CAX6 alone")
-    setup = Setup.of({"specimen": problem["specimen"], "test": test, "model": model})
-    mesh = build_mesh(setup)
+    mesh = build_mesh(CellProblem.of(problem).setup)
     points, cells = mesh.points, mesh.cells
     if model["element_order"] == "quadratic":
         points, cells = with_midsides(points, cells)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from study.ground.curve import Curve
-from study.harness.design.diagnostics import flatten
+from study.ground.diagnostics import flatten
 from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.runner.batch import notes_of
 from study.harness.runner.case_series import stored_convergence
@@ -242,7 +242,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
     outcome = "pass" if not study.failed and not missing else "caution"
     consequence = "no effect rests on a part of the cases"
     if outcome != "pass":
-        consequence = "cells that failed are not missing at random"
+        consequence = "cases that fail are not missing at random: effects may be biased"
     yield Check(
         "every case has an answer",
         outcome,
@@ -257,32 +257,54 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         yield Check("what the chosen cells tell apart", "caution", scheme.summary, mixed)
     fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
     if fits:
-        yield from _checks_of_fits(list(fits.values()))
+        yield from _checks_of_fits(fits, _names_of_fits(study))
     yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
 
 
-def _checks_of_fits(fits: Sequence[Mapping[str, Any]]) -> Iterator[Check]:
+def _names_of_fits(study: StudyResult) -> dict[str, str]:
+    """Levels, block and specimen of each fit by its key."""
+    entering = calibration_factors(study.design)
+    return {
+        fit["key"]: ", ".join(
+            [*(level for name, level in record.levels.items() if name in entering)]
+            + ([record.block] if record.block else [])
+            + ([f"specimen {specimen}"] if specimen != "all" else [])
+        )
+        for record in reversed(study.plain)
+        for specimen, fit in (record.fit or {}).items()
+    }
+
+
+def _checks_of_fits(
+    fits: Mapping[str, Mapping[str, Any]], names: Mapping[str, str]
+) -> Iterator[Check]:
     """Say how many fits describe their rows, determine their constants, and are stable."""
-    of = f"of {len(fits)} calibrations"
+    of, every = f"of {len(fits)} calibrations", fits.values()
     bad, doubtful = (
-        [fit for fit in fits if fit.get("verdict") == verdict]
+        [fit for fit in every if fit.get("verdict") == verdict]
         for verdict in ("does not describe", "doubtful")
     )
     if bad or doubtful:
+        first = (bad or doubtful)[0]
+        named = names[first["key"]] or "the only one"
+        use = f"check {count(len(doubtful), 'doubtful fit')}, for example {named}"
+        if bad:
+            missed = f"{count(len(bad), 'fit')} that missed the data"
+            use = f"use no constant of {missed}, such as {named}"
         yield Check(
             "fits describe their data", "caution",
             f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows, {len(doubtful)} are "
-            f"doubtful, {len(bad)} do not",
-            f"of the first, {(bad or doubtful)[0]['misfit']}",
+            f"doubtful, {len(bad)} do not; of {named}, {first['misfit']}",
+            use,
         )  # fmt: skip
-    vague = [fit for fit in fits if not fit["identifiable"]]
+    vague = [fit for fit in every if not fit["identifiable"]]
     yield Check(
         "constants are identifiable", "caution" if vague else "pass",
         f"{len(fits) - len(vague)} {of} determine every constant",
         "a constant that the data do not determine has no meaning of its own; the force curve and "
         "the initial shear modulus have" if vague else "each has a meaning of its own",
     )  # fmt: skip
-    loose = [fit for fit in fits if not fit.get("stable", True)]
+    loose = [fit for fit in every if not fit.get("stable", True)]
     finding = f"{len(fits) - len(loose)} {of} are stable over the range"
     use = "they may be used over the range of their test"
     if loose:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from study.harness.calibration.model_comparison import EnergyChoice, ModelComparison
     from study.harness.design.calibration_section import CalibrationDesign
     from study.harness.runner.staged_fit import FitStep
-    from study.mechanics.indentation.indentation_modulus import FittedCurve
+    from study.mechanics.indentation.indentation_modulus import CurveModulus
     from study.reporting.content.blocks import Block as ResultBlock
     from study.reporting.figures.axes import Drawing
     from study.reporting.figures.curve_figures import FitPanel
@@ -66,7 +66,7 @@ def panels_of(found: CalibrationResult) -> list[FitPanel]:
             any(
                 one.specimen.recording.directions > 1
                 for one in curve.measured.tests
-                if one.specimen is not None and one.specimen.recording is not None
+                if one.specimen.recording is not None
             ),
         )
         for curve in found.curves
@@ -81,7 +81,7 @@ def recording_points(found: CalibrationResult) -> pd.DataFrame:
     for number, curve in enumerate(found.curves, 1):
         for k, test in enumerate(curve.measured.tests, 1):
             rows = test.specimen
-            if rows is None or rows.recording is None:
+            if rows.recording is None:
                 continue
             branch = np.empty(rows.fate.size, dtype=object)
             for phase in rows.phases:
@@ -401,10 +401,9 @@ def save_moduli(found: AnalyticCalibration, folder: Path) -> None:
     write_atomic(folder / "moduli.csv", out.getvalue().encode())
 
 
-def _row(curve: FittedCurve) -> list[object]:
-    one = curve.found
+def _row(one: CurveModulus) -> list[object]:
     low, high = one.interval_MPa or (None, None)
     moduli = [one.modulus_MPa, one.error_MPa, low, high]
     shown = ["" if v is None else f"{1e3 * v:.10g}" for v in moduli]
     contact = "" if one.contact_mm is None else f"{one.contact_mm:.10g}"
-    return [curve.label, one.status, *shown, contact, one.rows, one.rows_outside]
+    return [one.label, one.status, *shown, contact, one.rows, one.rows_outside]

@@ -15,8 +15,7 @@ from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.load import load, loads
 from study.harness.record.document import ManifestDocument
 from study.harness.record.record import Record
-from study.harness.record.store import Store
-from study.harness.record.survey import differences
+from study.harness.record.store import Store, differences
 from study.harness.runner.batch import manifest_of, read_truths
 from study.harness.runner.expansion import expand
 from study.harness.runner.provenance import versions

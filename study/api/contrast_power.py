@@ -12,9 +12,8 @@ from study.api.folders import RESULTS, design_root, load_design
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.spec import Design
 from study.harness.design.study_file import ResponseSpec
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
-from study.harness.runner.tasks import default_jobs
+from study.harness.runner.tasks import Costs, default_jobs
 from study.statistics.analysis import linear_contrast
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.analysis_result import AnalysisResult

@@ -22,13 +22,21 @@ from study.harness.record.store import Store
 from study.harness.runner import provenance, study_refinement
 from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed
-from study.harness.runner.case_series import refine_cases, refine_within, stored_convergence
+from study.harness.runner.case_series import (
+    refine_cases,
+    refine_within,
+    stored_convergence,
+)
 from study.harness.runner.expansion import expand
-from study.harness.runner.judgement import SeriesJudgement, cost_fronts, meshes, refined_and_judged
-from study.harness.runner.refinement import FormalOrder
+from study.harness.runner.refinement import (
+    SeriesJudgement,
+    cost_fronts,
+    meshes,
+    refined_and_judged,
+)
 from study.harness.runner.solve_task import by_workers, in_process, kept, slug, store_of
-from study.harness.runner.study_uncertainty import uncertainties
 from study.harness.runner.tasks import default_jobs, processes
+from study.mechanics.forward.formal_order import FormalOrder
 from study.mechanics.setup.setup import Tables
 from study.reporting.figures.axes import shown
 from study.reporting.output.convergence_page import series_blocks, write_convergence
@@ -129,7 +137,7 @@ def measured_cells(
     whole = expand(design, data)
     work = whole.plain()
     store, seconds = Store(own_folder(results, design.name)), design.converge.budget_s
-    every = study_refinement.every_series(work, study_refinement.every_cell(work), {})
+    every = study_refinement.every_series(work)
     finer = sum(len(case_series.jobs) - 1 for case_series in every)
     limit = "" if seconds is None else f", as many as {seconds:g} s allow"
     progress(f"{len(every)} cells, {finer} refined cases besides{limit}")
@@ -143,7 +151,7 @@ def measured_cells(
     else:
         refine_within(seconds, jobs, every, compute)
     series = [case_series for case_series in every if len(case_series.records) > 1]
-    rows = [asdict(row) for row in uncertainties(work, series)]
+    rows = [asdict(row) for row in study_refinement.uncertainties(work, series)]
     with store.lock():
         store.write_json("numerical-cells", {"of": digest(whole.input_hashes), "rows": rows})
     judged = [case_series.judge(design.converge, work.responses) for case_series in series]

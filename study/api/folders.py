@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.design.cell import CellProblem
@@ -16,7 +17,6 @@ from study.harness.record.document import ManifestDocument
 from study.harness.record.store import Store
 from study.harness.runner import provenance
 from study.harness.runner.provenance import data_root
-from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.setup import Tables
 
 RESULTS = Path("results")

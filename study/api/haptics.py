@@ -23,9 +23,8 @@ from study.harness.record.atomic_files import write_atomic
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner import provenance
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import cases_by_id
-from study.harness.runner.tasks import default_jobs
+from study.harness.runner.tasks import Costs, default_jobs
 from study.laboratory.haptics.haptic_export import (
     TOLERANCE,
     ForceLaw,

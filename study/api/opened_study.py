@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ from study.api.analyzing import adjusted, scored_on
 from study.api.assemble import report_data
 from study.api.folders import RESULTS, finished_manifest, results_folder
 from study.ground.errors import Fault, InputError, StudyError, nearest
-from study.harness.design.load import loads
+from study.harness.design.load import dump, loads
 from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Design
 from study.harness.record.document import (
@@ -31,9 +32,9 @@ from study.harness.runner.record_analysis import (
     analyze_records,
     different_answers,
     is_numeric,
+    stored_numerical,
     surfaces,
 )
-from study.harness.runner.study_uncertainty import stored_numerical
 from study.mechanics.measurement.conditioning import is_caution
 from study.reporting.content import (
     comparison_content,
@@ -127,7 +128,7 @@ class Study(Shown, StudyResult):
         for item in facts(data):
             for effect in item.effects:
                 if effect.verdict == NOT_RESOLVED or refused(effect):
-                    yield Sentence(effect_words.verdict(effect, item, data.labels))
+                    yield Sentence(effect_words.open_verdict(effect, item, data.labels))
             if (table := contrasts(item)) is not None:
                 yield replace(table, name=f"{item.title}: asked for", note="")
 
@@ -164,11 +165,19 @@ def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bo
     InputError
         If there are none.
     """
-    folder = results_folder(path, results)
+    return opened(results_folder(path, results), tell_unfinished=tell_unfinished)
+
+
+def opened(folder: Path, ended: Design | None = None, *, tell_unfinished: bool = True) -> Study:
+    """Open a study; the design of a run that has just ended is not read and resolved again."""
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
     manifest = finished_manifest(store)
-    design = loads(manifest["design"], manifest["source"])
+    if ended is not None and dump(ended) == manifest["design"]:
+        design = copy.copy(ended)  # with its cells, as it would be read
+        vars(design).update(source=manifest["source"], text=manifest["design"])
+    else:
+        design = loads(manifest["design"], manifest["source"])
     cases = cases_by_id(design, manifest["blocks"])
     stored = store.records(manifest["cases"])
     records = relabeled(stored, design, cases)
@@ -242,7 +251,7 @@ def count_cases(study: Path | StudyResult) -> int:
 def unfinished_note(store: Store, later: ManifestDocument) -> str:
     """Say that what is shown is the last finished run, and how far the later one is."""
     counted = Store(store.path).survey(later["cases"])
-    done, total = len(counted.done) + len(counted.failed), len(later["cases"])
+    done, total = len(counted.entries), len(later["cases"])
     return (
         f"this is the last finished run; one of an edited design has computed {done} of its "
         f"{total} cases: run {later['source']} again to finish it"

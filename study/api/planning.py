@@ -18,6 +18,7 @@ from study import api
 from study.api.comparison import run_changes
 from study.api.folders import RESULTS, design_root, finished_manifest, load_design, results_folder
 from study.ground.canonical import Keyed
+from study.ground.declaration import values_of
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.overview import Augmentation, Overview, further_cells, overview
 from study.harness.design.spec import Design
@@ -26,11 +27,10 @@ from study.harness.record.record import write_csv
 from study.harness.record.store import Store
 from study.harness.runner.adaptive_cells import continued
 from study.harness.runner.batch import missing, open_fits
-from study.harness.runner.cost import Costs, program_calls
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
-from study.harness.runner.tasks import default_jobs
+from study.harness.runner.tasks import Costs, default_jobs, program_calls
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -132,8 +132,7 @@ class Plan(Keyed):
         rule = self.design.scheme.sequential
         if rule is None:
             return super().keyed()
-        keys = ("start", "batch", "budget", "until", "q2", "seed")
-        adaptive = {key: getattr(rule, key) for key in keys}
+        adaptive = {k: v for k, v in values_of(rule).items() if k not in ("kind", "added")}
         return super().keyed() | {"adaptive": {**adaptive, "most_seconds": self.most_seconds}}
 
 
@@ -177,9 +176,9 @@ def _counted(
     plain = work.plain()
     # cells of the spaces' control that have no solution yet
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    controls = upcoming(plain, store.on_demand(hashes), store)
+    controls = upcoming(plain, store.by_case(hashes), store)
     seconds = costs.total_seconds(fits, todo, workers)
-    if not own_series(plain, {}):  # else the cells themselves are a series of meshes
+    if not own_series(plain):  # else the cells themselves are a series of meshes
         finer = missing(refinement_work(plain), store)
         seconds += Costs().total_seconds(open_fits(finer, store), finer, workers)
     each = Costs()

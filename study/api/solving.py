@@ -89,7 +89,7 @@ class SolvedProblem(Shown, Keyed, Solution):
             "message": self.message,
             **curve.as_dict(),
             "force_gradient": curve.force_gradient,
-            "parameters": {} if self.warm is None else self.warm.values,
+            "parameters": {} if self.warm is None else self.warm.system.material.constants,
             **super().keyed(),
             "energy": {
                 "stored_Nmm": energy.stored_Nmm,

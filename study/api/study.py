@@ -25,7 +25,7 @@ from study.api.folders import (
     load_design,
     results_folder,
 )
-from study.api.opened_study import Study, count_cases
+from study.api.opened_study import Study, count_cases, opened
 from study.api.opened_study import load as load_study
 from study.api.planning import noted_progress
 from study.api.predicting import Permission
@@ -59,8 +59,8 @@ from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed, externals
 from study.harness.runner.provenance import placed_files, versions
 from study.harness.runner.record_analysis import effects_by_depth
-from study.harness.runner.study_uncertainty import compare_spaces, validate
-from study.harness.runner.study_uncertainty import refine as refine_study
+from study.harness.runner.study_refinement import compare_spaces, validate
+from study.harness.runner.study_refinement import refine as refine_study
 from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.reporting.figures.axes import load_libraries
@@ -84,6 +84,8 @@ MANY_CASES = 200
 class _Clock:
     parts: dict[str, float] = field(default_factory=dict)
     last: float = field(default_factory=time.monotonic)
+    #: What was run.
+    design: Design | None = None
 
     def mark(self, name: str) -> None:
         now = time.monotonic()
@@ -206,6 +208,7 @@ def run(
                 lambda design: expand(design, root, allowed),
             )  # fmt: skip
             _finish(store, work, clock.parts, computed)
+            clock.design = work.design
             warnings += mixed_meshes(work, store)
     if confirm:
         unconfirmed, may = load_study(store.path), Permission(data, allowed, progress)
@@ -301,7 +304,7 @@ def report(
     extra_warnings : sequence of str
         Warnings to be printed with those of the study.
     began : optional
-        Clock of the run that the report ends.
+        Clock and design of the run that the report ends.
 
     Returns
     -------
@@ -324,7 +327,7 @@ def report(
             study = (
                 Study.of(study_before)
                 if isinstance(study_before, StudyResult)
-                else load_study(study_before)
+                else opened(study_before, clock.design)
             )
         if beside is not None:
             study = replace(study, beside=compare(study, load_study(beside, results)))

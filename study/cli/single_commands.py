@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from study.laboratory.sensors.requirement import SensorRequirement
     from study.mechanics.indentation.indentation_modulus import (
         AnalyticCalibration,
-        FittedCurve,
+        CurveModulus,
         IndentationModulus,
         MedianEstimate,
     )
@@ -193,8 +193,8 @@ def inspection_blocks(found: Inspection) -> Iterator[Block]:
     names += "" if found.unit_line is None else f", units in line {found.unit_line}"
     yield Verbatim(
         f"{found.file}: {found.encoding}, delimiter {found.delimiter}, decimal mark "
-        f"{found.decimal!r}{names}, {found.rows} rows in lines {found.lines[0]} to "
-        f"{found.lines[1]}"
+        f"{found.decimal!r}{names}, {found.rows} rows in lines {found.first_line} to "
+        f"{found.last_line}"
     )
     if found.sheets:
         yield Verbatim(f"sheets: {', '.join(found.sheets)}")
@@ -213,10 +213,10 @@ def inspection_blocks(found: Inspection) -> Iterator[Block]:
         },
     )
     for phase in found.phases:
-        far, hard = (f"{a:.6g} to {b:.6g}" for a, b in zip(phase.start, phase.end, strict=True))
-        lines = f"{phase.lines[0]} to {phase.lines[1]}"
-        units = found.units
-        yield Verbatim(f"{phase.phase}: lines {lines}, {far} {units[0]}, {hard} {units[1]}")
+        ends = zip(phase["from"], phase["to"], strict=True)
+        far, hard = (f"{a:.6g} to {b:.6g}" for a, b in ends)
+        lines, units = "{} to {}".format(*phase["lines"]), found.units
+        yield Verbatim(f"{phase['phase']}: lines {lines}, {far} {units[0]}, {hard} {units[1]}")
     yield from (Verbatim(f"note: {note}") for note in found.notes)
     yield Verbatim(f"\n{found.toml}")
 
@@ -350,20 +350,20 @@ def _moduli(test: IndentationModulus) -> Iterator[Block]:
         ),
     }
     yield Table.of(title, [] if test.estimate is None else [test.estimate], of_median)
-    columns: dict[str, Callable[[FittedCurve], str]] = {
+    columns: dict[str, Callable[[CurveModulus], str]] = {
         "curve": lambda curve: curve.label,
         "E [kPa]": lambda curve: general(
-            None if curve.found.modulus_MPa is None else 1e3 * curve.found.modulus_MPa, 5
+            None if curve.modulus_MPa is None else 1e3 * curve.modulus_MPa, 5
         ),
-        "95 % interval": lambda curve: _kilo(curve.found.interval_MPa),
+        "95 % interval": lambda curve: _kilo(curve.interval_MPa),
     }
-    if any(curve.found.contact_mm is not None for curve in test.curves):
-        columns["contact [mm]"] = lambda curve: general(curve.found.contact_mm)
+    if any(curve.contact_mm is not None for curve in test.curves):
+        columns["contact [mm]"] = lambda curve: general(curve.contact_mm)
     columns |= {
         "residual [%]": lambda curve: general(
-            None if curve.found.relative_rms is None else 100 * curve.found.relative_rms, 3
+            None if curve.relative_rms is None else 100 * curve.relative_rms, 3
         ),
-        "status": lambda curve: curve.found.status,
+        "status": lambda curve: curve.status,
     }
     yield Table.of("", test.curves[:_LISTED], columns)
     if len(test.curves) > _LISTED:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import Field, fields, is_dataclass
 from typing import ClassVar, Protocol, TypeAlias, overload
 
@@ -75,25 +75,33 @@ def plain(value: object) -> Json:
     raise TypeError(f"JSON cannot hold a {type(value).__name__}: {value!r}")
 
 
-def canonical(value: object) -> Json:
+def canonical(value: object, number: Callable[[float], Json] = float) -> Json:
     """Plain JSON values with one spelling per number: ``1`` and ``1.0`` are the same."""
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, Mapping):
         # where a file lies on this machine is no content; its sha256 stands beside it
-        return {str(k): canonical(v) for k, v in value.items() if k != "path"}
+        return {str(k): canonical(v, number) for k, v in value.items() if k != "path"}
     if isinstance(value, (list, tuple)):
         # a curve is a list of floats, which are canonical as they stand
-        only_floats = set(map(type, value)) == {float}
-        return list(value) if only_floats else [canonical(v) for v in value]
+        as_they_are = number is float and set(map(type, value)) == {float}
+        return list(value) if as_they_are else [canonical(v, number) for v in value]
     if isinstance(value, (int, float)):
-        return float(value)
+        return number(value)
     if isinstance(value, (np.ndarray, np.generic)):
-        return canonical(value.tolist())
+        return canonical(value.tolist(), number)
+    if is_dataclass(value) and not isinstance(value, type):
+        fields: dict[str, object] = vars(value)
+        return canonical(fields, number)
     raise TypeError(f"cannot hash a {type(value).__name__}: {value!r}")
 
 
 def digest(value: object, length: int = 64) -> str:
     """Hex sha256 of the canonical JSON of a value."""
-    text = json.dumps(canonical(value), sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return hashed(canonical(value), length)
+
+
+def hashed(value: Json, length: int) -> str:
+    """Hex sha256 of a value that is canonical."""
+    text = json.dumps(value, sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:length]

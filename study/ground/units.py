@@ -65,7 +65,7 @@ _TABLE: Mapping[str, Mapping[str, Decimal]] = {
     },
     "stiffness": {"N/mm": _D(1), "N/m": _D("1e-3"), "kN/m": _D(1), "kN/mm": _D(1000)},
     "work": {"N mm": _D(1), "N*mm": _D(1), "mJ": _D(1), "J": _D(1000)},
-    "area": {"mm^2": _D(1), "cm^2": _D(100), "m^2": _D("1e6"), "mm2": _D(1)},
+    "area": {"mm^2": _D(1), "cm^2": _D(100), "m^2": _D("1e6")},
     "density": {
         "kg/m^3": _D(1),
         "kg/m3": _D(1),
@@ -183,7 +183,7 @@ def converted(value: float, unit: str, into: str) -> float:
     >>> converted(1.5, "kN", "N"), converted(2.0, "g/mL", "kg/m^3"), converted(3.0, "", "")
     (1500.0, 2000.0, 3.0)
     """
-    first, second = (" ".join(one.split()) for one in (unit, into))
+    first, second = _plain(unit), _plain(into)
     if first == second or {first, second} <= {"", "1"}:
         return value
     for table in _TABLE.values():
@@ -202,10 +202,24 @@ def converted(value: float, unit: str, into: str) -> float:
         raise _fault(rule, f"write it in {second or 'a plain number'}") from error
 
 
+def agree(shown: str, declared: str) -> bool | None:
+    """Whether two units are one by value; None where the first is none of the second's kind.
+
+    Examples
+    --------
+    >>> agree("N/mm2", "MPa"), agree("kN", "N"), agree("tip", "N")
+    (True, False, None)
+    """
+    try:
+        return math.isclose(converted(1.0, shown, declared), 1.0, rel_tol=1e-9)
+    except UnitError:
+        return None
+
+
 @lru_cache(maxsize=256)
 def is_known(unit: str) -> bool:
     """Whether a word is a unit of any dimension."""
-    plain = " ".join(unit.split())
+    plain = _plain(unit)
     if any(plain in table for table in _TABLE.values()):
         return True
     if not _UNIT.fullmatch(plain.removeprefix("1/")):
@@ -230,8 +244,8 @@ def _factor(unit: str, dimension: str) -> Decimal:
     if dimension not in _TABLE:
         raise _fault(f"has no dimension {dimension!r}", nearest(dimension, _TABLE))
     table = _TABLE[dimension]
-    plain = " ".join(unit.split())
-    factor = table.get(plain.replace("²", "^2").replace("mm2", "mm^2"))
+    plain = _plain(unit)
+    factor = table.get(plain)
     if factor is not None:
         return factor
     other = next((d for d, units in _TABLE.items() if plain in units), None)
@@ -239,6 +253,11 @@ def _factor(unit: str, dimension: str) -> Decimal:
         what = f"is a {other}" if other else "is no unit"
         raise _fault(f"must be a {dimension}, {unit!r} {what}", _mend(dimension, unit=plain))
     return _from_pint(plain, dimension)
+
+
+def _plain(unit: str) -> str:
+    """Spell a unit as the table above and pint do."""
+    return " ".join(unit.split()).replace("²", "^2").replace("mm2", "mm^2")
 
 
 def _from_pint(unit: str, dimension: str) -> Decimal:

@@ -105,6 +105,17 @@ def test_welch_withdraws_what_the_pooled_variance_claims() -> None:
     assert anova(even, "y", ["a"], practical=2.5, exact=False).effect("a").verdict == NO_DIFFERENCE
 
 
+def test_two_rows_that_agree_by_chance_do_not_make_their_group_sure() -> None:
+    """Welch's interval alone would take them for the surest rows: .085 false claims, not .05."""
+    table = groups(5, (10, 2), (0.3, 0.0))
+    table.loc[10:, "y"] += [2.3, 2.35]
+    found = anova(table, "y", ["a"], practical=1.7, exact=False)
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert "Welch" in found.effect("a").why
+    tests = pd.concat([table] + [table[10:] + [0, shift] for shift in (0.3, -0.3)])
+    assert anova(tests, "y", ["a"], practical=1.7, exact=False).effect("a").verdict == MATTERS
+
+
 def test_readings_as_coarse_as_the_differences_claim_nothing() -> None:
     table = crossed(s=3, a=2)
     table["y"] = 7.0 + table["s"] + 2.0 * table["a"]  # one step more, in every block
@@ -201,28 +212,56 @@ def test_the_gate_changes_no_number(levels: dict[str, int], block: str | None) -
     assert {e.verdict for e in claims.effects if e.is_main} == {NO_DIFFERENCE}
 
 
-def test_levels_nested_with_names_of_their_own_are_strata() -> None:
+@pytest.mark.parametrize("sizes", [(4, 4, 4), (3, 4, 2)])
+def test_levels_nested_with_names_of_their_own_are_strata(sizes: tuple[int, ...]) -> None:
     """F of the upper stratum is that of the batch means, that of the lower one within batches."""
     random = np.random.default_rng(12)
     table = pd.DataFrame(
-        [(f"L{i}", f"L{i}b{j}", k) for i in range(3) for j in range(4) for k in range(5)],
+        [(f"L{i}", f"L{i}b{j}", k) for i in range(3) for j in range(sizes[i]) for k in range(5)],
         columns=["lab", "batch", "k"],
     )
-    batch = pd.Series(random.normal(0, 2, 12), index=table["batch"].unique())
-    table["y"] = table["batch"].map(batch) + random.normal(0, 0.5, 60)
+    batches = sum(sizes)
+    batch = pd.Series(random.normal(0, 2, batches), index=table["batch"].unique())
+    table["y"] = table["batch"].map(batch) + random.normal(0, 0.5, 5 * batches)
     found = anova(table, "y", ["lab", "batch"], practical=1.0, exact=False)
     means = table.groupby(["lab", "batch"])["y"].mean()
     expected = f_oneway(*(means[lab] for lab in ("L0", "L1", "L2")))
     upper, lower = found.anova.row("lab"), found.anova.row("lab:batch")
-    assert (upper.df, upper.df_error, upper.error) == (2, 9, "lab:batch")
+    assert (upper.df, upper.df_error, upper.error) == (2, batches - 3, "lab:batch")
     assert upper.f == pytest.approx(expected.statistic, rel=1e-9)
     assert upper.p == pytest.approx(expected.pvalue, rel=1e-9)
-    assert (lower.df, lower.df_error) == (9, 48)
+    assert (lower.df, lower.df_error) == (batches - 3, 4 * batches)
     within = table.groupby("batch")["y"].var().mean()
-    between = 5 * table.groupby("batch")["y"].mean().groupby(lambda b: b[:2]).var().mean()
+    scatter = table.groupby("batch")["y"].mean().groupby(lambda b: b[:2]).var()
+    between = 5 * scatter @ (np.array(sizes) - 1) / (batches - 3)
     assert lower.f == pytest.approx(between / within, rel=1e-9)
     assert sum("batch lies within lab" in note for note in found.notes) == 1
     assert any("--model lab,lab:batch" in note for note in found.notes)
+
+
+def test_a_nested_factor_that_meets_a_third_one_is_a_block_of_its_levels() -> None:
+    """Its means at two temperatures are no two batches: temperature is compared within them."""
+    random = np.random.default_rng(3)
+    levels = itertools.product(range(2), range(4), ("cold", "hot"), range(3))
+    rows = [(f"L{i}", f"L{i}b{j}", temp, k) for i, j, temp, k in levels]
+    table = pd.DataFrame(rows, columns=["lab", "batch", "temp", "k"])
+    batch = pd.Series(random.normal(0, 1, 8), index=table["batch"].unique())
+    both = pd.Series(random.normal(0, 0.3, 16), index=(table["batch"] + table["temp"]).unique())
+    table["y"] = table["batch"].map(batch) + (table["batch"] + table["temp"]).map(both)
+    table["y"] += 1.5 * (table["temp"] == "hot") + random.normal(0, 0.1, len(table))
+    found = anova(table, "y", ["lab", "batch", "temp"], error="pooled", exact=False)
+    means = table.pivot_table("y", ["lab", "batch"], "temp")
+    of_batch, change = means.mean(axis=1), means["hot"] - means["cold"]
+    lab, temp = found.anova.row("lab"), found.anova.row("temp")
+    assert (lab.error, lab.df_error) == ("lab:batch", 6)
+    expected = f_oneway(of_batch["L0"], of_batch["L1"])
+    assert (lab.f, lab.p) == pytest.approx((expected.statistic, expected.pvalue), rel=1e-9)
+    scatter = change.groupby("lab").var().mean()
+    assert temp.f == pytest.approx(8 * change.mean() ** 2 / scatter, rel=1e-9)
+    assert temp.df_error == 6
+    own = anova(table, "y", ["lab", "batch", "temp"], exact=False).anova.row("temp")
+    assert (own.f, own.error) == (pytest.approx(temp.f), "lab:batch:temp")
+    assert own.df_error < 6
 
 
 def test_an_empty_cell_leaves_what_can_be_estimated() -> None:

@@ -57,6 +57,11 @@ def test_the_override_is_obeyed_and_reported() -> None:
         anova(table.assign(s=table["rep"]), "y", ["a"], block=["rep", "s"], error="own")
     with pytest.raises(InputError, match="no block is named"):
         anova(table, "y", ["a"], error="own")
+    plots = factorial({"a": 2, "b": 3, "s": 4}, 1, 2).assign(s=lambda t: t["a"] + t["s"])
+    one = anova(plots, "y", ["a", "b"], block="s", whole_plot="a", exact=False)
+    two = anova(plots, "y", ["a", "b"], block="s", error="pooled", exact=False)
+    assert [row.term for row in one.anova.rows] == ["a", "s", "b", "a:b", "residual"]
+    assert one.anova.row("a").f == pytest.approx(two.anova.row("a").f)
     with pytest.raises(InputError, match="needs the block in which the plots lie"):
         anova(table, "y", ["a"], whole_plot="a")
     with pytest.raises(InputError, match="'aa' is no factor"):

@@ -46,12 +46,38 @@ def fitted(table: pd.DataFrame):
 
 def test_dunnett_as_scipy() -> None:
     """Both p are integrals by random numbers: scipy's to some 1e-3 of them, ours of 200,000."""
-    found = dunnett({name: np.asarray(v) for name, v in GROUPS.items()}, "a", 0.05, 1)
+    found = dunnett({name: [np.asarray(v)] for name, v in GROUPS.items()}, "a", 0.05, 1)
     theirs = scipy_dunnett(GROUPS["b"], GROUPS["c"], control=GROUPS["a"], random_state=1)
     interval = theirs.confidence_interval(0.95)
     assert [p.p for p in found.pairs] == pytest.approx(theirs.pvalue, abs=0.003)
     assert [p.lower for p in found.pairs] == pytest.approx(interval.low, abs=0.02)
     assert [p.upper for p in found.pairs] == pytest.approx(interval.high, abs=0.02)
+
+
+@pytest.mark.parametrize("count", [20, 22])
+def test_many_levels_are_compared_beside_the_other_factors(count: int, tmp_path: Path) -> None:
+    """Beyond 20 levels, whose pairs nobody reads, the scatter within cells stays the error."""
+    rng = np.random.default_rng(8)
+    rows = pd.DataFrame(
+        [(f"t{a}", f"b{b}", 50.0 * b + a % 5 + rng.normal(0, 0.5))
+         for a in range(count) for b in range(2) for _ in range(2 + b)],
+        columns=["t", "b", "y"],
+    )  # fmt: skip
+    rows.to_csv(tmp_path / "t.csv", index=False)
+    answer = study("analyze", tmp_path / "t.csv", "--response", "y", "--factors", "t,b",
+                   "--reference", "t0", "--json")  # fmt: skip
+    mean = rows.groupby(["t", "b"])["y"].mean().groupby("t").mean()
+    left = rows["y"] - rows.groupby(["t", "b"])["y"].transform("mean")
+    df = len(rows) - 2 * count
+    error = np.sqrt(left @ left / df * 2 * (1 / 2 + 1 / 3) / 4)
+    pairs = answer.json["reference"]["pairs"]
+    multiplier = [(pair["upper"] - pair["lower"]) / 2 / error for pair in pairs]
+    assert len(pairs) == count - 1
+    # R: mvtnorm::qmvt(.95, tail = "both.tails", df = 3 * count, corr = .5 between all)
+    exact = {20: 2.9908, 22: 3.0092}[count]
+    assert multiplier == pytest.approx([exact] * len(pairs), rel=0.006)
+    for pair in pairs:
+        assert pair["difference"] == pytest.approx(mean[pair["first"]] - mean["t0"])
 
 
 def test_letters_tell_apart_exactly_the_different_pairs() -> None:

@@ -17,9 +17,8 @@ from study.harness.design.spec import Design
 from study.harness.design.study_file import Practical
 from study.harness.design.study_file import ResponseSpec as Response
 from study.harness.record.record import Record, table
-from study.harness.runner.case_series import half_width
-from study.harness.runner.record_analysis import analyze_records, without_gaps
-from study.harness.runner.study_uncertainty import numerical_bound
+from study.harness.runner.case_series import CaseSeries
+from study.harness.runner.record_analysis import analyze_records, numerical_bound, without_gaps
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.convergence.contrast_bound import SeriesBounds
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
@@ -171,7 +170,7 @@ def columns_of(records: Sequence[Record]) -> list[NumericalUncertainty]:
                 NumericalUncertainty(dict(levels), NAME, None, None, "%", "not available", "")
             )
             continue
-        behaviour, u = half_width(values, sizes, ORDER, "finest")
+        behaviour, u = CaseSeries((), 1.5, "finest").half_width(values, sizes, ORDER)
         rows.append(
             NumericalUncertainty(
                 dict(levels), NAME, values[-1], u, "%", behaviour, "", sizes, values, ORDER, "known"

@@ -19,8 +19,7 @@ from study.api import serving
 from study.api.serving import Folders, StudyServer
 from study.ground.errors import InputError
 from study.harness.record.record import seal
-from study.harness.record.store import Store
-from study.harness.record.survey import FileStamp
+from study.harness.record.store import FileStamp, Store
 from tests.cli.small import DESIGN, write_files
 from tests.waiting import CAP_S
 

@@ -1,5 +1,7 @@
 """Whether a fit describes its data: rows that it must accept, and rows that it must not."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -78,6 +80,21 @@ def test_an_energy_that_is_wrong_is_told(kind, points):
         found = judged([force + errors(kind, force, 0.01, rng)], ("C10",), "neo-hookean")
         assert found.verdict != "describes"
         assert "take another energy" in found.sentence or "then the energy" in found.sentence
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_load_cell_that_drifts_by_a_twentieth_is_doubtful(sign):
+    """Constants take up most of it: C10 is 5 % off, and the interval says .2 %."""
+    predict, d = predictor("neo-hookean", ("C10",), 12.0, sign=sign, points=100)
+    force, rng = predict(np.array([15e-3]))[0].force_N, np.random.default_rng(2)
+    for drift, verdict in ((0.05, "doubtful"), (0.0, "describes")):
+        for _ in range(10):
+            read = force + drift * force.max() * np.linspace(0, 1, 100)
+            measured = [MeasuredCurve("a", Curve(d, read + errors("white", force, 0.002, rng)))]
+            found = with_serial_correlation(fit(predict, measured, ("C10",), [1e-2]), measured)
+            told = adequacy(found, measured)
+            assert told.verdict == verdict
+            assert ("drifts by" in told.sentence) == (drift > 0)
 
 
 def test_a_row_five_times_too_large_is_named():
@@ -175,3 +192,6 @@ def test_a_study_says_which_of_its_fits_do_not_describe(tmp_path):
     assert all("is off by up to" in fit["misfit"] for fit in bad)
     (check,) = [one for one in _checks(ran) if one.name == "fits describe their data"]
     assert "4 do not" in check.finding
+    # the card names the fit: energy, block and specimen, none of which is a number
+    assert re.search(r"of \w[\w-]*, [\w ]*M1, specimen A, ", check.finding), check.finding
+    assert check.consequence.startswith("use no constant of 4 fits that missed the data, such as ")

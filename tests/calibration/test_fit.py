@@ -72,14 +72,6 @@ def test_planar_data_leave_mooney_rivlin_rank_one():
     assert np.all(np.isnan(found.standard_error))
 
 
-def test_a_reduced_polynomial_is_identifiable():
-    predict, d = predictor(*RP2, depth=6.0)
-    rng = np.random.default_rng(2011)
-    found = fit(predict, virtual(predict, [7e-3, 1e-3], d, 1e-3, rng), RP2[1], [5e-3, 0.0])
-    assert found.identifiable
-    assert found.ci95[0, 0] < 7e-3 < found.ci95[0, 1]
-
-
 def test_as_many_points_as_constants():
     predict, d = predictor(*RP2, depth=9.0, points=2)
     found = fit(predict, virtual(predict, [7e-3, 1e-3], d), RP2[1], [5e-3, 0.0])
@@ -135,16 +127,6 @@ def test_points_without_weight_change_nothing():
     second = fit(predict, [MeasuredCurve("x", Curve(d, force), weight)], RP2[1], [5e-3, 0.0])
     assert second.values.tolist() == first.values.tolist()
     assert (first.n, second.n) == (50, 50)
-
-
-def test_held_out_curves_are_predicted_but_not_fitted():
-    predict, d = predictor(*RP2, depth=9.0)
-    (one,) = virtual(predict, [7e-3, 1e-3], d)
-    other = MeasuredCurve("other", Curve(d, 2 * one.curve.force_N), role="held-out")
-    found = fit(lambda v: [*predict(v), *predict(v)], [one, other], RP2[1], [5e-3, 0.0])
-    assert found.values == pytest.approx([7e-3, 1e-3], abs=1e-12)
-    assert found.n == d.size
-    assert len(found.curves) == 2
 
 
 def test_two_tests_together_identify_what_one_cannot():
@@ -257,7 +239,6 @@ def _measured(force, label="A"):
         (_measured([1.0]), "1 points cannot determine 2 constants"),
         (_measured([1, np.nan, 3]), "not finite"),
         (_measured([]), "has 0 displacements"),
-        ([MeasuredCurve("A", _measured([1, 2, 3])[0].curve, role="held-out")], "role 'fit'"),
         ([MeasuredCurve("A", _measured([1, 2, 3])[0].curve, -1.0)], "not negative"),
         ([MeasuredCurve("A", _measured([1, 2, 3])[0].curve, np.ones(2))], "2 weights for 3"),
     ],

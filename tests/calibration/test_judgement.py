@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from study.ground.curve import Curve
 from study.ground.errors import InputError, RefusedError
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.lack_of_fit import (
-    Repeated,
     agreement,
     akaike_weights,
     lack_of_fit,
@@ -15,7 +13,7 @@ from study.mechanics.calibration.lack_of_fit import (
     same_constants,
 )
 from study.mechanics.calibration.levenberg_marquardt import Status, levenberg_marquardt
-from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
+from study.mechanics.calibration.residual_function import EvaluationFailed
 from tests.calibration.cylinder import predictor, virtual
 
 RP2 = "reduced-polynomial", ("C10", "C20")
@@ -29,7 +27,7 @@ def test_lack_of_fit_is_the_textbook_f_test():
     +-0.1: 2 x 0.01 x 3 = 0.06 with 3 degrees of freedom; F = (1/3) / 0.02 = 50/3.
     """
     residual = np.array([-1 / 6, 1 / 3, -1 / 6])
-    found = lack_of_fit([Repeated(residual, np.full(3, np.sqrt(0.02)), 2)], 2)
+    found = lack_of_fit([(residual, np.full(3, np.sqrt(0.02)), 2)], 2)
     assert found is not None
     assert (found.df, found.df_error) == (1, 3)
     assert found.statistic == pytest.approx(50 / 3, rel=1e-12)
@@ -50,7 +48,7 @@ def test_lack_of_fit_keeps_its_level():
         data = rng.normal(size=(4, 20))
         mean = data.mean(axis=0)
         residual = mean - design @ np.linalg.lstsq(design, mean, rcond=None)[0]
-        found = lack_of_fit([Repeated(residual, data.std(axis=0, ddof=1), 4)], 2)
+        found = lack_of_fit([(residual, data.std(axis=0, ddof=1), 4)], 2)
         rejected += found is not None and found.p_independent < 0.05
     # two binomial standard deviations of 2000 trials are 1 point
     assert rejected / 2000 == pytest.approx(0.05, abs=0.01)
@@ -58,8 +56,8 @@ def test_lack_of_fit_keeps_its_level():
 
 def test_nothing_repeated_and_no_degrees_of_freedom():
     assert lack_of_fit([], 2) is None
-    assert lack_of_fit([Repeated(np.ones(2), np.ones(2), 3)], 2) is None
-    assert lack_of_fit([Repeated(np.ones(5), np.zeros(5), 3)], 2) is None
+    assert lack_of_fit([(np.ones(2), np.ones(2), 3)], 2) is None
+    assert lack_of_fit([(np.ones(5), np.zeros(5), 3)], 2) is None
 
 
 def test_pattern_tells_misfit_from_noise():
@@ -153,16 +151,6 @@ def test_a_search_along_an_edge_ends_there():
     assert hasty.status.usable
     assert hasty.evaluations < patient.evaluations
     assert hasty.cost <= 1.3 * patient.cost
-
-
-def test_the_reason_of_a_failure_is_told():
-    def never(_):
-        raise EvaluationFailed("stopped at 3 mm of 6 mm")
-
-    data = [MeasuredCurve("A", Curve(np.linspace(1, 9, 9), np.linspace(1, 9, 9)))]
-    found = fit(never, data, RP2[1], [5e-3, 0.0])
-    assert found.status is Status.start_failed
-    assert found.message.endswith("(stopped at 3 mm of 6 mm)")
 
 
 def kinked(x):

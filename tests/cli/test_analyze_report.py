@@ -49,7 +49,7 @@ def test_the_page_answers_first_and_shows_every_part(battery: Path) -> None:
              "methods", "provenance"]  # fmt: skip
     places = [page.index(f'<section id="{part}"') for part in parts]
     assert places == sorted(places)
-    assert page.count("<svg") == 7
+    assert page.count("<svg") == 6
     assert "Figure missing" not in first + page
     assert "http://" not in page.replace("http://www.w3.org/", "")  # nothing is loaded
     for shown in ("10,684", "39,119", "9,613.8", "18,231", "76.52", "58.26",

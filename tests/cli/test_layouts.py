@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.harness.runner.cost import _PATIENCE_S
+from study.harness.runner.tasks import _PATIENCE_S
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.solver import solution_cost
 from study.mechanics.solver.solution_cost import expected_unknowns

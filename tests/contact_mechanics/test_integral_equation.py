@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,23 +9,14 @@ from study.mechanics.forward import contact_law
 from study.mechanics.forward.contact_law import ContactForceLaw as ForceLaw
 from study.mechanics.forward.contact_law import Layer, contact_state, force_law, transform
 from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
+from tests.fem.problems import layers
 
-LAYERS = Path(__file__).resolve().parents[2] / "validation" / "layers.csv"
 HALF_SPACE = Layer(np.inf, 0.5)
 INDENTERS = [Sphere(5.0), Cone(40.0), Cone(40.0, 1.0), Flat(3.0), Flat(3.0, 0.5)]
 
 
-def punches() -> list[tuple[float, float, float]]:
-    with LAYERS.open(encoding="utf-8") as file:
-        return [
-            (float(row["ratio"]), float(row["poisson_ratio"]), float(row["value"]))
-            for row in csv.DictReader(file)
-            if row["problem"] == "punch on layer"
-        ]
-
-
-@pytest.mark.parametrize(("ratio", "nu", "kappa"), punches())
-def test_flat_punch_on_a_bonded_layer(ratio: float, nu: float, kappa: float) -> None:
+@pytest.mark.parametrize(("ratio", "nu", "kappa", "digits"), [*layers("punch on layer")])
+def test_flat_punch_on_a_bonded_layer(ratio: float, nu: float, kappa: float, digits: float) -> None:
     """Hayes' kappa; the table has six digits."""
     state = contact_state(Layer(1.0, nu), Flat(ratio), ratio)
     assert state.stiffness_mm / (2 * ratio) == pytest.approx(kappa, rel=5e-6)

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from study.ground.diagnostics import dump_toml, parse_toml
 from study.ground.errors import InputError
-from study.harness.design.diagnostics import dump_toml, parse_toml
 from study.harness.design.load import loads, loads_calibration, loads_problem
 
 FOLDER = Path(__file__).parent / "faulty_files"

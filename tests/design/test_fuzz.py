@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from study.ground.diagnostics import dump_toml, parse_toml
 from study.ground.errors import InputError
 from study.harness.design import spec
-from study.harness.design.diagnostics import dump_toml, parse_toml
 from study.harness.design.load import dump, loads, loads_calibration, loads_problem
 
 DESIGN = (Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml").read_text()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from study.ground.declaration import keys_of, written_keys
 from study.harness.design import overlay
 from study.mechanics.material.material import ENERGIES
-from study.mechanics.setup.declaration import keys_of, written_keys
 
 
 @pytest.mark.parametrize("name", overlay.PLACES)

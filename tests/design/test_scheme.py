@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from study.api.study import load_design
+from study.ground.diagnostics import Faults
 from study.ground.errors import InputError
 from study.harness.design import overview, spec
 from study.harness.design.cell import Cell
-from study.harness.design.diagnostics import Faults
 from study.harness.design.load import dump, loads
 from study.harness.design.overview import calibration_factors, inert_cells
 from study.harness.design.spec import Design, Level
@@ -122,6 +122,7 @@ def test_two_aliases_are_refused_and_one_of_them_is_analyzed() -> None:
         (RANGES, 'kind = "latin-hypercube"\nruns = 12', 12),
         (RANGES, 'kind = "sobol"\nruns = 16', 16),
         (TWO, 'kind = "sobol"\nruns = 16', 16),
+        (RANGES, 'kind = "morris"\ntrajectories = 4', 16),
         (TWO, 'zip = [["model.space", "test.interface"]]', 8),
     ],
 )

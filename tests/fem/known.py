@@ -89,6 +89,13 @@ def unit_cube(n: int, model: Model) -> tuple[Array, Array]:
     return structured.extrude(plane, faces, line)
 
 
+def unit(model: Model, n: int, material: Material) -> Body:
+    """Unit cylinder or unit cube of n cells a side."""
+    line = np.linspace(0, 1, n + 1)
+    mesh = rectangle(line, line, model) if model.space == "axisymmetric" else unit_cube(n, model)
+    return body(*mesh, model, material)
+
+
 @dataclass
 class Answer:
     """Unknowns and the internal forces at them (reactions where unknowns are held)."""

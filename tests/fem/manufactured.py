@@ -159,24 +159,6 @@ class Manufactured:
         u, gradient, p = (float(np.sqrt((square * dx).sum())) for square in squares)
         return u, gradient, p
 
-    def quantities(self, made: Body, x: Array | None = None) -> tuple[float, float, float]:
-        """Mean rise of the top, mean square of u, mean of p: exact, or of unknowns ``x``."""
-        basis, face = made.basis(), made.facet_basis(lambda X: X[-1] > 1 - 1e-9)
-        at = np.asarray(basis.global_coordinates())
-        if x is None:
-            rise = self.displacement(np.asarray(face.global_coordinates()))[-1]
-            u, p = self.displacement(at), self.pressure(at)
-        else:
-            rise = np.asarray(interpolated(made, face, x)[-1])
-            u = np.array([np.asarray(f) for f in interpolated(made, basis, x)])
-            p = pressures(made, basis, x)
-        area, dx = measure(made, face), measure(made, basis)
-        return (
-            float((rise * area).sum() / area.sum()),
-            float(((u**2).sum(axis=0) * dx).sum() / dx.sum()),
-            float((p * dx).sum() / dx.sum()),
-        )
-
     def _held(self, X: Array) -> Array:
         low = X[:, -1] < 1e-12
         if self.axisymmetric:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,8 @@ NEO_HOOKEAN = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0)
 MOONEY = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000.0)
 RP2 = Material("reduced-polynomial", {"C10": 0.5, "C20": 0.1}, bulk_modulus=1000.0)
 YEOH = Material("reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, bulk_modulus=1000.0)
+#: forces of bonded layers by series solutions
+LAYERS = Path(__file__).resolve().parents[2] / "validation" / "layers.csv"
 #: marks of what the long verification alone solves
 LONG = (pytest.mark.slow, pytest.mark.verify)
 #: gel of the reference figures: C10 = 5 kPa, K = 10 MPa
@@ -88,3 +92,21 @@ def cube(n: int, shape: str = "simplex") -> Mesh:
     plane, faces = rectangle(line, line, shape)
     points, cells = extrude(plane, faces, line)
     return irregular(Mesh(points, cells, False, 1 / n))
+
+
+def hooke(nu: float) -> Material:
+    """Small-strain solid of shear modulus 1."""
+    modulus = {"youngs_modulus": 2 * (1 + nu)}
+    if nu == 0.5:
+        return Material("linear-elastic", modulus, incompressible=True)
+    return Material("linear-elastic", modulus, poisson_ratio=nu)
+
+
+def layers(problem: str) -> Iterator[tuple[float, float, float, float]]:
+    """Ratio, Poisson's ratio, value and relative uncertainty of each entry of a table."""
+    with LAYERS.open(newline="", encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            if row["problem"] == problem:
+                names = ("ratio", "poisson_ratio", "value", "digits")
+                ratio, nu, value, digits = (float(row[name]) for name in names)
+                yield ratio, nu, value, digits

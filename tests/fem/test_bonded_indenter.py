@@ -13,8 +13,7 @@ from study.mechanics.setup.test_kind import StepSettings
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import Options
 from study.mechanics.solver.solution import Solution
-from tests.fem.answers import hooke
-from tests.fem.problems import LONG, RP2, reached, taylor_slopes
+from tests.fem.problems import LONG, RP2, hooke, reached, taylor_slopes
 from tests.fem.test_indentation import NEEDLE, indentation
 
 

@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 from study.mechanics.contact.collocation import contact_points
-from study.mechanics.contact.contact import ContactPoints, Plate
+from study.mechanics.contact.contact import ContactPoints, Plane
 from study.mechanics.element.function_space import discretize
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
@@ -154,7 +154,9 @@ def test_a_solid_needs_no_snap_under_the_needle() -> None:
 def points_of_three(middles: sp.csr_matrix) -> ContactPoints:
     nodes, ones = np.arange(3)[:, None], np.ones((3, 1))
     stiff = np.full(3, 1e3)
-    return ContactPoints(Plate(1.0, -1, 1.0), nodes, ones, np.ones(3), stiff, 1.0, middles=middles)
+    return ContactPoints(
+        Plane(1.0, -1, 1.0, 2), nodes, ones, np.ones(3), stiff, 1.0, middles=middles
+    )
 
 
 @pytest.mark.parametrize(

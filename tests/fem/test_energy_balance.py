@@ -277,3 +277,23 @@ def test_an_interpolation_that_misses_its_tolerance_is_said(
     later = solve(other, gradients=False, warm=coarse, options=Options(curve_error=1e-4))
     assert len(later.curve) == len(coarse.curve)
     assert "between its points" in later.message
+
+
+def test_a_place_at_which_no_step_can_be_added_is_tried_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried: list[float] = []
+    insert = load_path.LoadPath._insert
+
+    def insert_all_but_the_first(path: load_path.LoadPath, displacement: float) -> bool:
+        tried.append(displacement)
+        return displacement != tried[0] and insert(path, displacement)
+
+    monkeypatch.setattr(load_path.LoadPath, "_insert", insert_all_but_the_first)
+    solid = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.49)
+    test = Loading("compression", 9.0, "bonded", "bonded", steps=3)
+    problem = Problem(Cylinder(25.0, 30.0), test, solid, Model("axisymmetric", mesh_size_mm=10.0))
+    solution = solve(problem, gradients=False, options=Options(curve_error=1e-5))
+    assert solution.converged
+    assert len(tried) > 3
+    assert len(set(tried)) == len(tried)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import meshio
@@ -11,13 +10,13 @@ import pytest
 
 from study.api import solving
 from study.harness.design import plausibility
+from study.harness.design.cell import CellProblem
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Block, Cone, Cylinder
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Interface, Test
-from study.mechanics.setup.test_kinds import buckling_strain
+from study.mechanics.setup.test_kind import Interface, Test, buckling_strain
 from study.mechanics.solver.equilibrium import least_stiffness, mirrored
 from study.mechanics.solver.finite_element_solution import follow, solve
 from study.mechanics.solver.linear_solver import pardiso_available
@@ -148,11 +147,8 @@ def test_slender_columns_are_cautioned_about_before_solving() -> None:
 
     def said(height: float, share: float, interface: Interface) -> bool:
         test = Test("compression", share * height, interface, interface)
-        setup = replace(
-            _column(1.0, 1, specimen=Cylinder(5.0, height)).setup, test=test, height_mm=height,
-            model=Model(space="axisymmetric"),
-        )  # fmt: skip
-        return any("buckles" in one for one in plausibility.cautions(setup, material))
+        column = CellProblem(Cylinder(5.0, height), test, material, Model(space="axisymmetric"))
+        return any("buckles" in one for one in plausibility.cautions_of(column))
 
     assert said(20.0, 0.30, "frictionless")
     assert not said(20.0, 0.02, "frictionless")

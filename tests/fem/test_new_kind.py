@@ -12,11 +12,10 @@ import pytest
 
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.homogeneous import response
-from study.mechanics.setup import test_section
+from study.mechanics.setup import test_kind
 from study.mechanics.setup.geometry import Block, Cone, Cylinder
 from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import FaceCondition, Test
-from study.mechanics.setup.test_kinds import Compression
+from study.mechanics.setup.test_kind import Compression, FaceCondition, Test
 from study.mechanics.solver.finite_element_solution import solve
 from tests.fem.problems import reached
 
@@ -44,9 +43,7 @@ class Tension(Compression):
 
 @pytest.fixture(autouse=True)
 def tension(monkeypatch: pytest.MonkeyPatch) -> None:
-    kinds = {**test_section.TEST_KINDS, "tension": Tension(sense=1.0)}
-    monkeypatch.setattr(test_section, "TEST_KINDS", kinds)
-    monkeypatch.setattr("study.mechanics.setup.setup.TEST_KINDS", kinds)
+    monkeypatch.setitem(test_kind.TEST_KINDS, "tension", Tension(sense=1.0))
 
 
 def pulled(specimen: Cylinder | Block, depth: float, steps: int = 1, **model: object) -> Problem:
@@ -97,7 +94,7 @@ def test_a_kind_refuses_what_it_cannot_do():
 )
 def test_every_kind_of_test_holds_the_specimen(loading):
     # symmetry holds it across the axis; along the axis a face has to
-    faces = test_section.TEST_KINDS[loading.kind].faces(loading)
+    faces = test_kind.TEST_KINDS[loading.kind].faces(loading)
     assert any(face.face == "base" and face.axial == 0 for face in faces)
 
 

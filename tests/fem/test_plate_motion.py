@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
+from study.harness.runner.response import simulated
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
-from study.mechanics.solver.finite_element_solution import solve
-from study.mechanics.solver.load_path import NoEquilibrium, PrescribedMotion
+from study.mechanics.solver.finite_element_solution import NoEquilibrium, PrescribedMotion, solve
 
 from .problems import GEL
 
@@ -44,20 +44,29 @@ def test_a_wide_layer_is_sheared_by_its_modulus():
     down, shift = 1e-5, 1e-2
     thin = moved(down, FaceMotion(x_mm=shift), specimen=Block(120, 120, 3),
                  model=replace(MODEL, mesh_size_mm=15.0))  # fmt: skip
-    force = solve(thin, gradients=False).equilibria.plate[-1].side[0]
+    found = solve(thin, gradients=False)
+    force = found.equilibria.plate[-1].side[0]
     sheared = 2 * GEL.constants["C10"] * 120 * 120 * shift / 3
     # free edges do not carry the shear that acts along them: about h over the width
     assert force == pytest.approx(sheared, rel=0.02)
     assert force < sheared
+    # the same as responses of a study, on the plate and on the base
+    assert simulated("side_force", found.curve) == pytest.approx(force, rel=1e-6)
+    assert simulated("base_side_force", found.curve) == pytest.approx(force, rel=1e-6)
+    # both moments hold what the force turns by its arm of 3 mm; the axial force has one of .01 mm
+    turned = simulated("moment", found.curve) + simulated("base_moment", found.curve)
+    assert turned == pytest.approx(3 * force, rel=2e-3)
 
 
 def test_a_twisted_layer_has_its_polar_moment():
     angle = np.radians(0.5)
     thin = moved(1e-5, FaceMotion(twist_deg=0.5), specimen=Block(120, 120, 3),
                  model=replace(MODEL, mesh_size_mm=15.0))  # fmt: skip
-    torque = solve(thin, gradients=False).equilibria.plate[-1].moment[2]
+    curve = solve(thin, gradients=False).curve
     polar = 120**4 / 6
-    assert torque == pytest.approx(2 * GEL.constants["C10"] * polar * angle / 3, rel=0.05)
+    for response in ("moment", "base_moment"):
+        torque = 2 * GEL.constants["C10"] * polar * angle / 3
+        assert simulated(response, curve) == pytest.approx(torque, rel=0.05)
 
 
 def test_rates_are_those_of_neighboring_equilibria():

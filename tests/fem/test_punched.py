@@ -15,8 +15,7 @@ import pytest
 
 from study.mechanics.contact.contact import constraints
 from study.mechanics.element.function_space import discretize
-from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.mesh.perturbation import _volumes
+from study.mechanics.mesh.mesher import _volumes, build_mesh
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Block, Cylinder, Flat, Specimen
 from study.mechanics.setup.setup import Model, Problem

@@ -14,8 +14,7 @@ from scipy.linalg import cholesky, eigh, solve_triangular
 
 from study.mechanics.material.material import Material
 from study.mechanics.setup.setup import Model
-from tests.fem.answers import unit
-from tests.fem.known import Body
+from tests.fem.known import Body, unit
 from tests.fem.manufactured import Manufactured
 from tests.fem.problems import LONG, MOONEY
 from tests.fem.problems import NEO_HOOKEAN as NEARLY

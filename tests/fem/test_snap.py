@@ -11,8 +11,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Block, Cone, Flat
 from study.mechanics.solver.finite_element_solution import solve
-from study.mechanics.solver.load_path import solve_through
-from study.mechanics.solver.newton import NewtonSettings, Options
+from study.mechanics.solver.newton import NewtonSettings, Options, solve_through
 from study.mechanics.solver.system import System
 from tests.fem.problems import reached, taylor_slopes
 from tests.fem.test_indentation import NEEDLE, RUBBER, indentation

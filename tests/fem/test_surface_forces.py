@@ -261,7 +261,7 @@ def test_what_a_surface_cannot_do(block: Surface, tmp_path: Path) -> None:
     assert "highest point: nothing to bond" in said
     assert "nothing holds it" in refused(compressed(ball, 0.6, "frictionless", 1.0))
     assert "edge of a flat punch" in refused(indented(block, Flat(2), 0.3))
-    assert "6 mm is not smaller than the specimen's height" in refused(
+    assert "6 mm reaches the height of the specimen" in refused(
         compressed(block, 6.0, "frictionless", 2.0)
     )
     assert "beyond 4 mm" in refused(indented(block, Flat(5, 0.5), 0.3))

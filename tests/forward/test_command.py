@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import runpy
 import shutil
 import signal
 import subprocess
@@ -438,10 +439,8 @@ def test_hostile_answers_are_statuses_of_their_cases(folder):
     assert {record.status for record in records.values()} <= {"failed", "not-converged"}
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="needs ccx: apt-get install calculix-ccx")
-@pytest.mark.parametrize(("order", "close"), [("linear", 3e-4), ("quadratic", 1e-6)])
-def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
-    """The check case of the adapter: a wrong wedge, sign, half height or K shows here."""
+def lubricated(order: str):
+    """Problem whose closed form checks an adapter."""
     tables = {
         "specimen": {"shape": "cylinder", "radius_mm": RADIUS, "height_mm": HEIGHT},
         "test": {"kind": "compression", "interface": "frictionless", "displacement_mm": 3.75},
@@ -453,6 +452,25 @@ def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
             "mesh_size_mm": 5.0,
         },
     }
+    return CellProblem.of(tables).at()
+
+
+def test_the_adapter_of_calculix_writes_its_input_without_the_program(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    problem = exchange.request(lubricated("quadratic"), np.array([1.5, 3.75]))
+    written = runpy.run_path(str(ROOT / "designs/solvers/calculix.py"))["deck"](problem)
+    facts = json.loads((tmp_path / "facts.json").read_text())
+    nodes, elements = (written.split(key)[1].split("*")[0].count("\n") - 1
+                       for key in ("*NODE, NSET=ALL", "*ELEMENT, TYPE=CAX8"))  # fmt: skip
+    assert facts == {"elements": elements, "dofs": 2 * nodes}
+    assert elements > 0
+    assert "TOP, 2, 2, -1.875" in written  # of the half height
+
+
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="needs ccx: apt-get install calculix-ccx")
+@pytest.mark.parametrize(("order", "close"), [("linear", 3e-4), ("quadratic", 1e-6)])
+def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
+    """The check case of the adapter: a wrong wedge, sign, half height or K shows here."""
     text = (ROOT / "designs/solvers/calculix.py").read_text()
     argv = (
         ("python", "calculix.py", "deck"),
@@ -461,7 +479,7 @@ def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
     )
     said = {"version": ("ccx", "-v"), "success": "Job finished", "failure": "*ERROR"}
     made = commands(argv, {"calculix.py": text}, **said)
-    given = CellProblem.of(tables).at()
+    given = lubricated(order)
     found, document = solve_by_command(made, given, np.array([1.5, 3.75]))
     from study.mechanics.forward.closed_form import compression
 

@@ -208,9 +208,3 @@ def test_what_a_foam_cannot_be_is_told(tmp_path: Path, change: tuple[str, str], 
     path.write_text(path.read_text().replace(*change, 1))
     with pytest.raises(InputError, match=words):
         api.solve(path)
-
-
-def test_febio_has_no_such_foam(tmp_path: Path) -> None:
-    answer = study("export", str(problem(tmp_path)), "--as", "febio", "--reports", str(tmp_path))
-    assert answer.code == 2
-    assert "febio has no energy" in answer.err

@@ -112,7 +112,7 @@ UGLY: dict[str, tuple[bytes, str]] = {
     "points between thousands alone": (
         ("Weg [um];Kraft [mN]\n" + POINTS.replace(",", ".")).encode(), "tension"),
     "decimal commas in quotes between commas": (
-        ("Weg,Kraft\n" + layouts.german(QUOTED).replace('".', '",')).encode(), "tension"),
+        ("Weg_mm,Kraft_N\n" + layouts.german(QUOTED).replace('".', '",')).encode(), "tension"),
     "UTF-16 without its mark": (
         written("Weg (mm)\tKraft (N)\n", UP, force(UP), sep="\t").encode("utf-16-le"), "tension"),
     "typographic minus": (
@@ -187,8 +187,12 @@ def test_ugly_recordings_give_the_constant_behind_them(tmp_path, name):
             written("strain,stress_kPa\n", UP[:27], force(UP[:27])),
             "or per cent .a stretch of 1.039",
         ),
+        (
+            written("Weg_mm,Kraft\n", UP, 1e3 * force(UP)),
+            r"no unit of 'Kraft', 0 to \d{4}; N is the guess: write units.force = \"N\", or",
+        ),
     ],
-    ids=["unknown unit", "ratio or per cent"],
+    ids=["unknown unit", "ratio or per cent", "millinewton without a word"],
 )
 def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
     (tmp_path / "a.csv").write_text(content)
@@ -205,10 +209,11 @@ def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
     ("rows", "rule"),
     [
         (written("", UP, np.minimum(force(UP), 2.8)), "the load cell was at its limit.*range = "),
+        (written("", UP, np.where(UP > 5, 0.05, force(UP))), "the specimen tore.*range = "),
         (written("", np.r_[0, UP + 0.4], np.r_[0, force(UP)]), "displacement_zero = "),
         (written("", UP, force(UP)) + "Maximum,6.0,5.0\n", "a.csv:43: has 3 cells"),
     ],
-    ids=["saturated", "slack", "line of results"],
+    ids=["saturated", "torn to less than its first rows", "slack", "line of results"],
 )
 def test_what_no_reading_mends_is_refused_with_what_to_write(tmp_path, rows, rule):
     content = ("d_mm,f_N\n" + rows).encode()

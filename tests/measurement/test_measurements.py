@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from study.ground import bounded_file, tabular
+from study.ground.declaration import Bad
 from study.ground.errors import InputError
 from study.mechanics.measurement.measurement_section import (
     Columns,
@@ -19,7 +20,6 @@ from study.mechanics.measurement.measurement_section import (
     csv_pattern,
 )
 from study.mechanics.measurement.reading import read_measurements
-from study.mechanics.setup.declaration import Bad
 from tests.measurement.layouts import german
 from tests.record.samples import Spec
 

@@ -20,7 +20,6 @@ from study.mechanics.measurement.conditioning import (
 from study.mechanics.measurement.measured_test import (
     SOFT_MPA,
     Measurements,
-    SingleTest,
     apparent_modulus,
     checked,
 )
@@ -111,7 +110,8 @@ def test_forces_of_no_soft_material_are_told(
     made, d = setup(indenter), np.linspace(0.5, 2.5, 5)
     young = 0.05  # a silicone: factors of 10^4 leave the window, and 1000 brings them back
     unit = np.array([apparent_modulus(made, float(x), 1.0) for x in d], dtype=float)
-    test = SingleTest({}, factor * young / unit)
+    rules = Rules(MeasurementSpec(COLUMNS, points="raw"), 0.0, np.inf)
+    test = condition(d, factor * young / unit, rules, "a.csv")
     notes = checked(Measurements((test,), d, files={"a.csv": ""}), made).notes
     if hint is None:
         assert notes == ()

@@ -11,7 +11,7 @@ import pytest
 from study.ground.errors import InputError
 from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec, Units
 from study.mechanics.measurement.reading import read_measurements
-from study.mechanics.measurement.recording import Gauge, displacement_and_force
+from study.mechanics.measurement.recording import Gauge, Recording, displacement_and_force
 
 PULLED = Gauge(area_mm2=4.0, length_mm=20.0, mode="uniaxial", sense=1.0, is_homogeneous=True)
 #: elongation 5 mm and 12 N of a gauge section of 20 mm and 4 mm^2: l = 1.25, P = 3 MPa
@@ -19,13 +19,16 @@ DEFORMED = {"displacement": 5.0, "stretch": 1.25, "strain": 0.25, "true_strain":
 RESISTED = {"force": 12.0, "stress": 3.0, "true_stress": 3.0 * 1.25}
 
 
+def rows(kinematic, deformed, kinetic, resisted, gauge):
+    pair = np.array(deformed), np.array(resisted)
+    recording = Recording("a.csv", {}, *pair, quantities=(kinematic, kinetic))
+    return displacement_and_force(recording, gauge)
+
+
 @pytest.mark.parametrize("kinetic", RESISTED)
 @pytest.mark.parametrize("kinematic", DEFORMED)
 def test_every_pair_of_columns_is_the_same_curve(kinematic: str, kinetic: str) -> None:
-    d, f = displacement_and_force(
-        kinematic, np.array([DEFORMED[kinematic]]), kinetic, np.array([RESISTED[kinetic]]),
-        PULLED, "a.csv",
-    )  # fmt: skip
+    d, f = rows(kinematic, [DEFORMED[kinematic]], kinetic, [RESISTED[kinetic]], PULLED)
     assert d == pytest.approx([5.0], rel=1e-14)
     assert f == pytest.approx([12.0], rel=1e-14)
 
@@ -33,9 +36,7 @@ def test_every_pair_of_columns_is_the_same_curve(kinematic: str, kinetic: str) -
 def test_volume_and_pressure() -> None:
     """J = 0.729 is a stretch of 0.9; a pressure of 2 MPa on faces of 0.81 x 4 mm^2 is 6.48 N."""
     pressed = Gauge(4.0, 20.0, "volumetric", -1.0, True)
-    d, f = displacement_and_force(
-        "volume_ratio", np.array([0.729]), "pressure", np.array([2.0]), pressed, "a.csv"
-    )
+    d, f = rows("volume_ratio", [0.729], "pressure", [2.0], pressed)
     assert d == pytest.approx([2.0], rel=1e-12)
     assert f == pytest.approx([6.48], rel=1e-12)
 
@@ -52,9 +53,8 @@ def test_volume_and_pressure() -> None:
 def test_columns_without_meaning_are_refused(
     kinematic: str, kinetic: str, gauge: Gauge | None, words: str
 ) -> None:
-    one = np.array([1.1])
     with pytest.raises(InputError, match=words):
-        displacement_and_force(kinematic, one, kinetic, one, gauge, "a.csv")
+        rows(kinematic, [1.1], kinetic, [1.1], gauge)
 
 
 def test_rows_as_measured_of_a_text_with_comments(tmp_path: Path) -> None:
@@ -100,15 +100,11 @@ def test_a_file_without_a_header(tmp_path: Path, text: str) -> None:
     ],
 )
 def test_per_cent_taken_for_a_ratio_is_refused(kinematic, values, said) -> None:
-    uniaxial = Gauge(4.0, 20.0, "uniaxial", 1.0, True)
-    rows = np.array(values), "stress", np.array([0.0, 1.0])
     with pytest.raises(InputError, match=said) as caught:
-        displacement_and_force(kinematic, *rows, uniaxial, "a.csv")
+        rows(kinematic, values, "stress", [0.0, 1.0], PULLED)
     assert f'units = {{ {kinematic} = "%" }}' in str(caught.value)
 
 
 def test_a_stretch_of_a_tough_gel_is_none_of_per_cent() -> None:
-    uniaxial = Gauge(4.0, 20.0, "uniaxial", 1.0, True)
-    stretch, stress = np.array([1.0, 18.0]), np.array([0.0, 1.0])
-    d, _ = displacement_and_force("stretch", stretch, "stress", stress, uniaxial, "a.csv")
+    d, _ = rows("stretch", [1.0, 18.0], "stress", [0.0, 1.0], PULLED)
     assert d == pytest.approx([0.0, 340.0])

@@ -117,12 +117,7 @@ def test_results_of_other_libraries_are_found_and_count_only_if_they_may(tmp_pat
             store.write(record(name, input_hash=OLD[name], versions=versions))
         store.write_fit("f1", FIT)
     found = Store(tmp_path).other_libraries(OLD, {"python": "3.13", **now})
-    assert [(one.cases, one.changes) for one in found] == [
-        (("a1", "b2"), {"numpy": ("1.26.4", "2.2.1")})
-    ]
-    assert found[0].sentence == (
-        "2 results were made with other libraries: numpy 1.26.4, now 2.2.1"
-    )
+    assert found == ["2 results were made with other libraries: numpy 1.26.4, now 2.2.1"]
     strict = Store(tmp_path)
     strict.made_with(now, strict=True)
     assert strict.done_ids(OLD) == {"c3"}

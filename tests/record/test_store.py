@@ -145,7 +145,7 @@ def test_records_of_another_version_are_not_mixed_in(tmp_path):
 def test_failed_cases_are_done_unless_tried_again(tmp_path):
     store = run(tmp_path)
     store.write(record("a1", status="crashed", message="signal 9"))
-    assert store.survey(WANTED).failed == ("a1",)
+    assert store.survey(WANTED).statuses == {"a1": "crashed"}
     assert "a1" in store.done_ids(WANTED)
     assert "a1" not in store.done_ids(WANTED, retry=("crashed", "timeout"))
     assert "a1" in store.done_ids(WANTED, retry=("timeout",))

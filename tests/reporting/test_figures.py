@@ -41,15 +41,6 @@ def test_log_cells_are_geometric_means(data: ReportData):
     assert first["mean"] == pytest.approx(stats.gmean(data.table.loc[match, "mu0"]), rel=1e-12)
 
 
-def test_cells_are_ranked_best_first(data: ReportData):
-    frame = effect_figures.cell_points(data, facts(data)[0])
-    shown = frame.drop_duplicates("rank")
-    assert np.all(np.diff(shown["cell_mean"].to_numpy()) >= 0)
-    assert shown["copies"].sum() == 32
-    assert len(frame) == 9 * len(shown)
-    assert shown["label"].is_unique
-
-
 def test_scores_are_those_of_ryan_joiner(data: ReportData):
     frame = residual_figures.diagnostic_residual_points(facts(data)[1])
     n = len(frame)
@@ -151,38 +142,17 @@ def two_ranges(data: ReportData) -> ReportData:
     return replace(data, factors=factors, blocks=("b",), curves=tuple(pairs))
 
 
-def of_panel(found: curve_figures.CurvePanels, panel: tuple[str, str]) -> pd.DataFrame:
-    block, level = panel
-    return found.frame[(found.frame["block"] == block) & (found.frame["panel"] == level)]
-
-
 def test_every_panel_shows_its_own_measurement_to_its_end(data: ReportData):
     found = curve_figures.curve_panels(two_ranges(data))
     assert (found.line, found.panel) == ("material", "range")
-    for panel, end in zip(found.panels, (5.0, 10.0), strict=True):
-        rows = of_panel(found, panel)
+    for (block, level), end in zip(found.panels, (5.0, 10.0), strict=True):
+        rows = found.frame[(found.frame["block"] == block) & (found.frame["panel"] == level)]
         assert rows["displacement_mm"].max() == end
         # 0.2 d + 0.05 d^2, and the two materials are 10 % beside it
         assert rows["measured_N"].max() == pytest.approx(0.2 * end + 0.05 * end**2)
         assert (rows["predicted_N"] / rows["measured_N"]).dropna().round(6).isin([0.9, 1.1]).all()
     # 2.25 N and 7 N: more than a factor of three, so both axes are in percent of their own
     assert found.is_relative
-
-
-def test_lines_that_end_elsewhere_show_the_longest_measurement(data: ReportData):
-    both = two_ranges(data)
-    soft = tuple(pair for pair in both.curves if pair.levels["material"] == "soft")
-    found = curve_figures.curve_panels(
-        replace(both, curves=soft, factors={"range": ("half", "whole")})
-    )
-    assert (found.line, found.panel) == ("range", "")
-    (shown,) = curve_figures.measurements(of_panel(found, found.panels[0]))
-    assert shown["displacement_mm"].max() == 10.0
-    other = replace(soft[0], measured=Curve(np.array([0.0, 5.0]), np.array([0.0, 9.0])))
-    found = curve_figures.curve_panels(
-        replace(both, curves=(other, soft[1]), factors={"range": ("half", "whole")})
-    )
-    assert len(curve_figures.measurements(of_panel(found, found.panels[0]))) == 2
 
 
 def test_a_prediction_that_stopped_leaves_its_measurement_whole(data: ReportData):
@@ -259,9 +229,8 @@ def heights(ax: Axes) -> list[float]:
 
 def test_main_effects(data: ReportData, error: Facts):
     frame = effect_figures.level_means(error)
-    (ax,) = effect_figures.draw_level_means(frame, error, data).axes
-    assert heights(ax) == frame["mean"].tolist()
-    assert ax.get_xlabel() == ""
+    panels = effect_figures.draw_level_means(frame, error, data).axes
+    assert [y for ax in panels for y in heights(ax)] == frame["mean"].tolist()
 
 
 def test_effects_stand_at_their_multiples_of_what_matters(data: ReportData):
@@ -299,6 +268,9 @@ def test_cells(data: ReportData, error: Facts):
     first = frame.drop_duplicates("rank")
     assert means.tolist() == first[["cell_mean", "rank"]].to_numpy(float).tolist()
     assert len(ax.lines) == frame["block"].nunique()
+    assert np.all(np.diff(first["cell_mean"].to_numpy()) >= 0)
+    assert (len(first), len(frame)) == (32, 9 * 32)
+    assert first["label"].is_unique
 
 
 def test_cells_of_a_design_without_blocks_have_no_lines(data: ReportData, error: Facts):
@@ -339,24 +311,6 @@ def test_residuals(data: ReportData, error: Facts):
     # every residual once for each factor
     expected = np.sort(np.tile(frame["residual"], len(data.factors)))
     assert np.sort(drawn[:, 1]).tolist() == expected.tolist()
-
-
-def test_spread(data: ReportData, error: Facts):
-    frame = residual_figures.spread_of_cells(error, 0.05)
-    (ax,) = residual_figures.draw_spread(frame, error).axes
-    (drawn,) = points(ax)
-    assert drawn[:, 0].tolist() == frame["sd"].tolist()
-
-
-def test_contrasts():
-    once = unreplicated()
-    found = facts(once)[0]
-    frame = residual_figures.contrasts(found, once)
-    pareto, half = residual_figures.draw_contrasts(frame, found).axes
-    bars = sorted(pareto.patches, key=lambda bar: bar.get_y())
-    assert [bar.get_width() for bar in bars] == frame["size"].tolist()
-    (drawn,) = points(half)
-    assert drawn.tolist() == frame[["score", "size"]].to_numpy(float).tolist()
 
 
 # Logarithmic axes and legends.

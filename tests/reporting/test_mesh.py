@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.reporting.figures.mesh_figures import _turned, boundary_faces, picture
+from study.reporting.figures.mesh_figures import boundary_faces, picture
 
 # a unit cube of six tetrahedra around its diagonal (Kuhn's triangulation)
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -40,11 +40,6 @@ def test_two_hexahedra_share_one_face():
         # a face lies in a plane, and its corners go round it
         assert (np.ptp(corners, axis=0) == 0).sum() == 1
         assert [np.abs(corners[i] - corners[i - 1]).sum() for i in range(4)] == [1, 1, 1, 1]
-
-
-def test_the_view_is_a_rotation():
-    turned = _turned(np.eye(3))
-    assert np.allclose(turned @ turned.T, np.eye(3), atol=1e-15)
 
 
 def test_a_solid_and_a_section_are_drawn_as_vectors():

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from study.reporting.content import analysis_content, sentences, tables
-from study.reporting.content.blocks import Checks, Figure
+from study.reporting.content.blocks import Figure
 from study.reporting.content.report_facts import cells, comparable, facts
 from study.reporting.content.sentences import folded
 from study.reporting.figures import effect_figures
@@ -181,7 +181,7 @@ def test_the_answer_has_five_sentences_at_most():
 def test_the_card_says_what_each_check_means(data: ReportData):
     checks = analysis_content.all_checks(data, facts(data))
     card = study_page.report_card(checks, replace(data, warnings=("one",), data_notes=()))
-    outcomes = [*(group.outcome for group in checks.groups), "note"]
+    outcomes = [*(g[0].outcome for g in analysis_content.by_name(checks)), "note"]
     assert [outcome for outcome, _, _ in card.lines] == outcomes
     assert all(meaning.endswith(".") and name for _, name, meaning in card.lines)
     meanings = {name: meaning for _, name, meaning in card.lines}
@@ -227,20 +227,19 @@ def test_refused_analysis_still_makes_a_report(data: ReportData):
 
 
 def test_checks_of_several_responses_stand_together(data: ReportData):
-    made = analysis_content.all_checks(data, facts(data)).groups
-    names = [group.name for group in made]
+    made = analysis_content.check_table(analysis_content.all_checks(data, facts(data)), "checks")
+    names = [row[0] for row in made.rows if row[0]]
     assert len(names) == len(set(names))
-    spread = next(group for group in made if group.name == "Equal spread of the cells")
-    assert [check.of for check in spread.items] == [f.title for f in facts(data)]
-    order = ("fail", "caution", "not applicable", "pass")
-    assert [order.index(g.outcome) for g in made] == sorted(order.index(g.outcome) for g in made)
+    place = [row[0] for row in made.rows].index("Equal spread of the cells")
+    two = made.rows[place : place + 2]
+    assert {row[2] for row in two} == {f.title for f in facts(data)}
+    assert two[1][0] == ""
 
 
 def test_worst_outcome_stands_for_a_group():
     both = (Check("a", "pass", "x", of="p"), Check("a", "caution", "y", of="q"))
-    (group,) = Checks.of(both).groups
-    assert group.outcome == "caution"
-    assert not group.agreed
+    (group,) = analysis_content.by_name(both)
+    assert [check.outcome for check in group] == ["caution", "pass"]
 
 
 def test_levels_stand_in_the_order_of_the_design(data: ReportData):
@@ -288,15 +287,6 @@ def test_where_no_block_is_whole_every_row_counts(data: ReportData):
     for i, block in enumerate(data.blocks):
         table.loc[table.index[table["block"] == block][i], "mu0"] = np.nan
     assert len(comparable(replace(data, table=table), "mu0")) == len(table) - len(data.blocks)
-
-
-def test_failures_name_the_levels_they_share():
-    items = (
-        Failure("a", {"material": "m", "plates": "p"}, "1", "timeout"),
-        Failure("b", {"material": "m", "plates": "q"}, "2", "timeout"),
-    )
-    assert "All have m. Cases" in sentences.failures(items, 9)
-    assert "All have" not in sentences.failures(items[:1], 9)
 
 
 def test_warnings_that_differ_in_names_and_numbers_are_one_line(data: ReportData):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import study
-from study.ground.errors import InputError, StoreError
+from study.ground.errors import StoreError
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from study.harness.execution.local import Loky
@@ -190,14 +190,6 @@ def test_progress_ends_at_the_total_and_time_left_at_zero(
     assert [p.done for p in seen] == list(range(1, 13))
     assert seen[-1].total == 12
     assert seen[-1].seconds_left == pytest.approx(0.0, abs=1e-6)
-
-
-def test_treatments_with_different_blocks_are_refused(data: Path) -> None:
-    text = DESIGN.replace("swap = true", 'swap = true\ncitation = "none"').replace(
-        'file = "tests.csv"', 'file = "missing.csv"'
-    )
-    with pytest.raises(InputError, match="missing.csv"):
-        expand(loads(text), data)
 
 
 def test_code_version_follows_what_the_tasks_import() -> None:

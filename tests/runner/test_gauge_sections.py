@@ -15,7 +15,7 @@ from study.mechanics.forward import closed_form
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
-from study.mechanics.setup.test_kinds import TEST_KINDS
+from study.mechanics.setup.test_kind import TEST_KINDS
 from tests.cli.small import case_file, gauge, recorded, study
 
 GENT = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)

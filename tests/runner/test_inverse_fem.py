@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
+from study.harness.calibration.calibration_bound import estimated_bound
 from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
 from study.harness.runner.staged_fit import TOLERANCES, StagedSearch, staged_fit
@@ -77,6 +78,77 @@ def test_recovery_from_three_times_off(energy: Energy, factors: tuple[float, ...
     assert model.solves <= 1.2 * len(found.history)
     # Ogden's exponent bends the valley: 14 from a third of it, where polynomials need 6
     assert model.solves <= (15 if energy[0] == "ogden" else 10)
+
+
+@pytest.mark.parametrize("energy", [MOONEY_RIVLIN, RP2], ids=lambda energy: energy[0])
+def test_a_curve_whose_change_gradients_tell_is_not_solved_again(
+    energy: Energy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The constants are those of a fit that solves at every evaluation, to 1e-6 of their error."""
+    setting, random = config(energy), np.random.default_rng(5)
+    true = curve(setting, energy[2])
+    misfit = 1 + 0.02 * np.sin(true.displacement_mm) + 0.003 * random.standard_normal(len(true))
+    measured = Curve(true.displacement_mm, true.force_N * misfit)
+    start = [1.01 * v for v in energy[2].values()]
+    moved, few, _ = fitted(setting, measured, start)
+    predicted = few.predicted(moved.values)
+    again = few.solves
+    few(moved.values)
+    assert few.solves == again  # the same constants twice
+    monkeypatch.setattr(fit_task, "_NEAR", 0.0)
+    solved, many, _ = fitted(setting, measured, start)
+    assert moved.converged
+    assert few.solves < many.solves == solved.evaluations
+    np.testing.assert_allclose(
+        moved.values, solved.values, rtol=0, atol=1e-6 * solved.standard_error.min()
+    )
+    np.testing.assert_allclose(moved.standard_error, solved.standard_error, rtol=1e-4)
+    final = many.predicted(solved.values)
+    assert predicted is not None
+    assert final is not None
+    between = np.linspace(0.0, measured.displacement_mm[-1], 100)
+    forces = [each.curve.force_at(between) for each in (predicted, final)]
+    np.testing.assert_allclose(*forces, rtol=1e-6)
+
+
+def test_searches_that_begin_at_the_same_constants_share_their_first_solution(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The answers are those of searches alone, in whichever order they come, to the last bit."""
+    setting, random = config(MOONEY_RIVLIN), np.random.default_rng(7)
+    true = curve(setting, MOONEY_RIVLIN[2])
+    noisy = [
+        Curve(true.displacement_mm, true.force_N * (1 + 0.01 * random.standard_normal(len(true))))
+        for _ in range(3)
+    ]
+    start = [1.02 * v for v in MOONEY_RIVLIN[2].values()]
+    alone = []
+    for measured in noisy:
+        monkeypatch.setattr(fit_task, "_first_solutions", {})
+        alone.append(fitted(setting, measured, start))
+    cold = _cold_solutions(monkeypatch)
+    shared = [fitted(setting, measured, start) for measured in reversed(noisy)]
+    assert cold == []  # the last of those alone is still there
+    for (found, model, _), (other, before, _) in zip(reversed(shared), alone, strict=True):
+        np.testing.assert_array_equal(found.values, other.values)
+        np.testing.assert_array_equal(found.residuals, other.residuals)
+        assert model.solves == before.solves  # as of a search alone
+    fitted(setting, noisy[0], [1.1 * v for v in MOONEY_RIVLIN[2].values()])
+    assert len(cold) == 1  # other constants are solved for
+
+
+def _cold_solutions(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Problems that are solved from the unloaded state from now on."""
+    cold: list[Any] = []
+    solve = finite_element.solve
+
+    def counted(problem: Any, **options: Any) -> Any:
+        if options.get("warm") is None:
+            cold.append(problem)
+        return solve(problem, **options)
+
+    monkeypatch.setattr(finite_element, "solve", counted)
+    return cold
 
 
 INDENTERS: dict[str, dict[str, Any]] = {
@@ -189,3 +261,18 @@ def test_coverage_of_intervals_over_300_fem_fits() -> None:
     assert np.all(covered / 300 >= 0.91)
     # chi^2/8 has a variance of 2/8; the mean of 300 a standard deviation of 0.029
     assert chi / 300 == pytest.approx(1, abs=0.09)
+
+
+def test_mesh_bound_does_not_depend_on_where_the_search_began() -> None:
+    """Load steps chosen at the constants of the start differ from those chosen at the fit's own."""
+    setting, true = config(SOFTENING, steps=3), SOFTENING[2]
+    measured = curve(config(SOFTENING, steps=12), true)
+    found, model, names = fitted(setting, measured, [3 * 6.4e-3, 0.0])
+    parts = [Part("inverse-fem", CellProblem.of(setting), (MeasuredCurve("virtual", measured),))]
+    at_its_own = fit_task.InverseFem(CellProblem.of(setting), [measured], names)
+    searched, own = (estimated_bound(found, parts, [m]) for m in (model, at_its_own))
+    assert searched is not None
+    assert own is not None
+    assert searched.mesh == pytest.approx(own.mesh, rel=1e-6)
+    # what the search's steps leave is an error of steps, and is counted there
+    assert (searched.steps >= 0.5 * own.steps).all()

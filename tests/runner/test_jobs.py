@@ -13,8 +13,7 @@ from study.harness.runner import case
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import fit_problem
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.job import CaseJob, CaseTask, FitJob, ScorePair, fits_of
-from study.harness.runner.solve_task import SolveResult, SolveTask, solutions
+from study.harness.runner.job import CaseJob, FitJob, ScorePair, fits_of
 
 from .conftest import DESIGN
 
@@ -23,19 +22,6 @@ PROBLEM = CellProblem.of({
     "test": {"kind": "compression", "steps": 2},
     "material": {"model": "neo-hookean", "poisson_ratio": 0.49},
 })  # fmt: skip
-
-
-def test_equal_solutions_are_made_once() -> None:
-    tasks = [SolveTask.of(PROBLEM, size) for size in (1.0, 2.0, 1.0)]
-    asked: list[str] = []
-
-    def solve(some: list[SolveTask]) -> list[tuple[str, SolveResult]]:
-        asked.extend(task.key for task in some)
-        # the last one first, as workers may give them
-        return [(t.key, SolveResult(f"{t.problem.model.mesh_size_mm:g}")) for t in some[::-1]]
-
-    assert [one.status for one in solutions(solve, tasks)] == ["1", "2", "1"]
-    assert len(asked) == 2
 
 
 def test_a_mesh_is_changed_in_the_problem_of_the_calibration_too() -> None:
@@ -81,5 +67,5 @@ def test_a_record_judges_its_fit_over_the_simulated_test(depth: float, stable: b
     pair = ScorePair("all", None, FitJob("fit", fit_problem(cell), ()), pressed_mm=depth)
     fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
     job = CaseJob(Case(Treatment({}, cell), None, cell, "case"), (pair,), "hash")
-    task = CaseTask(job, "study", {}, {pair.fit_key: FitResult("converged", fit)})
+    task = job.sent({pair.fit_key: FitResult("converged", fit)})
     assert case._fits(task)["all"]["stable"] is stable

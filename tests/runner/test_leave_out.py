@@ -10,12 +10,12 @@ import pytest
 from study.ground.errors import InputError
 from study.harness.design import load
 from study.harness.design.cell import Cell, CellProblem
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import fit_problem, together
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask, fitted
 from study.harness.runner.job import Work
+from study.harness.runner.tasks import Costs
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder

@@ -13,6 +13,7 @@ import pytest
 from study import api
 from study.ground import errors
 from tests.cli.small import study
+from tests.pages import both_pages
 
 
 def loads(text):
@@ -373,6 +374,47 @@ parameters.stiffness = "30 N/m"
     assert best.value == pytest.approx(overshoot(stiffness, damping), rel=0.02)
 
 
+def test_trajectories_screen_a_function_as_its_derivatives_say(tmp_path):
+    """Mu of a straight line is its coefficient; of Ishigami's, all three are SALib's."""
+    from SALib.analyze import morris
+
+    def solver(case):
+        p = case["parameters"]
+        bent = math.sin(p["a"]) + 7 * math.sin(p["b"]) ** 2 + 0.1 * p["c"] ** 4 * math.sin(p["a"])
+        return {"line": 3 * p["a"] - 5 * p["b"] + 0.5 * p["c"], "bent": bent}
+
+    names, low, high = ("a", "b", "c"), -3.5, 3.5
+    tables = {
+        "schema": 1, "study": {"name": "screened", "seed": 3},
+        "parameters": dict.fromkeys(names, 1.0),
+        "factors": {f"parameters.{name}": {"low": low, "high": high} for name in names},
+        "design": {"kind": "morris", "trajectories": 8, "levels": 8},
+        "response": [{"name": "line", "practical": 0.5}, {"name": "bent"}],
+    }  # fmt: skip
+    found = api.run(tables, forward=solver, version="1", jobs=1, reports=tmp_path / "reports",
+                    results=tmp_path / "results")  # fmt: skip
+    line, bent = (one.to_json()["screened"] for one in found.surfaces)
+    assert [row["factor"] for row in line] == [f"parameters.{name}" for name in "bac"]
+    for row, slope in zip(line, (-5, 3, 0.5), strict=True):
+        whole = slope * (high - low)
+        assert row["effects"] == 8
+        assert [row["mu"], row["mu_star"]] == pytest.approx([whole, abs(whole)], rel=1e-12)
+        assert row["sigma"] == pytest.approx(0, abs=1e-11)
+    of_run = {tuple(r.levels.values()): r.value("bent") for r in found.records}
+    paths = [tuple(treatment.levels.values()) for treatment in found.design.treatments]
+    problem = {"num_vars": 3, "names": list(names), "bounds": [[low, high]] * 3}
+    settings, values = np.array(paths, dtype=float), np.array([of_run[run] for run in paths])
+    of_salib = morris.analyze(problem, settings, values, num_levels=8)
+    for row in bent:
+        place = names.index(row["factor"][-1])
+        expected = [of_salib[key][place] for key in ("mu", "mu_star", "sigma")]
+        assert [row["mu"], row["mu_star"], row["sigma"]] == pytest.approx(expected, rel=1e-12)
+    assert {row["verdict"] for row in found.verdicts} <= {None, "cannot tell"}
+    text = study("report", found.folder, "--reports", tmp_path / "reports").out
+    assert "screens, and is no verdict" in text
+    assert "Elementary effects: change" in both_pages(tmp_path / "reports/screened/screened.html")
+
+
 RUNS = """
 element,mesh,batch,peak_force,ok
 linear,coarse,S1,10.9,
@@ -503,6 +545,8 @@ def test_imported_runs_as_an_instrument_exports_them(tmp_path):
         imported("peak=kN", ".")
     (one,) = fault.value.faults
     assert "holds a decimal comma ('1,5')" in one.rule
+    path.write_text(path.read_text().replace("kN", "N/mm2"))
+    assert imported("peak=N/mm^2").total == imported("peak=MPa").total == 4
     assert one.mend == "write --decimal ,"
 
 

@@ -10,11 +10,11 @@ import pytest
 from study.harness.design.load import load
 from study.harness.design.spec import Design
 from study.harness.record.store import Store
-from study.harness.runner import case_series, refinement, study_refinement
+from study.harness.runner import refinement, study_refinement
 from study.harness.runner.batch import computed, run_batch
 from study.harness.runner.case_series import refine_cases
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
+from study.harness.runner.tasks import Costs
 
 from .conftest import fake
 
@@ -46,7 +46,7 @@ def test_the_price_of_all_cells_is_not_that_of_the_first(tmp_path: Path) -> None
     """Where the indenter sticks in every second case, a solution takes ten times as long."""
     work = expand(load(DESIGNS / "needle-geometry.toml"), tmp_path)
     cells, costs = study_refinement.meshed_cells(work), Costs()
-    finest = [study_refinement.refined_series(work, cell, 2, {}).jobs[-1] for cell in cells]
+    finest = [study_refinement.refined_series(work, cell, 2).jobs[-1] for cell in cells]
     seconds = [costs.solve_seconds(job.case.tested) for job in finest]
     assert len(cells) * seconds[0] < study_refinement.ALL_CELLS_S < 0.5 * sum(seconds)
     assert len(study_refinement.chosen(work)) == study_refinement.FEW_CELLS
@@ -57,7 +57,8 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
 ) -> None:
     work, store = expand(design, one_mix), Store(tmp_path / "results")
     run_batch(work, store, fake())
-    series = study_refinement.study_series(work, store.by_case(work.input_hashes))
+    known = store.by_case(work.input_hashes)
+    series = [one.taking(known) for one in study_refinement.study_series(work)]
     refine_cases(series, partial(computed, work, store, fake(), lambda _: None))
     row = series[-1].uncertainty("mu0", "kPa")
     # the fake solver is too stiff by 1e-3 of the mesh size: mu0 too low by that share
@@ -67,30 +68,3 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
     assert row.u_num is not None
     assert true_error < row.u_num < 4 * true_error
     assert len(row.series) == 3
-
-
-#: order 0.1 is not in the asymptotic range: thrice the distance to a limit of order 0.5
-SLOW = [1.0, 1.1, 1.1 + 0.1 / 1.5**0.1]
-SLOW_LIMIT = SLOW[2] + (SLOW[2] - SLOW[1]) / (1.5**0.5 - 1)
-#: observed order 2.3 of 2: the error of the coarsest mesh by the formal one, twice
-STEEP = [0.27074, 0.25925, 0.25352]
-STEEP_LIMIT = STEEP[2] - (STEEP[1] - STEEP[2]) / (1.35**2 - 1)
-
-
-@pytest.mark.parametrize(
-    ("values", "ratio", "formal", "behaviour", "expected"),
-    [
-        # f = 1 + 0.1 h: as of a contrast an order of 0.7 is assumed, thrice the way to its limit
-        ([1.1, 1 + 0.1 / 1.5], 1.5, 2.0, "two meshes", 0.1 * (1 + 1 / (1.5**0.7 - 1))),
-        ([1.0, 1.2, 1.1], 1.5, 1.0, "oscillatory", 3 * 0.2),
-        (SLOW, 1.5, 1.0, None, 3 * (SLOW_LIMIT - SLOW[0])),
-        (STEEP, 1.35, 2.0, "monotone", 2 * (STEEP[0] - STEEP_LIMIT)),
-    ],
-)
-def test_half_widths_by_hand(
-    values: list[float], ratio: float, formal: float, behaviour: str | None, expected: float
-) -> None:
-    sizes = [ratio**-k for k in range(len(values))]
-    seen, u = case_series.half_width(values, sizes, formal)
-    assert behaviour in (seen, None)
-    assert u == pytest.approx(expected, rel=1e-9)

@@ -19,7 +19,7 @@ from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner import refinement, study_refinement, study_uncertainty
+from study.harness.runner import record_analysis, refinement, study_refinement
 from study.harness.runner.batch import manifest_of, run_batch
 from study.harness.runner.case_series import refine_within
 from study.harness.runner.expansion import expand
@@ -57,7 +57,7 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
     assert {tuple(r.levels) for r in rows} == {("material", "plates")}
     assert len({tuple(r.levels.values()) for r in rows}) == 4
     # of other cases it knows nothing
-    assert study_uncertainty.stored_numerical(store, {"other": "hash"}) == ()
+    assert record_analysis.stored_numerical(store, {"other": "hash"}) == ()
 
 
 def test_a_time_budget_leaves_cells_out(one_mix: Path, tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_a_time_budget_leaves_cells_out(one_mix: Path, tmp_path: Path) -> None:
 def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) -> None:
     """A cell whose first mesh took an hour is not refined, whatever was predicted of it."""
     work = expand(design, one_mix)
-    series = study_refinement.every_series(work, study_refinement.every_cell(work), {})
+    series = study_refinement.every_series(work)
     slow, computed = series[0].base.case.case_id, []
 
     def compute(cases: Sequence[CaseJob]) -> list[Record]:
@@ -146,7 +146,7 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     moved = study_refinement.input_work(work)
     assert {job.origin.input for job in moved.jobs} == {"specimen.radius"}
     run_batch(moved, store, fake())
-    rows = {tuple(r["levels"].values()): r for r in study_uncertainty.compared(work, moved, store)}
+    rows = {tuple(r["levels"].values()): r for r in study_refinement.compared(work, moved, store)}
     assert len(rows) == 4
     row = rows["neo-hookean", "bonded"]
     force = np.array(row["simulated_N"])
@@ -174,7 +174,7 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     moved = study_refinement.input_work(work)
     for part in (work, moved):
         run_batch(part, store, fake())
-    rows = study_uncertainty.compared(work, moved, store)
+    rows = study_refinement.compared(work, moved, store)
     assert len(rows) == len(work.jobs) == 12
     sizes = {j.case.case_id: refinement.base_size_mm(j) for j in work.jobs}
     for row in rows:
@@ -191,14 +191,16 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     gone = next(j for j in work.jobs if j.case.levels["plates"] == "bonded")
     records = store.by_case(work.input_hashes)
     del records[gone.case.case_id]
-    series = study_refinement.own_series(work, records)
+    series = [one.taking(records) for one in study_refinement.own_series(work)]
     assert sum(len(one.shares()) for one in series) == 3 * (len(series) - 1)
 
 
 def test_comparison_says_what_is_unknown() -> None:
-    found = compare([1.0, 2.0], [1.0, 2.0], [1.0, 1.99], None, 0.05)
-    assert found.unknown == ("numerics", "data")
-    assert "within u_val" in found.verdict
-    assert "numerics, data not known" in found.verdict
-    assert compare([1.0], [1.0], [0.5]).verdict.startswith("no uncertainty")
-    assert compare([1.0, 2.0], [1.0, 2.5], [1.0, 2.0], 0.1, 0.0, 0.0).outside == 0.5
+    d, known = np.array([1.0, 2.0]), np.full(2, 0.05)
+    unknown = dict.fromkeys(("numerics", "inputs", "data"))
+    found = compare(d, d, np.array([1.0, 1.99]), {**unknown, "inputs": known})
+    assert found["unknown"] == ["numerics", "data"]
+    assert "within u_val" in str(found["verdict"])
+    assert "numerics, data not known" in str(found["verdict"])
+    assert str(compare(d, d, d, unknown)["verdict"]).startswith("no uncertainty")
+    assert compare(d, d + [0, 0.5], d, {**unknown, "numerics": 2 * known})["outside"] == 0.5

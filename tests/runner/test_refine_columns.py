@@ -18,8 +18,7 @@ from study.harness.runner.batch import manifest_of
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.harness.runner.refinement import base_size_mm
-from study.harness.runner.study_refinement import own_series
-from study.harness.runner.study_uncertainty import refine
+from study.harness.runner.study_refinement import own_series, refine
 from study.harness.runner.tasks import processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.statistics.convergence.contrast_bound import response_bounds
@@ -53,7 +52,7 @@ def records(work: Work, results: Path) -> dict[str, Record]:
 
 
 def test_columns_go_from_coarse_to_fine_under_one_block(work: Work) -> None:
-    series = own_series(work, {})
+    series = own_series(work)
     assert [len(one.jobs) for one in series] == [3, 3]
     for jobs in (one.jobs for one in series):
         assert {job.case.block for job in jobs} == {work.blocks[0]}
@@ -65,7 +64,7 @@ def test_columns_go_from_coarse_to_fine_under_one_block(work: Work) -> None:
 def test_uncertainty_is_that_of_the_finest_mesh_of_the_column(
     work: Work, records: dict[str, Record]
 ) -> None:
-    series = own_series(work, records)
+    series = [one.taking(records) for one in own_series(work)]
     assert len(series) == 2
     for one in series:
         row, jobs = one.uncertainty(*RESPONSE), one.jobs
@@ -80,9 +79,11 @@ def test_uncertainty_is_that_of_the_finest_mesh_of_the_column(
 def test_a_column_without_all_its_meshes_has_no_uncertainty(
     work: Work, records: dict[str, Record]
 ) -> None:
-    gone = own_series(work, {})[0].jobs[1].case.case_id
+    gone = own_series(work)[0].jobs[1].case.case_id
     kept = {k: r for k, r in records.items() if k != gone}
-    first, second = (one.uncertainty(*RESPONSE) for one in own_series(work, kept))
+    first, second = (
+        one.uncertainty(*RESPONSE) for one in [one.taking(kept) for one in own_series(work)]
+    )
     assert (first.u_num, first.note) == (None, "2 of 3 meshes gave an answer")
     assert second.u_num is not None
 
@@ -115,7 +116,7 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
     first, second = (level.label for level in work.design.factors[0].levels)
     meshes = ("coarse", "medium", "fine")
     apart = [mean(first, level) - mean(second, level) for level in meshes]
-    jobs = own_series(work, records)[0].jobs
+    jobs = [one.taking(records) for one in own_series(work)][0].jobs
     row = next(r for r in study.numerical if r.levels == {"material": first})
     sizes = row.mesh_size[::-1]
 
@@ -144,4 +145,4 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
 
 
 def test_two_meshes_are_no_column(work: Work) -> None:
-    assert own_series(expand(design_with(""), work.data.root), {}) == []
+    assert own_series(expand(design_with(""), work.data.root)) == []

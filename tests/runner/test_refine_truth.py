@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from study.harness.design.load import loads_problem
-from study.harness.runner import judgement, refinement
-from study.harness.runner.refinement import formal_order, refine
+from study.harness.runner import refinement
+from study.harness.runner.refinement import refine
 from study.harness.runner.solve_task import in_process
-from tests.fem.answers import layers
+from study.mechanics.forward.formal_order import formal_order
+from tests.fem.problems import layers
 
 DISC = """
 schema = 1
@@ -62,7 +63,7 @@ def series(text: str) -> dict[str, Any]:
     with warnings.catch_warnings():  # a Newton step that fails on its way may overflow
         warnings.simplefilter("ignore", RuntimeWarning)
         refine([one], in_process)
-    return judgement.judge(one).to_json()
+    return refinement.judge(one).to_json()
 
 
 def judged(name: str, text: str, truth: float, digits: float, unit: float) -> tuple[Any, float]:

@@ -18,13 +18,13 @@ from study.harness.record.record import Record, table
 from study.harness.record.store import Store
 from study.harness.runner import fit_task
 from study.harness.runner.batch import run_batch
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import FitProblem, fit_problem
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask
 from study.harness.runner.job import Work
 from study.harness.runner.study_refinement import refinement_work
+from study.harness.runner.tasks import Costs
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 
@@ -109,7 +109,8 @@ def test_mesh_seeds_make_cases_whose_meshes_differ(one_mix: Path) -> None:
     seeds = {job.case.tested.model.mesh_seed for job in work.jobs}
     assert len(seeds) == 20  # meshes of two cells have nothing to do with each other
     # a fit on a mesh is one of its own, one without a mesh is shared by all
-    plates = {f: len({j.needs for j in work.jobs if j.case.levels["plates"] == f})
+    plates = {f: len({tuple(fit.key for fit in j.fits) for j in work.jobs
+                      if j.case.levels["plates"] == f})
               for f in ("bonded", "frictionless")}  # fmt: skip
     assert plates == {"bonded": 10, "frictionless": 2}
     assert [job.origin.mesh_seed for job in work.plain().jobs] == 4 * [1]

@@ -21,9 +21,8 @@ from study.harness.record.store import Store
 from study.harness.runner.batch import computed, notes_of, run_batch
 from study.harness.runner.case_series import refine_cases
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import CaseTask, Work
+from study.harness.runner.job import CaseJob, Work
 from study.harness.runner.study_refinement import study_series
-from study.harness.runner.tasks import adapted, limit_of, processes
 from tests.pages import both_pages
 
 from .conftest import DESIGN, fake, make_data
@@ -99,7 +98,8 @@ def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(
     """Taken for the coarse mesh, it would hide the error that refinement has to show."""
     text = design('not-converged = "finer-mesh"').replace('mesh = "coarse"', 'mesh_size = "8 mm"')
     work, store = ran("mooney-rivlin needs 6 mm", text)[0], Store(tmp_path / "results")
-    series = study_series(work.plain(), store.by_case(work.input_hashes))
+    known = store.by_case(work.input_hashes)
+    series = [one.taking(known) for one in study_series(work.plain())]
     compute = partial(computed, work.plain(), store, fake(), lambda _: None)
     refine_cases(series, compute)
     found = {one.base.case.levels["material"]: one for one in series}
@@ -142,18 +142,11 @@ def test_a_task_that_lacked_memory_is_computed_alone(ran: Ran) -> None:
     assert note["what"] == "computed with nothing else beside it"
 
 
-def test_an_executor_is_given_more_time_or_fewer_tasks() -> None:
-    place = processes(4, 10.0)
-    assert limit_of(adapted(place, 4.0)) == 40.0
-    assert adapted(place, alone=True).jobs == 1  # type: ignore[attr-defined]
-    assert limit_of(adapted(processes(2), 4.0)) is None
-
-
 def late_between_bonded_plates(place: Loky, tasks: Any, finished: Any = None) -> Any:
     """Do tasks here, of which those between bonded plates take more than 15 s."""
 
-    def perform(task: CaseTask) -> Any:
-        late = place.limit_s == 15.0 and "bonded" in task.job.case.levels.values()
+    def perform(task: CaseJob) -> Any:
+        late = place.limit_s == 15.0 and "bonded" in task.case.levels.values()
         return stopped_late(15.0) if late else place.perform(task)
 
     return Inline(perform).run(tasks, finished)

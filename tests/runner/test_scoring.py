@@ -7,7 +7,6 @@ import pytest
 
 from study.ground.curve import Curve
 from study.harness.runner import response
-from study.harness.runner.response import Scored
 
 D = np.linspace(0.0, 2.0, 201)
 MEASURED = Curve(D, 10 * D)
@@ -16,7 +15,7 @@ MEASURED = Curve(D, 10 * D)
 @pytest.mark.parametrize("factor", [1.1, 0.9])
 def test_a_curve_ten_percent_off_is_ten_percent_off_in_every_measure(factor: float) -> None:
     predicted = Curve(D, factor * MEASURED.force_N)
-    found = response.score(Scored(MEASURED, predicted))
+    found = response.score(predicted, MEASURED)
     assert found["relative_rms_force_error"] == {"value": pytest.approx(10.0), "unit": "%"}
     assert found["work_error"] == {"value": pytest.approx(10.0), "unit": "%"}
     assert found["peak_force_error"] == {"value": pytest.approx(2.0), "unit": "N"}

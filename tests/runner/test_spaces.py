@@ -15,13 +15,17 @@ from study.harness.design.load import loads
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.batch import Progress
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.harness.runner.solve_task import SolveResult, in_process, kept, solutions
-from study.harness.runner.study_refinement import compared, pairs, refinement_work, upcoming
-from study.harness.runner.study_uncertainty import compare_spaces
-from study.harness.runner.tasks import processes
+from study.harness.runner.study_refinement import (
+    compare_spaces,
+    compared_spaces,
+    pairs,
+    refinement_work,
+    upcoming,
+)
+from study.harness.runner.tasks import Costs, processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import finished
 
@@ -126,7 +130,7 @@ def test_the_control_says_how_far_it_is_and_is_solved_once(
 
 def test_both_spaces_are_solved_and_compared(work: Work, records: dict[str, Record]) -> None:
     (pair,) = pairs(work, records)
-    row = compared(pair, *solutions(in_process, pair[1]))
+    row = compared_spaces(pair, *solutions(in_process, pair[1]))
     assert row["unknowns"][1] > row["unknowns"][0]
     assert row["at_end"] is not None
     assert row["largest"] is not None
@@ -145,7 +149,7 @@ def test_each_space_may_have_load_steps_of_its_own_or_fail(
     def solution(d: list[float], stiffer: float) -> SolveResult:
         return SolveResult("converged", curve=Curve(np.array(d), stiffer * np.array(d)), dofs=9)
 
-    row = compared(pair, solution([0.5, 1.0], 1.0), solution([0.5, 0.75, 1.0], 1.02))
+    row = compared_spaces(pair, solution([0.5, 1.0], 1.0), solution([0.5, 0.75, 1.0], 1.02))
     assert row["at_end"] == pytest.approx(0.02)
     assert row["largest"] == pytest.approx(0.02)
 
@@ -153,7 +157,7 @@ def test_each_space_may_have_load_steps_of_its_own_or_fail(
 def test_a_solution_that_failed_is_said(work: Work, records: dict[str, Record]) -> None:
     (pair,) = pairs(work, records)
     bad = SolveResult("not-converged", "stopped at 0.4 mm", dofs=7)
-    (check,) = checks_of_spaces((compared(pair, bad, bad),))
+    (check,) = checks_of_spaces((compared_spaces(pair, bad, bad),))
     assert check.outcome == "caution"
     assert "stopped at 0.4 mm" in check.finding
 

@@ -194,7 +194,7 @@ def test_energies_are_weighed_on_a_surface(home: Path, monkeypatch: pytest.Monke
 def test_numerical_uncertainty_knows_how_far_two_meshes_of_a_size_differ(home: Path) -> None:
     """One value on the study's mesh, its refinements, and the other mesh: by the closed rules."""
     work = expand(load(home / "design.toml"), home.parent / "measurements")
-    series = chosen_series(work, {})[0]
+    series = chosen_series(work)[0]
     assert series.other is not None
     base, again = (job.case.tested.model for job in (series.base, series.other))
     assert again == replace(base, mesh_seed=1)

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
+from study.ground.declaration import Length, section
+from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
-from study.harness.design.diagnostics import Faults, read_table
 from study.laboratory.sensors.force_model import force_model
-from study.mechanics.setup.declaration import Length, section
 from study.mechanics.setup.geometry import Flat
 
 CONFIG: dict[str, Any] = {

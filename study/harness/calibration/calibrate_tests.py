@@ -14,6 +14,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.curve import Curve
+from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibration_bound import estimated_bound, with_numerical
 from study.harness.calibration.calibration_result import CalibrationResult, CurveFit, PartialFit
@@ -62,7 +63,6 @@ from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check
 from study.mechanics.measurement.conditioning import is_caution
 from study.mechanics.measurement.recording import LARGEST_STRETCH
-from study.mechanics.setup.declaration import table_of
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -232,15 +232,12 @@ def calibrate(
     specimens = tuple(_partial(setting, label, group) for label, group in by_specimen.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)
     result = _result(setting, curves, done)
-    result = replace(result, fit=named_open(fit, others))
-    parts = parts_of(setting.tests, in_order(curves))
+    parts, judged = parts_of(setting.tests, in_order(curves)), named_open(fit, others)
     numerical = estimated_bound(fit, parts, done.models) if fit.converged else None
-    if numerical is not None:
-        result = replace(
-            result, fit=with_numerical(result.fit, numerical), numerical=numerical.as_dict()
-        )
     result = replace(
         result,
+        fit=judged if numerical is None else with_numerical(judged, numerical),
+        numerical=None if numerical is None else numerical.as_dict(),
         specimens=specimens,
         same_constants_p=_same_constants(fit, specimens),
         population=population([specimen.fit for specimen in specimens]),

@@ -17,18 +17,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.harness.calibration.measured_tests import in_order, parts_of, read_tests
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.runner import fit_task
 from study.harness.runner.fit_task import InverseFem
-from study.harness.runner.refinement import formal_order
 from study.harness.runner.response import in_shown_units
 from study.harness.runner.staged_fit import FitPart, Predict, Progress, StagedSearch, single_stage
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.identifiability import fitted_rows
 from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.forward.formal_order import formal_order
 from study.mechanics.setup.setup import MESH_LEVELS
 from study.statistics.convergence.grid_convergence import grid_convergence
 
@@ -49,14 +48,14 @@ class ConstantBound:
     """Constants on several meshes, and how far discretization may move them."""
 
     names: tuple[str, ...]
-    #: Element sizes over that of the fit, from coarse to fine; empty without elements.
-    sizes: tuple[float, ...]
-    #: shape (meshes, p); constants on every mesh, MPa (exponents plain).
-    values: Array
     #: shape (p,); bounds of the error by the mesh and by the load steps of the fit; NaN where a fit
     #: failed.
     mesh: Array
     steps: Array
+    #: Element sizes over that of the fit, from coarse to fine; empty without elements.
+    sizes: tuple[float, ...] = ()
+    #: Constants on every mesh, each shape (p,), MPa (exponents plain).
+    values: Sequence[Array] = ()
     #: Which fit gave no constants; else empty.
     failure: str = ""
     #: Whether the bounds follow from one coarser mesh and the sensitivities, without another fit.
@@ -110,7 +109,7 @@ def numerical_bound(
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
-        return ConstantBound(names, (), np.zeros((0, len(names))), zero, zero)
+        return ConstantBound(names, zero, zero)
     model = simulated[0].problem.model
     base, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
     # from coarse to fine, and the own mesh again with more steps
@@ -122,9 +121,8 @@ def numerical_bound(
         stage = f"numerical bound, fit {number + 1} of {len(made)}"
         done = single_stage(stage, changed_parts, start, search).fit
         if not done.converged:
-            nothing = np.full(len(names), np.nan)
             why = f"{stage}, gave no constants ({done.message})"
-            return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why)
+            return ConstantBound(names, zero + np.nan, zero + np.nan, failure=why)
         solutions.append(done.values)
     *series, stepped = solutions
     values, sizes = np.array(series), tuple(_RATIO ** float(step - base) for step in levels)
@@ -136,7 +134,7 @@ def numerical_bound(
     again = values[levels.index(base)]
     reference = start if first_fit.joint is None else again
     steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
-    return ConstantBound(names, sizes, values, mesh, steps)
+    return ConstantBound(names, mesh, steps, sizes, series)
 
 
 #: order that is assumed where the elements promise none
@@ -150,50 +148,57 @@ def estimated_bound(
 ) -> ConstantBound | None:
     """Bound the numerical error from one coarser mesh; None where every test has a closed form.
 
-    A force that is wrong by e moves the estimates by -(J'J)^-1 J'e, as an error of a row does.
+    A force that is wrong by e moves the estimates by -(J'J)^-1 J'e, as an error of a row does. The
+    load steps of the fit were chosen at the constants that its search began with: meshes are
+    compared on steps chosen at its own, and how far the two differ is an error of the steps.
     """
     names, constants = fit.names, fit.values
     simulated = [model if isinstance(model, InverseFem) else None for model in models]
     if all(model is None for model in simulated) or not fit.curves:
         return None
     mesh: list[Array] = []
-    steps: list[Array] = []
-    nothing = np.full(len(names), np.nan)
+    again: list[Array] = []
+    stepped: list[Array] = []
     try:
         for part, model in zip(parts, simulated, strict=True):
             if model is None:
-                zeros = [np.zeros(len(curve.curve)) for curve in part.measured]
-                mesh, steps = [*mesh, *zeros], [*steps, *zeros]
+                zeros = np.zeros(sum(len(curve.curve) for curve in part.measured))
+                mesh, again, stepped = [*mesh, zeros], [*again, zeros], [*stepped, zeros]
                 continue
-            here, size = model(constants), model.mesh_size_mm or 0.0
+            here, size = _force(model, part, constants), model.mesh_size_mm or 0.0
             order = _order(part, names, constants) or _LOWEST_ORDER
-            share = _SAFETY / (_RATIO**order - 1)
             coarse = replace(part, problem=part.problem.on_mesh(mesh_size_mm=_RATIO * size))
-            mesh += [share * e for e in _moved(coarse, names, constants, here)]
-            steps += _moved(_with_more_steps(part), names, constants, here)
+            chosen_here, coarser, finer = (
+                _force(fit_task.models_of([other], names)[0], part, constants)
+                for other in (part, coarse, _with_more_steps(part))
+            )
+            mesh.append(_SAFETY / (_RATIO**order - 1) * (coarser - chosen_here))
+            again.append(chosen_here - here)
+            stepped.append(finer - here)
     except (EvaluationFailed, InputError) as error:
         why = f"a coarser mesh, or more load steps, has no answer ({error})"
-        return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why, True)
+        nothing = np.full(len(names), np.nan)
+        return ConstantBound(names, nothing, nothing, failure=why, is_estimate=True)
     measured = [curve for part in parts for curve in part.measured]
     jacobian, weights, _ = fitted_rows(fit, measured)
     inverse, _ = scaled_inverse(weights[:, None] * jacobian)
     used = np.concatenate([m.weights > 0 for m in measured])
     by_force = inverse @ (weights[:, None] ** 2 * jacobian).T
-    by_mesh, by_steps = (np.abs(by_force @ np.concatenate(e)[used]) for e in (mesh, steps))
-    values = constants[None]
-    return ConstantBound(names, (_RATIO, 1.0), values, by_mesh, by_steps, is_estimate=True)
+    by_mesh, *by_steps = (
+        np.abs(by_force @ np.concatenate(e)[used]) for e in (mesh, again, stepped)
+    )
+    steps, sizes = np.maximum(*by_steps), (_RATIO, 1.0)
+    return ConstantBound(names, by_mesh, steps, sizes, [constants], is_estimate=True)
 
 
-def _moved(
-    part: FitPart, names: tuple[str, ...], constants: Array, here: Sequence[Curve]
-) -> list[Array]:
-    """Change of the forces at the measured points from one discretization to another, N."""
-    (model,) = fit_task.models_of([part], names)
-    other = model(constants)
-    return [
-        b.force_at(c.displacement_mm) - a.force_at(c.displacement_mm)
-        for a, b, c in zip(here, other, part.curves, strict=True)
-    ]
+def _force(model: Predict, part: FitPart, constants: Array) -> Array:
+    """Let a model predict the measured points of a part, one curve after the other, N."""
+    return np.concatenate(
+        [
+            curve.force_at(asked.displacement_mm)
+            for curve, asked in zip(model(constants), part.curves, strict=True)
+        ]
+    )
 
 
 def with_numerical(fit: Fit, bound: ConstantBound) -> Fit:

@@ -284,12 +284,11 @@ def nuisance(fit: Fit) -> dict[str, dict[str, object]]:
 
 def _nuisance(estimate: NuisanceEstimate) -> dict[str, object]:
     unit, scale = _unit_of(estimate.key)
-    meaning = {
-        "fitted": "a pseudo-observation: one more row of the fit, and no measurement",
-        "propagated": "carried to the constants: the tests do not move it",
-    }[estimate.treated]
+    meaning = "carried to the constants: the tests do not move it"
+    if estimate.is_fitted:
+        meaning = "a pseudo-observation: one more row of the fit, and no measurement"
     return {
-        "treated": estimate.treated,
+        "treated": "fitted" if estimate.is_fitted else "propagated",
         "unit": unit,
         "expected": scale * estimate.expected,
         "uncertainty": None if estimate.uncertainty is None else scale * estimate.uncertainty,

@@ -16,7 +16,6 @@ from study.harness.design.calibration_section import OFFSET, CalibratedTest, Rol
 from study.harness.runner.fit_problem import fitted_test
 from study.harness.runner.job import gauge_of
 from study.harness.runner.staged_fit import FitPart
-from study.mechanics.calibration.lack_of_fit import Repeated
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
 from study.mechanics.forward.contact_law import Layer
@@ -54,12 +53,12 @@ class FitCurve:
         d, force = self.measured.curve.displacement_mm, self.measured.curve.force_N
         return np.asarray(self.weight * (predicted.force_at(d) - force))
 
-    def repeated(self, predicted: Curve) -> Repeated | None:
-        """Residual beside the scatter of the repeats; None for a single test."""
+    def repeated(self, predicted: Curve) -> tuple[Array, Array, int] | None:
+        """Residual, scatter and number of the repeats; None for a single test."""
         if self.measured.scatter_N is None:
             return None
         scatter = np.asarray(self.weight * self.measured.scatter_N)
-        return Repeated(self.residual(predicted), scatter, self.measured.n_repeats)
+        return self.residual(predicted), scatter, self.measured.n_repeats
 
 
 def read_tests(
@@ -128,9 +127,7 @@ def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> lis
 
 def _measured_curve(curve: FitCurve) -> MeasuredCurve:
     """Curve as the fit sees it; a loss other than squares is counted in units of the noise."""
-    seen = MeasuredCurve(
-        curve.label, curve.measured.curve, curve.weight, "fit", curve.measured.recordings
-    )
+    seen = MeasuredCurve(curve.label, curve.measured.curve, curve.weight, curve.measured.recordings)
     if curve.loss == "linear":
         return seen
     noise = noise_of(curve.measured)

@@ -130,20 +130,6 @@ Form = Literal["wald", "score"]
 
 
 @dataclass(frozen=True)
-class Systematic:
-    """Standard uncertainties of one test's constants that all its points share."""
-
-    #: shape (p,); by the mesh and by the zero of the force, MPa (exponents plain).
-    mesh: Array
-    zero: Array
-
-    @property
-    def covariance(self) -> Array:
-        """Of both, shape (p, p)."""
-        return np.outer(self.mesh, self.mesh) + np.outer(self.zero, self.zero)
-
-
-@dataclass(frozen=True)
 class ModelComparison:
     """Constants of every test for itself, and whether one material explains them all."""
 
@@ -153,8 +139,9 @@ class ModelComparison:
     #: By test, in the order of the file.
     fits: Mapping[str, CalibrationResult]
     test: FitAgreement
-    #: By test: what moves its constants besides the scatter of its points.
-    systematic: Mapping[str, Systematic]
+    #: By test: standard uncertainties of its constants that all its points share, by the mesh and
+    #: by the zero of the force; shape (p,), MPa (exponents plain).
+    systematic: Mapping[str, tuple[Array, Array]]
     #: Share by which the moduli of one test are off in what the power is stated for.
     difference: float
     #: By the test that is off: probability that the Wald test says so.
@@ -231,8 +218,8 @@ class ModelComparison:
                     "correlation": result.fit.correlation,
                     "n": result.fit.n,
                     "identifiable": result.fit.identifiable,
-                    "mesh_error": in_shown_units(names, self.systematic[label].mesh),
-                    "zero_error": in_shown_units(names, self.systematic[label].zero),
+                    "mesh_error": in_shown_units(names, self.systematic[label][0]),
+                    "zero_error": in_shown_units(names, self.systematic[label][1]),
                     "mu0": None if result.material is None else 1e3 * result.material.mu0,
                     "power": self.power[label],
                     "detectable": self.detectable[label],
@@ -287,13 +274,13 @@ def compare(
     if form == "wald":  # else slopes at the common constants are compared, which all tests have
         _refuse_unconverged(fits)
     systematic = {
-        label: Systematic(
+        label: (
             mesh_error(group, root, fits[label], progress),
             zero_error(group, root, compared[label], zero),
         )
         for label, group in groups.items()
     }
-    extra = [error.covariance for error in systematic.values()]
+    extra = [np.outer(mesh, mesh) + np.outer(zero, zero) for mesh, zero in systematic.values()]
     test = agreement(list(compared.values()), extra)
     power: dict[str, float] = {}
     detectable: dict[str, float] = {}

@@ -23,39 +23,11 @@ from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import (
     MeasuredCurve,
     NuisanceEstimate,
+    NuisanceParameter,
     Prior,
     pseudo_jacobian,
 )
 from study.mechanics.calibration.serial_correlation import row_noise
-
-#: change of an input without an uncertainty from which its influence is taken, over its value
-_STEP = 0.01
-
-
-@dataclass(frozen=True)
-class NuisanceParameter:
-    """One nuisance parameter of a fit; mm, N, MPa, degrees or plain."""
-
-    #: What it is called, and its key in the file.
-    name: str
-    key: str
-    expected: float
-    #: Standard uncertainty of it; None where nothing is known.
-    uncertainty: float | None
-    #: Whether the tests may move it; else its uncertainty is propagated.
-    is_fitted: bool
-    #: Places of the curves that it moves, in the order of the fit.
-    curves: tuple[int, ...]
-
-    @property
-    def is_input(self) -> bool:
-        """Whether it is an input of the simulation."""
-        return self.key not in (OFFSET, ZERO, FRICTION)
-
-    @property
-    def step(self) -> float:
-        """Change from which its influence is taken."""
-        return self.uncertainty or _STEP * abs(self.expected)
 
 
 def parameters_of(
@@ -281,7 +253,8 @@ def _shares(
             plates = {"frictionless": -1.0, "bonded": 1.0}
     inner = {("", 0): 0.0 if by is not None and by is not friction else 1.0}
     for param in movers:
-        if not param.is_input or (by is not None and by is not friction and param is not by):
+        is_input = param.key not in (OFFSET, ZERO, FRICTION)
+        if not is_input or (by is not None and by is not friction and param is not by):
             continue
         t = (value[param.name] - param.expected) / param.step
         parabola = np.array([0.5 * t * (t - 1), -t * t, 0.5 * t * (t + 1)])
@@ -323,41 +296,142 @@ _NOISELESS = 1e-9
 
 
 @dataclass(frozen=True)
-class _Task:
-    """What the fits of one calibration share."""
+class _NuisanceFit:
+    """Fits of one calibration to constants and to what is not known exactly."""
 
     predictions: NuisancePredictions
     measured: Sequence[MeasuredCurve]
     names: tuple[str, ...]
     bounds: Sequence[tuple[float, float]] | None
     simulated: bool
+    #: Parameters that the tests may move, and those whose uncertainty is propagated.
+    fitted: Sequence[NuisanceParameter]
+    carried: Sequence[NuisanceParameter]
 
-    def fitted(
-        self, unknown: Sequence[NuisanceParameter], start: Array, noise: float
-    ) -> tuple[Fit, Fit]:
-        """Fit constants and some parameters; as least squares gives it, and from its rows."""
+    @property
+    def largest(self) -> float:
+        """Largest weighted force."""
+        return max(float(np.abs(m.weights * m.curve.force_N).max()) for m in self.measured)
+
+    def solved(self, start: Array, noise: float) -> tuple[Fit, Fit]:
+        """Fit all that is unknown; as least squares gives it, and from its rows."""
         free = (-np.inf, np.inf)
         depth = max(float(m.curve.displacement_mm.max()) for m in self.measured)
         bounds = [*(self.bounds or [free] * len(self.names))]
-        for param in unknown:
+        for param in self.fitted:
             far = reach_of(param, depth)
             is_offset = param.key == OFFSET
             bounds.append((param.expected - far, param.expected + far) if is_offset else free)
         priors = [
             Prior(param.name, param.expected, param.uncertainty, noise)
-            for param in unknown
+            for param in self.fitted
             if param.uncertainty is not None
         ]
         solution = fit(
-            lambda values: self.predictions(values, unknown),
+            lambda values: self.predictions(values, self.fitted),
             self.measured,
-            (*self.names, *(param.name for param in unknown)),
+            (*self.names, *(param.name for param in self.fitted)),
             start,
             bounds=bounds,
             priors=priors,
             **TOLERANCES["inverse-fem" if self.simulated else "closed-form"],
         )
         return solution, with_serial_correlation(solution, self.measured)
+
+    def settled(self, first_fit: Fit) -> tuple[Fit, Fit]:
+        """Fit again until the weight of the pseudo-observations is that of the residuals left.
+
+        The first weight is that of the noise of neighboring rows: the misfit at the expected
+        values is what the nuisance parameters are there to explain.
+        """
+        noise = self._row_noise(first_fit)
+        plain, joint = self._from_all(first_fit.values, noise)
+        for number in range(_ROUNDS):
+            now = self._noise(joint)
+            near = _SETTLED if number < _ROUNDS // 2 else _A_STEP
+            if not joint.converged or abs(now - noise) <= near * noise:
+                break
+            # more weight, less misfit, less weight: a round trip ends in its middle
+            noise = now if number < _ROUNDS // 4 else float(np.sqrt(noise * now))
+            plain, joint = self.solved(plain.values, noise)
+        else:
+            why = f"the weight of the pseudo-observations has not settled in {_ROUNDS} fits"
+            plain, joint = (
+                replace(each, status=Status.max_evaluations, failure=why) for each in (plain, joint)
+            )
+        return plain, joint
+
+    def _from_all(self, constants: Array, noise: float) -> tuple[Fit, Fit]:
+        """Fit from the expected values and from offsets beside them; the least penalty is kept."""
+        expected = np.array([param.expected for param in self.fitted])
+        starts = [expected]
+        for param, unit in zip(self.fitted, np.eye(len(self.fitted)), strict=True):
+            if param.key == OFFSET and param.uncertainty is not None:
+                steps = _STARTS[:2] if self.simulated else _STARTS
+                starts += [expected + step * param.uncertainty * unit for step in steps]
+        candidates = [self.solved(np.r_[constants, start], noise) for start in starts]
+        ended = [pair for pair in candidates if pair[1].converged]
+        return min(ended or candidates[:1], key=lambda pair: pair[0].penalized_rss)
+
+    def _row_noise(self, start: Fit) -> float:
+        """Noise of independent points by differences of neighboring rows; else by the misfit."""
+        squares: list[Array] = []
+        for measured, curve in zip(self.measured, start.curves, strict=True):
+            for weight, recorded, force, _ in recorded_rows(measured, curve, start.names):
+                noise = row_noise(recorded.force_N, recorded.places, force, power=0.0)
+                if noise is None:
+                    return self._noise(start)
+                squares.append(np.square(weight * noise.deviation))
+        every = np.concatenate(squares)
+        deviation = float(np.sqrt(np.mean(every) * start.n / min(every.size, start.n)))
+        return max(deviation, _NOISELESS * self.largest)
+
+    def _noise(self, result: Fit) -> float:
+        """Give the standard deviation with which independent points would know as little."""
+        deviation = np.sqrt(result.rss / max(result.degrees_of_freedom, 1))
+        if result.serial is not None:
+            deviation *= np.sqrt(result.n / min(result.serial.effective_rows, result.n))
+        return max(float(deviation), _NOISELESS * self.largest)
+
+    def moved(self, joint: Fit) -> Array:
+        """Change of the estimates by a standard uncertainty of what is propagated, (p, k)."""
+        if not self.carried:
+            return np.zeros((joint.values.size, 0))
+        values = np.r_[joint.values, [param.expected for param in self.carried]]
+        curves = self.predictions(values, [*self.fitted, *self.carried])
+        jacobian, slopes = (
+            np.concatenate([m.slopes(c, names) for m, c in zip(self.measured, curves, strict=True)])
+            for names in (joint.names, [param.name for param in self.carried])
+        )
+        full = np.concatenate([jacobian, pseudo_jacobian(joint.priors, joint.names)])
+        inverse, _ = scaled_inverse(full)
+        steps = np.array([param.step for param in self.carried])
+        return np.asarray(-inverse @ jacobian.T @ slopes * steps)
+
+    def estimate(
+        self, param: NuisanceParameter, plain: Fit, joint: Fit, moved: Array
+    ) -> NuisanceEstimate:
+        """Say what became of one parameter, and which share of each variance is its own."""
+        places = [i for i, name in enumerate(joint.names) if name in self.names]
+        variance = np.diag(joint.covariance)[places]
+        if param.is_fitted:
+            i = joint.names.index(param.name)
+            rest = tuple(name for name in joint.names if name != param.name)
+            priors = tuple(prior for prior in plain.priors if prior.name in rest)
+            reduced = replace(_part(plain, rest), priors=priors)
+            others = np.delete(moved, i, axis=0)
+            left = with_serial_correlation(reduced, self.measured, others @ others.T)
+            gone = 1 - np.diag(left.covariance)[[rest.index(n) for n in self.names]] / variance
+            value, error = float(joint.values[i]), float(joint.standard_error[i])
+            interval = (float(joint.ci95[i, 0]), float(joint.ci95[i, 1]))
+        else:
+            gone = moved[places, list(self.carried).index(param)] ** 2 / variance
+            value, error = param.expected, param.step
+            interval = (value - 1.96 * error, value + 1.96 * error)
+        shares = np.clip(np.nan_to_num(gone), 0.0, 1.0)
+        shown = dict(zip(self.names, shares.tolist(), strict=True))
+        return NuisanceEstimate(**vars(param), value=value, standard_error=error, ci95=interval,
+                                shares=shown)  # fmt: skip
 
 
 def with_nuisance(
@@ -373,107 +447,20 @@ def with_nuisance(
     if not parameters or not first_fit.converged:
         return first_fit
     measured = [curve for part in parts for curve in part.measured]
-    simulated = any(p.method == "inverse-fem" for p in parts)
-    simulated = simulated or any(param.key == FRICTION for param in parameters)
-    task = _Task(predictions, measured, first_fit.names, bounds, simulated)
-    fitted = [param for param in parameters if param.is_fitted]
-    plain, joint = _settled(task, fitted, first_fit)
+    simulated = any(part.method == "inverse-fem" for part in parts)
+    made = _NuisanceFit(
+        predictions, measured, first_fit.names, bounds,
+        simulated or any(param.key == FRICTION for param in parameters),
+        [param for param in parameters if param.is_fitted],
+        [param for param in parameters if not param.is_fitted],
+    )  # fmt: skip
+    plain, joint = made.settled(first_fit)
     if not joint.converged:
         return replace(_part(joint, first_fit.names), joint=joint)
-    carried = [param for param in parameters if not param.is_fitted]
-    moved = _moved(task, joint, fitted, carried)
+    moved = made.moved(joint)
     joint = with_serial_correlation(plain, measured, moved @ moved.T)
-    estimates = tuple(
-        _estimate(param, joint, task, plain, moved, carried) for param in parameters
-    )  # fmt: skip
+    estimates = tuple(made.estimate(param, plain, joint, moved) for param in parameters)
     return replace(_part(joint, first_fit.names), joint=joint, nuisance=estimates)
-
-
-def _settled(task: _Task, fitted: Sequence[NuisanceParameter], first_fit: Fit) -> tuple[Fit, Fit]:
-    """Fit again until the weight of the pseudo-observations is that of the residuals left.
-
-    The first weight is that of the noise of neighboring rows: the misfit at the expected values is
-    what the nuisance parameters are there to explain.
-    """
-    noise = _row_noise(first_fit, task.measured)
-    plain, joint = _from_all(task, fitted, first_fit.values, noise)
-    for number in range(_ROUNDS):
-        now = _noise(joint, task.measured)
-        near = _SETTLED if number < _ROUNDS // 2 else _A_STEP
-        if not joint.converged or abs(now - noise) <= near * noise:
-            break
-        # more weight, less misfit, less weight: a round trip ends in its middle
-        noise = now if number < _ROUNDS // 4 else float(np.sqrt(noise * now))
-        plain, joint = task.fitted(fitted, plain.values, noise)
-    else:
-        why = f"the weight of the pseudo-observations has not settled in {_ROUNDS} fits"
-        plain, joint = (
-            replace(each, status=Status.max_evaluations, failure=why) for each in (plain, joint)
-        )
-    return plain, joint
-
-
-def _from_all(
-    task: _Task, fitted: Sequence[NuisanceParameter], constants: Array, noise: float
-) -> tuple[Fit, Fit]:
-    """Fit from the expected values and from offsets beside them; the least penalty is kept."""
-    expected = np.array([param.expected for param in fitted])
-    steps = _STARTS[:2] if task.simulated else _STARTS
-    starts = [expected]
-    for k, param in enumerate(fitted):
-        if param.key == OFFSET and param.uncertainty is not None:
-            starts += [
-                expected + step * param.uncertainty * np.eye(len(fitted))[k] for step in steps
-            ]
-    candidates = [task.fitted(fitted, np.r_[constants, start], noise) for start in starts]
-    ended = [pair for pair in candidates if pair[1].converged]
-    return min(ended or candidates[:1], key=lambda pair: pair[0].penalized_rss)
-
-
-def _row_noise(start: Fit, measured: Sequence[MeasuredCurve]) -> float:
-    """Noise of independent points from differences of neighboring rows; else from the misfit."""
-    squares: list[Array] = []
-    rows = 0
-    for curve_measured, curve in zip(measured, start.curves, strict=True):
-        for weight, recorded, force, _ in recorded_rows(curve_measured, curve, start.names):
-            noise = row_noise(recorded.force_N, recorded.places, force, power=0.0)
-            if noise is None:
-                return _noise(start, measured)
-            squares.append(np.square(weight * noise.deviation))
-            rows += force.size
-    deviation = float(np.sqrt(np.mean(np.concatenate(squares)) * start.n / min(rows, start.n)))
-    largest = max(float(np.abs(m.weights * m.curve.force_N).max()) for m in measured)
-    return max(deviation, _NOISELESS * largest)
-
-
-def _noise(fit_result: Fit, measured: Sequence[MeasuredCurve]) -> float:
-    """Give the standard deviation with which independent points would know as little."""
-    largest = max(float(np.abs(m.weights * m.curve.force_N).max()) for m in measured)
-    deviation = np.sqrt(fit_result.rss / max(fit_result.degrees_of_freedom, 1))
-    if fit_result.serial is not None:
-        deviation *= np.sqrt(fit_result.n / min(fit_result.serial.effective_rows, fit_result.n))
-    return max(float(deviation), _NOISELESS * largest)
-
-
-def _moved(
-    task: _Task,
-    joint: Fit,
-    fitted: Sequence[NuisanceParameter],
-    carried: Sequence[NuisanceParameter],
-) -> Array:
-    """Change of the estimates by a standard uncertainty of what is propagated, (p, k)."""
-    if not carried:
-        return np.zeros((joint.values.size, 0))
-    values = np.r_[joint.values, [param.expected for param in carried]]
-    curves = task.predictions(values, [*fitted, *carried])
-    jacobian, slopes = (
-        np.concatenate([m.slopes(c, names) for m, c in zip(task.measured, curves, strict=True)])
-        for names in (joint.names, [param.name for param in carried])
-    )
-    full = np.concatenate([jacobian, pseudo_jacobian(joint.priors, joint.names)])
-    inverse, _ = scaled_inverse(full)
-    steps = np.array([param.step for param in carried])
-    return np.asarray(-inverse @ jacobian.T @ slopes * steps)
 
 
 def _part(joint: Fit, names: tuple[str, ...]) -> Fit:
@@ -493,43 +480,4 @@ def _part(joint: Fit, names: tuple[str, ...]) -> Fit:
         correlation=joint.correlation[np.ix_(places, places)],
         serial=serial,
         priors=(),
-    )
-
-
-def _estimate(
-    param: NuisanceParameter,
-    joint: Fit,
-    task: _Task,
-    plain: Fit,
-    moved: Array,
-    carried: Sequence[NuisanceParameter],
-) -> NuisanceEstimate:
-    places = [i for i, name in enumerate(joint.names) if name in task.names]
-    variance = np.diag(joint.covariance)[places]
-    if param.is_fitted:
-        i = joint.names.index(param.name)
-        rest = tuple(name for name in joint.names if name != param.name)
-        priors = tuple(prior for prior in plain.priors if prior.name in rest)
-        reduced = replace(_part(plain, rest), priors=priors)
-        others = [k for k in range(len(joint.names)) if k != i]
-        carried_part = (moved @ moved.T)[np.ix_(others, others)]
-        left = with_serial_correlation(reduced, task.measured, carried_part)
-        gone = 1 - np.diag(left.covariance)[[rest.index(n) for n in task.names]] / variance
-        value, error = float(joint.values[i]), float(joint.standard_error[i])
-        interval = (float(joint.ci95[i, 0]), float(joint.ci95[i, 1]))
-    else:
-        gone = moved[places, list(carried).index(param)] ** 2 / variance
-        value, error = param.expected, param.step
-        interval = (value - 1.96 * error, value + 1.96 * error)
-    shares = np.clip(np.nan_to_num(gone), 0.0, 1.0)
-    return NuisanceEstimate(
-        param.name,
-        param.key,
-        "fitted" if param.is_fitted else "propagated",
-        param.expected,
-        param.uncertainty,
-        value,
-        error,
-        interval,
-        dict(zip(task.names, shares.tolist(), strict=True)),
     )

@@ -28,7 +28,7 @@ from study.mechanics.material.energy import poisson_from_bulk
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, is_dimensionless, unit_shown
 from study.mechanics.setup.geometry import Sphere
-from study.mechanics.setup.test_kinds import TEST_KINDS
+from study.mechanics.setup.test_kind import TEST_KINDS
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit

@@ -8,13 +8,7 @@ from functools import partial
 from typing import Annotated, Literal
 
 from study.ground import units
-from study.ground.errors import nearest
-from study.harness.design import overlay
-from study.harness.design.cell import CellProblem
-from study.harness.design.diagnostics import Faults, entries, noted, read_table, with_values
-from study.mechanics.measurement.measurement_section import MeasurementSpec
-from study.mechanics.setup.calibration_table import Bounds, Fitting
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     DERIVED,
     Bad,
     Reads,
@@ -26,6 +20,12 @@ from study.mechanics.setup.declaration import (
     values_of,
     written_keys,
 )
+from study.ground.diagnostics import Faults, entries, noted, read_table, with_values
+from study.ground.errors import nearest
+from study.harness.design import overlay
+from study.harness.design.cell import CellProblem
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.setup.calibration_table import Bounds, Fitting
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Setup
 

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self, cast, overload
+from typing import Self, cast
 
-import numpy as np
-
-from study.ground.canonical import Json
+from study.ground.canonical import Json, canonical, hashed
+from study.ground.declaration import field_named, section_of, table_of, values_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.forward_model import ForwardCell, PlacedFile
-from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup import setup
-from study.mechanics.setup.declaration import field_named, section_of, table_of, values_of
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Enclosed, Specimen, Surface
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem, Setup
-from study.mechanics.setup.test_section import TestSection
+from study.mechanics.setup.test_kind import Test
 
 # Names made of content: the hash of plain values with one spelling.
 
@@ -34,60 +29,23 @@ def case_id(content: object) -> str:
     Numbers are coerced first (``1`` and ``1.0`` are one), keys sorted. Labels, names and
     citations are no content.
     """
-    return _name(without_places(plain(content)))
+    return hashed(canonical(content, _whole), ID_LENGTH)
 
 
 def block_ids(content: Mapping[str, object], blocks: Sequence[str | None]) -> list[str]:
     """Names of some content in every block; the content is walked once."""
-    walked = without_places(plain(content))
-    shared = walked if isinstance(walked, dict) else {}
-    return [_name({**shared, "block": block}) for block in blocks]
+    shared = cast("dict[str, Json]", canonical(content, _whole))
+    return [hashed({**shared, "block": block}, ID_LENGTH) for block in blocks]
 
 
-def _name(named: Json) -> str:
-    text = json.dumps(named, sort_keys=True, allow_nan=False, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
+def _whole(value: float) -> Json:
+    """Spell a number: without decimals where it has none."""
+    if not math.isfinite(value):
+        raise InputError(Fault("case", f"cannot name the content {value!r}"))
+    is_whole = isinstance(value, float) and value.is_integer() and abs(value) < 2**53
+    return int(value) if is_whole else value
 
 
-def without_places(value: Json) -> Json:
-    """Content without ``path``: where a file lies on this machine names nothing."""
-    if isinstance(value, dict):
-        return {k: without_places(v) for k, v in value.items() if k != "path"}
-    return [without_places(v) for v in value] if isinstance(value, list) else value
-
-
-@overload
-def plain(value: Mapping[str, object]) -> dict[str, Json]: ...
-
-
-@overload
-def plain(value: object) -> Json: ...
-
-
-def plain(value: object) -> Json:
-    """Plain JSON values of a configuration, numbers coerced."""
-    if type(value) in _ATOMS:
-        return cast("Json", value)
-    if isinstance(value, MeasurementSpec):
-        return plain({k: v for k, v in value.as_dict().items() if k != "citation"})
-    if is_dataclass(value) and not isinstance(value, type):
-        fields: dict[str, object] = vars(value)
-        return plain(fields)
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return plain(cast("object", value.tolist()))
-    if isinstance(value, (str, int)):
-        return value
-    if isinstance(value, float) and math.isfinite(value):
-        return int(value) if value.is_integer() and abs(value) < 2**53 else value
-    raise InputError(Fault("case", f"cannot name the content {value!r}"))
-
-
-#: types that are plain as they are, asked for first: nine values in ten
-_ATOMS = frozenset({str, int, bool, type(None)})
 #: Document of a cell or of a file, in mm, N, MPa and deg: what is hashed and what lies on a disk.
 #: Everywhere else a cell is a value of the classes below.
 Config = dict[str, object]
@@ -101,7 +59,7 @@ class CellProblem(ForwardCell):
     """One test of a cell: what is pressed, how, and how it is discretized."""
 
     specimen: Specimen
-    test: TestSection
+    test: Test
     material: MaterialSection
     model: Model
     #: File of a surface; None where nobody has looked for it.
@@ -117,7 +75,7 @@ class CellProblem(ForwardCell):
             test["indenter"] = section_of("test.indenter", kind, pressed)
         return cls(
             section_of("specimen", SPECIMENS[str(table["shape"])], table),
-            section_of("test", TestSection, test),
+            section_of("test", Test, test),
             MaterialSection.of(table_of(document, "material")),
             section_of("model", Model, table_of(document, "model")),
             PlacedFile(**placed) if placed.get("path") else None,  # type: ignore[arg-type]
@@ -147,7 +105,7 @@ class CellProblem(ForwardCell):
         specimen, file = self.specimen, self.surface_file
         if isinstance(specimen, Surface) and file is not None:
             specimen = replace(specimen, file=file.path)
-        return Setup(specimen, self.test.loading(), self.model, self.height_mm)
+        return Setup(specimen, self.test, self.model, self.height_mm)
 
     @property
     def height_mm(self) -> float | None:
@@ -205,7 +163,7 @@ class CellProblem(ForwardCell):
     def is_homogeneous(self) -> bool:
         """Whether the deformation is the same everywhere: compression, both faces frictionless."""
         # The closed form is then exact, and space, mesh, order and element shape cannot matter.
-        return setup.is_homogeneous(self.test.loading(), self.specimen.shape)
+        return setup.is_homogeneous(self.test, self.specimen.shape)
 
     @property
     def has_closed_form(self) -> bool:
@@ -230,12 +188,14 @@ class CellProblem(ForwardCell):
             found = {} if self.marker_file is None else self.marker_file.document()
             others["markers"] = {**self.markers.as_dict(), **found}
         surface = {} if self.surface_file is None else self.surface_file.document()
+        spec = {} if self.measurements is None else self.measurements.as_dict()
+        measured = {key: value for key, value in spec.items() if key != "citation"} or None
         return {
             "specimen": {**values_of(self.specimen), **surface},
             "test": test,
             "material": _material(self.material),
             "model": _model(self.model),
-            "measurements": self.measurements,
+            "measurements": measured,
         } | others
 
     def physical(self) -> Config:
@@ -266,7 +226,6 @@ def tested(problem: ForwardCell) -> CellProblem:
 
 
 def _material(section: MaterialSection) -> Config:
-    volume = section.compressibility
     document: Config = {
         "model": section.model,
         "order": section.order,
@@ -274,11 +233,8 @@ def _material(section: MaterialSection) -> Config:
     }
     if section.relaxation:
         document["relaxation"] = [term.document() for term in section.relaxation]
-    if volume.incompressible:
-        return {**document, "incompressible": True}
-    if volume.bulk_modulus_MPa is not None:
-        return {**document, "bulk_modulus_MPa": volume.bulk_modulus_MPa}
-    return {**document, "poisson_ratio": volume.poisson_ratio}
+    given = values_of(section.compressibility).items()
+    return {**document, **{key: v for key, v in given if v is not None and v is not False}}
 
 
 def _model(model: Model) -> Config:

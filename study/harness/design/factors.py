@@ -8,24 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import cast
 
-from study.ground.errors import nearest
-from study.ground.units import parse, split
-from study.harness.design import overlay
-from study.harness.design.diagnostics import (
-    Faults,
-    Table,
-    entries,
-    flatten,
-    is_known,
-    noted,
-    quoted_path,
-    with_values,
-)
-from study.harness.design.material_table import DISTRIBUTION_KEYS
-from study.harness.design.parameters import number_and_unit
-from study.harness.design.spec import Factor, Level, Span
-from study.harness.design.study_file import DesignFile, Exclusion
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     MAX_NAME,
     Bad,
     choice,
@@ -35,6 +18,23 @@ from study.mechanics.setup.declaration import (
     shown,
     written_keys,
 )
+from study.ground.diagnostics import (
+    Faults,
+    Table,
+    entries,
+    flatten,
+    is_known,
+    noted,
+    quoted_path,
+    with_values,
+)
+from study.ground.errors import nearest
+from study.ground.units import parse, split
+from study.harness.design import overlay
+from study.harness.design.parameters import number_and_unit
+from study.harness.design.spec import Factor, Level, Span
+from study.harness.design.study_file import DesignFile, Exclusion
+from study.statistics.surfaces.input_distribution import DISTRIBUTION_KEYS
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from study.ground import units
-from study.ground.errors import Fault
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     DERIVED,
     Bad,
     Duration,
@@ -24,6 +23,7 @@ from study.mechanics.setup.declaration import (
     text,
     word,
 )
+from study.ground.errors import Fault
 
 Kind = Literal["fem", "closed-form", "command", "python"]
 #: what a table may hold: a chain of programs is short, and adapters are small

@@ -11,7 +11,6 @@ import itertools
 import math
 import string
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -115,6 +114,27 @@ def sobol(count: int, runs: int, seed: int) -> Array:
     rng = np.random.default_rng(seed)
     sampler = qmc.Sobol(count, scramble=True, rng=rng)
     return np.asarray(sampler.random_base2(int(runs).bit_length() - 1), dtype=float)
+
+
+def trajectories(count: int, number: int, levels: int, seed: int) -> Array:
+    """Paths that move each factor once, by half of its levels (Morris 1991), in 0 to 1.
+
+    No run belongs to two of them; fewer are made where no more fit the grid.
+    Shapes: returns (paths * (count + 1), count).
+    """
+    rng, jump = np.random.default_rng(seed), levels // 2
+    runs: list[Ints] = []
+    taken: set[tuple[int, ...]] = set()
+    for _ in range(100 * number):
+        path = [rng.integers(0, levels, count)]
+        for j in rng.permutation(count):
+            step = jump if path[-1][j] < jump else -jump
+            path.append(path[-1] + step * (np.arange(count) == j))
+        cells = {tuple(run.tolist()) for run in path}
+        if taken.isdisjoint(cells) and len(runs) < number * (count + 1):
+            runs += path
+            taken |= cells
+    return np.array(runs) / (levels - 1)
 
 
 def _ordered(runs: Array) -> Array:
@@ -234,17 +254,6 @@ def _ratio(inverse: Array, old: Array, new: Array) -> Array:
 ROMAN = ("", "I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X", "XI", "XII")
 
 
-@dataclass(frozen=True)
-class Alias:
-    """Two terms of order 1 or 2 that a design correlates."""
-
-    #: Columns of the factors in each.
-    term: Word
-    other: Word
-    #: Correlation of their columns; 1 or -1 where nothing tells them apart.
-    r: float
-
-
 def defining_words(runs: Array) -> tuple[Word, ...]:
     """Products of columns that are constant over all runs, shortest first; runs (runs, factors)."""
     return tuple(word for word in _words(runs.shape[1]) if abs(_column(runs, word).mean()) == 1)
@@ -258,21 +267,8 @@ def resolution(runs: Array) -> int | None:
     return next((len(w) for w in _words(runs.shape[1]) if abs(_column(runs, w).mean()) == 1), None)
 
 
-def aliases(runs: Array) -> tuple[Alias, ...]:
-    """Pairs of main effects and two-way interactions with correlated columns."""
-    # Shapes: runs (runs, factors).
-    terms = [w for w in _words(runs.shape[1], 2) if len(w) <= 2]
-    columns = np.array([_column(runs, word) for word in terms])
-    products = columns @ columns.T / len(runs)
-    return tuple(
-        Alias(terms[i], terms[j], float(products[i, j]))
-        for i, j in itertools.combinations(range(len(terms)), 2)
-        if abs(products[i, j]) > 1e-12
-    )
-
-
-def _words(count: int, longest: int | None = None) -> Iterator[Word]:
-    for length in range(1, (longest or count) + 1):
+def _words(count: int) -> Iterator[Word]:
+    for length in range(1, count + 1):
         yield from itertools.combinations(range(count), length)
 
 
@@ -298,22 +294,22 @@ def defining_relation(runs: Array, names: Sequence[str]) -> str:
 def sentences(runs: Array, names: Sequence[str]) -> list[str]:
     """Alias table in words: what cannot be told from what, main effects first."""
     # Shapes: runs (runs, factors).
-    partners: dict[Word, list[Alias]] = {}
-    for alias in aliases(runs):
-        partners.setdefault(alias.term, []).append(alias)
+    terms = [word for word in _words(runs.shape[1]) if len(word) <= 2]
+    columns = np.array([_column(runs, word) for word in terms])
+    correlation = np.abs(columns @ columns.T / len(runs))
     named: set[Word] = set()
     out = []
-    for term, correlated in partners.items():
-        whole = [a for a in correlated if abs(abs(a.r) - 1) < 1e-12]
+    for i, (term, row) in enumerate(zip(terms, correlation, strict=True)):
+        correlated = [j for j in range(i + 1, len(terms)) if row[j] > 1e-12]
+        whole = [terms[j] for j in correlated if abs(row[j] - 1) < 1e-12]
         if whole and term not in named:
-            named.update(a.other for a in whole)
-            others = " or ".join(_words_of(a.other, names) for a in whole)
+            named.update(whole)
+            others = " or ".join(_words_of(other, names) for other in whole)
             out.append(f"{_words_of(term, names)} cannot be told from {others}")
-        if len(term) == 1 and len(whole) < len(correlated):
-            part = [a for a in correlated if a not in whole]
-            largest = max(abs(a.r) for a in part)
+        part = [row[j] for j in correlated if terms[j] not in whole]
+        if len(term) == 1 and part:
             out.append(
-                f"{_words_of(term, names)} is mixed with a part (up to {largest:.3g}) of "
+                f"{_words_of(term, names)} is mixed with a part (up to {max(part):.3g}) of "
                 f"{len(part)} interactions of two other factors"
             )
     return out

@@ -12,9 +12,18 @@ from typing import Annotated, Literal
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.declaration import (
+    AsWritten,
+    Bad,
+    Reads,
+    choice,
+    integer,
+    section,
+    shown,
+)
+from study.ground.diagnostics import Faults, noted, read_table
 from study.ground.errors import nearest
 from study.harness.design import generators
-from study.harness.design.diagnostics import Faults, noted, read_table
 from study.harness.design.generators import Word, d_optimal, efficiency
 from study.harness.design.layouts import (
     MAX_CELLS,
@@ -26,6 +35,7 @@ from study.harness.design.layouts import (
     Layout,
     Listed,
     Made,
+    Morris,
     PlackettBurman,
     Request,
     Sobol,
@@ -33,15 +43,6 @@ from study.harness.design.layouts import (
 )
 from study.harness.design.spec import Factor, Scheme
 from study.harness.design.study_file import Sequential
-from study.mechanics.setup.declaration import (
-    AsWritten,
-    Bad,
-    Reads,
-    choice,
-    integer,
-    section,
-    shown,
-)
 
 
 @section
@@ -212,6 +213,7 @@ LAYOUTS: Mapping[str, type[Layout]] = {
     "box-behnken": BoxBehnken,
     "latin-hypercube": LatinHypercube,
     "sobol": Sobol,
+    "morris": Morris,
     "adaptive": Adaptive,
     "d-optimal": DOptimal,
     "listed": Listed,

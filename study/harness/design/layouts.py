@@ -12,13 +12,7 @@ from typing import Annotated, Literal, Protocol
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.errors import nearest
-from study.harness.design import generators
-from study.harness.design.diagnostics import Faults, flatten, noted
-from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
-from study.harness.design.spec import Factor, Scheme
-from study.harness.design.study_file import MAX_RUNS
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     AsWritten,
     Bad,
     Reads,
@@ -30,6 +24,12 @@ from study.mechanics.setup.declaration import (
     section,
     shown,
 )
+from study.ground.diagnostics import Faults, flatten, noted
+from study.ground.errors import nearest
+from study.harness.design import generators
+from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
+from study.harness.design.spec import Factor, Scheme
+from study.harness.design.study_file import MAX_RUNS
 
 #: factors with the levels that a design needs, and which combinations of them are run
 Made = tuple[tuple[Factor, ...], Scheme]
@@ -523,11 +523,11 @@ class BoxBehnken:
         return _surface(request, self.kind, runs, "Box-Behnken design")
 
 
-def _spans(request: Request, least: int) -> bool:
+def _spans(request: Request, least: int, most: int = MAX_FACTORS) -> bool:
     """Whether every factor is a range; faults say which is not."""
     fault = "must be a range for this design", 'write { low = "28 mm", high = "32 mm" }'
     wrong = {factor.name: fault for factor in request.factors if factor.span is None}
-    return _suited(request, least, MAX_FACTORS, wrong)
+    return _suited(request, least, most, wrong)
 
 
 def _surface(request: Request, kind: str, runs: Array, what: str) -> Made:
@@ -578,6 +578,34 @@ class Sobol:
             request.fault("runs", rule, f"for example {near}")
             return request.nothing
         return _filled(request, self.kind, self.runs, self.seed, generators.sobol)
+
+
+@section
+class Morris:
+    """Trajectories through a grid, each of which moves every factor once (Morris 1991)."""
+
+    trajectories: _Runs
+    kind: Literal["morris"] = "morris"
+    #: Settings of each range, an even number; a factor moves by half of them.
+    levels: Annotated[int, Reads(integer(2, 64))] = 4
+    #: Of the draw; that of ``[study]`` by default.
+    seed: _Seed = None
+
+    def make(self, request: Request) -> Made:
+        """Draw the trajectories."""
+        if not _spans(request, 2, MAX_RUNS):
+            return request.nothing
+        if self.levels % 2:
+            request.fault("levels", f"must be even, got {self.levels}", "for example 4")
+            return request.nothing
+        count, seed = len(request.factors), request.seed if self.seed is None else self.seed
+        shares = generators.trajectories(count, self.trajectories, self.levels, seed)
+        if (made := len(shares) // (count + 1)) < self.trajectories:
+            rule = f"{made} trajectories without a common run fit {self.levels} levels"
+            request.fault("trajectories", rule, "ask for fewer, or for more levels")
+        summary = f"Morris: {made} trajectories of {count + 1} cells, seed {seed}"
+        note = "elementary effects rank the factors: they screen, and give no verdict"
+        return _sampled(request, self.kind, shares, summary, note)
 
 
 def _filled(

@@ -13,12 +13,9 @@ from importlib import resources
 from pathlib import Path
 from typing import TypeVar
 
+from study.ground import diagnostics
 from study.ground.contrast import sides_of
-from study.ground.errors import Fault, InputError, nearest
-from study.harness.design import diagnostics, overlay, plausibility
-from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.design.cell import Cell, CellProblem
-from study.harness.design.diagnostics import (
+from study.ground.diagnostics import (
     Faults,
     Table,
     Tables,
@@ -29,6 +26,10 @@ from study.harness.design.diagnostics import (
     quoted_path,
     read_table,
 )
+from study.ground.errors import Fault, InputError, nearest
+from study.harness.design import overlay, plausibility
+from study.harness.design.calibration_section import CalibrationDesign
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.factors import (
     Presets,
     exclusions_from,
@@ -40,6 +41,7 @@ from study.harness.design.factors import (
 from study.harness.design.forward_section import ValueFile
 from study.harness.design.layout_kinds import scheme_from
 from study.harness.design.parameters import (
+    Constraint,
     check_names,
     constraint_of,
     stands_alone,
@@ -488,6 +490,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
     alone = stands_alone(tables)
     responses = responses_from(file.response, _declared(tables, presets), alone, faults)
     _check_parameters(file, tables, presets, alone, faults)
+    constraints = _constraints(file, tables, faults)
     uncertain, inputs = uncertainty_from(file.uncertainty, factors, tables, faults)
     _check_asked(tables, faults)
     design = Design(
@@ -508,6 +511,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         expected=expected_from(file.expected, factors, responses, faults),
         converge=file.converge,
         uncertainty=uncertain,
+        constraints=constraints,
         inputs=inputs,
         virtual=file.virtual,
         report=file.report,
@@ -543,10 +547,6 @@ def _check_parameters(
         for label, level in labels.items():
             settings += [(key, f"presets.{name}.{label}.{key}") for key in level]
     check_names(tables, settings, faults)
-    for i, constraint in enumerate(file.constraint):
-        if is_known(constraint.rule, constraint.why):
-            read = partial(constraint_of, why=constraint.why, config=tables)
-            noted(read, constraint.rule, f"constraint[{i}].rule", faults)
     converge, replicates = file.converge, file.replicates
     if converge.key is not None and not alone:
         rule = "refines a program of parameters alone; here the mesh of [model] is refined"
@@ -557,6 +557,16 @@ def _check_parameters(
     if replicates.key is not None and not alone:
         rule = "is the seed of a program of parameters alone; here write mesh_seeds or noise"
         faults.add("replicates.key", rule, "leave it out")
+
+
+def _constraints(file: DesignFile, tables: Table, faults: Faults) -> tuple[Constraint, ...]:
+    """Inequalities of parameters that could be read."""
+    read = [
+        noted(partial(constraint_of, why=row.why, config=tables), row.rule, where, faults)
+        for where, row in ((f"constraint[{i}].rule", row) for i, row in enumerate(file.constraint))
+        if is_known(row.rule, row.why)
+    ]
+    return tuple(constraint for constraint in read if constraint is not None)
 
 
 def _check_asked(tables: Table, faults: Faults) -> None:

@@ -7,22 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Annotated
 
-import numpy as np
-from pydantic import Field
-
-from study.ground.arrays import Array
-from study.ground.errors import InputError
-from study.harness.design.diagnostics import Faults, Table, noted, read_table
-from study.mechanics.material.energy import CompressibleEnergy, Energy
-from study.mechanics.material.material import ENERGIES, MODELS, constant_names, is_constant_key
-from study.mechanics.material.relaxation import MOST_TERMS
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     AsWritten,
     Bad,
+    Field,
     Reads,
     choice,
     integer,
@@ -32,11 +22,12 @@ from study.mechanics.setup.declaration import (
     shown,
     written_keys,
 )
-from study.mechanics.setup.material_section import (
-    CompressibilityTable,
-    MaterialSection,
-    RelaxationKey,
-)
+from study.ground.diagnostics import Faults, Table, noted, read_table
+from study.ground.errors import InputError
+from study.mechanics.material.energy import Compressibility, CompressibleEnergy, Energy
+from study.mechanics.material.material import ENERGIES, MODELS, constant_names, is_constant_key
+from study.mechanics.material.relaxation import MOST_TERMS
+from study.mechanics.setup.material_section import MaterialSection, RelaxationKey
 
 # The key ``material.relaxation``: terms by which the stress fades, or a grid of their times.
 
@@ -117,7 +108,7 @@ def _grid(value: Table, faults: Faults, path: str) -> tuple[RelaxationKey, ...]:
 
 
 #: keys of which a material has one
-_COMPRESSIBILITY = written_keys(CompressibilityTable)
+_COMPRESSIBILITY = written_keys(Compressibility)
 #: value of a constant that could not be read: mu0 and all that follows from it are unknown then
 _UNREAD = math.nan
 _MOST_TERMS = 9
@@ -161,7 +152,7 @@ def material_from(table: object, faults: Faults, path: str = "material") -> Mate
     return MaterialSection(energy.name, order, values, volume, fading)
 
 
-def _compressibility(written: Table, faults: Faults, path: str) -> CompressibilityTable:
+def _compressibility(written: Table, faults: Faults, path: str) -> Compressibility:
     volume = {key: value for key, value in written.items() if key in _COMPRESSIBILITY}
     given = [key for key, value in volume.items() if value is not False]
     mend = f"give one of {', '.join(_COMPRESSIBILITY)}"
@@ -170,7 +161,7 @@ def _compressibility(written: Table, faults: Faults, path: str) -> Compressibili
     first, *others = [key for key in _COMPRESSIBILITY if key in given] or [""]
     if others:
         faults.add(f"{path}.{first}", f"stands beside {' and '.join(others)}", mend)
-    return read_table(CompressibilityTable, volume, path, faults)
+    return read_table(Compressibility, volume, path, faults)
 
 
 def _moduli(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str, float]:
@@ -253,101 +244,3 @@ def _complete(
     for name in names:
         if name not in constants:
             faults.add(f"{path}.{name}", "is missing", f"{energy.name} takes {', '.join(names)}")
-
-
-# Distribution of an uncertain input, cut off at the ends of the range that is run.
-
-#: what each kind of distribution is told by, in the order of its numbers
-PARAMETERS: Mapping[str, tuple[str, ...]] = {
-    "normal": ("mean", "sd"),
-    "uniform": ("low", "high"),
-    "triangular": ("low", "mode", "high"),
-    "lognormal": ("median", "factor"),
-}
-DISTRIBUTION_KEYS = (
-    "distribution",
-    *dict.fromkeys(k for names in PARAMETERS.values() for k in names),
-)
-
-
-@dataclass(frozen=True)
-class InputDistribution:
-    """Distribution of an uncertain input, cut off at the ends of the range that is run."""
-
-    #: The family.
-    kind: str
-    #: Its numbers in the order of `PARAMETERS`, in the unit of the range; the factor of a lognormal
-    #: distribution is exp(sd of the logarithm).
-    numbers: tuple[float, ...]
-    low: float
-    high: float
-
-    def below(self, value: float) -> float:
-        """Probability of less than a value, before anything is cut off."""
-        a, b = self.numbers[0], self.numbers[1]
-        if self.kind == "normal":
-            return NormalDist(a, b).cdf(value)
-        if self.kind == "lognormal":
-            return NormalDist(math.log(a), math.log(b)).cdf(math.log(value)) if value > 0 else 0.0
-        if self.kind == "uniform":
-            return min(max((value - a) / (b - a), 0.0), 1.0)
-        return _below_triangle(value, *self.numbers)
-
-    @property
-    def outside(self) -> float:
-        """Probability that is cut off."""
-        return self.below(self.low) + 1.0 - self.below(self.high)
-
-    def quantile(self, shares: Array) -> Array:
-        """Values, in the unit of the range, below which such shares of the distribution lie."""
-        from scipy import special
-
-        first, last = self.below(self.low), self.below(self.high)
-        p = first + shares * (last - first)
-        a, b = self.numbers[0], self.numbers[1]
-        if self.kind == "normal":
-            quantiles = a + b * special.ndtri(p)
-        elif self.kind == "lognormal":
-            quantiles = a * np.exp(math.log(b) * special.ndtri(p))
-        elif self.kind == "uniform":
-            quantiles = a + p * (b - a)
-        else:
-            quantiles = _triangle(p, *self.numbers)
-        return np.asarray(np.clip(quantiles, self.low, self.high))
-
-    def halved(self) -> InputDistribution:
-        """Give the distribution with half the spread, about the same middle."""
-        a, b = self.numbers[0], self.numbers[1]
-        if self.kind == "normal":
-            numbers: tuple[float, ...] = (a, 0.5 * b)
-        elif self.kind == "lognormal":
-            numbers = (a, math.sqrt(b))
-        elif self.kind == "uniform":
-            numbers = (0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b)
-        else:
-            middle = sum(self.numbers) / 3
-            numbers = tuple(0.5 * (value + middle) for value in self.numbers)
-        return InputDistribution(self.kind, numbers, self.low, self.high)
-
-    def words(self, unit: str) -> str:
-        """Say what it is, such as ``normal, mean 7 kPa, sd 0.5 kPa``."""
-        named = zip(PARAMETERS[self.kind], self.numbers, strict=True)
-        parts = [f"{name} {v:.4g}" + ("" if name == "factor" or not unit else f" {unit}")
-                for name, v in named]  # fmt: skip
-        return ", ".join([self.kind, *parts])
-
-
-def _below_triangle(x: float, low: float, mode: float, high: float) -> float:
-    if x <= low:
-        return 0.0
-    if x >= high:
-        return 1.0
-    if x <= mode:
-        return (x - low) ** 2 / ((high - low) * (mode - low))
-    return 1.0 - (high - x) ** 2 / ((high - low) * (high - mode))
-
-
-def _triangle(p: Array, low: float, mode: float, high: float) -> Array:
-    rising = low + np.sqrt(p * (high - low) * (mode - low))
-    falling = high - np.sqrt((1.0 - p) * (high - low) * (high - mode))
-    return np.asarray(np.where(p < (mode - low) / (high - low), rising, falling))

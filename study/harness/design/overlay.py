@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import copy
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from study.ground.declaration import MAX_NAME, keys_of, written_keys
+from study.ground.diagnostics import Table
 from study.ground.errors import nearest
 from study.ground.units import INTERNAL
-from study.harness.design.diagnostics import Table
 from study.harness.design.forward_section import ForwardModel
 from study.harness.design.material_table import MaterialTable
 from study.harness.design.parameters import is_parameter
+from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.material import ENERGIES, is_constant_key, is_dimensionless
 from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
-from study.mechanics.setup.declaration import MAX_NAME, keys_of, written_keys
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, FaceMotion, Gravity
-from study.mechanics.setup.material_section import CompressibilityTable
 from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_section import TestSection
+from study.mechanics.setup.test_kind import Test
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Place:
         return self.varying or tuple(dict.fromkeys(declared))
 
 
-_COMPRESSIBILITY = written_keys(CompressibilityTable)
+_COMPRESSIBILITY = written_keys(Compressibility)
 _MEASURED = ("file", "files", "range", "points", "zero", "toe", "sign", "displacement_zero",
              "direction", "branch", "cycle")  # fmt: skip
 #: keys of the constants that the energies declare, those of two terms where there is a choice;
@@ -60,11 +59,11 @@ _SHAPES: Mapping[str, Mapping[str, type]] = {"specimen": SPECIMENS, "test.indent
 #: every such table by its dotted name
 PLACES: Mapping[str, Place] = {
     "specimen": Place(tuple(SPECIMENS.values()), "shape"),
-    "test": Place((TestSection,)),
+    "test": Place((Test,)),
     "test.indenter": Place(tuple(INDENTERS.values()), "shape"),
     "test.motion": Place((FaceMotion,)),
     "test.gravity": Place((Gravity,)),
-    "material": Place((MaterialTable, CompressibilityTable), "model", _COMPRESSIBILITY),
+    "material": Place((MaterialTable, Compressibility), "model", _COMPRESSIBILITY),
     "model": Place((Model,), alternatives=("mesh", "mesh_size")),
     "measurements": Place((MeasurementSpec,), "", ("file", "files"), _MEASURED),
     "markers": Place((MarkerSpec,), varying=("plate",)),
@@ -128,7 +127,7 @@ def lay(tables: Table, settings: Table) -> dict[str, object]:
     A key takes away what cannot stand beside it: ``mesh`` a ``mesh_size`` (and the other
     ways round), a shape the sizes of another shape, an energy the constants of another.
     """
-    merged = copy.deepcopy(dict(tables))
+    merged = {name: _copied(table) for name, table in tables.items()}
     for key, value in settings.items():
         _make_room(merged, key, value)
     for key, value in settings.items():
@@ -139,8 +138,15 @@ def lay(tables: Table, settings: Table) -> dict[str, object]:
             if not isinstance(inner, dict):
                 inner = node[part] = {}
             node = inner
-        node[last] = copy.deepcopy(value)
+        node[last] = _copied(value)
     return merged
+
+
+def _copied(value: object) -> object:
+    """Copy of a value as a file has it, in less than half the time of :func:`copy.deepcopy`."""
+    if isinstance(value, dict):
+        return {key: _copied(inner) for key, inner in value.items()}
+    return [_copied(inner) for inner in value] if isinstance(value, list) else value
 
 
 def _make_room(merged: dict[str, object], key: str, value: object) -> None:

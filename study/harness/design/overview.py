@@ -7,15 +7,15 @@ import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
-from study.ground.canonical import Json, Keyed, plain
+from study.ground.canonical import Keyed
+from study.ground.declaration import Bad
+from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell
-from study.harness.design.diagnostics import Faults
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import words_of
 from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Combination, Design, Factor, Level, Treatment
-from study.mechanics.setup.declaration import Bad
 
 Groups = tuple[tuple[Treatment, ...], ...]
 Key = Callable[[Cell], Hashable]
@@ -137,8 +137,14 @@ class Replication:
 
 
 @dataclass(frozen=True)
-class Overview:
+class Overview(Keyed):
     """What a design can and cannot tell."""
+
+    KEYS = (
+        "study=design.name question=design.question cells=matrix.__len__ distinct calibrations "
+        "factors matrix excluded=_excluded scheme=design.scheme replicates duplicates=_duplicates "
+        "warnings"
+    )
 
     design: Design
     #: Computations and calibration problems that differ.
@@ -155,31 +161,13 @@ class Overview:
     #: What is allowed and probably not meant.
     warnings: tuple[str, ...]
 
-    def to_json(self) -> dict[str, Json]:
-        """Document of ``study plan --json``."""
-        scheme = self.design.scheme
-        return plain(
-            {
-                "study": self.design.name,
-                "question": self.design.question,
-                "cells": len(self.matrix),
-                "distinct": self.distinct,
-                "calibrations": self.calibrations,
-                "factors": self.factors,
-                "matrix": self.matrix,
-                "excluded": [{"label": cell.label, "why": why} for cell, why in self.excluded],
-                "scheme": {
-                    "kind": scheme.kind,
-                    "summary": scheme.summary,
-                    "resolution": scheme.resolution,
-                    "defining_relation": scheme.defining_relation,
-                    "aliases": scheme.aliases,
-                },
-                "replicates": self.replicates,
-                "duplicates": [[cell.label for cell in group] for group in self.duplicates],
-                "warnings": self.warnings,
-            }
-        )
+    @property
+    def _excluded(self) -> list[dict[str, str]]:
+        return [{"label": cell.label, "why": why} for cell, why in self.excluded]
+
+    @property
+    def _duplicates(self) -> list[list[str]]:
+        return [[cell.label for cell in group] for group in self.duplicates]
 
 
 def overview(design: Design) -> Overview:
@@ -279,7 +267,7 @@ def warnings(design: Design) -> tuple[str, ...]:
 # Further cells for a fraction that leaves a doubt: those that tell more terms apart.
 
 #: kinds of a design whose factors are samples of ranges, not levels
-_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
+_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "morris", "adaptive")
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 
 from study.ground import units
+from study.ground.declaration import MAX_NAME, Bad, quoted, shown, text
+from study.ground.diagnostics import Faults, Table, noted
 from study.ground.errors import UnitError, nearest
-from study.harness.design.diagnostics import Faults, Table, noted
 from study.harness.design.forward_model import ForwardCell, Value
 from study.harness.design.forward_section import ForwardModel
-from study.mechanics.setup.declaration import MAX_NAME, Bad, quoted, shown, text
 
 MOST_PARAMETERS = 1000
 #: words that a range or a distribution of a factor has for itself
@@ -281,13 +281,3 @@ def constraint_of(rule: object, why: object, config: Table) -> Constraint:
         mend = "write all of them in one unit in [parameters]"
         raise Bad(f"compares numbers in {' and '.join(map(repr, plain))}", mend)
     return limit
-
-
-def constraints_of(config: Table) -> tuple[Constraint, ...]:
-    """Every sound constraint of a file; what is wrong with another one is told where it is read."""
-    written = config.get("constraint")
-    constraints = []
-    for row in written if isinstance(written, list) else ():
-        with suppress(Bad, KeyError, TypeError, AttributeError):
-            constraints.append(constraint_of(row["rule"], row["why"], config))
-    return tuple(constraints)

@@ -6,14 +6,13 @@ import math
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
+from study.ground.declaration import values_of
+from study.ground.diagnostics import Faults, is_known
 from study.harness.design.cell import CellProblem
-from study.harness.design.diagnostics import Faults, is_known
 from study.harness.design.forward_model import ForwardCell
-from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import ENERGIES, Material
 from study.mechanics.material.stability import PLAUSIBLE_MU0, stability, surface_warning
-from study.mechanics.setup.declaration import values_of
 from study.mechanics.setup.geometry import (
     Cone,
     Enclosed,
@@ -25,7 +24,12 @@ from study.mechanics.setup.geometry import (
 )
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Setup
-from study.mechanics.setup.test_kinds import TEST_KINDS, PlateMotion, buckling_strain
+from study.mechanics.setup.test_kind import (
+    TEST_KINDS,
+    PlateMotion,
+    beyond_height,
+    buckling_strain,
+)
 
 #: place of a fault in the tables of a problem, such as ``"test.kind"``; rule and mend
 Broken = Iterator[tuple[str, str, str]]
@@ -59,9 +63,8 @@ def initial_shear_modulus(material: MaterialSection) -> float | None:
     constants = material.constants
     if not constants or any(math.isnan(v) for v in constants.values()):
         return None
-    energy, volume = ENERGIES[material.model], material.compressibility
-    resistance = Compressibility(volume.bulk_modulus_MPa, volume.poisson_ratio)
-    mu0 = energy.initial_shear_modulus(constants, resistance)
+    energy = ENERGIES[material.model]
+    mu0 = energy.initial_shear_modulus(constants, material.compressibility)
     # a linear solid with E > 9 K is refused for its Poisson's ratio below -1
     return None if energy.small_strain and not 0 < mu0 < math.inf else mu0
 
@@ -80,13 +83,12 @@ def _moduli_broken(problem: CellProblem) -> Broken:
 
 
 def _displacement(problem: CellProblem) -> Broken:
-    depth, height = problem.test.displacement_mm, problem.height_mm
-    kind = TEST_KINDS.get(problem.test.kind)
+    height, kind = problem.height_mm, TEST_KINDS.get(problem.test.kind)
     if kind is not None and kind.sense > 0:
         return  # what is lengthened has no end
-    if depth is not None and height is not None and depth >= height:
-        rule = f"{depth:g} mm reaches the height of the specimen, {height:g} mm"
-        yield "test.displacement", rule, "make it smaller than specimen.height"
+    if problem.test.displacement_mm is not None and height is not None:
+        for fault in beyond_height(problem.test, height):
+            yield fault.where, fault.rule, fault.mend
 
 
 def _gauge_section(problem: CellProblem) -> Broken:
@@ -104,7 +106,7 @@ def _gauge_section(problem: CellProblem) -> Broken:
     if is_gauge and kind.takes_indenter:
         rule = f"{test.kind} does not deform a specimen the same everywhere"
         yield "test.kind", rule, "give the specimen's shape and size"
-    if is_gauge and "bonded" in (test.interface, test.held_below) and not kind.takes_indenter:
+    if is_gauge and "bonded" in (test.interface, test.base) and not kind.takes_indenter:
         rule = "bonded faces do not let a specimen deform the same everywhere"
         yield "test.interface", rule, "leave it out, or give a cylinder or block"
     energy = ENERGIES.get(problem.material.model)
@@ -193,15 +195,8 @@ def _indenter(problem: CellProblem) -> Broken:
         *(v for k, v in values_of(indenter).items() if k != "shaft_radius_mm")
     ):
         return
-    if isinstance(indenter, Flat) and indenter.edge_radius_mm > indenter.radius_mm:
-        rule = (
-            f"{indenter.edge_radius_mm:g} mm is larger than the radius, {indenter.radius_mm:g} mm"
-        )
-        yield "test.indenter.edge_radius", rule, "round less"
-    shaft = indenter.shaft_radius_mm if isinstance(indenter, Cone) else None
-    if isinstance(indenter, Cone) and shaft is not None and indenter.tip_radius_mm > shaft:
-        rule = f"{indenter.tip_radius_mm:g} mm is larger than the shaft radius, {shaft:g} mm"
-        yield "test.indenter.tip_radius", rule, "a tip is inside its shaft"
+    for fault in indenter.faults():
+        yield fault.where, fault.rule, fault.mend
     half = half_width(problem.specimen)
     reach = footprint(indenter, problem.test.displacement_mm)
     if half is not None and reach is not None and reach >= half:
@@ -272,11 +267,6 @@ def footprint(indenter: Indenter, depth: float | None) -> float | None:
     return wide if shaft is None else min(wide, shaft)
 
 
-def cautions(setup: Setup, material: MaterialSection) -> tuple[str, ...]:
-    """Sentences about moduli, sizes and depths that no soft material, specimen or test has."""
-    return (*_moduli(material), *_sizes(setup.specimen, setup.model), *_depth(setup, material))
-
-
 #: share of the compression by Euler's load above which a column is cautioned about
 CLOSE_TO_BUCKLING = 0.9
 
@@ -285,7 +275,8 @@ def cautions_of(problem: ForwardCell) -> tuple[str, ...]:
     """Cautions of what a cell computes; of a stranger's program nothing is known to be unusual."""
     if not isinstance(problem, CellProblem):
         return ()
-    return cautions(problem.setup, problem.material)
+    setup, material = problem.setup, problem.material
+    return (*_moduli(material), *_sizes(setup.specimen, setup.model), *_depth(setup, material))
 
 
 def _moduli(material: MaterialSection) -> Iterator[str]:

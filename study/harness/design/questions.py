@@ -10,9 +10,20 @@ from typing import Annotated
 import numpy as np
 
 from study.ground import units
-from study.ground.errors import UnitError, nearest
-from study.harness.design import overlay
-from study.harness.design.diagnostics import (
+from study.ground.declaration import (
+    AsWritten,
+    Bad,
+    Reads,
+    as_written,
+    choice,
+    integer,
+    number,
+    quantity,
+    section,
+    shown,
+    text,
+)
+from study.ground.diagnostics import (
     Faults,
     Table,
     entries,
@@ -22,11 +33,12 @@ from study.harness.design.diagnostics import (
     read_table,
     with_values,
 )
+from study.ground.errors import UnitError, nearest
+from study.harness.design import overlay
 from study.harness.design.factors import grouped
 from study.harness.design.forward_section import TAKEN
 from study.harness.design.generators import model_columns
 from study.harness.design.layout_kinds import word_of, words_of
-from study.harness.design.material_table import DISTRIBUTION_KEYS, PARAMETERS, InputDistribution
 from study.harness.design.parameters import number_in
 from study.harness.design.spec import Expected, Factor, Scheme, Span
 from study.harness.design.study_file import (
@@ -40,18 +52,10 @@ from study.harness.design.study_file import (
     is_simulated,
     response_unit,
 )
-from study.mechanics.setup.declaration import (
-    AsWritten,
-    Bad,
-    Reads,
-    as_written,
-    choice,
-    integer,
-    number,
-    quantity,
-    section,
-    shown,
-    text,
+from study.statistics.surfaces.input_distribution import (
+    DISTRIBUTION_KEYS,
+    PARAMETERS,
+    InputDistribution,
 )
 
 # The tables ``[[response]]``: what is answered, and the smallest difference that matters.

@@ -5,16 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
-from study.ground.errors import InputError
-from study.harness.design import plausibility
-from study.harness.design.calibration_section import (
-    CalibratedTest,
-    CalibrationDesign,
-    nuisance_from,
-    of_test,
-)
-from study.harness.design.cell import Cell, CellProblem
-from study.harness.design.diagnostics import (
+from study.ground.declaration import shown, values_of, written_keys
+from study.ground.diagnostics import (
     Faults,
     Kind,
     Table,
@@ -26,6 +18,15 @@ from study.harness.design.diagnostics import (
     read_variant,
     with_values,
 )
+from study.ground.errors import InputError
+from study.harness.design import plausibility
+from study.harness.design.calibration_section import (
+    CalibratedTest,
+    CalibrationDesign,
+    nuisance_from,
+    of_test,
+)
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.forward_model import Refinement
 from study.harness.design.forward_section import ForwardModel
 from study.harness.design.material_table import material_from
@@ -46,11 +47,9 @@ from study.mechanics.setup.calibration_table import (
     Fitting,
     bounds_of,
 )
-from study.mechanics.setup.declaration import shown, values_of, written_keys
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Specimen
 from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_kinds import TEST_KINDS
-from study.mechanics.setup.test_section import TestSection
+from study.mechanics.setup.test_kind import TEST_KINDS, Test
 
 #: key of a table, rule and mend
 Broken = Iterator[tuple[str, str, str]]
@@ -154,12 +153,14 @@ def _markers_broken(table: Table, markers: MarkerSpec) -> Broken:
 # Specimen, test and discretization of a cell, with the defaults that other tables decide.
 
 
-def loading_from(table: object, faults: Faults, path: str = "test") -> TestSection:
+def loading_from(table: object, faults: Faults, path: str = "test") -> Test:
     """Read how the specimen is loaded; the measured range may give the displacement later."""
-    section = read_table(TestSection, table, path, faults)
+    section = read_table(Test, table, path, faults)
     written: Table = table if isinstance(table, Mapping) else {}
-    base = section.base if "base" in written else section.held_below
     kind, where = TEST_KINDS.get(section.kind), f"{path}.indenter"
+    base = section.base
+    if "base" not in written:
+        base = section.interface if kind is None else kind.usual_base(section.interface)
     indenter = None
     if kind is not None and kind.takes_indenter:
         if "indenter" in written:

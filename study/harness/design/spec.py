@@ -8,15 +8,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from study.ground.canonical import Keyed
+from study.ground.declaration import Bad
+from study.ground.diagnostics import Faults, Table
 from study.ground.errors import Fault, InputError
 from study.harness.design import overlay
 from study.harness.design.cell import Cell, CellProblem, block_ids, tested
-from study.harness.design.diagnostics import Faults, Table
 from study.harness.design.forward_model import ForwardCell, Value
-from study.harness.design.material_table import InputDistribution
 from study.harness.design.parameters import (
     Constraint,
-    constraints_of,
     is_parameter,
     parameters_from,
     stands_alone,
@@ -36,7 +36,7 @@ from study.harness.design.study_file import (
 from study.mechanics.material.material import is_constant
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
-from study.mechanics.setup.declaration import Bad
+from study.statistics.surfaces.input_distribution import InputDistribution
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,10 @@ class Factor:
 
 
 @dataclass(frozen=True)
-class Scheme:
+class Scheme(Keyed):
     """Which combinations of levels are run."""
+
+    KEYS = "kind summary resolution defining_relation aliases"
 
     kind: str = "full"
     #: Index of the level of every factor, one tuple a cell; None for the full factorial.
@@ -154,6 +156,8 @@ class Design:
     #: Standard uncertainty of inputs, in internal units, by dotted key.
     uncertainty: Mapping[str, float]
     report: Report
+    #: Inequalities of parameters; cells that break one are left out.
+    constraints: tuple[Constraint, ...] = ()
     #: Distributions of inputs that are ranges, by dotted key.
     inputs: Mapping[str, InputDistribution] = field(default_factory=dict)
     #: Which combinations of the levels are run.
@@ -196,11 +200,6 @@ class Design:
     def is_alone(self) -> bool:
         """Whether it describes parameters alone, for a program or function of somebody else."""
         return stands_alone(self.config)
-
-    @cached_property
-    def constraints(self) -> tuple[Constraint, ...]:
-        """Inequalities of parameters; cells that break one are left out."""
-        return constraints_of(self.config)
 
     @cached_property
     def is_measured(self) -> bool:

@@ -12,14 +12,7 @@ from functools import partial
 from typing import Annotated, Literal
 
 from study.ground import units
-from study.ground.errors import nearest
-from study.harness.design import overlay
-from study.harness.design.diagnostics import flatten
-from study.harness.design.forward_section import value_unit
-from study.harness.design.parameters import is_parameter
-from study.mechanics.material.material import is_constant, unit_shown
-from study.mechanics.setup.calibration_table import Fitting
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     AsWritten,
     Bad,
     Duration,
@@ -36,6 +29,13 @@ from study.mechanics.setup.declaration import (
     text,
     texts,
 )
+from study.ground.diagnostics import flatten
+from study.ground.errors import nearest
+from study.harness.design import overlay
+from study.harness.design.forward_section import value_unit
+from study.harness.design.parameters import is_parameter
+from study.mechanics.material.material import is_constant, unit_shown
+from study.mechanics.setup.calibration_table import Fitting
 from study.mechanics.setup.setup import MESH_LEVELS
 
 # Responses of a predicted curve alone, by their names in a study file.
@@ -49,6 +49,10 @@ SIMULATED = {
     "peak_contact_pressure": "kPa",
     "contact_area": "mm^2",
     "side_force": "N",
+    "moment": "N mm",
+    "base_force": "N",
+    "base_side_force": "N",
+    "base_moment": "N mm",
     "dofs": "",
 }
 

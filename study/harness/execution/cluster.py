@@ -267,24 +267,25 @@ def _watched(
     """Answer of a process, or what became of it."""
     done: Done = queue.SimpleQueue()
     process.start(payloads, done, None)
-    ends = time.monotonic() + (float("inf") if limit_s is None else limit_s)
+    limit = float("inf") if limit_s is None else limit_s
+    ends = time.monotonic() + limit
     while True:
         try:
             _, answer = done.get(timeout=max(0.0, min(ISOLATION_LOOK_S, ends - time.monotonic())))
         except queue.Empty:
-            answer = None
-        if answer is not None and answer.began:  # the process is up: its task has the whole limit
-            ends = time.monotonic() + (float("inf") if limit_s is None else limit_s)
-            continue
-        if answer is None and unwanted():
-            answer = Answer(death="stopped")
-        elif answer is None and limit_s is not None and time.monotonic() >= ends:
-            process.kill()
-            return Answer(json.dumps([stopped_late(limit_s)]))
-        if answer is not None:
-            if answer.death:
+            if unwanted():
+                answer = Answer(death="stopped")
+            elif time.monotonic() >= ends:
                 process.kill()
-            return answer
+                return Answer(json.dumps([stopped_late(limit)]))
+            else:
+                continue
+        if answer.began:  # the process is up: its task has the whole limit
+            ends = time.monotonic() + limit
+            continue
+        if answer.death:
+            process.kill()
+        return answer
 
 
 HERE = Processes()

@@ -17,7 +17,6 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Protocol, TypeVar
 
 from study.ground.working_folder import SafeChildren
@@ -213,12 +212,7 @@ class Worker:
         self._pool.submit(self._prepare)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the process, whatever it does."""
         self._process.kill()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import json
 import math
 import queue
 import time
@@ -89,10 +88,10 @@ class ReadyQueue:
     def __len__(self) -> int:
         return len(self._open)
 
-    def stuck(self) -> RuntimeError:
-        """Error of tasks that cannot be handed out: what they need is none of these."""
-        names = ", ".join(self._tasks[number].key for number in self._open)
-        return RuntimeError(f"tasks wait for something that nobody makes: {names}")
+    @property
+    def waiting(self) -> list[str]:
+        """Keys of the tasks that are not handed out."""
+        return [self._tasks[number].key for number in self._open]
 
     def finish(self, key: str, result: Document) -> None:
         """Note a result; tasks that waited for it become ready."""
@@ -107,17 +106,11 @@ class ReadyQueue:
             if self._open[number] == 0:
                 self._make_ready(number)
 
-    def give_back(self, task: Task) -> None:
-        """Have a task done once more, before all others."""
-        self._tasks.append(task)
-        self._numbers[task.key] = number = -len(self._tasks)
+    def put_back(self, task: Task) -> None:
+        """Take back a task for which there was no room, or whose worker died, at its place."""
+        number = self._numbers[task.key]
         self._open[number] = 0
         self._make_ready(number)
-
-    def put_back(self, task: Task) -> None:
-        """Take back a task for which there was no room; it keeps its place."""
-        self._open[self._numbers[task.key]] = 0
-        self._make_ready(self._numbers[task.key])
 
     def take(self, group: str) -> Task | None:
         """Next task for a worker that keeps something of a group; None while there is none."""
@@ -126,7 +119,7 @@ class ReadyQueue:
         if number is None:
             return None
         del self._open[number]
-        return self._tasks[number if number >= 0 else -number - 1]
+        return self._tasks[number]
 
     def hold(self, group: str) -> None:
         """Give a group to a worker: no other gets its tasks."""
@@ -141,7 +134,7 @@ class ReadyQueue:
                 heapq.heappush(self._fronts, (self._ready[group][0], group))
 
     def _make_ready(self, number: int) -> None:
-        group = self._tasks[number if number >= 0 else -number - 1].group
+        group = self._tasks[number].group
         heapq.heappush(self._ready[group], number)
         heapq.heappush(self._fronts, (number, group))
 
@@ -242,7 +235,8 @@ class Supervisor:
                 self._hand_out(desks, done)
                 busy = [desk for desk in desks if desk.tasks]
                 if not busy:
-                    raise self.ready.stuck()
+                    waiting = ", ".join(self.ready.waiting)
+                    raise RuntimeError(f"tasks wait for something that nobody makes: {waiting}")
                 ended = [*self._answered(busy, done), *self._late(busy)]
                 for outcome in ended:
                     self.ready.finish(outcome.key, outcome.result)
@@ -336,7 +330,7 @@ class Supervisor:
         task = tasks[0]
         self.deaths[task.key] = self.deaths.get(task.key, 0) + 1
         if self.deaths[task.key] < MAX_DEATHS:
-            self.ready.give_back(task)
+            self.ready.put_back(task)
             return []
         return [Outcome(task.key, {"status": "crashed", "message": f"{how}, twice"}, seconds)]
 
@@ -344,7 +338,7 @@ class Supervisor:
         """Have tasks done one by one, whose worker died or was late: nobody knows of which."""
         self.alone.update(task.key for task in tasks)
         for task in tasks:
-            self.ready.give_back(task)
+            self.ready.put_back(task)
         return []
 
     def _limit(self, desk: Desk) -> float | None:
@@ -376,7 +370,7 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class Inline:
-    """Executor without processes: a task that dies takes the run along."""
+    """Executor without processes, and its only slot: a task that dies takes the run along."""
 
     perform: Perform
 
@@ -384,12 +378,11 @@ class Inline:
         self, tasks: Sequence[Task], finished: Results | None = None
     ) -> Generator[Outcome, None, None]:
         """Yield the outcome of every task in its turn."""
-        ready, group = ReadyQueue(tasks, finished or {}), ""
-        while len(ready):
-            task = ready.take(group)
-            if task is None:
-                raise ready.stuck()
-            group, began = task.group, time.monotonic()
-            (result,) = json.loads(answers(self.perform, [task.payload(ready.results)]))
-            ready.finish(task.key, result)
-            yield Outcome(task.key, result, time.monotonic() - began)
+        yield from Supervisor(ReadyQueue(tasks, finished or {}), [self]).outcomes()
+
+    def start(self, payloads: Sequence[object], done: Done, ticket: object) -> None:
+        """Do some tasks."""
+        done.put((ticket, Answer(answers(self.perform, payloads))))
+
+    def kill(self) -> None:
+        """Nothing runs elsewhere."""

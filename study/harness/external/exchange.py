@@ -22,6 +22,7 @@ from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, parse_json
 from study.ground.canonical import Json, plain
 from study.ground.curve import Curve, spline_from_origin
+from study.ground.declaration import table_of, values_of
 from study.ground.errors import Fault, InputError
 from study.ground.working_folder import UserImports
 from study.harness.external.answers import (
@@ -35,7 +36,6 @@ from study.harness.external.answers import (
 )
 from study.harness.record.document import MarkerDocument, MeshDocument, SolverDocument
 from study.mechanics.material.material import is_dimensionless
-from study.mechanics.setup.declaration import table_of, values_of
 from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:

@@ -15,34 +15,35 @@ import contextlib
 import hashlib
 import os
 from collections import defaultdict
-from collections.abc import Collection, Mapping
-from functools import cached_property, partial
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Self, TypeVar, cast
 
+from study.ground.bounded_file import MAX_JSON_BYTES, NotRegularError, read_regular
 from study.ground.curve import Curve
 from study.ground.errors import NewerSchemaError, StoreError
-from study.harness.record.atomic_files import write_atomic
+from study.harness.record import atomic_files
+from study.harness.record.atomic_files import (
+    Batch,
+    FileSystem,
+    is_leftover,
+    write_atomic,
+    write_error,
+)
 from study.harness.record.document import (
     WITH_CONSTANTS,
     CurveKey,
     ManifestDocument,
     SolutionDocument,
     StoredFitDocument,
+    fault_of,
     fault_of_curves,
     fault_of_fits,
 )
-from study.harness.record.folder import ID, OUTSIDE, ManifestFolder, inside
-from study.harness.record.record import CONVERGED, Record
-from study.harness.record.survey import (
-    CURRENT,
-    Entry,
-    OtherLibraries,
-    StoredRecords,
-    Survey,
-    differences,
-    name_of,
-)
+from study.harness.record.folder import ID, OUTSIDE, inside, is_same
+from study.harness.record.record import CONVERGED, Record, canonical, plain, seal, unseal
 
 # Results that are no records: fits that cases share, solutions of refinement series.
 
@@ -83,12 +84,348 @@ def laid_by(input_hash: str) -> str:
     return f"record-{hashlib.sha256(input_hash.encode()).hexdigest()[:16]}.json"
 
 
-class Store(ManifestFolder):
-    """Records, shared fits and manifests of one study, each with the libraries that made it."""
+# Versions of the libraries that made a result: no part of its key, compared when it is used
+# again.
+
+#: entries of a record's versions that are no library: the package's own code is part of every
+#: key, and the interpreter computes no number by itself
+_OTHERS = ("study", "python")
+#: digits of a name
+_DIGITS = 16
+
+
+def libraries_of(versions: Mapping[str, str]) -> dict[str, str]:
+    """Leave the versions of libraries alone."""
+    return {name: version for name, version in versions.items() if name not in _OTHERS}
+
+
+def name_of(versions: Mapping[str, str]) -> str:
+    """Short name of a set of libraries; empty where none is known."""
+    libraries = libraries_of(versions)
+    return hashlib.sha256(canonical(libraries).encode()).hexdigest()[:_DIGITS] if libraries else ""
+
+
+def differences(then: Mapping[str, str], now: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """List the libraries that differ, each with both versions."""
+    old, new = libraries_of(then), libraries_of(now)
+    names = dict.fromkeys([*old, *new])
+    pairs = {name: (old.get(name, "none"), new.get(name, "none")) for name in names}
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+
+#: name of the file of a case's record
+CURRENT = "record.json"
+
+
+class FileStamp(tuple[int, int, int]):
+    """Size and times of a file as it lies on the disk; whoever alters it alters one of these."""
+
+    @classmethod
+    def of(cls, path: str | Path) -> FileStamp | None:
+        """Stamp of a file; None if there is none."""
+        try:
+            status = os.stat(path)
+        except (OSError, ValueError):
+            return None
+        return cls((status.st_size, status.st_mtime_ns, status.st_ctime_ns))
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What a record says of itself, so that it is read once to be counted."""
+
+    status: str
+    input_hash: str
+    #: Name of the libraries that made it, by :func:`name_of`.
+    libraries: str = ""
+    #: Hash of its mesh; empty without one.
+    mesh: str = ""
+
+    @classmethod
+    def of(cls, record: Record) -> Entry:
+        """Entry of a record."""
+        made_with, mesh = name_of(record.versions), record.mesh.get("hash", "")
+        return cls(record.status, record.input_hash, made_with, mesh)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a results folder holds of the cases that a study wants."""
+
+    #: What the valid records say, by their cases.
+    entries: Mapping[str, Entry]
+    #: Case ids without a usable record.
+    missing: tuple[str, ...]
+    #: Those of ``missing`` that have a record of another configuration, data or version.
+    foreign: tuple[str, ...]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Cases: all, and those that are done, failed and missing."""
+        counted = {
+            "done": len(self.done), "failed": len(self.statuses), "missing": len(self.missing),
+        }  # fmt: skip
+        return {"total": sum(counted.values()), **counted}
+
+    @property
+    def done(self) -> tuple[str, ...]:
+        """Case ids whose record is valid and converged."""
+        return tuple(case for case, entry in self.entries.items() if entry.status == CONVERGED)
+
+    @property
+    def statuses(self) -> dict[str, str]:
+        """Status of every case whose record is valid and says why there is no answer."""
+        entries = self.entries.items()
+        return {case: entry.status for case, entry in entries if entry.status != CONVERGED}
+
+
+# What each run of a study was: a manifest of its own, and the last finished one to read from.
+#     study.json            the last finished run; the first one while none is finished
+#     unfinished.json       a run of another design that began later and is not finished
+#     unfinished-NAME.json  rows that this run found, beside those of the finished one
+#     runs/run-N.json       every run that finished and differs from the one before it
+
+Kept = TypeVar("Kept")
+Row = TypeVar("Row")
+
+_STUDY = "study"
+_UNFINISHED = "unfinished"
+#: what a run may find besides its records
+ROWS = frozenset({"numerical", "spaces", "validation"})
+#: parts of a manifest that say how a run went, not what it was
+_OUTCOME = ("timings", "finished")
+
+
+class Store:
+    """Results folder of one study, in which one process at a time may write.
+
+    Its files are sealed, under names; records, shared fits and solutions say which libraries made
+    them, and its last finished run stays readable while an edited one is computed.
+    """
 
     #: name of the libraries that make what is written now, and whether nothing else counts
     _libraries = ""
     _strict = False
+
+    def __init__(
+        self,
+        path: Path | str,
+        warn: Callable[[str], None] | None = None,
+        system: FileSystem | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.warnings: list[str] = []
+        self._warn = warn
+        self._system = system or FileSystem()
+        self._locked = False
+        #: files that wait for the one that follows them
+        self._batch = Batch(self._system)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget what was read: another runner may have written since."""
+        self._entries: dict[str, Entry] = {}
+        self._finished_cases: Mapping[str, str] | None = None
+
+    @contextlib.contextmanager
+    def lock(self) -> Iterator[Self]:
+        """Hold the folder for this process and clear what an interrupted run left behind."""
+        if self._locked:  # the whole of a run holds it, and its parts as well
+            yield self
+            return
+        try:
+            self._system.make_folder(self.path)
+        except OSError as error:
+            raise write_error(self.path, error) from error
+        with atomic_files.exclusive(self.path):
+            self._locked = True
+            try:
+                self._forget()
+                self._clear_leftovers()
+                yield self
+            except (Exception, KeyboardInterrupt):
+                with contextlib.suppress(StoreError):  # what went wrong matters more
+                    self._batch.finish()
+                raise
+            else:
+                self._batch.finish()
+            finally:
+                self._locked = False
+
+    def note(self, progress: Mapping[str, object]) -> None:
+        """Say to other processes how far the runner is, while this one holds the folder."""
+        if self._locked:
+            atomic_files.sign(self.path, progress)
+
+    def running(self) -> dict[str, object] | None:
+        """Pid, host, start and progress of the runner in this folder; None if there is none."""
+        return atomic_files.holder(self.path)
+
+    def write_json(self, name: str, content: object, *, followed: bool = False) -> None:
+        """Store any JSON content under a name such as ``"study"``, sealed and atomically."""
+        lost: dict[str, str] = {}
+        clean = plain(content, name, lost)
+        if lost and isinstance(clean, dict):
+            clean["not_finite"] = lost
+        self._write(self._json(name), seal(clean).encode(), followed)
+
+    def _write(
+        self,
+        path: Path,
+        data: bytes,
+        followed: bool = False,
+        then: Callable[[], None] | None = None,
+    ) -> None:
+        """Write a file, and those that it follows; one that is followed waits to be in place."""
+        self._batch.add(path, data, then)
+        if not followed:
+            self._batch.finish()
+
+    def read_json(self, name: str) -> object:
+        """Content stored under a name; None if there is none or it is damaged (set aside)."""
+        path = self._json(name)
+        data = self._bytes(path)
+        if data is None:
+            return None
+        try:
+            content = unseal(data, str(path))
+            if content is None:
+                raise StoreError(f"{path}: holds nothing")
+        except NewerSchemaError:
+            raise
+        except StoreError as error:
+            self._set_aside(path, str(error))
+            return None
+        return content
+
+    def read_document(
+        self, name: str, kind: type[Kept], fault: Callable[[Kept], str] = lambda content: ""
+    ) -> Kept | None:
+        """Content stored under a name, as its class says; None as for :meth:`read_json`."""
+        content = self.read_json(name)
+        if content is None:
+            return None
+        why = fault_of(content, kind) or fault(cast(Kept, content))
+        if not why:
+            return cast(Kept, content)
+        path = self._json(name)
+        self._set_aside(path, f"{path}: is not what a study writes there, {why}")
+        return None
+
+    def _json(self, name: str) -> Path:
+        if not all(ID.fullmatch(part) for part in name.split("/")):
+            raise StoreError(f"{name!r} is no name of a stored file (a-z, 0-9, hyphens)")
+        return inside(self.path, f"{name}.json".split("/"), OUTSIDE)
+
+    def _bytes(self, path: Path) -> bytes | None:
+        try:
+            return read_regular(path, MAX_JSON_BYTES)
+        except NotRegularError as error:
+            self._set_aside(path, str(error))
+            return None
+
+    def _set_aside(self, path: Path, why: str) -> None:
+        """Rename a damaged file; a reader without the lock leaves it to the next runner."""
+        # Without the lock, a runner could replace the file by a good one between our reading and
+        # our renaming.
+        if not self._locked:
+            self._say(f"{why}; it is not used, and the next run replaces it")
+            return
+        number = 1
+        while (target := path.with_name(f"{path.name}.corrupt-{number}")).exists():
+            number += 1
+        try:
+            self._system.replace(path, target)
+        except OSError as error:
+            self._say(f"{why}; it is not used, but could not be renamed ({error})")
+            return
+        self._say(f"{why}; it was renamed to {target.name} and will be computed again")
+
+    def _clear_leftovers(self) -> None:
+        cases = [os.path.join("cases", name) for name in self._case_ids()]
+        for folder in ("", "fits", "runs", *cases):
+            with contextlib.suppress(OSError):  # ignored by every reader anyway
+                for name in filter(is_leftover, os.listdir(self.path / folder)):
+                    self._system.unlink(self.path / folder / name)
+
+    def _say(self, message: str) -> None:
+        if message in self.warnings:
+            return
+        self.warnings.append(message)
+        if self._warn is not None:
+            self._warn(message)
+
+    # Its runs.
+
+    def write_manifest(self, meta: ManifestDocument) -> None:
+        """Store what the study is: name, question, seed, design text, versions."""
+        self.write_json(_STUDY, dict(meta))
+
+    def read_manifest(self) -> ManifestDocument | None:
+        """Read the last finished run, or the first one; None if it is missing or was damaged."""
+        return self._manifest(_STUDY)
+
+    def read_unfinished(self) -> ManifestDocument | None:
+        """Read the run that began after the last finished one; None if there is none."""
+        later = self._manifest(_UNFINISHED)
+        return None if later is None or is_same(self.read_manifest(), later) else later
+
+    def read_runs(self) -> list[ManifestDocument]:
+        """Every run that finished, the latest first."""
+        manifests = (self._manifest(f"runs/run-{number}") for number in reversed(self._numbers()))
+        return [manifest for manifest in manifests if manifest is not None]
+
+    def begin_run(self, meta: ManifestDocument) -> None:
+        """Note what is going to be computed; a finished study of another design stays as it is."""
+        manifest = self.read_manifest()
+        if manifest is None or not manifest.get("finished", True):
+            self.write_manifest({**meta, "finished": False})
+        elif not is_same(manifest, meta):
+            self.write_json(_UNFINISHED, {**meta, "finished": False})
+        self._finished_cases = None
+
+    def finish_run(self, meta: ManifestDocument) -> None:
+        """Make a run the one that is read from, with what it found besides its records."""
+        before = dict(self._finished)
+        # A crash anywhere leaves one of the two readable, and running again finishes.
+        done: ManifestDocument = {**meta, "finished": True}
+        runs = self.read_runs()
+        if not runs or _essence(runs[0]) != _essence(done):
+            number = self._numbers()[-1] + 1 if runs else 1
+            self.write_json(f"runs/run-{number}", dict(done))
+        for name in sorted(ROWS):
+            rows = self.read_json(f"{_UNFINISHED}-{name}")
+            if rows is not None:
+                self.write_json(name, rows)
+        self.write_manifest(done)
+        for name in (_UNFINISHED, *(f"{_UNFINISHED}-{rows_name}" for rows_name in sorted(ROWS))):
+            with contextlib.suppress(OSError):  # it says the same as the finished one
+                self._system.unlink(self._json(name))
+        self._finished_cases = None
+        for case_id, finished_hash in before.items():  # what was laid by for the one before
+            if meta["cases"].get(case_id) != finished_hash:
+                with contextlib.suppress(OSError):  # only space is lost
+                    self._system.unlink(self._case(case_id) / laid_by(finished_hash))
+
+    def write_rows(self, name: str, rows: Sequence[Mapping[str, object]]) -> None:
+        """Store a table of :data:`ROWS` that belongs to the run which is being computed."""
+        later = self.read_unfinished() is not None
+        self.write_json(f"{_UNFINISHED}-{name}" if later else name, list(rows))
+
+    def read_rows(
+        self, name: str, kind: type[Row], fault: Callable[[list[Row]], str] = lambda rows: ""
+    ) -> list[Row]:
+        """Rows of a table of the finished run; empty without one, or where it is damaged."""
+        return self.read_document(name, list[kind], fault) or []  # type: ignore[valid-type]
+
+    def _manifest(self, name: str) -> ManifestDocument | None:
+        return self.read_document(name, ManifestDocument)
+
+    def _numbers(self) -> list[int]:
+        names = (path.stem.partition("run-")[2] for path in (self.path / "runs").glob("run-*.json"))
+        return sorted(int(name) for name in names if name.isascii() and name.isdigit())
+
+    # Its records, fits and solutions.
 
     def made_with(self, versions: Mapping[str, str], *, strict: bool = False) -> None:
         """Say which libraries compute from now on."""
@@ -171,40 +508,23 @@ class Store(ManifestFolder):
 
     def survey(self, input_hashes: Mapping[str, str]) -> Survey:
         """Sort the wanted cases into done, failed and missing."""
-        done: list[str] = []
-        statuses: dict[str, str] = {}
-        made_with: dict[str, str] = {}
-        missing: list[str] = []
-        foreign: list[str] = []
-        there = frozenset(self._case_ids())
-        for case_id, input_hash in input_hashes.items():
-            entry = self._said(case_id, input_hash) if case_id in there else None
-            if entry is None or not self._counts(entry, input_hash):
-                missing.append(case_id)
-                if entry is not None:
-                    foreign.append(case_id)
-                continue
-            made_with[case_id] = entry.libraries
-            if entry.status == CONVERGED:
-                done.append(case_id)
-            else:
-                statuses[case_id] = entry.status
+        there = frozenset(self._case_ids()).intersection(input_hashes)
+        stored = {c: e for c, h in input_hashes.items() if c in there and (e := self._said(c, h))}
+        counted = {c: e for c, e in stored.items() if self._counts(e, input_hashes[c])}
+        foreign = tuple(case_id for case_id in stored if case_id not in counted)
         if foreign:
             self._say(
                 f"{self.path}: {len(foreign)} records come from another version of the program, "
                 "its settings or the data; they are not used and will be computed again"
             )
-        return Survey(
-            tuple(done), tuple(statuses), tuple(missing), tuple(foreign), statuses, made_with
-        )
+        return Survey(counted, tuple(c for c in input_hashes if c not in counted), foreign)
 
     def done_ids(
         self, input_hashes: Mapping[str, str], retry: Collection[str] = ()
     ) -> frozenset[str]:
         """Cases that need no run: a valid record of this input, whatever its status."""
-        survey = self.survey(input_hashes)
-        again = {case_id for case_id, status in survey.statuses.items() if status in retry}
-        return frozenset(survey.done + survey.failed) - again
+        entries = self.survey(input_hashes).entries
+        return frozenset(case for case, entry in entries.items() if entry.status not in retry)
 
     def records(self, input_hashes: Mapping[str, str]) -> list[Record]:
         """Read the records of this very input, in the order of ``input_hashes``."""
@@ -222,41 +542,24 @@ class Store(ManifestFolder):
         """Read the records of this very input, by the name of their case."""
         return {record.case_id: record for record in self.records(input_hashes)}
 
-    def on_demand(self, input_hashes: Mapping[str, str]) -> Mapping[str, Record]:
-        """Give the records of this very input by their case, each read when it is asked for."""
-        return StoredRecords(
-            input_hashes,
-            lambda case_id: next(iter(self.records({case_id: input_hashes[case_id]})), None),
-        )
-
     def other_libraries(
         self, input_hashes: Mapping[str, str], versions: Mapping[str, str]
-    ) -> list[OtherLibraries]:
-        """Results that other libraries made than those of today, by what differs."""
+    ) -> list[str]:
+        """Say which results other libraries made than those of today, by what differs."""
         cases: dict[str, list[str]] = defaultdict(list)
-        for case_id, made_with in self.survey(input_hashes).made_with.items():
-            if made_with not in ("", name_of(versions)):
-                cases[made_with].append(case_id)
-        others = []
+        for case_id, entry in self.survey(input_hashes).entries.items():
+            if entry.libraries not in ("", name_of(versions)):
+                cases[entry.libraries].append(case_id)
+        sentences = []
         for ids in cases.values():
             record = self.read(ids[0], input_hashes[ids[0]])
-            if record is not None:
-                others.append(OtherLibraries(tuple(ids), differences(record.versions, versions)))
-        return others
-
-    @cached_property
-    def _entries(self) -> dict[str, Entry]:
-        return {}
-
-    def _begin(self) -> None:
-        for cached in ("_entries", "_finished"):  # another runner may have written since
-            self.__dict__.pop(cached, None)
-        names = [os.path.join(self.path, "cases", name) for name in self._case_ids()]
-        folders = [os.path.join(self.path, name) for name in ("", "fits", "runs")]
-        self._clear_leftovers([*folders, *names])
-
-    def _end(self) -> None:
-        self._batch.finish()
+            if record is None:
+                continue
+            changes = differences(record.versions, versions)
+            what = ", ".join(f"{name} {old}, now {new}" for name, (old, new) in changes.items())
+            count = "1 result was" if len(ids) == 1 else f"{len(ids)} results were"
+            sentences.append(f"{count} made with other libraries: {what}")
+        return sentences
 
     def _said(self, case_id: str, input_hash: str) -> Entry | None:
         """Say what a record says: the one that is wanted, unread where that is noted."""
@@ -281,28 +584,14 @@ class Store(ManifestFolder):
         if before is not None and before.input_hash == last:
             write_atomic(path.with_name(laid_by(last)), before.to_json().encode(), self._system)
 
-    @cached_property
+    @property
     def _finished(self) -> Mapping[str, str]:
         """Cases of the finished study that is to stay readable."""
-        manifest = self.read_manifest() if self._locked else None
-        if manifest is None or not manifest.get("finished", True):
-            return {}
-        return manifest["cases"]
-
-    def begin_run(self, meta: ManifestDocument) -> None:
-        """Note what is going to be computed; a finished study of another design stays as it is."""
-        super().begin_run(meta)
-        self.__dict__.pop("_finished", None)
-
-    def finish_run(self, meta: ManifestDocument) -> None:
-        """Make a run the one that is read from; what was laid by for the one before it may go."""
-        before = dict(self._finished)
-        super().finish_run(meta)
-        self.__dict__.pop("_finished", None)
-        for case_id, finished_hash in before.items():
-            if meta["cases"].get(case_id) != finished_hash:
-                with contextlib.suppress(OSError):  # only space is lost
-                    self._system.unlink(self._case(case_id) / laid_by(finished_hash))
+        if self._finished_cases is None:
+            manifest = self.read_manifest() if self._locked else None
+            is_done = manifest is not None and manifest.get("finished", True)
+            self._finished_cases = manifest["cases"] if is_done and manifest is not None else {}
+        return self._finished_cases
 
     def _case(self, case_id: str) -> Path:
         if not ID.fullmatch(case_id):
@@ -317,3 +606,7 @@ class Store(ManifestFolder):
             return []
         except OSError as error:
             raise StoreError(f"{folder}: cannot be read ({error.strerror or error})") from error
+
+
+def _essence(meta: ManifestDocument) -> dict[str, object]:
+    return {key: value for key, value in meta.items() if key not in _OUTCOME}

@@ -12,7 +12,7 @@ import signal
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -29,16 +29,15 @@ from study.harness.external.command import check_allowed
 from study.harness.record.document import ManifestDocument
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask
-from study.harness.runner.job import TRUTH_SUFFIX, CaseJob, CaseTask, FitJob, Work, fits_of
+from study.harness.runner.job import TRUTH_SUFFIX, CaseJob, FitJob, Work, fits_of
 from study.harness.runner.provenance import versions
 from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.solve_task import LASTING
-from study.harness.runner.tasks import adapted, limit_of
+from study.harness.runner.tasks import Costs, adapted, limit_of
 
 # What is tried when a case has no answer: declared in the design, by cause, and never silent.
 #
@@ -57,27 +56,20 @@ LIMIT_FACTOR = 4.0
 MESSAGE = 300
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """A case to be computed once more."""
+Notes = tuple[Mapping[str, str], ...]
 
-    #: Under its own name, with the changed tables.
-    job: CaseJob
-    #: Every change so far: ``cause`` and ``message`` of the failure before it, the ``change``, and
-    #: ``what`` it is in numbers.
-    notes: tuple[Mapping[str, str], ...]
-    #: Times the limit of one computation.
-    longer: float = 1.0
-    #: Whether nothing else may be computed beside it.
-    alone: bool = False
+#: what is tried of some cases at once: how many times the limit of one computation, and whether
+#: nothing else may be computed beside it; each case under its own name, with the changes so far
+Attempts = dict[tuple[float, bool], list[tuple[CaseJob, Notes]]]
 
 
-def attempts(work: Work, store: Store, limited: bool) -> list[Attempt]:
+def attempts(work: Work, store: Store, limited: bool) -> Attempts:
     """List the cases that failed for a cause of which something is still to be tried."""
+    again: Attempts = {}
     if not work.design.retry:
-        return []
-    jobs, again = {job.case.case_id: job for job in work.jobs}, []
-    for case_id in store.survey(work.input_hashes).failed:
+        return again
+    jobs = {job.case.case_id: job for job in work.jobs}
+    for case_id in store.survey(work.input_hashes).statuses:
         record = store.read(case_id)
         if record is None:
             continue
@@ -91,19 +83,20 @@ def attempts(work: Work, store: Store, limited: bool) -> list[Attempt]:
         change = next(open_changes, None)
         if change is None:
             continue
-        changed, what = _changed(job, [*done, change], work)
+        changes = [*done, change]
+        changed, what = _changed(job, changes, work)
         note = {
             "cause": record.status,
             "message": record.message[:MESSAGE],
             "change": change,
             "what": what,
         }
-        longer = LIMIT_FACTOR if LONGER_LIMIT in (*done, change) else 1.0
-        again.append(Attempt(changed, (*before, note), longer, MORE_MEMORY in (*done, change)))
+        way = (LIMIT_FACTOR if LONGER_LIMIT in changes else 1.0, MORE_MEMORY in changes)
+        again.setdefault(way, []).append((changed, (*before, note)))
     return again
 
 
-def notes_of(record: Record) -> tuple[Mapping[str, str], ...]:
+def notes_of(record: Record) -> Notes:
     """Every attempt that a record tells of; empty where the design's own setting gave it."""
     notes = record.extra.get(RETRIES)
     return tuple(notes) if isinstance(notes, (list, tuple)) else ()
@@ -197,14 +190,10 @@ def run_batch(
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
         check_allowed(externals(job.case.problem for job in todo), work.allowed.commands)
-        _Batch(work, store, todo, progress).execute(executor)
+        _compute([(job, ()) for job in todo], store, executor, progress)
         while again := attempts(work, store, limit_of(executor) is not None):
-            ways = {(a.longer, a.alone): None for a in again}
-            for longer, alone in ways:
-                alike = [a for a in again if (a.longer, a.alone) == (longer, alone)]
-                notes = {a.job.case.case_id: a.notes for a in alike}
-                batch = _Batch(work, store, [a.job for a in alike], progress, notes)
-                batch.execute(adapted(executor, longer, alone))
+            for (longer, alone), alike in again.items():
+                _compute(alike, store, adapted(executor, longer, alone), progress)
         return len(todo)
 
 
@@ -233,99 +222,84 @@ def open_fits(todo: Sequence[CaseJob], store: Store) -> list[FitJob]:
     return [job for job in fits_of(todo).values() if store.read_fit(job.key) is None]
 
 
-class _Batch:
-    def __init__(
-        self,
-        work: Work,
-        store: Store,
-        todo: Sequence[CaseJob],
-        progress: Callable[[Progress], None],
-        notes: Mapping[str, Sequence[Mapping[str, str]]] | None = None,
-    ) -> None:
-        self.work, self.store, self.progress, self.notes = work, store, progress, notes or {}
-        self.cases = {f"case-{job.case.case_id}": job for job in todo}
-        self.fits: dict[str, FitJob] = {}
-        self.known: dict[str, Document] = {}
-        for job in fits_of(todo).values():
-            stored = store.read_fit(job.key)
-            if stored is None:
-                self.fits[job.key] = job
+def _compute(
+    todo: Sequence[tuple[CaseJob, Notes]],
+    store: Store,
+    executor: Executor,
+    progress: Callable[[Progress], None],
+) -> None:
+    """Compute cases, and the fits that they need, and store each as it comes."""
+    cases = {f"case-{job.case.case_id}": (job, notes) for job, notes in todo}
+    fits: dict[str, FitJob] = {}
+    stored: dict[str, Document] = {}
+    for fit in fits_of(job for job, _ in todo).values():
+        known = store.read_fit(fit.key)
+        if known is None:
+            fits[fit.key] = fit
+        else:
+            stored[fit.key] = known
+    tasks = _tasks(fits.values(), {key: job for key, (job, _) in cases.items()})
+    began, failed, fits_done = time.monotonic(), 0, 0
+    with contextlib.closing(executor.run(tasks, stored)) as outcomes:
+        for count, outcome in enumerate(outcomes, 1):
+            if outcome.key in fits:
+                fits_done += 1
+                label = f"calibration of {fits[outcome.key].label}"
+                if outcome.status in LASTING:
+                    store.write_fit(outcome.key, outcome.result, followed=outcome.followed)
             else:
-                self.known[job.key] = stored
-        self.failed = 0
-        self.fits_done = 0
+                job, notes = cases[outcome.key]
+                label = job.case.label
+                failed += not _written(job, notes, outcome, store).converged
+            seconds = time.monotonic() - began
+            progress(Progress(count, len(tasks), failed, seconds, label, fits_done, len(fits)))
 
-    def execute(self, executor: Executor) -> None:
-        began = time.monotonic()
-        tasks = self._tasks()
-        outcomes = executor.run(tasks, self.known)
-        with contextlib.closing(outcomes):
-            for count, outcome in enumerate(outcomes, 1):
-                self._keep(outcome)
-                self.fits_done += outcome.key in self.fits
-                state = Progress(
-                    count, len(tasks), self.failed, time.monotonic() - began,
-                    self._label(outcome.key),
-                    self.fits_done, len(self.fits),
-                )  # fmt: skip
-                self.progress(state)
 
-    def _tasks(self) -> list[Task]:
-        """List fits and cases with what they are predicted to take, which gives their order."""
-        costs = Costs()
-        tasks = [
-            Task(
-                job.key,
-                partial(_fit_task, job),
-                (job.start.key,) if job.start else (),
-                seconds=costs.fit_seconds(job.problem),
-                memory_MB=costs.fit_memory_MB(job.problem),
-            )
-            for job in self.fits.values()
-        ]
-        tasks += [
-            Task(
-                key,
-                partial(_case_task, self.work, job),
-                job.needs,
-                job.group,
-                costs.case_seconds(job),
-                costs.case_memory_MB(job),
-            )
-            for key, job in self.cases.items()
-        ]
-        return tasks
-
-    def _label(self, key: str) -> str:
-        if key in self.fits:
-            return f"calibration of {self.fits[key].label}"
-        return self.cases[key].case.label
-
-    def _keep(self, outcome: Outcome) -> None:
-        if outcome.key in self.fits:
-            if outcome.status in LASTING:
-                self.store.write_fit(outcome.key, outcome.result, followed=outcome.followed)
-            return
-        record = self._record(outcome)
-        self.failed += not record.converged
-        tried = self.notes.get(record.case_id)
-        if tried:
-            record = replace(record, extra={**record.extra, RETRIES: [dict(n) for n in tried]})
-        self.store.write(record, followed=outcome.followed)
-        folder = outcome.result.get("folder")
-        if isinstance(folder, str):
-            self.store.write_folder(record.case_id, base64.b64decode(folder))
-
-    def _record(self, outcome: Outcome) -> Record:
-        text = outcome.result.get("record")
-        if isinstance(text, str):
-            return Record.from_json(text, f"worker, {self._label(outcome.key)}")
-        return CaseTask.of(self.cases[outcome.key], self.work, {}).record(
-            outcome.status,
-            outcome.message,
-            seconds=outcome.seconds,
-            traceback=str(outcome.result.get("traceback", "")),
+def _tasks(fits: Collection[FitJob], cases: Mapping[str, CaseJob]) -> list[Task]:
+    """List fits and cases with what they are predicted to take, which gives their order."""
+    costs = Costs()
+    tasks = [
+        Task(
+            job.key,
+            partial(_fit_task, job),
+            (job.start.key,) if job.start else (),
+            seconds=costs.fit_seconds(job.problem),
+            memory_MB=costs.fit_memory_MB(job.problem),
         )
+        for job in fits
+    ]
+    tasks += [
+        Task(
+            key,
+            partial(_case_task, job),
+            tuple(fit.key for fit in job.fits),
+            job.group,
+            costs.case_seconds(job),
+            costs.case_memory_MB(job),
+        )
+        for key, job in cases.items()
+    ]
+    return tasks
+
+
+def _written(job: CaseJob, notes: Notes, outcome: Outcome, store: Store) -> Record:
+    """Store the record of a case, and the folder of a program where that is kept."""
+    text = outcome.result.get("record")
+    if isinstance(text, str):
+        record = Record.from_json(text, f"worker, {job.case.label}")
+    else:
+        why = str(outcome.result.get("traceback", ""))
+        record = job.record(
+            outcome.status, outcome.message, extra={"traceback": why} if why else {},
+            seconds={"total": outcome.seconds},
+        )  # fmt: skip
+    if notes:
+        record = replace(record, extra={**record.extra, RETRIES: [dict(n) for n in notes]})
+    store.write(record, followed=outcome.followed)
+    folder = outcome.result.get("folder")
+    if isinstance(folder, str):
+        store.write_folder(record.case_id, base64.b64decode(folder))
+    return record
 
 
 def _fit_task(job: FitJob, results: Results) -> FitTask:
@@ -334,9 +308,9 @@ def _fit_task(job: FitJob, results: Results) -> FitTask:
     return FitTask(job.problem, job.measured, start, job.noise)
 
 
-def _case_task(work: Work, job: CaseJob, results: Results) -> CaseTask:
+def _case_task(job: CaseJob, results: Results) -> CaseJob:
     """Make what a worker gets of a case, once its fits are known."""
-    return CaseTask.of(job, work, {key: FitResult.from_json(results[key]) for key in job.needs})
+    return job.sent({fit.key: FitResult.from_json(results[fit.key]) for fit in job.fits})
 
 
 @contextlib.contextmanager
@@ -413,7 +387,7 @@ def check_stale(work: Work, store: Store, stale: str) -> list[str]:
     count; those of other libraries count unless they are to be computed again.
     """
     now = versions()
-    others = [change.sentence for change in store.other_libraries(work.input_hashes, now)]
+    others = store.other_libraries(work.input_hashes, now)
     store.made_with(now, strict=stale == RERUN)
     if stale == REFUSE:
         foreign = len(store.survey(work.input_hashes).foreign)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import time
-import types
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -27,7 +26,6 @@ from study.harness.record.document import (
     MarkerDocument,
     ParameterDocument,
     PlateFitDocument,
-    Quantity,
     ResponseDocument,
     SolverDocument,
 )
@@ -38,7 +36,7 @@ from study.harness.runner.fit_summary import (
     external_curve,
     judged_where_simulated,
 )
-from study.harness.runner.job import CONSTANTS, CaseTask, ScorePair
+from study.harness.runner.job import CONSTANTS, CaseJob, ScorePair
 from study.mechanics.forward import closed_form
 from study.mechanics.forward.finite_element import Anchors, load_compiled, solve
 from study.mechanics.measurement.marker_states import MarkerStates, read_markers
@@ -47,7 +45,7 @@ from study.mechanics.setup.geometry import Block
 from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:
-    from study.mechanics.solver.load_path import MovedPlate
+    from study.mechanics.solver.finite_element_solution import MovedPlate
     from study.mechanics.solver.solution import Solution
 
 # The motion of a plate that markers inside a specimen tell, and what they are off.
@@ -99,7 +97,7 @@ class _Fitter:
         self, markers: MarkerStates, label: str, problem: Problem, solution: Solution
     ) -> None:
         from study.mechanics.element.function_space import interpolation
-        from study.mechanics.solver.load_path import PrescribedMotion
+        from study.mechanics.solver.finite_element_solution import PrescribedMotion
 
         self.motion = plate = PrescribedMotion(problem, solution)
         self.interpolated = interpolation(plate.system.mesh, problem.model, markers.rest)
@@ -180,7 +178,7 @@ def predicted_markers(
     cell: CellProblem, constants: Mapping[str, float] | None, label: str, depth_mm: float
 ) -> PredictedCurve:
     """Predict a state of a marked specimen and compare all markers; constants MPa."""
-    from study.mechanics.solver.load_path import NoEquilibrium
+    from study.mechanics.solver.finite_element_solution import NoEquilibrium
 
     began, problem = time.perf_counter(), cell.loaded(displacement_mm=depth_mm).at(constants)
     spec, file = cell.markers, cell.marker_file
@@ -206,7 +204,7 @@ def predicted_markers(
     return replace(predicted, markers=document)
 
 
-def marker_responses(cell: CellProblem, document: MarkerDocument) -> dict[str, Quantity]:
+def marker_responses(cell: CellProblem, document: MarkerDocument) -> dict[str, ResponseDocument]:
     """Errors of the markers, with the plate that the study asks for, mm."""
     plate = None if cell.markers is None else cell.markers.plate
     # of all markers first; then, where layers are named, of those outside them
@@ -221,31 +219,31 @@ def marker_responses(cell: CellProblem, document: MarkerDocument) -> dict[str, Q
 _ANCHORS = Anchors()
 
 
-def perform(task: CaseTask) -> dict[str, object]:
+def perform(job: CaseJob) -> dict[str, object]:
     """Execute one case: a task for a worker; what has no answer is a status of its record."""
     began, folder = time.perf_counter(), b""
     try:
-        for direction in task.job.directions:
-            fit = task.fit(direction)
+        for direction in job.directions:
+            fit = job.outcome(direction)
             if fit is not None and not fit.converged:
                 where = f"calibration on {direction.fit_label or 'the measured curve'}"
                 raise NoAnswer(fit.status, f"{where}: {fit.message}")
             if fit is not None and not fit.usable:
                 stability = fit.fit.get("stability")
                 raise NoAnswer("unstable", f"the fitted constants are unstable: {stability}")
-        if not isinstance(task.job.case.problem, CellProblem):
-            record, folder = _of_parameters(task)
-        elif task.job.origin.predicts:
-            record, folder = _predicted(task)
+        if not isinstance(job.case.problem, CellProblem):
+            record, folder = _of_parameters(job)
+        elif job.origin.predicts:
+            record, folder = _predicted(job)
         else:  # a fit to resampled noise: its constants, and no prediction
-            record = _record(task, _constants(task), _seconds(task, []))
+            record = _fitted(job, {}, _seconds(job, []), {})
     except NoAnswer as error:
         status = error.status if error.status in STATUSES else "failed"
-        record = task.record(status, str(error), seconds=time.perf_counter() - began)
+        record = job.record(status, str(error), seconds={"total": time.perf_counter() - began})
         if error.program is not None:
             record, folder = replace(record, solver={"program": error.program}), error.folder
     except InputError as error:
-        record = task.record("failed", str(error))
+        record = job.record("failed", str(error))
     kept = {"folder": base64.b64encode(folder).decode("ascii")} if folder else {}
     return {
         "status": record.status, "message": record.message, "record": record.to_json(), **kept
@@ -256,12 +254,12 @@ def perform(task: CaseTask) -> dict[str, object]:
 _RENDERED = 64_000
 
 
-def _of_parameters(task: CaseTask) -> tuple[Record, bytes]:
+def _of_parameters(job: CaseJob) -> tuple[Record, bytes]:
     """Record of a case of parameters alone, and the zip of its folder where that is kept."""
-    answer = answer_of_parameters(task.job.case.problem, task.job.case.case_id)
+    answer = answer_of_parameters(job.case.problem, job.case.case_id)
     values, curve = {**answer.values, "seconds": answer.seconds}, answer.curve
     responses: dict[str, ResponseDocument] = {}
-    for name, unit in task.units.items():
+    for name, unit in job.units.items():
         value = values.get(name)
         if value is None and len(curve) and is_simulated(name):
             place, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
@@ -272,16 +270,10 @@ def _of_parameters(task: CaseTask) -> tuple[Record, bytes]:
             named = nearest(name, answer.values) if answer.values else "it gives a curve alone"
             raise NoAnswer("failed", f"there is no {name} among the answers ({named})")
         responses[name] = {"value": float(value), "unit": unit}
-    record = task.record("converged", "")
-    whole = replace(
-        record,
-        responses=responses,
-        curves={CurveKey("predicted", "all"): curve} if len(curve) else {},
-        timings={"predict": answer.seconds, "total": answer.seconds},
-        solver=answer.solver,
-        extra={**record.extra, **_rendered(answer.rendered)},
-    )
-    return whole, answer.folder
+    seconds = {"predict": answer.seconds, "total": answer.seconds}
+    record = job.record("converged", "", responses, _rendered(answer.rendered), seconds)
+    curves = {CurveKey("predicted", "all"): curve} if len(curve) else {}
+    return replace(record, curves=curves, solver=answer.solver), answer.folder
 
 
 def _rendered(files: Mapping[str, str]) -> dict[str, object]:
@@ -289,101 +281,87 @@ def _rendered(files: Mapping[str, str]) -> dict[str, object]:
     return {"rendered": {k: text[:_RENDERED] for k, text in files.items()}} if files else {}
 
 
-def _record(
-    task: CaseTask,
-    means: Mapping[str, Quantity],
+def _fitted(
+    job: CaseJob,
+    predicted: Mapping[str, ResponseDocument],
     seconds: Mapping[str, float],
-    steps: Mapping[str, float] = types.MappingProxyType({}),
+    extra: Mapping[str, object],
 ) -> Record:
-    """Record of a case by its fits, and responses with the uncertainty of the load steps."""
-    responses: dict[str, ResponseDocument] = {}
-    for name, unit in task.units.items():
-        mean = means.get(name, {"value": None, "unit": unit})
-        responses[name] = {"value": mean["value"], "unit": mean["unit"]}
-        if name in steps:
-            responses[name]["u_steps"] = steps[name]
-    return replace(
-        task.record("converged", ""),
-        responses=responses,
-        parameters=_parameters(task),
-        fit=_fits(task),
-        timings=seconds,
-    )
+    """Record of a case with its fits, its constants averaged over the directions."""
+    constants = response.averaged([_constants(job, pair) for pair in job.identified])
+    record = job.record("converged", "", {**constants, **predicted}, extra, seconds)
+    return replace(record, parameters=_parameters(job, constants), fit=_fits(job))
 
 
-def _predicted(task: CaseTask) -> tuple[Record, bytes]:
+def _predicted(job: CaseJob) -> tuple[Record, bytes]:
     """Record of a case whose curves are predicted and scored, and the zip of its folder."""
-    directions = task.scored
-    predictions = [_predict(task, direction) for direction in directions]
-    compared = [
-        task.compared(direction, prediction.curve)
-        for direction, prediction in zip(directions, predictions, strict=True)
+    pairs = [(direction, _predict(job, direction)) for direction in job.scored]
+    predictions = [prediction for _, prediction in pairs]
+    last = predictions[-1]
+    scores = [
+        response.score(prediction.curve, direction.measured, job.units)
+        for direction, prediction in pairs
     ]
-    scores = [response.score(curves, task.units) for curves in compared]
-    seconds = _seconds(task, predictions)
-    means = response.averaged(scores) | _constants(task)
-    means |= {"seconds": {"value": seconds["total"], "unit": "s"}}
+    seconds = _seconds(job, predictions)
+    means = response.averaged(scores)
+    means["seconds"] = {"value": seconds["total"], "unit": "s"}
     marked = [prediction.markers for prediction in predictions if prediction.markers is not None]
     for document in marked:
-        means |= marker_responses(task.problem, document)
-    means |= {"dofs": {"value": predictions[-1].mesh.get("dofs"), "unit": ""}}
+        means |= marker_responses(job.case.tested, document)
+    means["dofs"] = {"value": last.mesh.get("dofs"), "unit": ""}
     for name in predictions[0].values:
         every = [prediction.values[name] for prediction in predictions if name in prediction.values]
-        means[name] = {"value": float(np.mean(every)), "unit": task.units.get(name, "")}
+        means[name] = {"value": float(np.mean(every)), "unit": job.units.get(name, "")}
+    for name, u in _step_uncertainty(job, pairs).items():
+        means[name] = {**means[name], "u_steps": u}
     curves: dict[CurveKey, Curve] = {}
-    for prediction, direction in zip(predictions, directions, strict=True):
+    for direction, prediction in pairs:
         if direction.measured is not None:
             curves[CurveKey("measured", direction.label)] = direction.measured
         curves[CurveKey("predicted", direction.label)] = prediction.curve
-    record = _record(task, means, seconds, _step_uncertainty(task, predictions))
-    whole = replace(
-        record,
-        curves=curves,
-        mesh=predictions[-1].mesh,
-        solver=_solver(predictions),
-        extra={
-            **record.extra,
-            "directions": [
-                {
-                    "score": direction.label,
-                    "fit": direction.fit_label,
-                    "role": direction.role,
-                    "scatter_N": None if direction.scatter_N is None else list(direction.scatter_N),
-                    "responses": dict(responses),
-                }
-                for direction, responses in zip(directions, scores, strict=True)
-            ],
-            **({"markers": marked} if marked else {}),
-            **_rendered(predictions[-1].rendered),
-        },
-    )
-    return whole, predictions[-1].folder
+    directions = [
+        {
+            "score": direction.label,
+            "fit": direction.fit_label,
+            "role": direction.role,
+            "scatter_N": None if direction.scatter_N is None else list(direction.scatter_N),
+            "responses": responses | _constants(job, direction),
+        }
+        for (direction, _), responses in zip(pairs, scores, strict=True)
+    ]
+    extra = {"directions": directions, **({"markers": marked} if marked else {})}
+    record = _fitted(job, means, seconds, {**extra, **_rendered(last.rendered)})
+    return replace(record, curves=curves, mesh=last.mesh, solver=_solver(predictions)), last.folder
 
 
-def _constants(task: CaseTask) -> dict[str, Quantity]:
-    """Constants averaged over the directions that give them, with units."""
-    return response.averaged([response.constants_of(task.compared(p)) for p in task.identified])
+def _constants(job: CaseJob, pair: ScorePair) -> dict[str, ResponseDocument]:
+    """Constants of a direction, fitted or given, in the units in which they are shown."""
+    fit = job.outcome(pair)
+    if fit is not None:
+        return response.constants_of(fit.constants, fit.fit.get("mu0"))
+    material = job.case.tested.material.material()
+    return response.constants_of(material.constants, material.mu0)
 
 
-def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
+def _predict(job: CaseJob, direction: ScorePair) -> PredictedCurve:
     """Predicted curve of the scored test with the constants of the fit."""
-    fit = task.fit(direction)
-    if task.job.forward == "fit" and fit is not None and fit.prediction is not None:
+    fit = job.outcome(direction)
+    if job.forward == "fit" and fit is not None and fit.prediction is not None:
         # the last solution of the fit is the prediction: same geometry, same constants
         return fit.prediction
     constants = None if fit is None else fit.constants
-    if task.problem.markers is not None:
-        block = str(task.job.case.block)
-        return predicted_markers(task.problem, constants, block, direction.depth_mm)
-    if task.job.forward == "closed-form":
-        return _closed_form(task, constants, direction)
-    if task.job.forward == "external" or External.of(task.problem) is not None:
-        measured, steps = direction.measured, task.problem.test.steps
+    if job.case.tested.markers is not None:
+        block = str(job.case.block)
+        return predicted_markers(job.case.tested, constants, block, direction.depth_mm)
+    if job.forward == "closed-form":
+        return _closed_form(job, constants, direction)
+    if job.forward == "external" or External.of(job.case.tested) is not None:
+        measured, steps = direction.measured, job.case.tested.test.steps
         even = direction.depth_mm * np.arange(1, steps + 1) / steps
         at = even if measured is None else measured.displacement_mm
-        return external_curve(task.problem, constants, at)
-    problem_at = partial(task.problem.at, depth_mm=direction.depth_mm)
-    anchored = _ANCHORS.predict(problem_at, constants, task.anchor)
+        return external_curve(job.case.tested, constants, at)
+    problem_at = partial(job.case.tested.at, depth_mm=direction.depth_mm)
+    anchored = _ANCHORS.predict(problem_at, constants, job.shared)
     solution = anchored.solution
     if solution.status != "converged":
         raise NoAnswer(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
@@ -396,10 +374,10 @@ _STEPS = 50
 
 
 def _closed_form(
-    task: CaseTask, constants: Mapping[str, float] | None, direction: ScorePair
+    job: CaseJob, constants: Mapping[str, float] | None, direction: ScorePair
 ) -> PredictedCurve:
     """Curve at the measured displacements, or at the load steps."""
-    problem, measured = task.problem.at(constants, direction.depth_mm), direction.measured
+    problem, measured = job.case.tested.at(constants, direction.depth_mm), direction.measured
     if measured is None:
         test = replace(problem.test, steps=max(problem.test.steps, _STEPS))
         solution = closed_form.solution(replace(problem, test=test))
@@ -407,7 +385,7 @@ def _closed_form(
             raise NoAnswer(solution.status, solution.message)
         return PredictedCurve(solution.curve.without_gradients(), solver={"name": solution.solver})
     setup, material = problem.setup, problem.material
-    if measured.time_s is None and response.of_prediction(task.units):
+    if measured.time_s is None and response.of_prediction(job.units):
         curve = closed_form.between_rows(setup, material, measured.displacement_mm)
     else:
         curve = closed_form.at_rows(setup, material, measured)
@@ -416,12 +394,14 @@ def _closed_form(
     return PredictedCurve(curve.without_gradients(), solver={"name": "closed form"})
 
 
-def _step_uncertainty(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
+def _step_uncertainty(
+    job: CaseJob, pairs: Sequence[tuple[ScorePair, PredictedCurve]]
+) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
-    is_splined = External.of(task.problem) is not None
+    is_splined = External.of(job.case.problem) is not None
     each = [
-        response.step_uncertainty(p.curve, direction.measured, task.units, is_splined=is_splined)
-        for p, direction in zip(predictions, task.scored, strict=True)
+        response.step_uncertainty(p.curve, direction.measured, job.units, is_splined=is_splined)
+        for direction, p in pairs
     ]
     # of one direction fewer points may have been measured, too few to leave half of them out
     names = [name for name in each[0] if all(name in u for u in each)]
@@ -443,21 +423,22 @@ def _solver(predictions: Sequence[PredictedCurve]) -> SolverDocument:
     return facts
 
 
-def _seconds(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
+def _seconds(job: CaseJob, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Add up what this cell would cost alone: its fits (shared or not) and its predictions."""
-    fits = [fit for pair in task.job.directions if (fit := task.fit(pair)) is not None]
+    fits = [fit for pair in job.directions if (fit := job.outcome(pair)) is not None]
     fitted = sum(fit.seconds + fit.start_seconds for fit in fits)
     predicted = sum(prediction.seconds for prediction in predictions)
     return {"fit": fitted, "predict": predicted, "total": fitted + predicted}
 
 
-def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
-    """Each constant averaged over the directions, with the error of that average."""
-    fits = [
-        FitDocument() if (fit := task.fit(pair)) is None else fit.fit for pair in task.identified
-    ]
+def _parameters(
+    job: CaseJob, constants: Mapping[str, ResponseDocument]
+) -> dict[str, ParameterDocument]:
+    """Each averaged constant with the error of that average."""
+    outcomes = [job.outcome(pair) for pair in job.identified]
+    fits = [FitDocument() if fit is None else fit.fit for fit in outcomes]
     parameters: dict[str, ParameterDocument] = {}
-    for name, mean in _constants(task).items():
+    for name, mean in constants.items():
         scale = response.scale_of(name)
         errors = [fit.get("standard_error", {}).get(name) for fit in fits]
         errors_shown = [scale * float(error) for error in errors if error is not None]
@@ -468,18 +449,19 @@ def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
         pair = fits[0].get("ci95", {}).get(name) if len(fits) == 1 else None
         ends = [scale * float(end) for end in pair or () if end is not None]
         parameters[name] = {
-            **mean,
+            "value": mean["value"],
+            "unit": mean["unit"],
             "standard_error": None if error is None else float(error),
             "ci95": ends if len(ends) == 2 else None,
         }
     return parameters
 
 
-def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
+def _fits(job: CaseJob) -> dict[str, FitDocument] | None:
     """Describe each fit, by the label of its specimen."""
     described: dict[str, FitDocument] = {}
-    for direction in task.job.directions:
-        fit, key = task.fit(direction), direction.fit_key
+    for direction in job.directions:
+        fit, key = job.outcome(direction), direction.fit_key
         if fit is None or key is None:
             continue
         name = direction.fit_label or "all"
@@ -488,6 +470,6 @@ def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
             name = f"{name}, to score {direction.label}"
         document = fit.fit
         if direction.role != CONSTANTS:
-            document = judged_where_simulated(document, task.problem, direction.depth_mm)
+            document = judged_where_simulated(document, job.case.tested, direction.depth_mm)
         described[name] = {**document, "key": key}
     return described or None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Literal
 
@@ -21,20 +21,21 @@ from study.ground.errors import StoreError
 from study.harness.design.study_file import Converge
 from study.harness.record.record import Record
 from study.harness.runner.batch import has_other_mesh
-from study.harness.runner.cost import Costs
 from study.harness.runner.job import CaseJob, fits_of
-from study.harness.runner.judgement import SeriesJudgement, combined, inconclusive
 from study.harness.runner.refinement import (
     FEWEST,
     QUANTITIES,
     FormalOrder,
+    SeriesJudgement,
     Values,
     base_size_mm,
-    formal_order,
-    in_mind,
+    given_mesh,
+    inconclusive,
     judged,
+    promised,
     series_sizes,
 )
+from study.harness.runner.tasks import Costs
 from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
     ConvergenceResult,
@@ -42,27 +43,6 @@ from study.statistics.convergence.grid_convergence import (
     assumed_order,
     grid_convergence,
 )
-
-
-def half_width(
-    values: Sequence[float],
-    sizes: Sequence[float],
-    formal: float | None,
-    end: Literal["coarsest", "finest"] = "coarsest",
-) -> tuple[str, float]:
-    """Behaviour of a series from coarse to fine, and half-width for an end mesh; sizes in mm."""
-    order = assumed_order(formal) if len(values) == 2 else formal
-    result = grid_convergence(sizes, values, formal_order=order)
-    bound = result.u_num if end == "finest" else result.bound_of(values[0])
-    return result.behaviour, math.inf if bound is None else bound
-
-
-def steps(sizes: Sequence[float], ratio: float) -> Sequence[float]:
-    """Mesh sizes, or powers of the ratio asked for where the meshes do not say theirs."""
-    if len(set(sizes)) < len(sizes) or min(sizes) <= 0:
-        return [ratio**-k for k in range(len(sizes))]
-    return sizes
-
 
 #: Relative error of a fitted constant or a score at the tolerances of fit and solver.
 TOLERANCE = 1e-6
@@ -97,6 +77,12 @@ class CaseSeries:
         """Cases of the series and that on another mesh."""
         return self.jobs if self.other is None else (*self.jobs, self.other)
 
+    def taking(self, records: Mapping[str, Record]) -> CaseSeries:
+        """Take what is computed of its cases, and return it."""
+        names = (job.case.case_id for job in self.every)
+        self.records |= {name: records[name] for name in names if name in records}
+        return self
+
     @property
     def levels(self) -> dict[str, str]:
         """Levels that all cases share."""
@@ -106,12 +92,7 @@ class CaseSeries:
     @property
     def formal(self) -> FormalOrder:
         """Order that the elements of the study's mesh promise, or a stranger's solver."""
-        refinement = self.base.case.problem.refinement
-        if refinement is not None:
-            order = refinement.formal_order
-            given = f"as [converge] says of parameters.{refinement.name}"
-            return FormalOrder(order, "nobody says it" if order is None else given)
-        return formal_order(in_mind(self.base if self.own == "coarsest" else self.jobs[-1]))
+        return promised(self.base if self.own == "coarsest" else self.jobs[-1])
 
     @property
     def good(self) -> list[tuple[CaseJob, Record]]:
@@ -139,7 +120,12 @@ class CaseSeries:
         self, values: Sequence[float], sizes: Sequence[float], formal: float | None
     ) -> tuple[str, float]:
         """Behaviour of some values from coarse to fine, and half-width on the study's mesh."""
-        return half_width(values, steps(sizes, self.ratio), formal, self.own)
+        if len(set(sizes)) < len(sizes) or min(sizes) <= 0:  # the meshes do not say theirs
+            sizes = [self.ratio**-k for k in range(len(sizes))]
+        order = assumed_order(formal) if len(values) == 2 else formal
+        result = grid_convergence(sizes, values, formal_order=order)
+        bound = result.u_num if self.own == "finest" else result.bound_of(values[0])
+        return result.behaviour, math.inf if bound is None else bound
 
     def uncertainty(self, response: str, unit: str) -> NumericalUncertainty:
         """Numerical uncertainty of a response on the study's mesh.
@@ -224,29 +210,24 @@ class CaseSeries:
 
     def judge(self, spec: Converge, units: Mapping[str, str]) -> SeriesJudgement:
         """Judge curves, responses and constants of the series."""
-        records, formal = [record for _, record in self.good], self.formal
-        warnings = list(self._unanswered())
-        values = quantities(records, units)
-        name = spec.qoi if spec.qoi in QUANTITIES else "peak_force"
-        verdict = f"an order needs three meshes with an answer, there are {len(records)}"
-        facts = SeriesJudgement(
-            inconclusive(
-                spec.qoi, QUANTITIES[name][1], [], [], formal_order=formal.order, verdict=verdict
-            ),
-            {},
-            formal.why,
-            levels=self.base.case.levels,
-            block=self.base.case.block,
-        )
+        records, formal, base = [record for _, record in self.good], self.formal, self.base.case
+        warnings, values = tuple(self._unanswered()), quantities(records, units)
         if len(records) < FEWEST or not values:
-            return facts.warned(*warnings)
-        qoi = spec.qoi if spec.qoi in values else next(iter(values))
+            unit = QUANTITIES[spec.qoi if spec.qoi in QUANTITIES else "peak_force"][1]
+            verdict = f"an order needs three meshes with an answer, there are {len(records)}"
+            main = inconclusive(spec.qoi, unit, [], [], formal_order=formal.order, verdict=verdict)
+            judgement = SeriesJudgement(main, {}, formal.why, levels=base.levels, block=base.block)
+            return judgement.warned(*warnings)
         elements = [int(record.mesh.get("elements", 0)) for record in records]
         sizes = [size_of(job) for job, _ in self.good]
-        if self.base.case.problem.refinement is None:
-            sizes = series_sizes(sizes, elements, self.base.case.tested.setup)
+        if base.problem.refinement is None:
+            sizes = series_sizes(sizes, elements, base.tested.setup)
         results = judged(sizes, values, formal.order, TOLERANCE)
-        return combined(facts, qoi, results, spec.tolerance, warnings)
+        main = results[spec.qoi if spec.qoi in values else next(iter(values))]
+        return SeriesJudgement(
+            replace(main, warnings=(*warnings, *main.warnings)), results, formal.why,
+            spec.tolerance, base.levels, given_mesh(main), block=base.block,
+        ).noted()  # fmt: skip
 
     def _unanswered(self) -> Iterable[str]:
         """Say which meshes gave no answer, and why."""

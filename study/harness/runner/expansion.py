@@ -14,8 +14,9 @@ from pathlib import Path
 
 from study.ground.canonical import canonical, digest
 from study.ground.curve import Curve
+from study.ground.declaration import values_of
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import Cell, CellProblem, plain
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.forward_section import ForwardModel
 from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
 from study.harness.record.record import Record
@@ -47,7 +48,6 @@ from study.harness.runner.provenance import code_version
 from study.harness.runner.response import units_of
 from study.mechanics.measurement.measured_test import MeasuredTest, Measurements, Selection
 from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHING
-from study.mechanics.setup.declaration import values_of
 
 # Repeats of every cell for an error term: other meshes, or fits to resampled noise.
 
@@ -90,7 +90,7 @@ def _check_count(count: int) -> None:
 
 def _seeds(design: Design, case: Case, count: int) -> list[int]:
     """Seeds of the repeats of a case: hashes of the study's seed, the cell and the number."""
-    cell = [canonical(design.seed), canonical(plain(case.cell.document()))]
+    cell = [canonical(design.seed), canonical(case.cell.document())]
     return [int(digest([*cell, number], 8), 16) for number in range(1, count + 1)]
 
 
@@ -193,7 +193,7 @@ def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePai
 
 def _name(problem: CellProblem) -> str:
     spec, test = problem.measurements, values_of(replace(problem.test, steps=1))
-    return digest([plain(problem.specimen), plain(test), None if spec is None else spec.as_dict()])
+    return digest([problem.specimen, test, None if spec is None else spec.as_dict()])
 
 
 def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
@@ -214,7 +214,7 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     def job(case: Case, origin: Origin) -> CaseJob:
         place = id(case.cell)  # one for all blocks of a cell, kept alive by its cases
         if place not in shared:
-            shared[place] = Computed.of(_located(case, places, model_of), list(asked))
+            shared[place] = Computed.of(_located(case, places, model_of), asked)
         return _job(case, data, design, origin, shared[place])
 
     jobs = _anchored(job(case, origin) for case, origin in planned)
@@ -260,9 +260,11 @@ class Computed:
     forward: Forward
     #: What enters the names of its cases besides their content and their measurements.
     names: tuple[object, ...]
+    #: Unit of every response that the records hold.
+    units: Mapping[str, str]
 
     @classmethod
-    def of(cls, case: Case, asked: Sequence[str]) -> Computed:
+    def of(cls, case: Case, units: Mapping[str, str]) -> Computed:
         """Work out what the cases of a cell share, from one whose files were found."""
         problem, cell = fit_problem(case.cell), case.cell
         names = (
@@ -270,7 +272,7 @@ class Computed:
             *(file.sha256 for file in provenance.placed_files(cell)),
             *identity(cell.problem),
         )
-        return cls(cell, problem, _forward_of(case, problem), (sorted(asked), *names))
+        return cls(cell, problem, _forward_of(case, problem), (sorted(units), *names), units)
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -324,7 +326,7 @@ def _located(
 
 def case_job(case: Case, work: Work, origin: Origin) -> CaseJob:
     """Make the job of one more case of a study."""
-    computed = Computed.of(case, list(work.responses))
+    computed = Computed.of(case, work.responses)
     return _job(case, work.data, work.design, origin, computed)
 
 
@@ -335,7 +337,10 @@ def _job(
     placed = replace(case, cell=computed.cell)
     pairs = tuple(_score_pairs(placed, computed.problem, data, design))
     content = [case.case_id, [pair.identity for pair in pairs], *computed.names]
-    return CaseJob(placed, pairs, digest(content), computed.forward, origin)
+    return CaseJob(
+        placed, pairs, digest(content), computed.forward, origin,
+        study=design.name, units=computed.units,
+    )  # fmt: skip
 
 
 def _forward_of(case: Case, problem: FitProblem) -> Forward:
@@ -356,22 +361,25 @@ def _score_pairs(
     """Say what is fitted and what is scored in a case."""
     if not isinstance(case.problem, CellProblem):
         return [ScorePair("all", None, None)]
-    scored = data.scored(case.problem)
+    cell, scored = case.cell, data.scored(case.problem)
     if scored is None:
         return [_simulated(case, problem)]
-    if problem.method == "none":
-        return [_first_pair(scored, case, None)]
-    kind = _held_out(case, scored, design)
-    if kind is not None:
-        if kind != "specimen":
-            return [_without_test(case, scored, data)]
-        pairs = _without_specimen(case, problem, scored, data)
-        if design.asks_for_constants:
-            # those of all other specimens would differ less between specimens than these do
-            alone = _fitted_pairs(case, problem, scored, data)[0]
-            pairs.append(replace(alone, role=CONSTANTS, fit_label=f"{case.block} alone"))
-        return pairs
-    return _fitted_pairs(case, problem, scored, data)
+    kind = None  # a study of constants alone fits each curve by itself
+    if problem.method != "none" and (cell.leave_out is not None or design.asks_for_scores):
+        other = cell.fitted_elsewhere is not None
+        kind = held_out(
+            cell.leave_out, scored.fit, scored.score, len(scored.blocks), other_test=other
+        )
+    if kind is None:
+        return _fitted_pairs(case, problem, scored, data)
+    if kind != "specimen":
+        return [_without_test(case, scored, data)]
+    pairs = _without_specimen(case, problem, scored, data)
+    if design.asks_for_constants:
+        # those of all other specimens would differ less between specimens than these do
+        alone = _fitted_pairs(case, problem, scored, data)[0]
+        pairs.append(replace(alone, role=CONSTANTS, fit_label=f"{case.block} alone"))
+    return pairs
 
 
 def _simulated(case: Case, problem: FitProblem) -> ScorePair:
@@ -386,30 +394,18 @@ def _simulated(case: Case, problem: FitProblem) -> ScorePair:
     return ScorePair("all", None, None, pressed_mm=float(depth))
 
 
-def _held_out(case: Case, scored: Measurements, design: Design) -> str | None:
-    """Say what is left out of the fits; a study of constants alone fits each curve by itself."""
-    cell = case.cell
-    if cell.leave_out is None and not design.asks_for_scores:
-        return None
-    return held_out(
-        cell.leave_out, scored.fit, scored.score, len(scored.blocks),
-        other_test=cell.fitted_elsewhere is not None,
-    )  # fmt: skip
-
-
-def _first_pair(scored: Measurements, case: Case, fit: FitJob | None) -> ScorePair:
-    return _pair(scored.pairs(case.block)[0][1], scored.score, fit)
-
-
 def _fitted_pairs(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
-    """Pairs whose constants come from the curves that the study file selects."""
-    other = data.calibrated(case.cell)
-    if other is not None:
-        block = case.block if other.block is not None else None
-        fitted = other.curve(block, **dict(other.fit or {}))
-        return [_first_pair(scored, case, fit_job(problem, (fitted.curve,), case.label))]
+    """Pairs whose constants are given, or come from the curves that the study file selects."""
+    given, other = problem.method == "none", data.calibrated(case.cell)
+    if given or other is not None:
+        fit = None
+        if other is not None and not given:
+            block = case.block if other.block is not None else None
+            curve = other.curve(block, **dict(other.fit or {})).curve
+            fit = fit_job(problem, (curve,), case.label)
+        return [_pair(scored.pairs(case.block)[0][1], scored.score, fit)]
     out = []  # with ``swap`` fit and score also change places
     pairs = zip(scored.pairs(case.block), scored.sides, strict=True)
     for (fitted, test), (fit_where, score_where) in pairs:
@@ -454,12 +450,11 @@ def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
             and job.forward == "simulation"
             and not job.case.tested.setup.has_close_equilibria
         )
-        content = [job.case.cell.content_key, job.depth_mm]
-        groups.append(digest(content, 32) if shares else "")
+        groups.append(digest([job.case.cell.content_key, job.depth_mm], 32) if shares else "")
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):
-        solutions[group] += job.predictions
+        solutions[group] += len(job.scored)
         first.setdefault(group, job)
     anchored = []
     for job, group in zip(jobs, groups, strict=True):

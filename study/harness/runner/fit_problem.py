@@ -18,6 +18,7 @@ import numpy as np
 from study.ground.bounded_file import UnreadableError, read_existing, sha256_of
 from study.ground.canonical import digest
 from study.ground.curve import Curve
+from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem, tested
 from study.harness.design.forward_model import ForwardCell
@@ -28,10 +29,9 @@ from study.harness.external.exchange import PythonFunction
 from study.harness.runner.provenance import code_version
 from study.mechanics.material.material import ENERGIES
 from study.mechanics.measurement.recording import locate
-from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_section import TestSection
+from study.mechanics.setup.test_kind import Test
 
 # Programs and functions of a study: found, named, allowed, and asked for curves.
 
@@ -184,9 +184,7 @@ def fitted_test(asked: str, problem: CellProblem) -> FittedTest:
     if method == "closed-form":  # its mesh, depth, steps and base do not enter
         test = problem.test
         speed = test.speed_mm_per_s if problem.material.relaxation else None
-        entering = TestSection(
-            test.kind, "frictionless", speed_mm_per_s=speed, prestretch=test.prestretch
-        )
+        entering = Test(test.kind, speed_mm_per_s=speed, prestretch=test.prestretch)
         problem = replace(problem, test=entering, model=Model(), forward=None)
     alone = problem.alone()
     if method == "external":  # its program may read what the user gives besides

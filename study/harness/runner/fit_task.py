@@ -56,6 +56,12 @@ if TYPE_CHECKING:
 #: and an optimizer that asks there should hear so soon
 _CUTBACKS = 0.12
 
+#: share of the force that a curve which is moved along its gradients may be off: a tenth of the
+#: tolerance of the solver
+_NEAR = 1e-9
+#: what the estimate of it is multiplied by, for constants that move in another direction
+_SAFETY = 10.0
+
 
 @dataclass(frozen=True)
 class FitTask:
@@ -118,8 +124,8 @@ def parts_of(task: FitTask) -> list[FitPart]:
     """Parts of a fit, each with the measured curves that belong to it."""
     tests = task.problem.tests
     data = [
-        MeasuredCurve(f"measured {k}", curve, recordings=curve.recorded)
-        for k, curve in enumerate(task.measured)
+        MeasuredCurve(f"curve {k}", curve, recordings=curve.recorded)
+        for k, curve in enumerate(task.measured, 1)
     ]
     groups = [data] if len(tests) == 1 else [[curve] for curve in data]
     return [
@@ -190,8 +196,16 @@ def closed_form_model(
     return predict
 
 
+#: last solution that a search began with
+_first_solutions: dict[str, Solution] = {}
+
+
 class InverseFem:
     """Forward solutions with gradients; each starts from the one before it in the same fit.
+
+    Constants so near those of the last solution that its gradients tell the forces within the
+    tolerance of the solver are not solved again: what gradients missed on the way to that solution
+    grows with the square of the way.
 
     Between the solved steps the first curve is interpolated with its tangent (Hermite), and
     what later curves add to it by a spline that is linear in the solved forces. The gradient
@@ -207,6 +221,10 @@ class InverseFem:
         self._depth = max(float(grid.max()) for grid in self._grids)
         self._base: Curve | None = None
         self._last: Solution | None = None
+        #: constants of the last solution (p,), and what gradients missed on the way to it over
+        #: the square of the way: both as shares of the force
+        self._solved_at = np.zeros(len(names))
+        self._bend = math.inf
         #: simulations so far, and iterations of Newton's method in them
         self.solves = 0
         self.newton_iterations = 0
@@ -222,10 +240,16 @@ class InverseFem:
         return [self._at(curve, grid) for grid in self._grids]
 
     def _solved(self, values: Array) -> Curve:
+        near, way = (None, math.inf) if self._last is None else self._moved(self._last, values)
+        if near is not None and (not way or _SAFETY * self._bend * way**2 <= _NEAR):
+            return near
         constants = dict(zip(self._names, values.tolist(), strict=True))
         try:
             problem = self._problem.at(constants, self._depth)
-            solution = self._simulated(problem, self._last)
+            if self._last is None:
+                solution = self._first(problem, constants)
+            else:
+                solution = self._simulated(problem, self._last)
             if solution.status == "not-converged" and self._last is not None:
                 # the way from the solution before was too long: that says nothing of the constants
                 solution = self._simulated(problem, None)
@@ -233,11 +257,56 @@ class InverseFem:
             raise EvaluationFailed(str(error)) from error
         if solution.status != "converged":
             raise EvaluationFailed(f"{solution.status}: {solution.message}")
-        self._last = solution
-        return solution.curve
+        self._bend, curve = math.inf, solution.curve
+        if near is not None and np.array_equal(near.displacement_mm, curve.displacement_mm):
+            missed = np.linalg.norm(near.force_N - curve.force_N) / np.linalg.norm(curve.force_N)
+            self._bend = float(missed) / way**2
+        self._last, self._solved_at = solution, values.copy()
+        return curve
+
+    def _moved(self, solution: Solution, values: Array) -> tuple[Curve, float]:
+        """Curve of a solution moved along its gradients to other constants, and how far that is.
+
+        The way is the change of the force by each constant, as a share of the force.
+        """
+        curve, change = solution.curve, values - self._solved_at
+        by_constant = np.array([curve.force_gradient[n] for n in self._names]) * change[:, None]
+        way = float(np.linalg.norm(by_constant) / np.linalg.norm(curve.force_N))
+        here, force = curve.displacement_mm, by_constant.sum(axis=0)
+        tangent, work = curve.stiffness_N_per_mm, curve.work_Nmm
+        from scipy.interpolate import CubicSpline
+
+        spline = CubicSpline(np.r_[0.0, here], np.r_[0.0, force])
+        moved = replace(
+            curve,
+            force_N=curve.force_N + force,
+            stiffness_N_per_mm=None if tangent is None else tangent + spline.derivative()(here),
+            work_Nmm=None if work is None else work + spline.antiderivative()(here),
+        )
+        return moved, way
+
+    def _first(self, problem: Problem, constants: Mapping[str, float]) -> Solution:
+        """Solution that a search begins with: equal ones are found once, one after the other.
+
+        All fits to resampled residuals of a curve begin at its constants.
+        """
+        material = replace(self._problem.material, constants=constants)
+        document = replace(self._problem.alone(), material=material).document()
+        key = digest([document, self._depth], 32)
+        if key in _first_solutions:
+            return self._counted(_first_solutions[key])
+        _first_solutions.clear()  # its memory goes before the next one comes
+        solution = self._simulated(problem, None)
+        if solution.status == "converged":
+            _first_solutions[key] = solution
+        return solution
 
     def _simulated(self, problem: Problem, warm: Solution | None) -> Solution:
-        solution = finite_element.solve(problem, gradients=True, warm=warm, cutbacks=_CUTBACKS)
+        return self._counted(
+            finite_element.solve(problem, gradients=True, warm=warm, cutbacks=_CUTBACKS)
+        )
+
+    def _counted(self, solution: Solution) -> Solution:
         self.solves += 1
         self.newton_iterations += int(sum(solution.newton_iterations))
         return solution
@@ -417,7 +486,7 @@ def refitted(task: FitTask) -> FitResult:
     names = tuple(base.fit["names"])
     start = np.array([base.constants[name] for name in names])
     parts = parts_of(task)
-    models = [_Remembering(model) for model in models_of(parts, names)]
+    models = models_of(parts, names)
     predicted = [curve for model in models for curve in model(start)]
     points = sum(len(curve) for curve in task.measured)
     share = points / max(1, points - len(names))
@@ -462,19 +531,3 @@ def _drawn(measured: Curve, residuals: Residuals, seed: int, number: int) -> Cur
     name = digest([measured.displacement_mm.tolist(), measured.force_N.tolist()], 16)
     random = np.random.default_rng([seed, int(name, 16), number])
     return Curve(measured.displacement_mm, resampled(residuals, random))
-
-
-class _Remembering:
-    """A model that does not solve again for the constants it was last asked for."""
-
-    def __init__(self, model: Predict) -> None:
-        self._model = model
-        self._values = b""
-        self._curves: list[Curve] = []
-
-    def __call__(self, values: Array) -> list[Curve]:
-        """Predict the curves at constants in MPa."""
-        if values.tobytes() != self._values:
-            self._curves = self._model(values)
-            self._values = values.tobytes()
-        return self._curves

@@ -11,7 +11,7 @@ from pathlib import Path
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
-from study.ground.units import listed
+from study.ground.units import agree, listed
 from study.harness.design.factors import level_label
 from study.harness.design.forward_section import TAKEN
 from study.harness.design.load import default_name, dump, from_tables, loads
@@ -113,7 +113,7 @@ def _check(
             f"write {name}={shown}",
         )
         for name, shown in table.units.items()
-        if units[name] not in ("", shown)
+        if units[name] and not agree(shown, units[name])
     ]
     for factor in ranges:
         if not is_parameter(_key(factor)) or factor.name in (*columns, *units):

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 from study.ground.canonical import digest
@@ -13,12 +14,12 @@ from study.ground.curve import Curve
 from study.harness.design.cell import Cell, CellProblem, Config, case_id
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case, Design
+from study.harness.record.document import ResponseDocument
 from study.harness.record.record import Record, is_repeat
 from study.harness.runner import provenance
 from study.harness.runner.fit_problem import NOTHING, Allowed, FitProblem
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.provenance import versions
-from study.harness.runner.response import Scored
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.forward.finite_element import Anchor
 from study.mechanics.measurement.conditioning import is_caution
@@ -63,7 +64,7 @@ class Origin:
 
     def to_json(self) -> dict[str, object]:
         """Plain data without what does not apply."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 #: ends in the name of the file that says how virtual measurements were made
@@ -212,10 +213,31 @@ class CaseJob:
     #: The fit that gives the constants of that solution (see ``finite_element``).
     anchor: FitJob | None = None
 
+    #: Name of the study, and unit of every response that the record holds.
+    study: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    #: Outcomes of its fits by their keys, once they are done.
+    outcomes: Mapping[str, FitResult] = field(default_factory=dict)
+
+    def sent(self, outcomes: Mapping[str, FitResult]) -> CaseJob:
+        """Copy for a worker, complete in itself: it needs of each fit its name and outcome."""
+
+        def bare(fit: FitJob | None) -> FitJob | None:
+            return fit and replace(fit, measured=(), start=None)
+
+        pairs = tuple(replace(pair, fit=bare(pair.fit)) for pair in self.directions)
+        return replace(self, directions=pairs, anchor=bare(self.anchor), outcomes=outcomes)
+
     @property
-    def predictions(self) -> int:
-        """Number of curves that are predicted and scored."""
-        return sum(pair.role != CONSTANTS for pair in self.directions)
+    def scored(self) -> tuple[ScorePair, ...]:
+        """Directions whose curves are predicted and scored."""
+        return tuple(pair for pair in self.directions if pair.role != CONSTANTS)
+
+    @property
+    def identified(self) -> tuple[ScorePair, ...]:
+        """Directions that give the constants: the specimen's own where its score is held out."""
+        apart = tuple(pair for pair in self.directions if pair.role == CONSTANTS)
+        return apart or self.directions
 
     @property
     def depth_mm(self) -> float:
@@ -228,10 +250,37 @@ class CaseJob:
         every = (self.anchor, *(pair.fit for pair in self.directions))
         return tuple({fit.key: fit for fit in every if fit is not None}.values())
 
+    def outcome(self, pair: ScorePair) -> FitResult | None:
+        """Outcome of the fit of a direction; None where the constants are given."""
+        return None if pair.fit is None else self.outcomes[pair.fit.key]
+
     @property
-    def needs(self) -> tuple[str, ...]:
-        """Keys of its fits."""
-        return tuple(fit.key for fit in self.fits)
+    def shared(self) -> Anchor | None:
+        """Name of the shared solution and its constants; None where they could not be fitted."""
+        if not self.group or self.anchor is None:
+            return Anchor(self.group) if self.group else None
+        fit = self.outcomes[self.anchor.key]
+        return Anchor(self.group, fit.constants) if fit.usable else None
+
+    def record(
+        self,
+        status: str,
+        message: str = "",
+        responses: Mapping[str, ResponseDocument] = MappingProxyType({}),
+        extra: Mapping[str, object] = MappingProxyType({}),
+        seconds: Mapping[str, float] = MappingProxyType({}),
+    ) -> Record:
+        """Record of the case: of its responses those that are given, the others missing."""
+        case = self.case
+        lacking: dict[str, ResponseDocument] = {
+            name: {"value": None, "unit": unit} for name, unit in self.units.items()
+        }
+        return Record(
+            case.case_id, self.study, case.levels, case.block, status, message,
+            {name: responses.get(name, none) for name, none in lacking.items()},
+            timings=seconds, versions=versions(), input_hash=self.input_hash,
+            extra={**self.origin.to_json(), **extra},
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -276,90 +325,6 @@ class Work:
     def input_hashes(self) -> dict[str, str]:
         """Case id -> hash of everything that decides its record."""
         return {job.case.case_id: job.input_hash for job in self.jobs}
-
-
-@dataclass(frozen=True)
-class CaseTask:
-    """A case as it goes to a worker, complete in itself."""
-
-    job: CaseJob
-    study: str
-    #: Unit of every response that the record holds.
-    units: Mapping[str, str]
-    #: Outcomes of its fits by their keys.
-    fits: Mapping[str, FitResult]
-
-    @classmethod
-    def of(cls, job: CaseJob, work: Work, fits: Mapping[str, FitResult]) -> CaseTask:
-        """Task of a case whose fits are done: a worker needs of each fit its name and outcome."""
-        pairs = tuple(
-            replace(pair, fit=pair.fit and replace(pair.fit, measured=(), start=None))
-            for pair in job.directions
-        )
-        anchor = job.anchor and replace(job.anchor, measured=(), start=None)
-        sent = replace(job, directions=pairs, anchor=anchor)
-        return cls(sent, work.design.name, work.responses, fits)
-
-    @property
-    def problem(self) -> CellProblem:
-        """What is predicted, of a case that is a test of a specimen."""
-        return self.job.case.tested
-
-    @property
-    def scored(self) -> tuple[ScorePair, ...]:
-        """Directions whose curves are predicted and scored."""
-        return tuple(pair for pair in self.job.directions if pair.role != CONSTANTS)
-
-    @property
-    def identified(self) -> tuple[ScorePair, ...]:
-        """Directions that give the constants: the specimen's own where its score is held out."""
-        apart = tuple(pair for pair in self.job.directions if pair.role == CONSTANTS)
-        return apart or self.job.directions
-
-    @property
-    def anchor(self) -> Anchor | None:
-        """Name of the shared solution and its constants; None where they could not be fitted."""
-        group, fitted = self.job.group, self.job.anchor
-        if not group or fitted is None:
-            return Anchor(group) if group else None
-        fit = self.fits[fitted.key]
-        return Anchor(group, fit.constants) if fit.usable else None
-
-    def fit(self, pair: ScorePair) -> FitResult | None:
-        """Outcome of the fit of a direction; None where the constants are given."""
-        return None if pair.fit is None else self.fits[pair.fit.key]
-
-    def compared(self, pair: ScorePair, predicted: Curve | None = None) -> Scored:
-        """Collect what responses are computed from; given constants stand in the material."""
-        fit = self.fit(pair)
-        if fit is not None:
-            return Scored(pair.measured, predicted, fit.constants, fit.fit.get("mu0"))
-        material = self.problem.material.material()
-        return Scored(pair.measured, predicted, material.constants, material.mu0)
-
-    def record(
-        self,
-        status: str,
-        message: str,
-        *,
-        seconds: float | None = None,
-        traceback: str = "",
-    ) -> Record:
-        """Record of a case without an answer: every response is missing."""
-        case = self.job.case
-        return Record(
-            case_id=case.case_id,
-            study=self.study,
-            levels=case.levels,
-            block=case.block,
-            status=status,
-            message=message,
-            responses={name: {"value": None, "unit": unit} for name, unit in self.units.items()},
-            timings={} if seconds is None else {"total": seconds},
-            versions=versions(),
-            input_hash=self.job.input_hash,
-            extra=self.job.origin.to_json() | ({"traceback": traceback} if traceback else {}),
-        )
 
 
 def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:

@@ -54,7 +54,7 @@ _NUMERIC_ROOMS = (
 #: Modules that name results or foretell what they cost, and decide none of their numbers.
 _WITHOUT_NUMBERS = (
     "study.mechanics.solver.solution_cost",
-    "study.harness.runner.cost",
+    "study.harness.runner.tasks",
     "study.harness.runner.provenance",
 )
 _PACKAGES = ("numpy", "scipy", "numba", "scikit-fem", "gmsh", "pypardiso", "mkl")
@@ -199,12 +199,12 @@ def located_cell(cell: Cell, places: Sequence[Path]) -> Cell:
 
 def _with_markers(problem: CellProblem, places: Sequence[Path]) -> CellProblem:
     """Copy a problem with the file of its markers found."""
-    spec, where, missing = problem.markers, "markers.file", list[Fault]()
+    spec, missing = problem.markers, list[Fault]()
     if spec is None:
         return problem
     for folder in places:
         try:
-            path = locate(spec.file, folder, citation=spec.citation, where=where)
+            path = locate(spec.file, folder, citation=spec.citation, where="markers.file")
         except MissingDataError as error:
             missing += error.faults
             continue
@@ -218,18 +218,11 @@ def find(name: str, places: Sequence[Path]) -> Path:
     """Path of a surface file in or below one of some folders."""
     check_relative(name, _WHERE)
     for folder in places:
-        try:
+        with contextlib.suppress(MissingDataError):
             return locate(name, folder, where=_WHERE)
-        except MissingDataError:
-            continue
     looked = " or ".join(repr(str(folder)) for folder in places)
-    parent = Path(name).parent
-    names = sorted(
-        p.name
-        for folder in places
-        for p in (folder / parent).glob("*")
-        if p.suffix.lower() in (".stl", ".ply", ".obj")
-    )
+    files = (path for folder in places for path in (folder / Path(name).parent).glob("*"))
+    names = sorted(p.name for p in files if p.suffix.lower() in (".stl", ".ply", ".obj"))
     mend = nearest(Path(name).name, names[:20]) if names else "name its folder with --data DIR"
     raise InputError(Fault(_WHERE, f"there is no file {name!r} below {looked}", mend))
 
@@ -248,10 +241,8 @@ def surface_notes(cells: Iterable[Cell]) -> tuple[str, ...]:
 
 def placed_files(cell: Cell) -> list[PlacedFile]:
     """Files of surfaces and markers that a cell uses, as they were found."""
-    files = []
-    for problem in (cell.problem, cell.fitted_elsewhere):
-        if isinstance(problem, CellProblem):
-            files += [problem.surface_file, problem.marker_file]
+    problems = [p for p in (cell.problem, cell.fitted_elsewhere) if isinstance(p, CellProblem)]
+    files = (file for p in problems for file in (p.surface_file, p.marker_file))
     return [file for file in files if file is not None]
 
 

@@ -1,8 +1,12 @@
-"""Statistics on the records of a study: rows and question of each response, as its design says."""
+"""Statistics on the records of a study: rows and question of each response, as its design says.
+
+With them goes the numerical uncertainty of its effects: what the verdicts are held against.
+"""
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -12,6 +16,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 
+from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.errors import InputError, StudyError
 from study.ground.tabular import names_of
@@ -20,9 +25,9 @@ from study.harness.design import overlay
 from study.harness.design.load import is_constant
 from study.harness.design.overview import duplicates
 from study.harness.design.questions import usual_value
+from study.harness.record.document import NumericalCells, NumericalRow, fault_of_series
 from study.harness.record.record import answered_often, is_repeat, table
 from study.harness.runner.response import CURVE_RESPONSES
-from study.harness.runner.study_uncertainty import finest_mesh, numerical_bound
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
     Blocking,
@@ -33,6 +38,8 @@ from study.statistics.analysis.anova import analyze, effects
 from study.statistics.analysis.anova_table import DepthEffect
 from study.statistics.analysis.linear_model import Model, terms_of
 from study.statistics.analysis.repeats import common_seeds
+from study.statistics.convergence.contrast_bound import CellSeries, NumericalBound, SeriesBounds
+from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_fitting import compared, counted, surfaces_at
 from study.statistics.surfaces.surface_profile import FittedSurface
@@ -45,10 +52,10 @@ if TYPE_CHECKING:
     from study.harness.design.spec import Design, Treatment
     from study.harness.design.study_file import ResponseSpec
     from study.harness.record.record import Record
+    from study.harness.record.store import Store
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
-    from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 
 def analyze_records(
@@ -107,7 +114,7 @@ def _asked(
         rows = rows_for(whole, response.name, names, given["error"], block)
         whole, gaps = without_gaps(
             design, rows.table, response.name, factors, rows.block, given["model"],
-            finest_mesh(design, records),
+            mesh_levels(design, records),
         )  # fmt: skip
         block = rows.block
     else:  # blocks that cross, as in a Latin square
@@ -229,14 +236,14 @@ def without_gaps(
     factors: Sequence[str],
     block: str | None,
     model: Model,
-    finest: tuple[str, str] | None = None,
+    meshes: tuple[str, list[str]] | None = None,
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Rows without the levels of which half of the cells or more have no answer.
 
     Such a level would leave all its siblings with few settings at which they can be compared. It
     is left out, and that is said. So is a level (an energy that is stretched beyond its
-    ellipticity on every fine mesh) without any answer at ``finest``, factor and level of the
-    finest mesh: what differs on coarser meshes may be their errors. Any other combination of
+    ellipticity on every fine mesh) without any answer on the finest of
+    the meshes: what differs on coarser meshes may be their errors. Any other combination of
     levels that fails, while each is sound by itself, leaves no level out: its factors are judged
     at the settings that have answers.
     """
@@ -247,7 +254,7 @@ def without_gaps(
         complete = complete[answered_often(complete, factors, block, table[block].nunique())]
     answered = {tuple(map(str, row)) for row in complete[list(factors)].to_numpy()}
     terms = [[factors.index(name) for name in term] for term in terms_of(factors, model)]
-    fine = None if finest is None else (factors.index(finest[0]), finest[1])
+    fine = None if meshes is None else (factors.index(meshes[0]), meshes[1][-1])
     notes = []
     while (worst := _worst(designed, answered, terms, fine)) is not None:
         place, level = worst
@@ -380,7 +387,7 @@ def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
 
 #: kinds of a design whose settings are chosen for a surface
 _FOR_SURFACES = (
-    "central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive", "listed"
+    "central-composite", "box-behnken", "latin-hypercube", "sobol", "morris", "adaptive", "listed"
 )  # fmt: skip
 
 
@@ -400,6 +407,11 @@ def surfaces(
         return ()
     originals = [record for record in records if not is_repeat(record.extra)]
     places, sizes = labels_of(design), [len(labels) for labels in design.lists.values()]
+    kind = design.analysis.surface
+    if kind == "auto" and design.scheme.kind == "morris":
+        kind = "morris"
+        place = {tuple(t.levels.values()): n for n, t in enumerate(design.treatments)}
+        originals.sort(key=lambda record: place[tuple(record.levels.values())])
     units_of = {name: span.unit for name, span in design.ranges.items()}
     surfaces_fitted: list[FittedSurface] = []
     for response in design.responses:
@@ -411,7 +423,7 @@ def surfaces(
         bound = None if half_width is None else 2.0 * half_width
         each = surfaces_at(
             FittedSurface(response.name, response.unit, None, bound=bound, units=units_of),
-            places, sizes, design.analysis.surface,
+            places, sizes, kind,
             [partial(_runs_of_records, response.name, some, half_width, factors)
              for some in good],
             response.practical,
@@ -540,3 +552,174 @@ def _runs_of_records(
     u = None if half_width is None else np.full(values.size, half_width / 2.0)
     coded = coded_settings(factors, [record.levels for record in records])
     return Runs(response, factors, coded, values, blocks, u)
+
+
+# Numerical uncertainty of the effects of a study: what the verdicts are held against.
+
+
+def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[NumericalUncertainty, ...]:
+    """Numerical uncertainty of a study: as its run found it, and then ``study converge``."""
+    document = store.read_document(
+        "numerical-cells", NumericalCells, lambda cells: fault_of_series(cells["rows"])
+    )
+    rows = store.read_rows("numerical", NumericalRow, fault_of_series)
+    if document is not None and document["of"] == digest(cases):
+        rows = [*rows, *document["rows"]]
+    return tuple(
+        NumericalUncertainty(
+            row["levels"], row["response"], row["value"], row["u_num"], row["unit"],
+            row["behaviour"], row["note"], tuple(row.get("mesh_size", ())),
+            tuple(row.get("series", ())), row.get("formal_order"), row.get("formal_reason", ""),
+        )
+        for row in rows
+    )  # fmt: skip
+
+
+#: factors whose levels are meshes
+MESH_FACTORS = ("model.mesh", "model.mesh_size")
+
+#: meshes that a series needs
+_NEEDED = 3
+
+
+def numerical_bound(
+    design: Design,
+    numerical: Sequence[NumericalUncertainty],
+    records: Sequence[Record],
+    table: pd.DataFrame,
+    response: str,
+    transform: str,
+) -> NumericalBound | None:
+    """Bound of the numerical error of every difference of a response.
+
+    Where the meshes are a factor, the study's own cells are the refinement series, averaged over
+    its blocks; elsewhere the cells that were refined are, in the first block. A cell whose
+    deformation is homogeneous has no mesh error. The load steps count by the largest change of
+    the response in any case where every other load step is left out.
+    """
+    rows = [row for row in numerical if row.response == response]
+    if not rows:
+        return None
+    cells = [(dict(one.levels), one.cell.problem.discretization) for one in design.treatments]
+    mesh, meshes = mesh_levels(design, records) or (None, [])
+    names = [f.name for f in design.factors]
+    if mesh is not None and set(meshes) <= set(table[mesh].astype(str)):
+        names.remove(mesh)
+        series = _own_series(rows, table, response, transform, names, mesh, meshes)
+        finest = {mesh: meshes[-1]}
+    else:
+        series, finest = _refined_series(rows, names, transform, [c for c, _ in cells]), {}
+    elements = {tuple(levels[n] for n in names): element for levels, element in cells}
+    more = u_of_steps(records, response, transform)
+    if transform == "log" and more:
+        more /= _geometric_mean(records, response)
+    combinations = tuple(dict.fromkeys(tuple(levels[n] for n in names) for levels, _ in cells))
+    named = {
+        cell: replace(s, discretization=elements[cell])
+        for cell, s in series.items()
+        if elements.get(cell)
+    }
+    return SeriesBounds(tuple(names), combinations, named, elements, more, mesh, finest)
+
+
+def _own_series(
+    rows: Sequence[NumericalUncertainty],
+    table: pd.DataFrame,
+    response: str,
+    transform: str,
+    names: Sequence[str],
+    mesh: str,
+    meshes: Sequence[str],
+) -> dict[Cell, CellSeries]:
+    """Series of the columns of a study whose meshes are a factor, averaged over the blocks."""
+    y = table[response]
+    values = np.log(y.where(y > 0)) if transform == "log" else y
+    labels = [table[name].astype(str) for name in (*names, mesh)]
+    mean = values.groupby(labels, sort=False).mean()
+    by_cell = {}
+    for row in rows:
+        if set(row.levels) != set(names) or len(row.series) < _NEEDED:
+            continue
+        cell = tuple(row.levels[name] for name in names)
+        by_mesh = [float(mean.get((*cell, level), math.nan)) for level in meshes]
+        if np.isfinite(by_mesh).all() and len(row.mesh_size) == len(by_mesh):
+            studied = math.fsum(by_mesh) / len(by_mesh)
+            by_cell[cell] = _cell_series(row, by_mesh, studied, transform)
+    return by_cell
+
+
+def _refined_series(
+    rows: Sequence[NumericalUncertainty],
+    names: Sequence[str],
+    transform: str,
+    cells: Sequence[Mapping[str, str]],
+) -> dict[Cell, CellSeries]:
+    """Series of the cells that were refined beside the study."""
+    by_cell = {}
+    for row in rows:
+        values = row.series
+        if transform == "log":
+            values = tuple(math.log(v) for v in values if v > 0)
+        if len(values) < 2 or len(values) != len(row.mesh_size) or min(row.mesh_size) <= 0:
+            continue
+        levels = {name: level for name, level in row.levels.items() if name in names}
+        at = next((c for c in cells if levels.items() <= c.items()), None)
+        if at is not None:
+            cell = tuple(at[name] for name in names)
+            by_cell[cell] = _cell_series(row, values, values[0], transform)
+    return by_cell
+
+
+def _cell_series(
+    row: NumericalUncertainty, values: Sequence[float], studied: float, transform: str
+) -> CellSeries:
+    """Series of a cell from fine to coarse."""
+    finest, reference = np.argsort(row.mesh_size), 1.0 if transform == "log" else None
+    sizes, ordered = (tuple(of[i] for i in finest) for of in (row.mesh_size, values))
+    return CellSeries(sizes, ordered, row.formal_order, studied=studied, reference=reference)
+
+
+def u_of_steps(records: Sequence[Record], response: str, transform: str) -> float:
+    """Largest uncertainty from load steps in the unit, on the log scale by shares; or 0."""
+    entries = [r.responses[response] for r in records if r.converged and response in r.responses]
+    pairs = [(u, e["value"]) for e in entries if (u := e.get("u_steps")) is not None]
+    if transform != "log":
+        return max((u for u, _ in pairs), default=0.0)
+    shares = [u / abs(value) for u, value in pairs if value]
+    return max(shares) * _geometric_mean(records, response) if any(shares) else 0.0
+
+
+def mesh_levels(design: Design, records: Sequence[Record]) -> tuple[str, list[str]] | None:
+    """Factor whose levels are meshes, from coarse to fine; None without, or with no one order."""
+    names = (*MESH_FACTORS, design.converge.key)
+    factors = [f.name for f in design.factors if f.name in names and len(f.levels) > 1]
+    meshes = _ordered(design, records, factors[0]) if len(factors) == 1 else None
+    return None if meshes is None else (factors[0], meshes)
+
+
+def _ordered(design: Design, records: Sequence[Record], mesh: str) -> list[str] | None:
+    """Meshes from coarse to fine; None where that order differs between columns."""
+    if mesh == design.converge.key:
+        sizes = {t.levels[mesh]: t.cell.problem.parameters[mesh.partition(".")[2]]
+                 for t in design.treatments}  # fmt: skip
+        ordered = sorted(sizes, key=lambda label: -float(sizes[label]))
+        return ordered if len(ordered) >= _NEEDED else None
+    columns: dict[tuple[tuple[str, str], ...], dict[str, float]] = {}
+    for record in records:
+        size = record.mesh.get("mesh_size_mm")
+        if record.converged and size:
+            key = tuple(sorted((k, v) for k, v in record.levels.items() if k != mesh))
+            columns.setdefault(key, {})[record.levels[mesh]] = float(size)
+    longest = max((len(sizes) for sizes in columns.values()), default=0)
+    orders = {
+        tuple(sorted(sizes, key=lambda level: -sizes[level]))
+        for sizes in columns.values()
+        if len(sizes) == longest
+    }
+    return list(orders.pop()) if len(orders) == 1 and longest >= _NEEDED else None
+
+
+def _geometric_mean(records: Sequence[Record], response: str) -> float:
+    values = [r.response(response) for r in records]
+    positive = [math.log(v) for v in values if math.isfinite(v) and v > 0]
+    return math.exp(math.fsum(positive) / len(positive))

@@ -1,4 +1,4 @@
-"""Refinement: the loop, and the series of a problem.
+"""Refinement: the loop, the series of a problem, and what a series says of every quantity.
 
 A series says which computations are due and takes what they gave, until it has enough; the loop
 does what is due of all series at once. A problem asks for one mesh after the other, as long as
@@ -11,23 +11,39 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from study.ground.arrays import Array
-from study.ground.canonical import Keyed
+from study.ground.canonical import Keyed, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.memory import free_memory_MB
-from study.harness.design.cell import CellProblem
+from study.harness.design.cell import CellProblem, case_id
+from study.harness.design.forward_model import ForwardCell
+from study.harness.design.study_file import Converge
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
-from study.mechanics.setup.geometry import Cylinder, Enclosed, Flat
+from study.mechanics.forward.closed_form import height_and_area
+from study.mechanics.forward.formal_order import FormalOrder as FormalOrder
+from study.mechanics.forward.formal_order import element_size_mm, formal_order
+from study.mechanics.setup.geometry import Enclosed, Flat
 from study.mechanics.setup.setup import Problem, Setup
-from study.mechanics.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
-from study.statistics.convergence.grid_convergence import ConvergenceResult, grid_convergence
+from study.statistics.analysis.work_precision import (
+    CostPoint,
+    CostToAccuracy,
+    cost_to_accuracy,
+    reference_value,
+)
+from study.statistics.convergence.grid_convergence import (
+    CAUTIOUS,
+    ConvergenceResult,
+    assumed_order,
+    grid_convergence,
+)
 
 if TYPE_CHECKING:
     from study.harness.design.study_file import Converge
@@ -51,27 +67,20 @@ _MEMORY_EXPONENT = 1.35
 
 
 @dataclass(frozen=True)
-class Predictions:
-    """What a solution was predicted to take; None where nothing was known yet."""
-
-    seconds: float | None = None
-    memory_MB: float | None = None  # noqa: N815
-    unknowns: int | None = None
-
-
-@dataclass(frozen=True)
 class MeshLevel(Keyed):
     """One mesh of a series: what was predicted and what came out."""
 
     mesh_size_mm: float
     result: SolveResult
-    predicted: Predictions = field(default_factory=Predictions)
+    #: What it was predicted to take; None where nothing was known yet.
+    predicted_seconds: float | None = None
+    predicted_MB: float | None = None  # noqa: N815
+    predicted_unknowns: int | None = None
 
     KEYS = (
         "mesh_size=mesh_size_mm status=result.status message=result.message "
         "elements=result.elements unknowns=result.dofs seconds=result.seconds "
-        "memory_MB=result.memory_MB predicted_seconds=predicted.seconds "
-        "predicted_MB=predicted.memory_MB predicted_unknowns=predicted.unknowns"
+        "memory_MB=result.memory_MB predicted_seconds predicted_MB predicted_unknowns"
     )
 
 
@@ -186,8 +195,8 @@ class RefinementSeries:
                 return hopeless
         if count >= MOST or (count >= needed + 2 and len(self.good) < FEWEST):
             return f"{count} meshes are enough"
-        next_one = self.predicted()
-        return self.budget.refuses(next_one.seconds, next_one.memory_MB) if count else ""
+        seconds, memory, _ = self.predicted()
+        return self.budget.refuses(seconds, memory) if count else ""
 
     def _outlook(self, accuracy: float) -> tuple[bool, float | None]:
         """Whether every quantity has the wanted accuracy, and the mesh size that it takes."""
@@ -214,11 +223,11 @@ class RefinementSeries:
             f"{seconds:.2g} s, which the budget does not have"
         )
 
-    def predicted(self) -> Predictions:
-        """Cost of the next mesh, from what the meshes so far took."""
+    def predicted(self) -> tuple[float | None, float | None, int | None]:
+        """Seconds, memory in MB and unknowns of the next mesh, from what those so far took."""
         solved = [level.result for level in self.good if level.result.dofs > 0]
         if not solved:
-            return Predictions()
+            return None, None, None
         last, space = solved[-1], self.setup.model.space
         growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
         time_exponent = _TIME_EXPONENT[space]
@@ -229,7 +238,7 @@ class RefinementSeries:
                 time_exponent = min(max(followed, 1.0), 3.0)
         growth_MB = max(last.memory_MB - last.base_MB, 1.0)
         memory = last.base_MB + growth_MB * growth**_MEMORY_EXPONENT
-        return Predictions(last.seconds * growth**time_exponent, memory, round(last.dofs * growth))
+        return last.seconds * growth**time_exponent, memory, round(last.dofs * growth)
 
 
 def refine(
@@ -240,14 +249,14 @@ def refine(
     """Solve the next mesh of every series, all of one round together, until all have ended."""
     while due := [(member, mm) for member in series if (mm := member.next_mm) is not None]:
         predicted = [member.predicted() for member, _ in due]
-        foretold = [each.seconds for each in predicted if each.seconds is not None]
+        foretold = [seconds for seconds, *_ in predicted if seconds is not None]
         sizes = ", ".join(dict.fromkeys(f"{mm:.3g}" for _, mm in due[:4]))
         cost = f", about {sum(foretold):.2g} s of computing" if foretold else ""
         several = "s" if len(due) > 1 else ""
         progress(f"mesh size {sizes} mm: {len(due)} solution{several}{cost}")
         results = solutions(solve, [SolveTask.of(member.problem, mm) for member, mm in due])
         for (member, mm), result, cost_of in zip(due, results, predicted, strict=True):
-            member.levels.append(MeshLevel(mm, result, cost_of))
+            member.levels.append(MeshLevel(mm, result, *cost_of))
 
 
 # Single numbers of a curve whose convergence is judged: peak force, root mean square, work.
@@ -294,125 +303,6 @@ def quantity(name: str) -> tuple[Callable[[Curve], float], str]:
     return QUANTITIES[name]
 
 
-# Formal order of the force: what an element can promise where the solution is singular.
-#
-# The force of a test driven by a displacement is a derivative of the energy, whose error is
-# the square of the error of the gradient: order 2 k for an element of degree k, if the
-# solution is smooth. A corner where the displacement goes as s^lambda allows 2 lambda only,
-# whatever the element (Babuska and Szabo 1982, Int. J. Numer. Meth. Eng. 18, 323).
-#
-# The sharp edge of a flat punch has lambda = 1/2, bonded or not: the contact pressure goes as
-# s^(-1/2) with the distance s to the edge (Sneddon 1965, Int. J. Eng. Sci. 3, 47; Johnson 1985,
-# Contact Mechanics, chapters 2 and 3: bonded it oscillates besides, unless nu = 1/2).
-
-_DEGREE = {"linear": 1, "quadratic": 2}
-
-#: elements along the radius of a rounded edge from which on it is not sharp to a mesh
-_ACROSS_EDGE = 2.0
-
-#: depth over the coarsest element at a sharp edge from which on its strains are large on the
-#: finest one; equilibria are not unique there then
-_DEEP = 0.25
-_RIM = (
-    "the rim of the contact, which a mesh places to within an element; the force is stationary "
-    "in it"
-)
-
-
-@dataclass(frozen=True)
-class FormalOrder:
-    """Order of the force in the mesh size, and what limits it."""
-
-    #: None where a stranger's solver promises none.
-    order: float | None
-    why: str
-
-
-def formal_order(problem: Problem) -> FormalOrder:
-    """Order that the element promises for the force of a problem; work and RMS share it."""
-    smooth = 2.0 * _DEGREE[problem.model.element_order]
-    degree = problem.model.element_order
-    singularities = problem.setup.kind.singularities(problem.test)
-    singular = [_limit(problem, singularity) for singularity in singularities]
-    if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
-        singular.append((2.0, "the cylinder's straight-sided elements"))
-    if isinstance(problem.specimen, Enclosed):
-        singular.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
-    limits = singular  # first: of two equal limits the problem's says more
-    limits.append((smooth, f"{degree} elements: twice the order of their gradient"))
-    order, why = min(limits, key=lambda item: item[0])
-    return FormalOrder(order, why)
-
-
-def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
-    """Limit that a singularity sets, and why."""
-    if isinstance(singularity, ClampedCorner):
-        K, mu = problem.material.bulk, problem.material.mu0
-        exponent = clamped_corner(0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu)))
-        return 2 * exponent, (
-            f"the corner between a bonded and a free face: the displacement goes as "
-            f"s^{exponent:.3f} there"
-        )
-    if isinstance(singularity, SharpEdge):
-        return 1.0, _sharp(problem, singularity.name)
-    if not isinstance(singularity, RoundedEdge):
-        return 2.0, _RIM
-    edge, size = singularity.radius_mm, element_size_mm(problem)
-    if size > edge / _ACROSS_EDGE:
-        return 1.0, (
-            f"the edge of the flat punch, rounded with {edge:.3g} mm, which the coarsest mesh of "
-            f"{size:.3g} mm does not resolve: it looks sharp, where the order is 1; meshes of "
-            f"{edge / _ACROSS_EDGE:.3g} mm and less have order 2 at most"
-        )
-    return 2.0, (
-        f"the rounded edge of the flat punch ({edge:.3g} mm), which the meshes resolve: the "
-        f"pressure is finite, and what counts is {_RIM}"
-    )
-
-
-def _sharp(problem: Problem, edge: str) -> str:
-    """Why the order is 1 under a sharp edge, and what may hide it."""
-    depth = problem.test.depth_mm
-    orders = " and ".join(f"{2 * degree} of {name}" for name, degree in _DEGREE.items())
-    why = (
-        f"the {edge} of the flat punch, where the contact pressure is singular as an "
-        "inverse square root of the distance: energy and force converge with the mesh size, "
-        "whatever the element, so an observed order near 1 is right here (the orders "
-        f"{orders} elements need a smooth solution)"
-    )
-    size = element_size_mm(problem)
-    if not problem.material.small_strain and depth > _DEEP * size:
-        why += (
-            f"; at a depth of {depth:.3g} mm, beside elements of {size:.3g} mm and less, large "
-            "strains and sliding at the edge may hide the order: a smaller depth shows it"
-        )
-    return why
-
-
-def element_size_mm(problem: Problem) -> float:
-    """Element size of a problem, at the edge of a punch where it has one."""
-    from study.mechanics.mesh.mesher import mesh_size
-
-    return float(mesh_size(problem.setup))
-
-
-def edge_rules(setup: Setup) -> bool:
-    """Whether all error comes from a sharp edge, where the size at the edge is that of the mesh."""
-    pressed = setup.test.indenter
-    sharp = isinstance(pressed, Flat) and not pressed.edge_radius_mm
-    return sharp and setup.model.space == "axisymmetric"
-
-
-def clamped_corner(nu: float) -> float:
-    """Exponent where a bonded meets a free face (Williams 1952, J. Appl. Mech. 19, 526)."""
-    from scipy.optimize import brentq
-
-    def mismatch(s: float) -> float:
-        return (3 - 4 * nu) * math.sin(math.pi * s / 2) ** 2 - 4 * (1 - nu) ** 2 + s * s
-
-    return float(brentq(mismatch, 0.3, 1.0)) if mismatch(1.0) > 0 else 1.0
-
-
 def base_size_mm(job: CaseJob) -> float:
     """Element size of a case, named or given, in mm."""
     return element_size_mm(in_mind(job))
@@ -421,6 +311,16 @@ def base_size_mm(job: CaseJob) -> float:
 def in_mind(job: CaseJob) -> Problem:
     """Problem of a case whose constants are not known yet."""
     return job.case.tested.with_placeholder(job.depth_mm if job.directions else 1.0)
+
+
+def promised(job: CaseJob) -> FormalOrder:
+    """Order that the elements of a case promise, or what is said of a stranger's solver."""
+    refinement = job.case.problem.refinement
+    if refinement is None:
+        return formal_order(in_mind(job))
+    order = refinement.formal_order
+    given = f"as [converge] says of parameters.{refinement.name}"
+    return FormalOrder(order, "nobody says it" if order is None else given)
 
 
 # Meshes of a series that can be judged, and the sizes by which they are.
@@ -473,8 +373,449 @@ def series_sizes(
     anchor: int = -1,
 ) -> list[float]:
     """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
-    if edge_rules(setup) or min(elements) <= 0 or len(set(elements)) < len(elements):
+    pressed = setup.test.indenter
+    is_sharp = isinstance(pressed, Flat) and not pressed.edge_radius_mm
+    # all error comes from a sharp edge, where the size at the edge is that of the mesh
+    at_edge = is_sharp and setup.model.space == "axisymmetric"
+    if at_edge or min(elements) <= 0 or len(set(elements)) < len(elements):
         return list(sizes)
     # h = (V / N)^(1/d) of N elements, scaled to one of them (Celik et al. 2008)
     power = 1 / (3 if setup.model.space == "3d" else 2)
     return [sizes[anchor] * (elements[anchor] / n) ** power for n in elements]
+
+
+# Errors of mesh, load steps and solver tolerance side by side, for a surface also of the choice
+# between equally good meshes.
+
+#: How many load steps replace one.
+STEPS = (1, 2, 4)
+
+#: How much looser than usual the solver is.
+LOOSER = (1.0, 10.0, 100.0)
+
+#: The algebraic error should be this much smaller than that of the mesh.
+ALGEBRAIC = 100.0
+
+
+@dataclass(frozen=True)
+class ErrorSource:
+    """What one source of error does to a quantity."""
+
+    #: ``"mesh"``, ``"another mesh"``, ``"load steps"`` or ``"solver tolerance"``.
+    source: str
+    #: What it moves, and its unit.
+    quantity: str
+    unit: str
+    #: Mesh size, seed, number of steps or factor on the tolerance, finest first, and the values.
+    setting: tuple[float, ...]
+    value: tuple[float, ...]
+    #: Uncertainty of the quantity, in its unit.
+    u: float | None
+    relative: float | None
+
+
+def other_sources(
+    problem: CellProblem, size_mm: float, solve: Solver
+) -> tuple[list[ErrorSource], list[str]]:
+    """Errors of every source for every quantity, and which solutions failed."""
+    steps = [(float(problem.test.steps * k), SolveTask.of(problem, size_mm, more_steps=k))
+             for k in reversed(STEPS)]  # fmt: skip
+    looser = [(k, SolveTask.of(problem, size_mm, looser=k)) for k in LOOSER]
+    sources = [
+        ("load steps", steps, "{:g} load steps"),
+        ("solver tolerance", looser, "a tolerance {:g} times the usual"),
+    ]
+    if isinstance(problem.specimen, Enclosed):
+        other = SolveTask.of(problem.on_mesh(mesh_seed=OTHER_MESH), size_mm)
+        two = [(0.0, SolveTask.of(problem, size_mm)), (float(OTHER_MESH), other)]
+        sources.insert(0, ("another mesh", two, "the mesh of this size with seed {:g}"))
+    results = iter(solutions(solve, [task for _, tasks, _ in sources for _, task in tasks]))
+    rows, warnings = [], []
+    for name, tasks, text in sources:
+        pairs = [(k, next(results)) for k, _ in tasks]
+        good = [(k, result) for k, result in pairs if result.converged]
+        warnings += [
+            f"{text.format(k)} gave no answer: {result.message}"
+            for k, result in pairs
+            if not result.converged
+        ]
+        rows += [_source(name, quantity, good) for quantity in QUANTITIES if len(good) > 1]
+    return rows, warnings
+
+
+def _source(source: str, name: str, good: Sequence[tuple[float, SolveResult]]) -> ErrorSource:
+    function, unit = QUANTITIES[name]
+    values = tuple(function(result.curve) for _, result in good)
+    settings, reference = tuple(k for k, _ in good), values[0]
+    # steps: what the problem's own number of them is off by; tolerance: what ten times it costs
+    if source == "load steps":  # the changes of a halved step form a series
+        u = abs(values[-1] - values[0])
+        if len(values) > 2:
+            of_steps = grid_convergence([1.0, 2.0, 4.0], values, tolerance=1e-8 * abs(values[0]))
+            u = max(u, of_steps.bound_of(values[-1]) or 0.0)
+    else:
+        u = abs(values[1] - reference)
+    if source == "another mesh":
+        u *= CAUTIOUS  # of two values, as of the coarser of two meshes
+    relative = u / abs(reference) if reference else None
+    return ErrorSource(source, name, unit, settings, values, u, relative)
+
+
+#: what is said of a source whose error is too large beside that of the mesh, and what it is
+#: multiplied by for that
+_REMARKS = {
+    "solver tolerance": (
+        ALGEBRAIC,
+        "the solver's tolerance moves it by {:.1g} of its value, more than a hundredth of the "
+        "mesh's {:.1g}",
+    ),
+    "another mesh": (
+        1.0,
+        "another mesh of the problem's own size bounds its error there by {:.1g} of its value, "
+        "the series of meshes at its finest by {:.1g}",
+    ),
+    "load steps": (
+        1.0,
+        "the load steps are off by {:.1g} of its value, more than the mesh ({:.1g}): raise "
+        "test.steps before refining",
+    ),
+}
+
+
+def remarks(table: Sequence[ErrorSource]) -> list[str]:
+    """Say where another error is too large beside that of the mesh."""
+    sentences = []
+    meshes = {row.quantity: row.relative for row in table if row.source == "mesh"}
+    for row in table:
+        mesh, relative = meshes.get(row.quantity), row.relative
+        if row.source == "mesh" or mesh is None or relative is None:
+            continue
+        factor, text = _REMARKS[row.source]
+        least = max(mesh, 1e-9) if row.source == "solver tolerance" else mesh
+        if relative * factor > least:
+            sentences.append(f"{row.quantity}: {text.format(relative, mesh)}")
+    return sentences
+
+
+@dataclass(frozen=True)
+class SeriesJudgement:
+    """What a refinement series says of every quantity."""
+
+    main: ConvergenceResult
+    #: Of every quantity; empty where there are no three meshes.
+    quantities: Mapping[str, ConvergenceResult]
+    #: What limits the order that the elements promise.
+    formal_reason: str
+    #: Wanted uncertainty over the value; None where none was asked, or no order is known.
+    accuracy: float | None = None
+    #: Levels of the factors and block, where the series is that of a cell.
+    levels: Mapping[str, str] = field(default_factory=dict)
+    #: Size, value and uncertainty of the main quantity on the mesh as it was asked for.
+    given: Mapping[str, float | None] | None = None
+    #: Every mesh of a problem, the finest first, and why no further one was solved.
+    meshes: tuple[MeshLevel, ...] = ()
+    stopped: str = ""
+    #: Errors of mesh, load steps and solver side by side.
+    sources: tuple[ErrorSource, ...] = ()
+    block: str | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether every quantity has the wanted accuracy, or none diverges where none is asked."""
+        return bool(self.quantities) and not self.unsettled
+
+    @property
+    def unsettled(self) -> list[str]:
+        """Quantities without the wanted accuracy; those that diverge where none is asked."""
+        if self.accuracy is None:
+            return [n for n, r in self.quantities.items() if r.behaviour == "divergent"]
+        good = within(self.quantities, self.accuracy)
+        return [name for name, ok in good.items() if not ok]
+
+    @property
+    def mesh_size_needed(self) -> float | None:
+        """Mesh size that would have the wanted accuracy, in mm."""
+        return None if self.accuracy is None else size_needed(self.main, self.accuracy)
+
+    def warned(self, *sentences: str) -> SeriesJudgement:
+        """Copy with further warnings, each once."""
+        warnings = tuple(dict.fromkeys([*self.main.warnings, *sentences]))
+        return replace(self, main=replace(self.main, warnings=warnings))
+
+    def noted(self) -> SeriesJudgement:
+        """Copy that says which quantities have not the wanted accuracy, each warning once."""
+        if self.accuracy is None or not self.unsettled:
+            return self.warned()
+        return self.warned(f"not within {100 * self.accuracy:g} %: {', '.join(self.unsettled)}")
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study converge``: the keys of the main quantity, and all others."""
+        of_problem = {
+            "meshes": [level.to_json() for level in self.meshes],
+            "stopped": self.stopped,
+            "sources": [dict(plain(source)) for source in self.sources],
+        }
+        if not self.quantities:
+            del of_problem["sources"]
+        return {
+            **self.main.to_json(),
+            "quantities": {name: result.to_json() for name, result in self.quantities.items()},
+            "accuracy": self.accuracy,
+            "settled": self.settled,
+            "given_mesh": self.given,
+            "mesh_size_needed": self.mesh_size_needed,
+            "formal_reason": self.formal_reason,
+            "levels": dict(self.levels),
+            **(of_problem if self.meshes else {"block": self.block}),
+        }
+
+
+def judge(series: RefinementSeries, tolerance: float | None = None) -> SeriesJudgement:
+    """Judge the series of a problem."""
+    spec, formal = series.spec, series.formal
+    function, unit = quantity(spec.qoi)
+    meshes, warnings = usable(series.levels)
+    values = [function(level.result.curve) for level in meshes]
+    results: Mapping[str, ConvergenceResult] = {}
+    given, accuracy = None, None
+    if len(meshes) >= FEWEST:
+        fraction = tolerance / abs(values[-1]) if tolerance and values[-1] else SOLVER_TOLERANCE
+        results = judged_meshes(meshes, series.setup, formal.order, fraction)
+        main, accuracy = results[spec.qoi], spec.tolerance
+        given = {**given_mesh(main), "mesh_size": meshes[0].mesh_size_mm}
+        main = replace(main, warnings=(*warnings, *main.warnings))
+    else:
+        sizes = [level.mesh_size_mm for level in meshes]
+        main = inconclusive(spec.qoi, unit, sizes, values, formal_order=formal.order)
+        if len(meshes) == FEWEST - 1:
+            pair = judged_meshes(meshes, series.setup, assumed_order(formal.order))[spec.qoi]
+            main = replace(pair, verdict=f"{main.verdict}; {pair.verdict}")
+        main = replace(main, warnings=(*main.warnings, *warnings))
+    return SeriesJudgement(
+        main, results, formal.why, accuracy, series.levels_of, given,
+        tuple(reversed(series.levels)), series.stopped,
+    ).noted()  # fmt: skip
+
+
+def with_sources(
+    judgement: SeriesJudgement, series: RefinementSeries, solve: Solver
+) -> SeriesJudgement:
+    """Add errors of steps, solver and choice of a mesh to those of the problem's own mesh."""
+    rows, warnings = other_sources(series.problem, series.good[0].mesh_size_mm, solve)
+    table: list[ErrorSource] = []
+    for name, result in judgement.quantities.items():  # all sources of a quantity side by side
+        u, value = result.u_num, result.value[0]
+        relative = None if u is None or not value else u / abs(value)
+        mesh = ErrorSource("mesh", name, result.unit, result.mesh_size, result.value, u, relative)
+        table += [mesh, *(row for row in rows if row.quantity == name)]
+    given, key = judgement.given, ("another mesh", judgement.main.qoi)
+    other = next((row.u for row in rows if (row.source, row.quantity) == key), None)
+    u = None if given is None else given["u_num"]
+    if given is not None and u is not None and other is not None:
+        given = {**given, "u_num": math.hypot(u, other)}
+    judgement = replace(judgement, sources=tuple(table), given=given)
+    return judgement.warned(*warnings, *remarks(table))
+
+
+def given_mesh(result: ConvergenceResult) -> Mapping[str, float | None]:
+    """Value and uncertainty on the problem's own mesh, the coarsest of its series."""
+    value = result.value[-1]
+    return {"mesh_size": result.mesh_size[-1], "value": value, "u_num": result.bound_of(value)}
+
+
+def inconclusive(
+    qoi: str,
+    unit: str,
+    sizes: Sequence[float],
+    values: Sequence[float],
+    *,
+    formal_order: float | None = None,
+    u_num: float | None = None,
+    verdict: str = "",
+) -> ConvergenceResult:
+    """Make the result of a series, coarse to fine, with too few meshes for an order."""
+    usual = f"an order needs three meshes with an answer, there are {len(values)}"
+    return ConvergenceResult(
+        qoi=qoi,
+        unit=unit,
+        mesh_size=tuple(reversed(sizes)),
+        value=tuple(reversed(values)),
+        behaviour="inconclusive",
+        observed_order=None,
+        formal_order=formal_order,
+        extrapolated=None,
+        gci_fine=None,
+        factor_of_safety=None,
+        u_num=u_num,
+        asymptotic_ratio=None,
+        verdict=verdict or usual,
+    )
+
+
+# What each mesh costs, of cells that differ in nothing but their discretization.
+
+
+@dataclass(frozen=True)
+class FrontPoint(CostPoint):
+    """Error and cost of one mesh of one cell; the error is a share of the reference."""
+
+    cell: str
+    unknowns: int
+    memory_MB: float  # noqa: N815
+    value: float
+
+
+@dataclass(frozen=True)
+class CostFront:
+    """Cells that differ in nothing but their discretization: error against cost."""
+
+    #: The limit with the smallest uncertainty among the cells, and that uncertainty.
+    reference: float
+    reference_u: float | None
+    #: Wanted error, as a share of the reference.
+    accuracy: float
+    points: tuple[FrontPoint, ...]
+    #: Which cell reaches the accuracy, the cheapest first.
+    ranking: tuple[CostToAccuracy, ...]
+    answer: str
+
+
+def refined_and_judged(
+    problems: Sequence[tuple[CellProblem, Mapping[str, str]]],
+    spec: Converge,
+    solver: Solver,
+    progress: Callable[[str], None],
+    *,
+    memory_MB: float | None = None,  # noqa: N803
+    formal: FormalOrder | None = None,
+    tolerance: float | None = None,
+) -> tuple[list[RefinementSeries], list[SeriesJudgement]]:
+    """Refine problems, each with its levels, and study their other errors besides."""
+    quantity(spec.qoi)
+    budget = Budget(spec.budget_s, memory_MB)
+    cells = [
+        RefinementSeries(cell, spec, formal or formal_order(cell.at()), budget, levels)
+        for cell, levels in problems
+    ]
+    refine(cells, solver, progress)
+    judged = [judge(cell, tolerance) for cell in cells]
+    if any(judgement.quantities for judgement in judged):
+        progress("load steps and solver tolerance")
+    return cells, [
+        with_sources(judgement, cell, solver) if judgement.quantities else judgement
+        for judgement, cell in zip(judged, cells, strict=True)
+    ]
+
+
+#: tables that say which cells are one test, on whatever mesh
+_PHYSICS = ("specimen", "test", "material")
+
+
+def cost_fronts(
+    cells: Sequence[RefinementSeries], judged: Sequence[SeriesJudgement], accuracy: float
+) -> list[CostFront]:
+    """Error against seconds of every mesh, and which cell reaches the accuracy first."""
+    groups: dict[str, list[int]] = {}
+    for k, cell in enumerate(cells):
+        physics = {name: v for name, v in cell.problem.document().items() if name in _PHYSICS}
+        groups.setdefault(case_id(physics), []).append(k)
+    names = [" / ".join(cell.levels_of.values()) or f"cell {k + 1}" for k, cell in enumerate(cells)]
+    fronts = [
+        _front([(names[k], cells[k], judged[k]) for k in members], accuracy)
+        for members in groups.values()
+    ]
+    return [front for front in fronts if front is not None]
+
+
+def _front(
+    members: Sequence[tuple[str, RefinementSeries, SeriesJudgement]], accuracy: float
+) -> CostFront | None:
+    value, u = reference_value(
+        [(judgement.main.extrapolated, judgement.main.u_num) for *_, judgement in members]
+    )
+    if not value:
+        return None
+    points = {name: _points(name, cell, judgement, value) for name, cell, judgement in members}
+    ranked = cost_to_accuracy(points, accuracy)
+    every = tuple(point for row in points.values() for point in row)
+    answer = _answer(ranked, accuracy, u, value)
+    return CostFront(value, u, accuracy, every, tuple(ranked), answer)
+
+
+def _points(
+    name: str, series: RefinementSeries, judgement: SeriesJudgement, reference: float
+) -> list[FrontPoint]:
+    function = QUANTITIES[judgement.main.qoi][0]
+    return [
+        FrontPoint(
+            level.mesh_size_mm, abs(value - reference) / abs(reference), level.result.seconds,
+            name, level.result.dofs, level.result.memory_MB, value,
+        )
+        for level in series.good
+        for value in (function(level.result.curve),)
+    ]  # fmt: skip
+
+
+def _answer(
+    ranked: Sequence[CostToAccuracy], accuracy: float, u: float | None, value: float
+) -> str:
+    reached = [r for r in ranked if r.seconds is not None]
+    if not reached:
+        return f"no cell gets within {100 * accuracy:g} %"
+    best = reached[0]
+    text = (
+        f"{best.cell} gives {100 * accuracy:g} % error for the least time: {best.seconds:.2g} s "
+        f"at a mesh size of {best.mesh_size:.2g} mm"
+    )
+    if best.how == "extrapolated":
+        text += ", extrapolated beyond its finest mesh"
+    if best.how == "coarsest mesh":
+        text += ", its coarsest mesh"
+    if len(reached) > 1:
+        text += f"; next {reached[1].cell} with {reached[1].seconds:.2g} s"
+    if u is not None and u > accuracy * abs(value) / 3:
+        text += f"; the reference itself is only known to {100 * u / abs(value):.2g} %"
+    return text
+
+
+# Pictures of the meshes of a convergence study.
+
+#: cells whose coarsest and finest mesh are shown
+SHOWN = 4
+#: plane elements by their number of vertices
+_SHAPES = {3: "triangles", 4: "quadrilaterals"}
+
+
+def meshes(
+    cells: Sequence[SeriesJudgement], problems: Sequence[ForwardCell]
+) -> tuple[list[tuple[str, Array, NDArray[np.int64]]], Array | None]:
+    """Coarsest and finest plane mesh (n, 2) of cells, and the window (2, 2) to see, mm."""
+    from study.mechanics.mesh.mesher import build_mesh
+
+    drawn: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
+    window = None
+    for cell, problem in zip(cells, problems, strict=True):
+        sizes = [level.mesh_size_mm for level in cell.meshes if level.result.converged]
+        if not isinstance(problem, CellProblem) or problem.model.space == "3d":
+            continue
+        if not sizes or len(drawn) >= 2 * SHOWN:
+            continue
+        for size in (sizes[-1], sizes[0]):
+            mesh = build_mesh(SolveTask.of(problem, size).problem.at().setup)
+            elements = f"{size:.3g} mm, {len(mesh.cells)} elements"
+            label = f"{_SHAPES[mesh.cells.shape[1]]}, {elements}"
+            picture = label, np.asarray(mesh.points), np.asarray(mesh.cells)
+            drawn.setdefault(mesh.digest(), picture)
+        window = near(problem.at()) if window is None else window
+    return list(drawn.values()), window
+
+
+def near(made: Problem) -> Array:
+    """Corner that matters, (2, 2), mm: under an indenter, or where plate and side meet."""
+    height, area = height_and_area(made.specimen)
+    radius = float(np.sqrt(area / np.pi))
+    if made.test.indenter is not None:
+        reach = min(max(3 * made.test.depth_mm, 0.1 * radius), radius, height)
+        return np.array([[0.0, height - reach], [reach, height]])
+    reach = 0.4 * min(radius, height / 2)
+    return np.array([[radius - reach, height - reach], [radius, height]])

@@ -3,32 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.harness.design.study_file import MARKED, RESPONSES, SIMULATED, is_simulated, simulated_at
-from study.harness.record.document import Quantity
+from study.harness.record.document import ResponseDocument
 from study.mechanics.material.material import is_dimensionless, unit_shown
 
 #: kPa in one MPa: a fit is in MPa, a response in kPa
 KPA = 1000.0
-
-
-@dataclass(frozen=True)
-class Scored:
-    """One scored curve of a case: all that a response may look at."""
-
-    #: None in a study of simulations alone.
-    measured: Curve | None
-    #: None for a fit to resampled residuals, which predicts nothing.
-    predicted: Curve | None = None
-    #: Constants of the material in MPa, exponents plain.
-    constants: Mapping[str, float] = field(default_factory=dict)
-    #: Initial shear modulus in MPa, where it is known.
-    mu0: float | None = None
 
 
 def residual_N(predicted: Curve, measured: Curve) -> Array:  # noqa: N802
@@ -67,8 +53,11 @@ CURVE_RESPONSES: Mapping[str, Callable[[Curve, Curve], float]] = {
     "peak_force_error": peak_force_error,
     "work_error": work_error,
 }
-#: largest values over the test of what finite elements say of plate or indenter
-CONTACT = ("peak_contact_pressure", "contact_area", "side_force")
+#: largest values over the test of what finite elements say of plate or indenter, and of the base
+CONTACT = (
+    "peak_contact_pressure", "contact_area", "side_force", "moment",
+    "base_force", "base_side_force", "base_moment",
+)  # fmt: skip
 #: points between which the work of a curve is summed: the trapezoidal rule is then off by a
 #: millionth of the work, for a force that grows with the square of the displacement
 _POINTS = 400
@@ -113,17 +102,15 @@ def in_shown_units(constants: Sequence[str], values: Array) -> dict[str, object]
     return {name: (scale_of(name) * value).tolist() for name, value in pairs}
 
 
-def score(scored: Scored, names: Iterable[str] = ()) -> dict[str, Quantity]:
-    """Every response that a curve has, with its unit."""
-    predicted, measured = scored.predicted, scored.measured
-    values: dict[str, float] = {}
-    if predicted is not None:
-        values |= {name: simulated(name, predicted) for name in of_prediction(names)}
-        if measured is not None:
-            values |= {name: of(predicted, measured) for name, of in CURVE_RESPONSES.items()}
+def score(
+    predicted: Curve, measured: Curve | None = None, names: Iterable[str] = ()
+) -> dict[str, ResponseDocument]:
+    """Every response that a predicted curve has, with its unit."""
+    values = {name: simulated(name, predicted) for name in of_prediction(names)}
+    if measured is not None:
+        values |= {name: of(predicted, measured) for name, of in CURVE_RESPONSES.items()}
     units = units_of(values)
-    computed: dict[str, Quantity] = {n: {"value": v, "unit": units[n]} for n, v in values.items()}
-    return computed | constants_of(scored)
+    return {name: {"value": value, "unit": units[name]} for name, value in values.items()}
 
 
 def of_prediction(names: Iterable[str]) -> list[str]:
@@ -131,21 +118,20 @@ def of_prediction(names: Iterable[str]) -> list[str]:
     return [name for name in names if is_simulated(name) and name != "dofs"]
 
 
-def constants_of(scored: Scored) -> dict[str, Quantity]:
+def constants_of(constants: Mapping[str, float], mu0: float | None) -> dict[str, ResponseDocument]:
     """List the initial shear modulus and every constant: moduli in kPa, others as they are."""
-    constants: dict[str, Quantity] = {
+    shown: dict[str, ResponseDocument] = {
         name: {"value": scale_of(name) * float(value), "unit": unit_shown(name)}
-        for name, value in scored.constants.items()
+        for name, value in constants.items()
     }
-    if scored.mu0 is None:
-        return constants
-    modulus: Quantity = {"value": KPA * scored.mu0, "unit": RESPONSES["mu0"]}
-    return {"mu0": modulus, **constants}
+    if mu0 is None:
+        return shown
+    return {"mu0": {"value": KPA * mu0, "unit": RESPONSES["mu0"]}, **shown}
 
 
-def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
+def averaged(scores: Sequence[Mapping[str, ResponseDocument]]) -> dict[str, ResponseDocument]:
     """Mean over the directions, with units; a mean that is not finite is None."""
-    out: dict[str, Quantity] = {}
+    out: dict[str, ResponseDocument] = {}
     for name, first in scores[0].items():
         numbers = [score[name]["value"] for score in scores if name in score]
         mean = float(np.mean(np.array(numbers, dtype=float)))

@@ -1,4 +1,4 @@
-"""Refinement of the mesh under a study: which cells are refined, and how often.
+"""What a study's numbers owe to mesh, spaces and inputs: which cells are computed again.
 
 Cells of every kind of discretization are computed again in the first block, calibration and
 all, on finer meshes: a change of the constants and of the score is what a finer mesh would
@@ -9,30 +9,44 @@ is bounded by its own series, or by the scatter of the error over those that wer
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import partial
 from typing import Final, Literal, cast
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.canonical import digest
-from study.ground.errors import Fault, InputError
-from study.harness.design.cell import Cell, CellProblem, Config, case_id, plain
+from study.ground.curve import Curve
+from study.ground.declaration import table_of, with_table
+from study.ground.errors import Fault, InputError, StoreError
+from study.harness.design.cell import Cell, CellProblem, Config, case_id
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case
+from study.harness.execution.task import Executor
 from study.harness.record.document import SpaceRow
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.case_series import CaseSeries, force_at_places, size_of
-from study.harness.runner.cost import Costs
+from study.harness.runner.batch import Progress, computed, run_batch
+from study.harness.runner.case_series import (
+    COSTS,
+    PLACES,
+    CaseSeries,
+    force_at_places,
+    places_of,
+    refine_cases,
+    size_of,
+)
 from study.harness.runner.expansion import case_job, meshed
 from study.harness.runner.job import CaseJob, Origin, Work, varied
 from study.harness.runner.refinement import FEWEST, OTHER_MESH, base_size_mm
-from study.harness.runner.solve_task import SolveResult, SolveTask
+from study.harness.runner.solve_task import SolveResult, SolveTask, by_workers, kept
+from study.harness.runner.tasks import Costs
 from study.mechanics.measurement.measurement_section import Range
-from study.mechanics.setup.declaration import table_of, with_table
 from study.mechanics.setup.geometry import Block, Cylinder, Enclosed
+from study.statistics.convergence.grid_convergence import NumericalUncertainty, compare
 
 PURPOSE: Final = "refinement"
 
@@ -52,12 +66,12 @@ PRICED_CELLS = 8
 _MESH_KEYS = ("mesh", "mesh_size_mm", "mesh_ratio", "mesh_seed")
 
 
-def study_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
+def study_series(work: Work) -> list[CaseSeries]:
     """Series of the study's own meshes where they are a factor, else of :func:`chosen` cells."""
-    return own_series(work, records) or chosen_series(work, records)
+    return own_series(work) or chosen_series(work)
 
 
-def chosen_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
+def chosen_series(work: Work) -> list[CaseSeries]:
     """Series of the cells of :func:`chosen`."""
     costs, series = Costs(), []
     for base in chosen(work):
@@ -65,72 +79,58 @@ def chosen_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]
             times = max(2, work.design.converge.levels - 1)
         else:  # two where the second is cheap, one elsewhere
             times = 2 if _refined_seconds(work, base, costs) < CHEAP_S else 1
-        series.append(refined_series(work, base, times, records))
+        series.append(refined_series(work, base, times))
     return series
 
 
 def refinement_work(work: Work) -> Work:
     """List the refined cases of a study, as work like any other."""
-    refined_cases = (job for cell in chosen_series(work, {}) for job in cell.every[1:])
+    refined_cases = (job for cell in chosen_series(work) for job in cell.every[1:])
     return replace(work, jobs=tuple(refined_cases))
 
 
-def refined_series(
-    work: Work, base: CaseJob, times: int, records: Mapping[str, Record]
-) -> CaseSeries:
+def refined_series(work: Work, base: CaseJob, times: int) -> CaseSeries:
     """Series of a cell on its own mesh and some finer ones."""
     size, ratio = size_of(base), work.design.converge.ratio
     finer = [
-        case_job(
-            refined(base.case, size / ratio**level),
-            work,
-            Origin(purpose=PURPOSE, of=base.case.case_id, level=level),
-        )
+        _beside(work, base, refined(base.case, size / ratio**level), level)
         for level in range(1, times + 1)
     ]
-    return _series(work, (base, *finer), records)
+    return _series(work, (base, *finer))
 
 
-def every_series(
-    work: Work, bases: Sequence[CaseJob], records: Mapping[str, Record]
-) -> list[CaseSeries]:
-    """Series of some cells, each refined as often as ``[converge] levels`` says."""
+def every_series(work: Work) -> list[CaseSeries]:
+    """Series of all cells, each refined as often as ``[converge] levels`` says."""
     times = max(2, work.design.converge.levels - 1)
-    return [refined_series(work, base, times, records) for base in bases]
+    return [refined_series(work, base, times) for base in every_cell(work)]
 
 
-def own_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
+def own_series(work: Work) -> list[CaseSeries]:
     """Cells of the first block from coarse to fine; empty unless all columns have three meshes."""
     columns: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
         columns.setdefault(_column(job), []).append(job)
     if any(len(jobs) < FEWEST for jobs in columns.values()):
         return []
-    series = []
-    for jobs in columns.values():
-        ordered = sorted(jobs, key=lambda job: -size_of(job))
-        series.append(_series(work, tuple(ordered), records, "finest"))
-    return series
+    ordered = (sorted(jobs, key=lambda job: -size_of(job)) for jobs in columns.values())
+    return [_series(work, tuple(jobs), "finest") for jobs in ordered]
 
 
 def _series(
-    work: Work,
-    jobs: tuple[CaseJob, ...],
-    records: Mapping[str, Record],
-    end: Literal["coarsest", "finest"] = "coarsest",
+    work: Work, jobs: tuple[CaseJob, ...], end: Literal["coarsest", "finest"] = "coarsest"
 ) -> CaseSeries:
-    """Series with its records; of a surface with another mesh of the study's own size."""
-    base = jobs[0 if end == "coarsest" else -1]
-    other = None
+    """Series of some cases; of a surface with another mesh of the study's own size."""
+    base, other = jobs[0 if end == "coarsest" else -1], None
     problem = base.case.problem
     if isinstance(problem, CellProblem) and isinstance(problem.specimen, Enclosed):
-        case = varied(base.case, meshed(base.case.cell, OTHER_MESH), PURPOSE)
-        origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=0)
-        other = case_job(case, work, origin)
-    series = CaseSeries(jobs, work.design.converge.ratio, end, other=other)
-    names = [job.case.case_id for job in series.every]
-    series.records |= {name: records[name] for name in names if name in records}
-    return series
+        other = _beside(work, base, varied(base.case, meshed(base.case.cell, OTHER_MESH), PURPOSE))
+    return CaseSeries(jobs, work.design.converge.ratio, end, other=other)
+
+
+def _beside(work: Work, base: CaseJob, case: Case, level: int = 0) -> CaseJob:
+    """Job of a case on another mesh than the study's own."""
+    origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=level)
+    return case_job(case, work, origin)
 
 
 def chosen(work: Work) -> list[CaseJob]:
@@ -202,10 +202,10 @@ def discretization_key(problem: ForwardCell) -> str:
 def _column(job: CaseJob) -> str:
     """Name of a column: everything but the mesh, that of the calibration left out too."""
     problem, other = job.case.problem, job.case.cell.fitted_elsewhere
-    document = plain(problem.document())
+    document = problem.document()
     if problem.refinement is not None:
         return digest(_without(document, "parameters", problem.refinement.name))
-    fitted = {} if other is None else _without(plain(other.document()), "model", *_MESH_KEYS)
+    fitted = {} if other is None else _without(other.document(), "model", *_MESH_KEYS)
     return digest([_without(document, "model", *_MESH_KEYS), fitted.get("model")])
 
 
@@ -336,13 +336,13 @@ def upcoming(work: Work, records: Mapping[str, Record], store: Store) -> list[Ca
     hopeful = [
         job for job in in_blocks(work) if job.case.case_id not in records or given[job.case.case_id]
     ]
-    open_cells = []
-    for _, chosen in _chosen(hopeful):
-        for job in chosen:
-            constants = given[job.case.case_id]
-            if not constants or store.read_solution(_task(job, constants).key) is None:
-                open_cells.append(job)
-    return open_cells
+    return [
+        job
+        for _, both in _chosen(hopeful)
+        for job in both
+        if not (constants := given[job.case.case_id])
+        or store.read_solution(_task(job, constants).key) is None
+    ]
 
 
 def in_blocks(work: Work) -> list[CaseJob]:
@@ -394,7 +394,7 @@ def _constants(record: Record | None) -> dict[str, float]:
     return record.fits[0]["values"]
 
 
-def compared(pair: SpacePair, flat: SolveResult, solid: SolveResult) -> SpaceRow:
+def compared_spaces(pair: SpacePair, flat: SolveResult, solid: SolveResult) -> SpaceRow:
     """Compare the forces of the two spaces, 3D over axisymmetric: at the end, and where deep."""
     levels, tasks = pair
     row: SpaceRow = {
@@ -414,3 +414,152 @@ def compared(pair: SpacePair, flat: SolveResult, solid: SolveResult) -> SpaceRow
     deep = d >= d.max() / 2
     largest = apart[deep][abs(apart[deep]).argmax()]
     return {**row, "at_end": float(apart[-1]), "largest": float(largest)}
+
+
+# What a run computes of all this, and what it stores.
+
+
+def refine(
+    work: Work, store: Store, executor: Executor, progress: Callable[[Progress], None]
+) -> None:
+    """Compute the refined cases and store what they say of every response."""
+    series = _taken(study_series(work), store)
+    refine_cases(series, partial(computed, work, store, executor, progress))
+    with store.lock():
+        store.write_rows("numerical", [asdict(row) for row in uncertainties(work, series)])
+
+
+def _taken(series: Sequence[CaseSeries], store: Store) -> list[CaseSeries]:
+    """Series with what is stored of their cases."""
+    jobs = (job for case_series in series for job in case_series.every)
+    records = store.by_case({job.case.case_id: job.input_hash for job in jobs})
+    return [case_series.taking(records) for case_series in series]
+
+
+def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[NumericalUncertainty]:
+    """Numerical uncertainty of every response that a study asks for, by series."""
+    names = [response.name for response in work.design.responses if response.name not in COSTS]
+    return [
+        case_series.uncertainty(name, work.responses[name])
+        for case_series in series
+        for name in names
+    ]
+
+
+def compare_spaces(
+    work: Work, store: Store, executor: Executor, progress: Callable[[Progress], None]
+) -> None:
+    """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
+    solids = replace(work, jobs=tuple(in_blocks(work)))
+    both = pairs(work, store.by_case(solids.input_hashes))
+    if not both:
+        return
+    began, results = time.monotonic(), dict[str, SolveResult]()
+    # the solids take longest: all of them first
+    tasks = [tasks[k] for k in (1, 0) for _, tasks in both]
+    unsolved = {task.key for task in tasks if store.read_solution(task.key) is None}
+    for key, result in kept(by_workers(executor), store)(tasks):
+        results[key] = result
+        if key in unsolved:
+            done, seconds = len(unsolved & results.keys()), time.monotonic() - began
+            label = "one cylinder in both spaces, a control"
+            progress(Progress(done, len(unsolved), 0, seconds, label))
+    rows = [compared_spaces(pair, *(results[task.key] for task in pair[1])) for pair in both]
+    with store.lock():
+        store.write_rows("spaces", rows)
+
+
+# Comparison with the measurements, E +- u_val, of every case of a study (ASME V&V 20-2009).
+
+
+def validate(
+    work: Work, store: Store, executor: Executor, progress: Callable[[Progress], None]
+) -> list[dict[str, object]]:
+    """Move the uncertain inputs, compare every case, and store the rows as ``validation``."""
+    moved = input_work(work)
+    if moved.jobs:
+        run_batch(moved, store, executor, progress)
+    rows = compared(work, moved, store)
+    with store.lock():
+        store.write_rows("validation", rows)
+    return rows
+
+
+def compared(work: Work, moved: Work, store: Store) -> list[dict[str, object]]:
+    """One row for every case: E and its uncertainty along the curve, places in mm."""
+    records = store.by_case({**work.input_hashes, **moved.input_hashes})
+    inputs, mesh = input_shares(work, moved, records), _mesh_shares(work, store)
+    rows = []
+    for job in work.jobs:
+        record = records.get(job.case.case_id)
+        if record is None or not record.converged:
+            continue
+        # where the deformation is the same everywhere no mesh matters
+        share = np.zeros(PLACES.size) if job.case.problem.is_homogeneous else mesh(job)
+        relabeled_record = replace(record, levels=job.case.levels)
+        physics = inputs.get(physics_of(job.case.levels))
+        rows.append(_row(relabeled_record, share, physics, work.design.uncertainty))
+    return rows
+
+
+def _mesh_shares(work: Work, store: Store) -> Callable[[CaseJob], Array | None]:
+    """Look up the relative u_num of a case: of its own column, or of its kind of discretization."""
+    series = own_series(work)
+    finest = bool(series)
+    series = _taken(series or chosen_series(work), store)
+
+    def key(job: CaseJob) -> object:
+        """Levels of a case, whatever its block; or its kind of discretization."""
+        of_kind = discretization_key
+        return frozenset(job.case.levels.items()) if finest else of_kind(job.case.problem)
+
+    shares: dict[object, Array | None] = {}
+    for case_series in series:
+        share = case_series.shares()
+        jobs = case_series.jobs if finest else (case_series.base,)
+        shares |= {key(job): share.get(job.case.case_id) for job in jobs}
+    return lambda job: shares.get(key(job))
+
+
+def _row(
+    record: Record, mesh: Array | None, inputs: Array | None, uncertainty: Mapping[str, float]
+) -> dict[str, object]:
+    fact, pair = next(iter(record.scores), None), record.first_pair()
+    if fact is None or pair is None:
+        raise StoreError(
+            f"case {record.case_id}: its record has an answer and no curve beside a measured one; "
+            "delete its folder below cases and run the design again"
+        )
+    measured, predicted = pair
+    d = places_of(measured)
+    force = predicted.force_at(d)
+    u = {
+        "numerics": None if mesh is None else mesh * np.abs(force),
+        "inputs": None if inputs is None else inputs * np.abs(force),
+        "data": _data(measured, d, fact.get("scatter_N"), uncertainty),
+    }
+    agreement = compare(d, force, measured.force_at(d), u)
+    facts = {"case_id": record.case_id, "levels": dict(record.levels), "block": record.block}
+    return facts | {"label": fact["score"], "role": fact["role"]} | agreement
+
+
+def _data(
+    measured: Curve,
+    d: Array,
+    scatter: Sequence[float | None] | None,
+    uncertainty: Mapping[str, float],
+) -> Array | None:
+    """Add up the standard uncertainty of the measured force: single repeats, and the gauges.
+
+    The scatter is that of one repeat, not of their mean: repeats on one specimen are no
+    independent evidence.
+    """
+    parts = []
+    if scatter is not None:
+        parts.append(np.interp(d, measured.displacement_mm, np.asarray(scatter, float)))
+    if uncertainty.get("measurements.force"):
+        parts.append(np.full(d.size, float(uncertainty["measurements.force"])))
+    if uncertainty.get("measurements.displacement"):
+        slope = np.gradient(measured.force_at(d), d)
+        parts.append(np.abs(slope) * float(uncertainty["measurements.displacement"]))
+    return np.sqrt(np.sum(np.square(parts), axis=0)) if parts else None

@@ -1,4 +1,4 @@
-"""The kinds of task of a study, each with the function that does it in a worker."""
+"""The kinds of task of a study: what does each in a worker, and what it is predicted to take."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import importlib
 import os
 import platform
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import metadata
@@ -16,15 +16,21 @@ from typing import Any, cast
 
 import numpy as np
 
+from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.memory import free_memory_MB
 from study.ground.units import parse
 from study.harness.design.cell import CellProblem
+from study.harness.design.forward_model import ForwardCell
+from study.harness.design.forward_section import FUNCTION_SECONDS
 from study.harness.execution.cluster import Client, Cluster
 from study.harness.execution.local import Loky
 from study.harness.execution.task import Document, Executor, Perform, Task
+from study.harness.external.command import External
 from study.harness.runner import case, fit_task, solve_task
-from study.harness.runner.job import CaseTask
+from study.harness.runner.fit_problem import FitProblem, FittedTest
+from study.harness.runner.fit_summary import USUAL_EVALUATIONS
+from study.harness.runner.job import CaseJob, FitJob
 from study.harness.runner.provenance import versions
 from study.mechanics.forward import closed_form, finite_element
 
@@ -36,7 +42,7 @@ Engine = Executor | Client | str | Path
 PING = "ping"
 #: what does a task, by its class
 KINDS: dict[type, Perform] = {
-    CaseTask: case.perform,
+    CaseJob: case.perform,
     fit_task.FitTask: fit_task.perform,
     solve_task.SolveTask: solve_task.perform,
     str: lambda task: {"status": "converged"},
@@ -176,3 +182,147 @@ def _worker() -> tuple[str, str]:
     (outcome,) = processes(1, 60.0).run([Task(PING, lambda _: PING)])
     good = outcome.result["status"] == "converged"
     return ("pass" if good else "fail"), f"answered in {outcome.seconds:.1f} s"
+
+
+# Predicted seconds and memory of a run, before anything is solved.
+
+#: what any computation takes besides solving: hashing, scoring, writing
+_OVERHEAD_S = 0.02
+
+#: seconds in which meshes are made to count their unknowns, for one table of costs
+_PATIENCE_S = 2.0
+
+#: forward solutions of a fit in units of a cold one; the later ones start from the one before
+_SOLVES_LINEAR = 1.5
+_SOLVES_FIRST = 2.0
+_SOLVES_MORE = 0.7
+
+#: a prediction that starts from the solution of its cell, in units of a cold one: where forces
+#: scale with the one constant, between plates, and under an indenter, where contact is found anew
+_SCALED = 0.1
+_FROM_ANCHOR = 0.25
+_FROM_ANCHOR_INDENTED = 0.6
+
+
+class Costs:
+    """Cost of computations; each distinct forward problem is estimated once.
+
+    The first case of a cell that is asked for bears the cost of the cell's cold solution. Meshes
+    are made to count their unknowns while that takes a moment in all, in the order asked for; by
+    no clock, so that what is refined is the same on every machine.
+    """
+
+    def __init__(self) -> None:
+        self._patience_s = _PATIENCE_S
+        self._known: dict[str, tuple[float, float]] = {}
+        self._anchored: set[str] = set()
+
+    def fit_seconds(self, problem: FitProblem) -> float:
+        """Seconds of one calibration."""
+        names = problem.material.calibrated_names
+        return _OVERHEAD_S + sum(self._test_seconds(test, names) for test in problem.tests)
+
+    def _test_seconds(self, test: FittedTest, names: Sequence[str]) -> float:
+        """Seconds that one test of a fit takes: nothing where it has a closed form."""
+        external = External.of(test.problem)
+        if test.method == "external" and external is not None:
+            return _evaluations(names) * external.section.price_s
+        if test.method != "inverse-fem":
+            return 0.0
+        # of the only constant, a modulus by its unit, forces are in proportion
+        solves = _SOLVES_LINEAR if len(names) == 1 else _SOLVES_FIRST + _SOLVES_MORE * len(names)
+        return solves * self.solve_seconds(test.problem)
+
+    def case_seconds(self, job: CaseJob) -> float:
+        """Seconds of one case without its fits."""
+        problem = job.case.problem
+        external = External.of(problem)
+        if external is not None and job.origin.predicts and job.forward == "external":
+            is_tested = isinstance(problem, CellProblem)
+            quick = external.section.model == "python" and not is_tested
+            overhead = FUNCTION_SECONDS if quick else _OVERHEAD_S
+            return overhead + len(job.scored) * external.section.price_s
+        if not job.origin.predicts or job.forward != "simulation":
+            return _OVERHEAD_S
+        solve_s = self.solve_seconds(job.case.tested, job.depth_mm)
+        solves = float(len(job.scored))
+        if job.group:
+            # weight stays what it is where a modulus doubles, so that nothing scales
+            tested = job.case.tested
+            kind, is_heavy = tested.setup.kind, bool(tested.setup.test.weight_N_mm3)
+            share = _FROM_ANCHOR_INDENTED if kind.takes_indenter else _FROM_ANCHOR
+            if len(tested.calibrated_names) == 1 and not is_heavy:
+                share = _SCALED
+            solves = share * solves + (job.group not in self._anchored)
+            self._anchored.add(job.group)
+        return _OVERHEAD_S + solves * solve_s
+
+    def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
+        """Wall time on a number of workers."""
+        work = sum(self.fit_seconds(f.problem) for f in fits)
+        work += sum(self.case_seconds(c) for c in cases)
+        return work / jobs
+
+    def solve_seconds(self, problem: CellProblem, depth_mm: float | None = None) -> float:
+        """Seconds of one forward solution."""
+        return self._estimate(problem, depth_mm)[0]
+
+    def memory_MB(self, problem: ForwardCell) -> float:  # noqa: N802
+        """Peak memory of one worker at this problem."""
+        stated = None if problem.forward is None else problem.forward.memory_MB
+        if stated or not isinstance(problem, CellProblem):
+            return stated or 0.0
+        return self._estimate(problem, None)[1]
+
+    def fit_memory_MB(self, problem: FitProblem) -> float:  # noqa: N802
+        """Peak memory of one calibration."""
+        simulated = [test.problem for test in problem.tests if test.method == "inverse-fem"]
+        return max(map(self.memory_MB, simulated), default=0.0)
+
+    def case_memory_MB(self, job: CaseJob) -> float:  # noqa: N802
+        """Peak memory of one case; none worth counting without a simulation of its own."""
+        problem = job.case.problem
+        if job.forward == "external":
+            return (None if problem.forward is None else problem.forward.memory_MB) or 0.0
+        is_solved = job.forward == "simulation" and job.origin.predicts
+        return self.memory_MB(problem) if is_solved else 0.0
+
+    def _estimate(self, problem: CellProblem, depth_mm: float | None) -> tuple[float, float]:
+        document = problem.document()  # of all that differ in their material alone
+        key = digest([{k: document[k] for k in ("specimen", "test", "model")}])
+        if key not in self._known:
+            seconds, memory, spent = _estimated(problem, depth_mm, self._patience_s)
+            self._known[key], self._patience_s = (seconds, memory), self._patience_s - spent
+        return self._known[key]
+
+
+def _evaluations(names: Sequence[str]) -> int:
+    """Count the calls for one test: each evaluation, and one more for every constant."""
+    return USUAL_EVALUATIONS * (1 + len(names))
+
+
+def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
+    """Count the calls of other programs in cases, and in fits as if these wrote no gradients."""
+    external_cases = (job for job in cases if job.forward == "external" and job.origin.predicts)
+    predicted = sum(len(job.scored) for job in external_cases)
+    return predicted + sum(
+        _evaluations(fit.problem.material.calibrated_names)
+        for fit in fits
+        for test in fit.problem.tests
+        if test.method == "external"
+    )
+
+
+def _estimated(
+    cell: CellProblem, depth_mm: float | None, patience_s: float
+) -> tuple[float, float, float]:
+    """Seconds and memory of a solution, and the seconds that it took to count its unknowns."""
+    from study.mechanics.solver.solution_cost import estimate
+
+    depth = depth_mm or 0.2 * (cell.height_mm or 1.0)
+    try:
+        problem = cell.with_placeholder(depth, C10_MPa=0.005)
+        estimated = estimate(problem.setup, patience_s=patience_s)
+        return float(estimated.seconds), float(estimated.memory_MB), estimated.counting_s
+    except (InputError, ValueError, RuntimeError):
+        return 1.0, 0.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong

@@ -30,11 +30,12 @@ from study.harness.runner import provenance
 from study.harness.runner.job import TRUTH_SUFFIX
 from study.harness.runner.solve_task import SolveTask, by_workers
 from study.harness.runner.tasks import processes
+from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.geometry import Block, Enclosed
-from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
+from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import MeshName, Model, Order, Setup
 
 #: what a fit should find
@@ -94,28 +95,17 @@ class Truth:
 
 _YEOH = {"C10": 7.7021e-3, "C20": -0.0628e-3, "C30": 0.2479e-3}
 
+#: two terms, published as classical moduli m = 2 mu / alpha, and their exponents
+_CLASSICAL = ((0.12417390e-3, 10.490170), (10.288743e-3, 2.8092082))
+_OGDEN = {
+    name: value
+    for i, (m, alpha) in enumerate(_CLASSICAL, start=1)
+    for name, value in ((f"mu{i}", m * alpha / 2), (f"alpha{i}", alpha))
+}
 
-def _ogden() -> Truth:
-    """Two terms; published as classical moduli m = 2 mu / alpha."""
-    classical = ((0.12417390e-3, 10.490170), (10.288743e-3, 2.8092082))
-    constants: dict[str, float] = {}
-    for i, (m, alpha) in enumerate(classical, start=1):
-        constants |= {f"mu{i}": m * alpha / 2, f"alpha{i}": alpha}
-    directions = ({"alpha1": constants["alpha1"]}, {"alpha2": constants["alpha2"]})
-    return Truth("ogden", constants, directions, "Ogden's energy of two terms")
-
-
-def _humphrey() -> Truth:
-    """W = b (exp(c (I1 - 3)) - 1) (Humphrey and Yin 1987), as its power series.
-
-    What nine terms leave out is below 4e-5 of the stress up to I1 - 3 = 6; a stretch of 2.5
-    has 4. The exponent scatters at fixed initial modulus 2 b c.
-    """
-    b, c, order = 24.913774e-3, 0.25632133, 9
-    constants = {f"C{k}0": b * c**k / factorial(k) for k in range(1, order + 1)}
-    exponent = {f"C{k}0": (k - 1) * constants[f"C{k}0"] for k in range(2, order + 1)}
-    return Truth("reduced-polynomial", constants, (exponent,), "Humphrey's exponential energy")
-
+#: W = b (exp(c (I1 - 3)) - 1) (Humphrey and Yin 1987), as its power series: what nine terms leave
+#: out is below 4e-5 of the stress up to I1 - 3 = 6; a stretch of 2.5 has 4
+_HUMPHREY = {f"C{k}0": 24.913774e-3 * 0.25632133**k / factorial(k) for k in range(1, 10)}
 
 TRUTHS: Mapping[str, Truth] = {
     "yeoh": Truth(
@@ -124,8 +114,19 @@ TRUTHS: Mapping[str, Truth] = {
         tuple({n: _YEOH[n]} for n in ("C20", "C30")),
         "reduced polynomial of order 3",
     ),
-    "ogden": _ogden(),
-    "humphrey": _humphrey(),
+    "ogden": Truth(
+        "ogden",
+        _OGDEN,
+        tuple({n: _OGDEN[n]} for n in ("alpha1", "alpha2")),
+        "Ogden's energy of two terms",
+    ),
+    "humphrey": Truth(
+        "reduced-polynomial",
+        _HUMPHREY,
+        # the exponent scatters at fixed initial modulus 2 b c
+        ({f"C{k}0": (k - 1) * _HUMPHREY[f"C{k}0"] for k in range(2, 10)},),
+        "Humphrey's exponential energy",
+    ),
 }
 
 
@@ -155,7 +156,7 @@ def reference_curve(
     loaded = problem if as_designed else problem.loaded(interface="bonded", base="bonded")
     # the grid runs a little past the range, as a real test does
     loaded = loaded.loaded(steps=virtual.steps, displacement_mm=1.03 * setup.test.depth_mm)
-    volume = CompressibilityTable(poisson_ratio=poisson_ratio)
+    volume = Compressibility(poisson_ratio=poisson_ratio)
     solid = MaterialSection(truth.model, None, truth.constants, volume)
     model = _reference_model(setup, virtual, as_designed)
     made = replace(loaded.alone(), material=solid, model=model, forward=None)
@@ -278,26 +279,23 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
             reference_curve, problem, truth(generator.truth), generator.poisson_ratio,
             as_designed=several, virtual=design.virtual or Virtual(),
         )  # fmt: skip
-        reference, stated = of(), {}
+        reference = of()
+        note_of = {
+            "generator": asdict(generator),
+            "material": asdict(truth(generator.truth)),
+            "citation": CITATION,
+        }
         if design.virtual is not None:
             apart = of(coarser=True).force_at(reference.displacement_mm) - reference.force_N
             change = float(np.abs(apart).max() / np.abs(reference.force_N).max())
-            stated = {"reference": {**asdict(design.virtual), "change_by_coarser_mesh": change}}
-        weighs = problem.test.gravity is not None
-        which = number if several else None
+            note_of["reference"] = {**asdict(design.virtual), "change_by_coarser_mesh": change}
+        weighs, which = problem.test.gravity is not None, number if several else None
         tests = list(generate(reference, generator, spec, noise=which, weighs=weighs))
         for name, rows in _files(spec, tests).items():
-            path = out / name
-            write_atomic(path, rows.encode())
-            note_of = {
-                "generator": asdict(generator),
-                "material": asdict(truth(generator.truth)),
-                "citation": CITATION,
-                **stated,
-            }
-            note = path.with_name(path.name + TRUTH_SUFFIX)
-            write_atomic(note, json.dumps(note_of, indent=2, default=dict).encode())
-            written += [path, note]
+            paths = [out / name, out / f"{name}{TRUTH_SUFFIX}"]
+            write_atomic(paths[0], rows.encode())
+            write_atomic(paths[1], json.dumps(note_of, indent=2, default=dict).encode())
+            written += paths
     return written
 
 
@@ -396,11 +394,10 @@ def _specimens(spec: MeasurementSpec, batch: str) -> list[dict[str, str]]:
     """Specimens of a batch: one for each of the fit and score selections."""
     base = {spec.block: batch} if spec.block else {}
     chosen: list[dict[str, str]] = []
-    for where in (spec.fit, spec.score):
-        if where:
-            labels = {k: str(v[0] if isinstance(v, (list, tuple)) else v) for k, v in where.items()}
-            if {**base, **labels} not in chosen:
-                chosen.append({**base, **labels})
+    for where in filter(None, (spec.fit, spec.score)):
+        first = {k: str(v[0] if isinstance(v, (list, tuple)) else v) for k, v in where.items()}
+        if {**base, **first} not in chosen:
+            chosen.append({**base, **first})
     return chosen or [base]
 
 

@@ -32,6 +32,8 @@ from study.statistics.surfaces.surface_factors import box_points
 from study.statistics.surfaces.surface_profile import FittedSurface
 
 if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
+
     from study.mechanics.solver.solution import Solution
 
 
@@ -322,25 +324,21 @@ class TabulatedFunction(Keyed):
     def at(self, displacement_mm: ArrayLike) -> Array:
         """Values at displacements of any shape."""
         d = np.asarray(displacement_mm, dtype=float)
-        k, t, beyond = self._place(d)
-        c = self.coefficients[k]
-        inside = c[..., 0] + t * (c[..., 1] + t * (c[..., 2] + t * c[..., 3]))
-        return np.asarray(np.where(d < 0, 0.0, inside + self.slopes[-1] * beyond))
+        inside = self._spline(np.clip(d, 0.0, self.end_mm))
+        beyond = self.slopes[-1] * np.maximum(d - self.end_mm, 0.0)
+        return np.asarray(np.where(d < 0, 0.0, inside + beyond))
 
     def slope_at(self, displacement_mm: ArrayLike) -> Array:
         """Differentiate by the displacement, per mm."""
         d = np.asarray(displacement_mm, dtype=float)
-        k, t, _ = self._place(d)
-        c = self.coefficients[k]
-        inside = (c[..., 1] + t * (2 * c[..., 2] + 3 * t * c[..., 3])) / self.step_mm
-        return np.asarray(np.where(d < 0, 0.0, inside))
+        return np.asarray(np.where(d < 0, 0.0, self._spline(np.clip(d, 0.0, self.end_mm), 1)))
 
-    def _place(self, d: Array) -> tuple[NDArray[np.int64], Array, Array]:
-        """Interval of every displacement, its share of that interval, and how far it is beyond."""
-        within = np.clip(d, 0.0, self.end_mm)
-        steps = within / self.step_mm
-        k = np.minimum(steps.astype(np.int64), self.values.size - 2)
-        return k, steps - k, np.maximum(d - self.end_mm, 0.0)
+    @cached_property
+    def _spline(self) -> CubicHermiteSpline:
+        from scipy.interpolate import CubicHermiteSpline
+
+        knots = self.step_mm * np.arange(self.values.size)
+        return CubicHermiteSpline(knots, self.values, self.slopes)
 
 
 #: Error bound over the largest deviation that is seen: contact that closes point by point makes no

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
@@ -269,7 +270,7 @@ def isolated(points: Array) -> Flags:
     return np.asarray(logs > middle + np.maximum(ISOLATED * spread, np.log(3.0)))
 
 
-# Spheres fitted to scanned points: the algebraic fit of Pratt 1987, an eigenproblem, then
+# Spheres fitted to scanned points: a linear fit of a draw that most points are near, then
 # Gauss-Newton steps with Tukey's biweight.
 
 #: Fewest points that fix a sphere and leave one over for its scatter.
@@ -341,32 +342,15 @@ def fit_sphere(points: Array, where: str = "sphere") -> FittedSphere:
     return sphere
 
 
-def algebraic_sphere(points: Array) -> tuple[Array, float]:
-    """Center and radius by Pratt's algebraic fit.
-
-    Least sum of (A |x|^2 + B.x + D)^2 under |B|^2 - 4 A D = 1, so that near the sphere the
-    algebraic distance is the geometric one.
-
-    Shapes: points (n, 3), mm; returns (3,), mm; returns mm.
-    """
+def _linear_sphere(points: Array) -> tuple[Array, float]:
+    """Center and radius with the least sum of (|x|^2 - 2 c.x - r^2 + |c|^2)^2, mm."""
+    # Shapes: points (n, 3), mm; returns (3,). Exact through four points; on a small cap too small.
     middle = points.mean(axis=0)
-    size = float(np.sqrt(((points - middle) ** 2).sum(axis=1).mean()))
-    x = (points - middle) / size
-    moments = np.column_stack([(x**2).sum(axis=1), x, np.ones(len(x))])
-    # eigenvectors of C^-1 M, M the moments and C the constraint: the smallest positive value
-    constraint = np.zeros((5, 5))
-    constraint[1:4, 1:4] = np.eye(3)
-    constraint[0, 4] = constraint[4, 0] = -2.0
-    values, vectors = np.linalg.eig(np.linalg.solve(constraint, moments.T @ moments / len(x)))
-    real = np.real(values)
-    # the positive definite moments leave one negative eigenvalue; rounding may bring one to 0
-    order = np.argsort(np.where(real < -1e-9 * np.abs(real).max(), np.inf, np.abs(real)))
-    a, *b, d = np.real(vectors[:, order[0]])
-    if abs(a) < 1e-12 * np.abs(b).max():
-        raise InputError(Fault("sphere", "the points lie in a plane: no sphere is fixed"))
-    center = -np.array(b) / (2 * a)
-    radius = float(np.sqrt(max(center @ center - d / a, 0.0)))
-    return middle + size * center, size * radius
+    x = points - middle
+    columns = np.column_stack([2 * x, np.ones(len(x))])
+    (*center, rest), _, rank, _ = np.linalg.lstsq(columns, (x**2).sum(axis=1), rcond=None)
+    radius = float(np.sqrt(max(np.dot(center, center) + rest, 0.0)))
+    return middle + center, radius if rank == 4 else np.inf  # which no point is near
 
 
 #: Draws of points for a start that outliers cannot spoil: with 35 % outliers a draw of four is
@@ -375,35 +359,22 @@ DRAWS = 60
 
 
 def _consensus(points: Array) -> tuple[Array, float]:
-    """Start: the algebraic fit of all points or of a small draw, whichever most points are near.
+    """Start: the linear fit of all points or of a small draw, whichever most points are near.
 
     Least median of squares (Rousseeuw 1984); the draws have a fixed seed.
     """
     rng = np.random.default_rng(1984)
     choices = [points, *(points[rng.choice(len(points), 4, replace=False)] for _ in range(DRAWS))]
     best = (np.inf, points.mean(axis=0), 1.0)
-    for k, chosen in enumerate(choices):
-        sphere = algebraic_sphere(chosen) if k == 0 else _through(chosen)
-        if sphere is None:
-            continue
-        center, radius = sphere
+    for chosen in choices:
+        center, radius = _linear_sphere(chosen)
         off = float(np.median(np.abs(np.linalg.norm(points - center, axis=1) - radius)))
         if off < best[0]:
             best = (off, center, radius)
     center, radius = best[1:]
     off = np.abs(np.linalg.norm(points - center, axis=1) - radius)
     near = points[off <= np.maximum(4 * np.median(off), 1e-9 * radius)]
-    return algebraic_sphere(near) if len(near) >= FEWEST_SPHERE_POINTS else (center, radius)
-
-
-def _through(four: Array) -> tuple[Array, float] | None:
-    """Sphere through four points; None where they lie in a plane."""
-    matrix = 2 * (four[1:] - four[0])
-    right = (four[1:] ** 2).sum(axis=1) - (four[0] ** 2).sum()
-    if abs(np.linalg.det(matrix)) <= 1e-12 * np.abs(matrix).max() ** 3:
-        return None
-    center = np.linalg.solve(matrix, right)
-    return center, float(np.linalg.norm(four[0] - center))
+    return _linear_sphere(near) if len(near) >= FEWEST_SPHERE_POINTS else (center, radius)
 
 
 def _geometric(points: Array, start: Array) -> tuple[Array, float]:
@@ -458,6 +429,13 @@ def _described(points: Array, values: Array, scale: float) -> FittedSphere:
     )
 
 
+def student_half(error: ArrayLike, freedom: float, alpha: float) -> Array:
+    """Half width of the interval of an estimate with a standard error, by Student's t."""
+    from scipy.stats import t
+
+    return np.asarray(t.ppf(1 - alpha / 2, freedom) * np.asarray(error))
+
+
 # Agreement of two methods of measurement: bias and limits (Bland and Altman 1986), with exact
 # intervals by the noncentral t distribution (Carkeet 2015).
 
@@ -492,7 +470,7 @@ def limits_of_agreement(
     first: Array, second: Array, alpha: float = 0.05, where: str = "agreement"
 ) -> MethodAgreement:
     """Bias and limits of agreement of ``first - second``. Shapes: first, second (n,)."""
-    from scipy.stats import linregress, nct, t
+    from scipy.stats import linregress, nct
 
     n = len(first)
     if n < FEWEST:
@@ -500,7 +478,7 @@ def limits_of_agreement(
         raise InputError(Fault(where, rule, "measure at more positions"))
     difference = first - second
     bias, sd = float(difference.mean()), float(difference.std(ddof=1))
-    half = float(t.ppf(1 - alpha / 2, n - 1)) * sd / np.sqrt(n)
+    half = float(student_half(sd / np.sqrt(n), n - 1, alpha))
     shift = LIMIT * np.sqrt(n)
     ends = nct.ppf([alpha / 2, 1 - alpha / 2], n - 1, shift) * sd / np.sqrt(n)
     mean = (first + second) / 2
@@ -548,8 +526,6 @@ def deming_line(
     x: Array, y: Array, variance_ratio: float, alpha: float = 0.05, where: str = "regression"
 ) -> DemingLine:
     """Line between two quantities that both have errors. Shapes: x, y (n,)."""
-    from scipy.stats import t
-
     n = len(x)
     values, counts = np.unique(x, return_counts=True)
     if n < FEWEST_PAIRS or values.size < 2:
@@ -565,7 +541,7 @@ def deming_line(
         raise InputError(Fault(where, rule, "compare the columns of both quantities"))
     pseudo = n * np.array([offset, scale]) - (n - 1) * left_out
     errors = pseudo.std(axis=0, ddof=1) / np.sqrt(n)
-    half = float(t.ppf(1 - alpha / 2, n - 2)) * errors
+    half = student_half(errors, n - 2, alpha)
     residual = y - offset - scale * x
     return DemingLine(
         scale=scale,

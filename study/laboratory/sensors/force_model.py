@@ -5,24 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from study.ground import units
+from study.ground import diagnostics, units
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.ground.errors import Fault, InputError
-from study.harness.design import diagnostics
-from study.harness.design.cell import CellProblem
-from study.harness.design.diagnostics import Faults, read_table
-from study.harness.design.load import default_name, loads_problem
-from study.harness.design.study_file import StudyTable
-from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.forward import finite_element
-from study.mechanics.forward.closed_form import height_and_area
-from study.mechanics.material.homogeneous import response
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Bad,
     Reads,
     integer,
@@ -31,6 +21,15 @@ from study.mechanics.setup.declaration import (
     section,
     shown,
 )
+from study.ground.diagnostics import Faults, read_table
+from study.ground.errors import Fault, InputError
+from study.harness.design.cell import CellProblem
+from study.harness.design.load import default_name, loads_problem
+from study.harness.design.study_file import StudyTable
+from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.forward import finite_element
+from study.mechanics.forward.closed_form import height_and_area
+from study.mechanics.material.homogeneous import response
 from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:
@@ -171,6 +170,8 @@ def _notes(solution: Solution) -> tuple[str, ...]:
 
 # Tables ``[position]``, ``[force]``, ``[requirement]`` of a file for ``study require``.
 
+#: Standard deviations of the noise that the simulated curve reaches beyond the test.
+REACH = 5.0
 #: Most multiples of the given errors at which a Monte Carlo simulation is made.
 MOST_MULTIPLES = 6
 
@@ -239,20 +240,6 @@ class Requirement:
     multiples: Annotated[tuple[float, ...], Reads(_multiples)] = (1.0, 3.0)
 
 
-Sensor = TypeVar("Sensor", PositionAccuracy, ForceAccuracy)
-
-
-def multiplied(
-    position: PositionAccuracy, force: ForceAccuracy, multiple: float
-) -> tuple[PositionAccuracy, ForceAccuracy]:
-    """Return both sensors with all errors so many times as large."""
-
-    def times(sensor: Sensor) -> Sensor:
-        return replace(sensor, **{name: multiple * error for name, error in asdict(sensor).items()})
-
-    return times(position), times(force)
-
-
 # Read a file for ``study require``: a problem with its constants, two sensors, what is asked.
 
 #: Tables that only this verb knows.
@@ -275,6 +262,27 @@ class RequirementFile:
     force: ForceAccuracy
     #: Wanted accuracy, and how it is checked.
     asked: Requirement
+
+    @property
+    def rows_mm(self) -> Array:
+        """Displacements of the rows of the fitted test, even, the last one at its depth, (n,)."""
+        n, depth = self.asked.points, self.fitted.at().test.depth_mm
+        return np.asarray(depth * np.arange(1, n + 1) / n)
+
+    @property
+    def farthest_mm(self) -> float:
+        """Largest displacement that a tracker may tell."""
+        error, depth = self.position, self.fitted.at().test.depth_mm
+        beyond = np.hypot(np.hypot(error.offset_mm, error.noise_mm), error.scale * depth)
+        return depth + REACH * float(beyond)
+
+    def multiplied(self, multiple: float) -> RequirementFile:
+        """Copy with all errors of both sensors so many times as large."""
+        both = (
+            replace(sensor, **{name: multiple * error for name, error in asdict(sensor).items()})
+            for sensor in (self.position, self.force)
+        )
+        return replace(self, **dict(zip(("position", "force"), both, strict=True)))  # type: ignore[arg-type]
 
 
 def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> RequirementFile:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias, cast
 
@@ -27,13 +27,11 @@ from study.laboratory.sensors.force_model import (
     PositionAccuracy,
     RequirementFile,
     force_model,
-    multiplied,
 )
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.levenberg_marquardt import Status, levenberg_marquardt
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import is_dimensionless
-from study.mechanics.setup.setup import Problem
 
 # First-order propagation of sensor errors through a least-squares fit (JCGM 100:2008, 5): a row
 # at displacement d differs by zero + scale_F F + noise_F - F' (offset + scale_d d + noise_d); all
@@ -82,15 +80,13 @@ class PropagatedQuantity:
     value: float
     #: shape (n_sources,); standard uncertainty by one unit of every source.
     per_source: Array
-    #: shape (n_sources,); standard uncertainties of the sources.
-    given: Array
-    #: shape (n_sources,); whether a source is one of the tracker.
-    is_position: Array
+    sources: tuple[SensorErrorSource, ...]
 
     @property
     def parts(self) -> Array:
         """Standard uncertainty that every source makes, over the value."""
-        return np.asarray(self.per_source * self.given / abs(self.value))
+        given = np.array([source.given for source in self.sources])
+        return np.asarray(self.per_source * given / abs(self.value))
 
     @property
     def relative(self) -> float:
@@ -100,7 +96,8 @@ class PropagatedQuantity:
     def at_multiples(self, position: Array, force: Array) -> Array:
         """Relative standard uncertainty with both sensors' errors so many times as large."""
         squares = self.parts**2
-        of_position_alone = float(squares[self.is_position.astype(bool)].sum())
+        is_position = np.array([source.sensor == "position" for source in self.sources])
+        of_position_alone = float(squares[is_position].sum())
         other = float(squares.sum()) - of_position_alone
         return np.asarray(np.sqrt(position**2 * of_position_alone + force**2 * other))
 
@@ -156,27 +153,18 @@ def propagate(
         )
     pseudo_inverse = inverse @ at.jacobian.T
     effects = np.stack([_covariance_root(pseudo_inverse, source) for source in sources])
-    given = np.array([source.given for source in sources])
-    of_position = np.array([source.sensor == "position" for source in sources])
     variance = np.einsum("skn,skn->sk", effects, effects)
     gradient = predicted.jacobian[0]
     force = np.einsum("k,skn->sn", gradient, effects)
     return Propagation(
         sources,
         tuple(
-            PropagatedQuantity(
-                name, unit, float(value), np.sqrt(variance[:, k]), given, of_position
-            )
+            PropagatedQuantity(name, unit, float(value), np.sqrt(variance[:, k]), sources)
             for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
         ),
         PropagatedQuantity(
-            "force",
-            "N",
-            float(predicted.force_N[0]),
-            np.linalg.norm(force, axis=1),
-            given,
-            of_position,
-        ),  # fmt: skip
+            "force", "N", float(predicted.force_N[0]), np.linalg.norm(force, axis=1), sources
+        ),
         pseudo_inverse,
         gradient,
     )
@@ -257,41 +245,41 @@ class Simulation(Keyed):
 
 
 def simulate(
-    sampling: Sampling,
+    file: RequirementFile,
     propagation: Propagation,
-    multiples: Sequence[float],
     jobs: int,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Simulation, ...]:
     """Simulate tests at several multiples of the given errors."""
-    tasks, owners = [], {}
+    if not file.asked.samples:
+        return ()
+    tasks, owners, multiples = [], {}, file.asked.multiples
     for multiple in multiples:
-        for chunk in _chunks(sampling, propagation, multiple):
+        for chunk in _chunks(file, propagation, multiple):
             key = f"{multiple:g}-{chunk.first}"
             tasks.append(Task(key, partial(_payload, chunk)))
             owners[key] = multiple
     answers: dict[float, list[Answer]] = {multiple: [] for multiple in multiples}
     say = progress or (lambda text: None)
     # a closed form is done before processes have started
-    simulated = not sampling.fitted.setup.is_homogeneous
+    simulated = not file.fitted.setup.is_homogeneous
     place: Executor = Loky(perform, jobs) if simulated else Inline(perform)
     for done, outcome in enumerate(place.run(tasks), start=1):
         answers[owners[outcome.key]] += _answers(outcome.result)
         if done * TOLD // len(tasks) > (done - 1) * TOLD // len(tasks):
             say(f"{done} of {len(tasks)} parts of the simulated tests")
-    return tuple(_simulation(m, sampling.samples, propagation, answers[m]) for m in multiples)
+    return tuple(_simulation(m, file.asked.samples, propagation, answers[m]) for m in multiples)
 
 
-def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> Iterator[Chunk]:
+def _chunks(file: RequirementFile, propagation: Propagation, multiple: float) -> Iterator[Chunk]:
     """Divide a simulation into tasks, whose random numbers are those of multiple and test."""
-    position, force = multiplied(sampling.position, sampling.force, multiple)
-    drawn = replace(sampling, position=position, force=force)
-    stream = (sampling.seed, round(1e6 * multiple))
+    stream, samples = (file.seed, round(1e6 * multiple)), file.asked.samples
     least = min(constant.relative for constant in propagation.constants)
     xtol = max(STEP * multiple * least, SMALLEST_STEP)
-    for first in range(0, sampling.samples, CHUNK):
-        last = min(first + CHUNK, sampling.samples)
-        yield Chunk(drawn, stream, first, last, propagation.pseudo_inverse, xtol)
+    for first in range(0, samples, CHUNK):
+        last = min(first + CHUNK, samples)
+        inverse = propagation.pseudo_inverse
+        yield Chunk(file.multiplied(multiple), stream, first, last, inverse, xtol)
 
 
 def _payload(chunk: Chunk, _: Results) -> Chunk:
@@ -351,8 +339,6 @@ def _without_each(values: Array) -> Array:
 # Virtual tests: measured with drawn sensor errors, and fitted anew (JCGM 101:2008).
 
 
-#: Standard deviations of the noise that the simulated curve reaches beyond the test.
-REACH = 5.0
 #: Promised relative change of the sum of squares at which a fit has converged.
 FTOL = 1e-9
 #: Relative offset at which it has converged: what is left is a thousandth of a standard error by
@@ -365,44 +351,11 @@ MOST_EVALUATIONS = 30
 
 
 @dataclass(frozen=True)
-class Sampling:
-    """What a Monte Carlo simulation draws."""
-
-    #: Both tests, with the assumed constants.
-    fitted: Problem
-    predicted: Problem
-    position: PositionAccuracy
-    force: ForceAccuracy
-    points: int
-    #: Number of tests; the stream of random numbers.
-    samples: int
-    seed: int
-
-    @property
-    def depth_mm(self) -> float:
-        """Displacement of the fitted test."""
-        return self.fitted.test.depth_mm
-
-    @property
-    def farthest_mm(self) -> float:
-        """Largest displacement that a tracker may tell."""
-        error = self.position
-        beyond = np.hypot(np.hypot(error.offset_mm, error.noise_mm), error.scale * self.depth_mm)
-        return self.depth_mm + REACH * float(beyond)
-
-
-def rows_mm(depth_mm: float, points: int) -> Array:
-    """Displacements of the rows of a test, even, the last one at its depth."""
-    # Shapes: returns (points,), mm.
-    return np.asarray(depth_mm * np.arange(1, points + 1) / points)
-
-
-@dataclass(frozen=True)
 class Chunk:
     """Part of a simulation that one worker does."""
 
     #: With the errors of this simulation.
-    sampling: Sampling
+    file: RequirementFile
     #: Begins the seed of every test.
     stream: tuple[int, ...]
     #: Numbers of its tests, the last one excluded.
@@ -421,7 +374,7 @@ Answer: TypeAlias = list[float] | str
 
 def perform(chunk: Chunk) -> dict[str, object]:
     """Measure and fit the tests of one chunk (in a worker)."""
-    problem, tests = chunk.sampling.predicted, list[Answer]()
+    problem, tests = chunk.file.predicted.at(), list[Answer]()
     test = _Test(chunk)
     depth = np.array([problem.test.depth_mm])
     predicted = force_model(problem, float(depth[0]))
@@ -440,15 +393,15 @@ class _Test:
     """One test at its rows, to be measured with errors and fitted as often as asked."""
 
     def __init__(self, chunk: Chunk) -> None:
-        self.chunk, sampling = chunk, chunk.sampling
-        self.model = force_model(sampling.fitted, sampling.farthest_mm)
-        self.rows = rows_mm(sampling.depth_mm, sampling.points)
+        self.chunk, file = chunk, chunk.file
+        self.model = force_model(file.fitted.at(), file.farthest_mm)
+        self.rows = file.rows_mm
         self.values = self.model.problem.material.values
         self.true = self.model(self.values, self.rows)
 
     def measured(self, random: np.random.Generator) -> tuple[Array, Array]:
         """Constants of the fit to one measured test, and their change to first order."""
-        n, p, f = self.rows.size, self.chunk.sampling.position, self.chunk.sampling.force
+        n, p, f = self.rows.size, self.chunk.file.position, self.chunk.file.force
         moved = p.offset_mm * random.standard_normal() + self.rows * (
             p.scale * random.standard_normal()
         )
@@ -502,9 +455,6 @@ class SensorRequirement(Keyed):
     #: Wanted expanded uncertainty over the value; expanded over standard uncertainty.
     accuracy: float
     coverage: float
-    #: shape (n,); of the test that is fitted.
-    rows_mm: Array
-    force_N: Array
     propagation: Propagation
     #: Monte Carlo, at multiples of the given errors.
     simulations: tuple[Simulation, ...]
@@ -594,35 +544,26 @@ def sensor_requirement(
     file: RequirementFile, jobs: int, progress: Callable[[str], None] | None = None
 ) -> SensorRequirement:
     """Propagate the errors of both sensors, and check that by simulated tests."""
-    sensors, test, prediction = file.asked, file.fitted.at(), file.predicted.at()
-    sampling = Sampling(
-        test, prediction, file.position, file.force, sensors.points, sensors.samples,
-        file.seed,
-    )  # fmt: skip
-    _check_reach(file, sampling)
-    fitted = force_model(test, sampling.farthest_mm)
-    material, rows = fitted.problem.material, rows_mm(sampling.depth_mm, sensors.points)
-    at = fitted(material.values, rows)
-    end = prediction.test.depth_mm
+    prediction = file.predicted.at()
+    _check_reach(file)
+    fitted = force_model(file.fitted.at(), file.farthest_mm)
+    material, rows = fitted.problem.material, file.rows_mm
+    at, end = fitted(material.values, rows), prediction.test.depth_mm
     predicted = force_model(prediction, end)(material.values, np.array([end]))
     units = ["" if is_dimensionless(name) else "MPa" for name in material.names]
     sources = sources_of(file.position, file.force, at, rows)
     propagation = propagate(material.names, material.values, units, at, sources, predicted)
-    simulations: tuple[Simulation, ...] = ()
-    if sensors.samples:
-        simulations = simulate(sampling, propagation, sensors.multiples, jobs, progress)
     return SensorRequirement(
-        file.name, file.question, sensors.accuracy, sensors.coverage, rows, at.force_N, propagation,
-        simulations, fitted.notes,
+        file.name, file.question, file.asked.accuracy, file.asked.coverage, propagation,
+        simulate(file, propagation, jobs, progress), fitted.notes,
     )  # fmt: skip
 
 
-def _check_reach(file: RequirementFile, sampling: Sampling) -> None:
+def _check_reach(file: RequirementFile) -> None:
     """Refuse errors with which a test would go through its specimen."""
     height = file.fitted.height_mm
     for multiple in file.asked.multiples if file.asked.samples else ():
-        position, force = multiplied(file.position, file.force, multiple)
-        farthest = replace(sampling, position=position, force=force).farthest_mm
+        farthest = file.multiplied(multiple).farthest_mm
         if height is not None and farthest >= height:
             rule = (
                 f"at {multiple:g} times its errors the tracker may tell {farthest:.4g} mm, "

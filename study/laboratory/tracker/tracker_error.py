@@ -29,6 +29,7 @@ from study.laboratory.registration.rigid import (
     limits_of_agreement,
     on_a_line,
     rotation_of,
+    student_half,
     target_registration_error,
 )
 from study.laboratory.tracker.tracker_recording import (
@@ -296,8 +297,6 @@ def _standard(declared: DistanceTable, root: Path) -> Standard | None:
 
 
 def _stage(recording: TrackerRecording, samples: Array, stage: str, alpha: float) -> StageDistance:
-    from scipy.stats import t
-
     parts = [samples[visit.rows] for visit in recording.visits_of(stage)]
     means = np.array([part.mean() for part in parts])
     distances = np.concatenate(parts)
@@ -306,7 +305,7 @@ def _stage(recording: TrackerRecording, samples: Array, stage: str, alpha: float
     between, interval = None, None
     if len(parts) > 1:
         between = float(means.std(ddof=1))
-        half = float(t.ppf(1 - alpha / 2, len(parts) - 1)) * between / np.sqrt(len(parts))
+        half = float(student_half(between / np.sqrt(len(parts)), len(parts) - 1, alpha))
         interval = (float(means.mean()) - half, float(means.mean()) + half)
     return StageDistance(
         stage=stage,
@@ -375,7 +374,7 @@ def _drift(recording: TrackerRecording, samples: Array, means: Array, alpha: flo
 
     slope = float(x @ y / (x @ x))
     error = float(np.sqrt(((y - slope * x) ** 2).sum() / freedom / (x @ x)))
-    half = float(t.ppf(1 - alpha / 2, freedom)) * error
+    half = float(student_half(error, freedom, alpha))
     p = float(2 * t.sf(abs(slope) / error, freedom)) if error > 0 else float(slope == 0)
     return Drift(slope, (slope - half, slope + half), p, unit, len(x))
 
@@ -397,8 +396,6 @@ def _bias(
     recording: TrackerRecording, means: Array, standard: Standard | None, alpha: float
 ) -> tuple[float | None, tuple[float, float] | None]:
     """Compare the mean over visits with the standard; give the interval that visits tell."""
-    from scipy.stats import t
-
     if standard is None:
         return None, None
     number = passes(recording.visits)
@@ -413,7 +410,7 @@ def _bias(
     total = float(np.hypot(standard_error, standard.uncertainty_mm))
     # Welch-Satterthwaite: the standard's own uncertainty counts as known
     freedom = (len(units) - 1) * (total / standard_error) ** 4 if standard_error > 0 else 1e6
-    half = float(t.ppf(1 - alpha / 2, min(freedom, 1e6))) * total
+    half = float(student_half(total, min(freedom, 1e6), alpha))
     return bias, (bias - half, bias + half)
 
 

@@ -11,18 +11,10 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import numpy as np
-from pydantic import Field
 
+from study.ground import diagnostics
 from study.ground.arrays import Array, Ints
-from study.ground.errors import Fault, InputError, nearest
-from study.ground.tabular import CsvTable, read_csv
-from study.ground.units import unit_factor
-from study.harness.design import diagnostics
-from study.harness.design.diagnostics import Faults, read_table
-from study.harness.record.atomic_files import write_atomic
-from study.laboratory.registration.rigid import check_places
-from study.mechanics.measurement.measurement_section import Axes, csv_path, three_columns
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Bad,
     Length,
     LengthOrZero,
@@ -34,7 +26,14 @@ from study.mechanics.setup.declaration import (
     text,
     unit_of_length,
 )
-from study.mechanics.setup.declaration import name as label
+from study.ground.declaration import name as label
+from study.ground.diagnostics import Faults, read_table
+from study.ground.errors import Fault, InputError, nearest
+from study.ground.tabular import CsvTable, read_csv
+from study.ground.units import unit_factor
+from study.harness.record.atomic_files import write_atomic
+from study.laboratory.registration.rigid import check_places
+from study.mechanics.measurement.measurement_section import Axes, csv_path, three_columns
 
 # The file of a tracker study: its tables are classes, and a class's fields are the keys.
 
@@ -139,22 +138,25 @@ class TrackingTable:
     #: Printed above the answer.
     question: Annotated[str, Reads(text)] = ""
     #: Size of tests; intervals have the level 1 - alpha.
-    alpha: Annotated[float, Reads(number(0, 0.5))] = Field(default=0.05)
+    alpha: Annotated[float, Reads(number(0, 0.5))] = 0.05
 
 
-@dataclass(frozen=True)
+def _schema(value: object) -> int:
+    if value != SCHEMA:
+        raise Bad(f"must be {SCHEMA}, got {shown(value)}", f"write schema = {SCHEMA}")
+    return SCHEMA
+
+
+@section
 class TrackingFile:
-    """A file of ``study tracking``, read."""
+    """A file of ``study tracking``: at least one of the last three is there."""
 
-    tracking: TrackingTable
+    schema: Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
     recording: RecordingTable
-    #: What the tracker is compared with; at least one is there.
-    distance: DistanceTable | None
-    displacement: DisplacementTable | None
-    reference: ReferenceTable | None
-
-
-TABLES = ("schema", "tracking", "recording", "distance", "displacement", "reference")
+    tracking: TrackingTable = TrackingTable()
+    distance: DistanceTable | None = None
+    displacement: DisplacementTable | None = None
+    reference: ReferenceTable | None = None
 
 
 def load_tracking(path: str | Path) -> TrackingFile:
@@ -162,22 +164,7 @@ def load_tracking(path: str | Path) -> TrackingFile:
     source = str(path)
     tables = diagnostics.parse_toml(diagnostics.read_text(path), source)
     faults = Faults()
-    if tables.get("schema") != SCHEMA:
-        faults.add("schema", f"must be {SCHEMA}", f"write schema = {SCHEMA} on the first line")
-    for key in tables:
-        if key not in TABLES:
-            faults.add(key, "unknown key", nearest(key, TABLES))
-    tracking = read_table(TrackingTable, tables.get("tracking", {}), "tracking", faults)
-    recording = read_table(RecordingTable, tables.get("recording"), "recording", faults)
-
-    def compared(kind: type[T]) -> T | None:
-        name = kind.__name__.removesuffix("Table").lower()
-        return read_table(kind, tables[name], name, faults) if name in tables else None
-
-    file = TrackingFile(
-        tracking, recording, compared(DistanceTable), compared(DisplacementTable),
-        compared(ReferenceTable),
-    )  # fmt: skip
+    file = read_table(TrackingFile, tables, "", faults)
     if not faults:
         faults.extend(_across(file))
     if faults:

@@ -107,13 +107,13 @@ def scaled_condition(jacobian: Array, values: Array) -> float:
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
 
-def student_t(degrees_of_freedom: int, level: float = 0.95) -> float:
-    """Two-sided quantile of Student's t; NaN without degrees of freedom."""
+def student_t(degrees_of_freedom: int) -> float:
+    """Two-sided quantile of Student's t at 95 %; NaN without degrees of freedom."""
     if degrees_of_freedom <= 0:
         return float("nan")
     from scipy.special import stdtrit
 
-    return float(stdtrit(degrees_of_freedom, 0.5 + level / 2))
+    return float(stdtrit(degrees_of_freedom, 0.975))
 
 
 def identifiability(names: Sequence[str], values: Array, estimate: Uncertainty) -> tuple[bool, str]:
@@ -155,19 +155,6 @@ def identifiability(names: Sequence[str], values: Array, estimate: Uncertainty) 
         number = float(f"{estimate.condition:.3g}")
         caution = f"caution: the scaled condition number is {number:,.0f}"
     return True, caution
-
-
-def verdict_at_end(
-    names: Sequence[str], values: Array, estimate: Uncertainty, free: NDArray[np.bool_], ended: str
-) -> tuple[bool, str]:
-    """Verdict on a fit that ended at a kink, at an edge or at a bound. Shapes: free (p,)."""
-    identifiable, reason = identifiability(names, values, estimate)
-    if ended:
-        return False, ended if identifiable or not reason else f"{ended}; besides, {reason}"
-    if not free.all():
-        held = [name for name, is_free in zip(names, free, strict=True) if not is_free]
-        return False, f"{', '.join(held)} ended at a bound"
-    return identifiable, reason
 
 
 def _widest(names: Sequence[str], values: Array, estimate: Uncertainty) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.mechanics.calibration.covariance import influence, uncertainty, verdict_at_end
+from study.mechanics.calibration.covariance import identifiability, influence, uncertainty
 from study.mechanics.calibration.levenberg_marquardt import (
     Iteration,
     LeastSquaresSearch,
@@ -119,7 +119,7 @@ def fit(
     resume: Iteration | None = None,
     priors: Sequence[Prior] = (),
 ) -> Fit:
-    """Fit constants to the measured curves whose role is ``fit``. Shapes: start (p,)."""
+    """Fit constants to measured curves. Shapes: start (p,)."""
     _check(measured, names, start)
     model = ResidualFunction(predict, measured, names, priors)
     result = levenberg_marquardt(
@@ -149,7 +149,7 @@ class ResidualFunction:
         try:
             curves = tuple(self.predict(values))
             self.curves_at[values.tobytes()] = curves
-            pairs = [(m, c) for m, c in zip(self.measured, curves, strict=True) if m.role == "fit"]
+            pairs = zip(self.measured, curves, strict=True)
             residuals, rows = zip(*(self._one(m, c) for m, c in pairs), strict=True)
         except EvaluationFailed as error:
             self.failure = str(error)
@@ -183,7 +183,7 @@ class ResidualFunction:
 
 
 def _report(result: LeastSquaresSearch, model: ResidualFunction) -> Fit:
-    fitted = [(m, m.weights > 0) for m in model.measured if m.role == "fit"]
+    fitted = [(m, m.weights > 0) for m in model.measured]
     force = np.concatenate([m.curve.force_N[used] for m, used in fitted])
     weight = np.concatenate([m.weights[used] for m, used in fitted])
     residual = result.residual[: force.size]
@@ -194,9 +194,15 @@ def _report(result: LeastSquaresSearch, model: ResidualFunction) -> Fit:
     )
     identifiable, reason = False, result.status.sentence
     if result.status.usable:
-        ended = "" if result.converged else reason
-        free = ~result.at_bound
-        identifiable, reason = verdict_at_end(model.names, result.x, estimate, free, ended)
+        identifiable, why = identifiability(model.names, result.x, estimate)
+        if result.converged:
+            reason = why
+        elif why and not identifiable:
+            reason = f"{reason}; besides, {why}"
+        held = [name for name, at in zip(model.names, result.at_bound, strict=True) if at]
+        if held and result.converged:
+            reason = f"{', '.join(held)} ended at a bound"
+        identifiable = identifiable and result.converged and not held
     if not result.converged:
         none = np.full_like(estimate.covariance, np.nan)
         estimate = replace(
@@ -232,11 +238,6 @@ def aicc(rss: float, n: int, parameters: int) -> float:
     """Small-sample Akaike criterion of a least-squares fit (Hurvich and Tsai 1989).
 
     The error variance counts as a parameter. Infinite where ``n`` is too small for it.
-
-    Examples
-    --------
-    >>> round(aicc(2.0, 20, 3), 4)
-    -35.385
     """
     if not math.isfinite(rss):
         return math.inf
@@ -255,11 +256,10 @@ def _check(measured: Sequence[MeasuredCurve], names: Sequence[str], start: Array
     size, points = np.size(start), 0
     if size != len(names):
         faults.append(Fault("start", f"{size} values for {len(names)} constants"))
-    fitted = [m for m in measured if m.role == "fit"]
-    if not fitted:
+    if not measured:
         faults.append(Fault("tests", "none has the role 'fit'"))
     elif not faults:
-        points = sum(int(np.count_nonzero(m.weights > 0)) for m in fitted)
+        points = sum(int(np.count_nonzero(m.weights > 0)) for m in measured)
         if points < len(names):
             rule = f"{points} points cannot determine {len(names)} constants ({', '.join(names)})"
             faults.append(Fault("measurements", rule, "give more points or a simpler energy"))

@@ -89,9 +89,9 @@ def with_serial_correlation(
 
 def _judged(fit: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:
     """Fit with the verdict that its new intervals give."""
-    pairs = [(m, c) for m, c in zip(measured, fit.curves, strict=True) if m.role == "fit"]
+    pairs = zip(measured, fit.curves, strict=True)
     rows = np.concatenate([m.slopes(c, fit.names) for m, c in pairs])
-    force = np.concatenate([m.weights * m.curve.force_N for m, _ in pairs])
+    force = np.concatenate([m.weights * m.curve.force_N for m in measured])
     estimate = Uncertainty(
         fit.covariance, fit.standard_error, fit.ci95, fit.correlation, fit.condition,
         fit.values.size, degrees_of_freedom, influence(rows, force),
@@ -104,7 +104,7 @@ def _series(
     fit: Fit, measured: Sequence[MeasuredCurve], names: Sequence[str]
 ) -> tuple[list[Series], Array]:
     """Every recording with the influence of its rows on the free constants, and that of priors."""
-    pairs = [(m, c) for m, c in zip(measured, fit.curves, strict=True) if m.role == "fit"]
+    pairs = list(zip(measured, fit.curves, strict=True))
     rows = [m.slopes(c, names) for m, c in pairs]
     priors = [prior for prior in fit.priors if prior.name in names]
     inverse, _ = scaled_inverse(np.concatenate([*rows, pseudo_jacobian(priors, names)]))
@@ -161,13 +161,6 @@ def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Arr
     """Influence of rows from that of the points interpolated between them.
 
     Shapes: by_point (p, m); places (m,), mm; rows (n,); returns (p, n).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> points = np.array([[1.0, 2.0, 4.0]])
-    >>> interpolation_transposed(points, np.array([0.0, 0.25, 3.0]), np.array([0.0, 1.0]))
-    array([[2.5, 4.5]])
     """
     place = np.interp(places, rows, np.arange(rows.size, dtype=float))
     left = np.minimum(place.astype(int), max(rows.size - 2, 0))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -86,8 +85,6 @@ class MeasuredCurve:
     #: shape (n,); factor on the residual, for instance one over the scatter; zero leaves a point
     #: out.
     weight: float | Array = 1.0
-    #: ``fit``, or ``held-out``: predicted and scored, never fitted.
-    role: Literal["fit", "held-out"] = "fit"
     #: Rows as recorded, of every repeat, whose linear interpolation and mean the curve is; none
     #: where the curve's points are the rows.
     recordings: tuple[Curve, ...] = ()
@@ -143,7 +140,7 @@ def curve_faults(measured: MeasuredCurve) -> list[Fault]:
     if not (np.all(np.isfinite(weights)) and np.all(weights >= 0)):
         return [Fault(where, "weights must be finite and not negative")]
     used = weights > 0
-    if measured.role != "fit" or np.count_nonzero(used) < 2:
+    if np.count_nonzero(used) < 2:
         return []
     d, force = d[used], force[used]
     # the force of a course in time may fall while it is held
@@ -156,6 +153,9 @@ def curve_faults(measured: MeasuredCurve) -> list[Fault]:
     mend = "a force that resists is positive: see `sign` of the measurements"
     return [Fault(where, rule, mend)] if work <= 0 else []
 
+
+#: change of an input without an uncertainty from which its influence is taken, over its value
+_STEP = 0.01
 
 # Priors of parameters as pseudo-observations (Theil and Goldberger 1961, Int. Econ. Rev. 2, 65).
 
@@ -203,18 +203,31 @@ def known_covariance(priors: Sequence[Prior], names: Sequence[str], inverse: Arr
 
 
 @dataclass(frozen=True)
-class NuisanceEstimate:
-    """One nuisance parameter after the fit; mm, N, MPa, degrees or plain."""
+class NuisanceParameter:
+    """One nuisance parameter of a fit; mm, N, MPa, degrees or plain."""
 
     #: What it is called, and its key in the file.
     name: str
     key: str
-    #: Whether the tests helped to find it, or its uncertainty was carried to the constants.
-    treated: Literal["fitted", "propagated"]
     #: Value that was expected before the fit.
     expected: float
     #: Standard uncertainty of that; None where nothing was known.
     uncertainty: float | None
+    #: Whether the tests may move it; else its uncertainty is propagated.
+    is_fitted: bool
+    #: Places of the curves that it moves, in the order of the fit.
+    curves: tuple[int, ...]
+
+    @property
+    def step(self) -> float:
+        """Change from which its influence is taken."""
+        return self.uncertainty or _STEP * abs(self.expected)
+
+
+@dataclass(frozen=True)
+class NuisanceEstimate(NuisanceParameter):
+    """The same after the fit."""
+
     value: float
     standard_error: float
     ci95: tuple[float, float]

@@ -145,19 +145,12 @@ class Pseudo:
     #: shape (k, p); its derivative by the constants.
     jacobian: Array
 
-    @classmethod
-    def none(cls, constants: int) -> Pseudo:
-        """No observation."""
-        return cls(np.zeros(0), np.zeros((0, constants)))
-
     def leverage(self, series: Sequence[Series]) -> float:
         """Parameters that these observations determine, and not the rows: from 0 to k.
 
         A prior that is as good as exact leaves its degree of freedom to the rows, a vague one
         takes it (the trace of the hat matrix, Hastie and Tibshirani 1990, sec. 3.5).
         """
-        if not self.residual.size:
-            return 0.0
         whole = np.concatenate([part.jacobian for part in series] + [self.jacobian])
         norms = np.linalg.norm(whole, axis=0)
         if not np.all(norms > 0):
@@ -228,9 +221,10 @@ def intervals(
     size. Degrees of freedom of the sum are those of Satterthwaite (1946, Biometrics Bull. 2, 110).
     """
     rows = sum(part.residual.size for part in series)
-    priors = pseudo or Pseudo.none(series[0].jacobian.shape[1])
-    freedom = rows - series[0].jacobian.shape[1] + priors.leverage(series)
-    moments = _LagMoments.of(series, priors)
+    freedom: float = rows - series[0].jacobian.shape[1]
+    if pseudo is not None and pseudo.residual.size:
+        freedom += pseudo.leverage(series)
+    moments = _LagMoments.of(series, pseudo)
     if freedom <= 0 or moments is None:
         return None
     rho, weight = np.zeros(1), np.ones(1)
@@ -259,7 +253,9 @@ def intervals(
 _EXPLAINED = 0.1
 
 
-def trend(series: Sequence[Series], columns: Sequence[Array]) -> tuple[float, Array]:
+def trend(
+    series: Sequence[Series], columns: Sequence[Array], explained: float = _EXPLAINED
+) -> tuple[float, Array]:
     """P that the residuals hold no trend beyond a drift, and the trend, shape (n,).
 
     F test of further columns, given an autoregression of the rows, averaged over the correlations
@@ -278,15 +274,14 @@ def trend(series: Sequence[Series], columns: Sequence[Array]) -> tuple[float, Ar
     basis, _ = np.linalg.qr(jacobian / np.linalg.norm(jacobian, axis=0))
     added = added / np.linalg.norm(added, axis=0)
     left, size, _ = np.linalg.svd(added - basis @ (basis.T @ added), full_matrices=False)
-    left = left[:, size > _EXPLAINED]
+    left = left[:, size > explained]
     count, nothing = left.shape[1], np.zeros_like(residual)
     ends = np.cumsum([part.residual.size for part in series])[:-1]
     wider = [
         replace(part, jacobian=np.hstack([part.jacobian, column]))
         for part, column in zip(series, np.split(left, ends), strict=True)
     ]
-    null = _LagMoments.of(series, Pseudo.none(constants))
-    wide = _LagMoments.of(wider, Pseudo.none(constants + count))
+    null, wide = _LagMoments.of(series), _LagMoments.of(wider)
     freedom = residual.size - constants - count
     if null is None or wide is None or freedom < 2 or count == 0:
         return 1.0, nothing
@@ -298,15 +293,7 @@ def trend(series: Sequence[Series], columns: Sequence[Array]) -> tuple[float, Ar
 
 
 def effective_rows(rows: int, correlation: float) -> float:
-    """Independent rows worth as much as correlated ones for a mean.
-
-    Examples
-    --------
-    >>> round(effective_rows(60, 0.5), 9)
-    20.0
-    >>> effective_rows(60, -0.2)
-    60.0
-    """
+    """Independent rows worth as much as correlated ones for a mean."""
     rho = max(correlation, 0.0) if math.isfinite(correlation) else 0.0
     return rows * (1 - rho) / (1 + rho)
 
@@ -327,10 +314,11 @@ class _LagMoments:
     rows: int
 
     @classmethod
-    def of(cls, series: Sequence[Series], pseudo: Pseudo) -> _LagMoments | None:
+    def of(cls, series: Sequence[Series], pseudo: Pseudo | None = None) -> _LagMoments | None:
         """Moments of all series; None where the residual or a constant leaves nothing."""
-        jacobian = np.concatenate([part.jacobian for part in series] + [pseudo.jacobian])
-        residual = np.concatenate([part.residual for part in series] + [pseudo.residual])
+        parts: list[Series | Pseudo] = [*series, *([] if pseudo is None else [pseudo])]
+        jacobian = np.concatenate([part.jacobian for part in parts])
+        residual = np.concatenate([part.residual for part in parts])
         norms = np.linalg.norm(jacobian, axis=0)
         size = float(np.linalg.norm(residual))
         if not (np.all(norms > 0) and size > 0 and len(residual) >= len(norms)):
@@ -341,13 +329,13 @@ class _LagMoments:
             return None
         joined = np.column_stack([basis, residual])
         ends = np.cumsum([part.residual.size for part in series])
-        *parts, beside = np.split(joined, ends)
+        *recordings, beside = np.split(joined, ends)
         rows = joined[: ends[-1]]
-        cross = sum((z[1:].T @ z[:-1] for z in parts), np.zeros((len(norms) + 1,) * 2))
-        inner = sum((z[1:-1].T @ z[1:-1] for z in parts), np.zeros_like(cross))
+        cross = sum((z[1:].T @ z[:-1] for z in recordings), np.zeros((len(norms) + 1,) * 2))
+        inner = sum((z[1:-1].T @ z[1:-1] for z in recordings), np.zeros_like(cross))
         return cls(
-            rows.T @ rows, cross + cross.T, inner, beside.T @ beside, len(parts), len(rows)
-        )  # fmt: skip
+            rows.T @ rows, cross + cross.T, inner, beside.T @ beside, len(recordings), len(rows)
+        )
 
     def generalized(self, rho: Array) -> tuple[Array, Array]:
         """Residual sum of squares by generalized least squares, and the log determinants."""

@@ -14,7 +14,7 @@ from study.mechanics.contact.contact import (
     STIFFNESS,
     SWITCHING,
     ContactPoints,
-    Plate,
+    Plane,
     RigidSurface,
     gripping,
     prescribed_rates,
@@ -77,7 +77,9 @@ def _under_indenter(
     if pair.indenter.is_sharp_edged:
         rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
         under = rho <= pair.indenter.face_radius_mm * (1 + _SAME)
-        below = meeting(problem, space, mesh, Plate(touch, -1, 1.0), chosen, nodal=True)
+        below = meeting(
+            problem, space, mesh, Plane(touch, -1, 1.0, space.dim - 1), chosen, nodal=True
+        )
         parts = (
             only(below, under[below.nodes].all(axis=1)),
             only(points, ~under[points.nodes].all(axis=1)),
@@ -228,16 +230,17 @@ def _side_onto_plate(
     side = _side_facets(space, mesh)
     facets, areas = space.facets[side], space.facet_weights[side]
     nodal = _nodal_areas(space, facets, np.repeat(areas / facets.shape[1], facets.shape[1]))
-    nodal[at_level(space, mesh, plate.height_mm)] = 0.0
+    nodal[at_level(space, mesh, plate.level_mm)] = 0.0
     return (_points_of(problem, mesh, plate, *_at_nodes(nodal)),)
 
 
-def _plate(problem: Problem, pair: PlateContact, mesh: Mesh) -> Plate:
+def _plate(problem: Problem, pair: PlateContact, mesh: Mesh) -> Plane:
     """Plane of a plate, which moves as the face that it holds; half as far in a half model."""
     is_top = pair.face == "top"
     axial = next(f.axial for f in problem.setup.faces if f.face == pair.face)
     speed = (0.0 - axial) * (0.5 if mesh.half_height else 1.0)
-    return Plate(mesh.height_mm if is_top else 0.0, -1 if is_top else 1, speed)
+    level, last = mesh.height_mm if is_top else 0.0, mesh.points.shape[1] - 1
+    return Plane(level, -1 if is_top else 1, speed, last)
 
 
 #: subdivisions of the triangles where an indenter could touch first, and how many are kept

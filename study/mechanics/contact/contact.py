@@ -61,22 +61,29 @@ class Glue:
 
 
 @dataclass(frozen=True)
-class Plate:
-    """A rigid plane across the axis that presses downwards (``sense = -1``) or is below (+1)."""
+class Plane:
+    """A rigid plane that moves against the axis: a plate, or a coordinate that ties hold."""
 
-    height_mm: float
+    #: Where it is along its own axis at no displacement, mm.
+    level_mm: float
     #: {-1, 1}: direction of the normal into the specimen's side.
     sense: int
     #: Axial motion per unit of displacement, against the axis: 1, or 0.5 in a half model.
     speed: float
+    #: Axis that it lies across.
+    axis: int
 
     def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
         """Signed distance, normal and (zero) Hessian."""
         n, dim = x.shape
         normal = np.zeros((n, dim))
-        normal[:, -1] = self.sense
-        level = self.height_mm - self.speed * displacement_mm
-        return self.sense * (x[:, -1] - level), normal, np.zeros((n, dim, dim))
+        normal[:, self.axis] = self.sense
+        shift = self.speed * displacement_mm if self.axis == dim - 1 else 0.0
+        return (
+            self.sense * (x[:, self.axis] - (self.level_mm - shift)),
+            normal,
+            np.zeros((n, dim, dim)),
+        )
 
     def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
         """As :meth:`gap`: a plane looks the same from both states."""
@@ -283,30 +290,10 @@ class ContactState:
 
 
 @dataclass(frozen=True)
-class Tie:
-    """Coordinate along one axis in a frame that moves with the indenter, as a surface to touch."""
-
-    axis: int
-    #: Axial motion of the indenter against the axis, per unit of displacement.
-    speed: float = 1.0
-
-    def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
-        """Coordinate, its direction and (zero) Hessian."""
-        n, dim = x.shape
-        normal = np.zeros((n, dim))
-        normal[:, self.axis] = 1.0
-        return in_its_frame(x, displacement_mm)[:, self.axis], normal, np.zeros((n, dim, dim))
-
-    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
-        """As :meth:`gap`: an axis looks the same from both states."""
-        return self.gap(x + u, displacement_mm)[:2]
-
-
-@dataclass(frozen=True)
 class TiedPoints(ContactPoints):
     """Contact points along one axis of the indenter's frame, where they are held."""
 
-    surface: Tie
+    surface: Plane
 
     def evaluate(
         self,
@@ -332,13 +319,6 @@ class TiedPoints(ContactPoints):
         return multiplier
 
 
-def in_its_frame(x: Array, displacement_mm: float) -> Array:
-    """Positions as seen from the indenter, which moves against the last axis; x (n, dim), mm."""
-    seen = x.copy()
-    seen[:, -1] += displacement_mm
-    return seen
-
-
 #: area over the square of the contact radius that every tie is at least as stiff as
 _TIED_AREA = 0.01
 
@@ -359,8 +339,8 @@ def gripping(
     eps = points.eps * np.maximum(1.0, least / points.weights)
     ties = (
         TiedPoints(
-            surface=Tie(axis), nodes=points.nodes, shape=points.shape, weights=points.weights,
-            eps=eps, c=points.c, small_strain=points.small_strain,
+            surface=Plane(0.0, 1, 1.0, axis), nodes=points.nodes, shape=points.shape,
+            weights=points.weights, eps=eps, c=points.c, small_strain=points.small_strain,
         )
         for axis in range(dim)
     )  # fmt: skip
@@ -385,7 +365,8 @@ def hold(
     # Shapes: nodes, u (n_nodes, dim), mm; rates (n_nodes, dim).
     points, pressure = contact[0], touching[0].pressure
     new = touching[0].active
-    place = in_its_frame(points.interpolated(nodes + u), displacement_mm)
+    place = points.interpolated(nodes + u)
+    place[:, -1] += displacement_mm  # as seen from the indenter, which moves against the axis
     anchor = np.where(new[:, None], place, glue.anchor)
     moved = {
         name: np.where(new[:, None], points.interpolated(rate), glue.rate(name))

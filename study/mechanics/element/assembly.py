@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from study.ground.arrays import Array, Elements, Unknowns
-from study.ground.compilation import FAST, kernel, part
+from study.ground.compilation import kernel, part
 from study.mechanics.element.element_forms import (
     add_compressibility,
     add_coupling,
@@ -45,7 +45,7 @@ from study.mechanics.element.point_law import (
     full_tangent,
     isochoric,
 )
-from study.mechanics.element.spectral import principal_axes
+from study.mechanics.element.spectral import WORK_ROWS as SPECTRAL_ROWS
 
 
 @part()
@@ -344,54 +344,37 @@ def _second_exponential_ratio(z: float) -> float:
 
 
 @part()
-def ogden_energy(f: Array, terms: Array, c: Array, axes: Array) -> float:
+def ogden_energy(x: Array, terms: Array) -> float:
     """Isochoric energy ``sum 2 mu / alpha^2 (sum l^alpha - 3)`` per reference volume.
 
-    Isochoric logarithmic stretches x add up to zero, so that ``exp(alpha x) - 1 - alpha x``
+    Isochoric logarithmic stretches x (3,) add up to zero, so that ``exp(alpha x) - 1 - alpha x``
     may stand for ``l^alpha - 1``: it is positive and keeps its digits at small strain.
-
-    Shapes: f (9,); terms (n, 2); c, axes (9,).
     """
-    for i in range(3):
-        for j in range(3):
-            c[3 * i + j] = f[i] * f[j] + f[3 + i] * f[3 + j] + f[6 + i] * f[6 + j]
-    principal_axes(c, axes)
-    mean = (math.log(c[0]) + math.log(c[4]) + math.log(c[8])) / 6.0
     energy = 0.0
     for a in range(3):
-        x = 0.5 * math.log(c[4 * a]) - mean
         for k in range(terms.shape[0]):
-            energy += 2.0 * terms[k, 0] * x * x * _second_exponential_ratio(terms[k, 1] * x)
+            energy += 2.0 * terms[k, 0] * x[a] ** 2 * _second_exponential_ratio(terms[k, 1] * x[a])
     return energy
-
-
-@part(fastmath=FAST)
-def isochoric_energy(law: int, f: Array, J: float, constants: Array) -> float:
-    """Energy W(I1bar, I2bar) per reference volume. Shapes: f (9,); constants (n, m)."""
-    I1 = 0.0
-    for i in range(9):
-        I1 += f[i] * f[i]
-    s1 = J ** (-2.0 / 3.0)
-    a, b = s1 * I1 - 3.0, 0.0
-    if constants.shape[1] > 1:
-        trace = 0.0
-        for i in range(3):
-            for j in range(3):
-                c = f[i] * f[j] + f[3 + i] * f[3 + j] + f[6 + i] * f[6 + j]
-                trace += c * c
-        b = 0.5 * s1 * s1 * (I1 * I1 - trace) - 3.0
-    return invariant_energy(law, constants, a, b)
 
 
 @part()
-def linear_energy(f: Array, mu: float) -> float:
-    """Deviatoric small-strain energy ``mu dev(eps) : dev(eps)`` per volume; f (9,); mu MPa."""
-    mean, energy = (f[0] + f[4] + f[8]) / 3.0, 0.0
-    for i in range(3):
-        for j in range(3):
-            strain = 0.5 * (f[3 * i + j] + f[3 * j + i]) - (mean if i == j else 0.0)
-            energy += mu * strain * strain
-    return energy
+def isochoric_energy(law: int, f: Array, constants: Array, work: Array, stress: Array) -> float:
+    """Energy per reference volume where ``isochoric`` was just called. Shapes: f, stress (9,)."""
+    if law == SMALL_STRAIN:
+        energy = 0.0
+        for n in range(9):
+            energy += 0.5 * stress[n] * (f[n] - (1.0 if n % 4 == 0 else 0.0))
+        return energy
+    if law < POLYNOMIAL and law != EXTENDED_TUBE:
+        return ogden_energy(work[6, 3:6], constants)
+    known = work[SPECTRAL_ROWS + 6 if law == EXTENDED_TUBE else 6]  # I1, I2, J^-2/3, J^-4/3
+    a, b = known[2] * known[0] - 3.0, 0.0
+    if constants.shape[1] > 1:
+        b = known[3] * known[1] - 3.0
+    if law != EXTENDED_TUBE:
+        return invariant_energy(law, constants, a, b)
+    tubes = ogden_energy(work[6, 3:6], constants[4:6].reshape(1, 2))
+    return tubes + invariant_energy(FINITE_EXTENSIBILITY, constants, a, b)
 
 
 @kernel(nogil=True)
@@ -403,25 +386,15 @@ def stored_energy(
     law, constants, bulk, compliance, kappa = energy
     nq, na, dim = gradients.shape[1:]
     shared = pressure_shape.shape[0] == 1
-    u, f, g, axes, ratios = (
-        np.empty((na, dim)), np.empty(9), np.empty(9), np.empty(9), np.empty(nq),
-    )  # fmt: skip
+    u, f, stress, ratios = np.empty((na, dim)), np.empty(9), np.empty(9), np.empty(nq)
+    work = np.zeros((WORK_ROWS, 9))
     for e in elements:
         gather(x, dofs, e, u)
         total, volume, swollen = 0.0, 0.0, 0.0
         for q in range(nq):
             deformation_gradient(gradients[e, q], hoop[e, q], u, f)
-            J = f[0] + f[4] + f[8] - 2.0 if law == SMALL_STRAIN else cofactor(f, g)
-            if law == SMALL_STRAIN:
-                density = linear_energy(f, constants[0, 0])
-            elif law >= POLYNOMIAL:
-                density = isochoric_energy(law, f, J, constants)
-            elif law == EXTENDED_TUBE:
-                tubes = constants[4:6].reshape(1, 2)
-                density = isochoric_energy(FINITE_EXTENSIBILITY, f, J, constants)
-                density += ogden_energy(f, tubes, g, axes)
-            else:
-                density = ogden_energy(f, constants, g, axes)
+            J = isochoric(law, f, constants, work, stress)
+            density = isochoric_energy(law, f, constants, work, stress)
             p = held_pressure(pressure_shape[0 if shared else e, q], x, dofs[e])
             density += p * (J - 1.0) - 0.5 * compliance * p * p + 0.5 * bulk * (J - 1.0) ** 2
             w = weights[e, q]

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array, Elements, Ints, Unknowns
@@ -145,8 +146,6 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
         hoop = np.ascontiguousarray((values / radius).transpose(1, 2, 0))
     element_nodes = basis.element_dofs.T.astype(np.int64)
     nodes = np.array(basis.doflocs.T)
-    if np.isnan(nodes).any():  # scikit-fem gives bubbles no place
-        nodes[np.asarray(basis.interior_dofs)[-1]] = mesh.points[mesh.cells].mean(axis=1)
     pressure_shape, pressure_dofs = pressure_of(basis, model)
     dim = mesh.points.shape[1]
     displacement = (dim * element_nodes[:, :, None] + np.arange(dim)).reshape(ne, -1)
@@ -200,10 +199,13 @@ def basis_of(mesh: Mesh, model: Model, order: int) -> Any:
         np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(cells.T)
     )
     degree = "2" if model.element_order == "quadratic" else "1"
+    bubbles = simplex and degree == "1" and model.formulation == "mixed"
     if simplex:
-        bubbles = degree == "1" and model.formulation == "mixed"
         degree = "Mini" if bubbles else f"P{degree}"
-    return skfem.Basis(fem_mesh, getattr(skfem, f"Element{stem}{degree}")(), intorder=order)
+    basis = skfem.Basis(fem_mesh, getattr(skfem, f"Element{stem}{degree}")(), intorder=order)
+    if bubbles:  # scikit-fem gives them no place
+        basis.doflocs[:, basis.interior_dofs[-1]] = mesh.points[mesh.cells].mean(axis=1).T
+    return basis
 
 
 def pressure_of(basis: Any, model: Model) -> tuple[Array, Ints]:
@@ -268,8 +270,6 @@ def deformation_gradient(space: Discretization, u: Array) -> Array:
 
 # Fixed sparsity pattern of the free unknowns, and the map that scatters element tangents into it.
 
-_Filled = tuple[Unknowns, Unknowns, Unknowns]
-
 
 @dataclass(frozen=True)
 class Pattern:
@@ -289,101 +289,42 @@ class Pattern:
     @classmethod
     def build(cls, dofs: NDArray[np.int32], n: int, constrained: NDArray[np.int64]) -> Pattern:
         """Pattern of the elements' unknowns ``dofs`` (n_elements, m) without the constrained."""
-        mask = np.ones(n, dtype=bool)
-        mask[constrained] = False
-        free = np.flatnonzero(mask)
+        free = np.setdiff1d(np.arange(n), constrained)
         number = np.full(n, -1, dtype=np.int32)
         number[free] = np.arange(free.size, dtype=np.int32)
         rows = number[dofs]
-        indptr, indices, positions = _fill(rows, *_elements_around(rows, free.size))
-        return cls(free, number, indptr, indices, positions)
+        inside = rows >= 0
+        ends = np.concatenate([[0], np.cumsum(inside.sum(axis=1))])
+        elements = sp.csr_matrix(
+            (np.ones(ends[-1], np.int32), rows[inside], ends), (len(dofs), free.size)
+        )
+        met = sp.triu(elements.T @ elements, format="csr")
+        met.sort_indices()
+        indptr, indices = met.indptr.astype(np.int32), met.indices.astype(np.int32)
+        return cls(free, number, indptr, indices, _located(indptr, indices, rows))
 
     def locate(self, dofs: NDArray[np.int64]) -> NDArray[np.int32]:
         """Positions of the packed upper entries of small blocks, shape (n_blocks, m(m+1)/2)."""
         # Every pair must already share an element, as the nodes of a face do.
-        m = dofs.shape[1]
-        rows, columns = np.triu_indices(m)
-        a, b = self.number[dofs[:, rows]], self.number[dofs[:, columns]]
-        low, high = np.minimum(a, b).ravel(), np.maximum(a, b).ravel()
-        return np.asarray(_find(self.indptr, self.indices, low, high).reshape(a.shape))
+        return np.asarray(_located(self.indptr, self.indices, self.number[dofs]))
 
 
 @kernel()
-def _elements_around(rows: Unknowns, n_rows: int) -> tuple[Unknowns, Unknowns, Unknowns]:
-    """Elements around each row, and which of the element's unknowns it is.
-
-    ``rows`` (n_elements, m) are negative for constrained unknowns.
-    """
-    ne, m = rows.shape
-    start = np.zeros(n_rows + 1, np.int32)
-    for e in range(ne):
+def _located(indptr: Unknowns, indices: Unknowns, rows: Unknowns) -> Unknowns:
+    """Where the packed upper entries of blocks are; ``rows`` (n_blocks, m) are negative if held."""
+    m = rows.shape[1]
+    out = np.full((rows.shape[0], m * (m + 1) // 2), -1, np.int32)
+    for e in range(rows.shape[0]):
+        s = 0
         for i in range(m):
-            if rows[e, i] >= 0:
-                start[rows[e, i] + 1] += 1
-    for i in range(n_rows):
-        start[i + 1] += start[i]
-    fill = start[:-1].copy()
-    element, local = np.empty(start[n_rows], np.int32), np.empty(start[n_rows], np.int32)
-    for e in range(ne):
-        for i in range(m):
-            r = rows[e, i]
-            if r >= 0:
-                element[fill[r]], local[fill[r]] = e, i
-                fill[r] += 1
-    return start, element, local
-
-
-@kernel()
-def _fill(rows: Unknowns, start: Unknowns, element: Unknowns, local: Unknowns) -> _Filled:
-    """Row pointers, columns and the positions of packed entries, row by row."""
-    ne, m = rows.shape
-    n_rows = start.size - 1
-    indptr, seen = np.zeros(n_rows + 1, np.int32), np.full(n_rows, -1, np.int32)
-    for r in range(n_rows):
-        count = 0
-        for s in range(start[r], start[r + 1]):
-            e = element[s]
-            for j in range(m):
-                c = rows[e, j]
-                if c >= r and seen[c] != r:
-                    seen[c] = r
-                    count += 1
-        indptr[r + 1] = indptr[r] + count
-    indices, where = np.empty(indptr[n_rows], np.int32), np.empty(n_rows, np.int32)
-    positions = np.full((ne, m * (m + 1) // 2), -1, np.int32)
-    seen[:] = -1
-    for r in range(n_rows):
-        k = indptr[r]
-        for s in range(start[r], start[r + 1]):
-            e = element[s]
-            for j in range(m):
-                c = rows[e, j]
-                if c >= r and seen[c] != r:
-                    seen[c] = r
-                    indices[k] = c
-                    k += 1
-        indices[indptr[r] : k].sort()
-        for k in range(indptr[r], indptr[r + 1]):
-            where[indices[k]] = k
-        for s in range(start[r], start[r + 1]):
-            e, i = element[s], local[s]
-            for j in range(m):
-                c = rows[e, j]
-                if c >= r:
-                    a, b = min(i, j), max(i, j)
-                    positions[e, a * m - a * (a + 1) // 2 + b] = where[c]
-    return indptr, indices, positions
-
-
-@kernel()
-def _find(indptr: Unknowns, indices: Unknowns, low: Unknowns, high: Unknowns) -> Unknowns:
-    out = np.full(low.size, -1, np.int32)
-    for i in range(low.size):
-        if low[i] >= 0:
-            a, b = indptr[low[i]], indptr[low[i] + 1]
-            k = a + np.searchsorted(indices[a:b], high[i])
-            if k < b and indices[k] == high[i]:
-                out[i] = k
+            for j in range(i, m):
+                low, high = min(rows[e, i], rows[e, j]), max(rows[e, i], rows[e, j])
+                if low >= 0:
+                    a, b = indptr[low], indptr[low + 1]
+                    k = a + np.searchsorted(indices[a:b], high)
+                    if k < b and indices[k] == high:
+                        out[e, s] = k
+                s += 1
     return out
 
 

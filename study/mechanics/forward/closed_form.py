@@ -18,12 +18,12 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.mechanics.forward.contact_law import Layer, force_law, gauss_points
+from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.homogeneous import LOADINGS, loading_in
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Enclosed, Indenter, Specimen
-from study.mechanics.setup.material_section import CompressibilityTable
 from study.mechanics.setup.setup import Problem, Setup
-from study.mechanics.setup.test_section import course_of
+from study.mechanics.setup.test_kind import course_of
 
 if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
@@ -175,7 +175,7 @@ def compression(specimen: Specimen, material: Material, displacement_mm: Array) 
 
 
 def neo_hookean_start(
-    setup: Setup, volume: CompressibilityTable, displacement_mm: Array, force_N: Array
+    setup: Setup, volume: Compressibility, displacement_mm: Array, force_N: Array
 ) -> dict[str, float]:
     """C10 (MPa) of the closed form that fits a measured curve best.
 
@@ -197,7 +197,7 @@ def neo_hookean_start(
     return {"C10": c10}
 
 
-def _force_per_C10(setup: Setup, volume: CompressibilityTable, d: Array) -> Array:  # noqa: N802
+def _force_per_C10(setup: Setup, volume: Compressibility, d: Array) -> Array:  # noqa: N802
     """Force over C10 of a neo-Hookean specimen, mm^2, shape (n,): nearly, or exactly."""
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)

@@ -378,29 +378,22 @@ def limits(
     is_series: bool = False,
 ) -> tuple[ValidityLimit, ...]:
     """Depths at which the assumptions of the closed form end, the least first."""
-    limits_of_law = [ValidityLimit(f"d/h <= {LAYER_DEPTH:g}", LAYER_DEPTH * layer.height_mm)]
+    depths = {f"d/h <= {LAYER_DEPTH:g}": LAYER_DEPTH * layer.height_mm}
     if isinstance(indenter, Sphere):
-        limits_of_law.append(
-            ValidityLimit(f"d/R <= {SPHERE_DEPTH:g}", SPHERE_DEPTH * indenter.radius_mm)
-        )
+        depths[f"d/R <= {SPHERE_DEPTH:g}"] = SPHERE_DEPTH * indenter.radius_mm
     if isinstance(indenter, Flat):
-        limits_of_law.append(
-            ValidityLimit(f"d/a <= {PUNCH_DEPTH:g}", PUNCH_DEPTH * indenter.radius_mm)
-        )
+        depths[f"d/a <= {PUNCH_DEPTH:g}"] = PUNCH_DEPTH * indenter.radius_mm
     if isinstance(indenter, Cone) and indenter.shaft_radius_mm is not None:
-        limits_of_law.append(
-            ValidityLimit("a below the shaft", _depth_at(law, indenter.shaft_radius_mm))
-        )
+        depths["a below the shaft"] = _depth_at(law, indenter.shaft_radius_mm)
     if is_series and isinstance(indenter, Sphere):
         depth = (SERIES_CHI * layer.height_mm) ** 2 / indenter.radius_mm
-        limits_of_law.append(ValidityLimit(f"sqrt(R d)/h <= {SERIES_CHI:g}", depth))
+        depths[f"sqrt(R d)/h <= {SERIES_CHI:g}"] = depth
     else:
-        limits_of_law.append(
-            ValidityLimit(f"a/h <= {WIDEST:g}", _depth_at(law, WIDEST * layer.height_mm))
-        )
+        depths[f"a/h <= {WIDEST:g}"] = _depth_at(law, WIDEST * layer.height_mm)
     if area_mm2 is not None:
-        limits_of_law.append(_column(layer, law, area_mm2))
-    return tuple(sorted(limits_of_law, key=lambda limit: limit.depth_mm))
+        what = f"shortening of the whole specimen <= {100 * COLUMN_SHARE:g} % of d"
+        depths[what] = _column_depth(layer, law, area_mm2)
+    return tuple(ValidityLimit(*pair) for pair in sorted(depths.items(), key=lambda pair: pair[1]))
 
 
 def _depth_at(law: ContactForceLaw, radius_mm: float) -> float:
@@ -413,16 +406,13 @@ def _depth_at(law: ContactForceLaw, radius_mm: float) -> float:
     return float(np.exp(log))
 
 
-def _column(layer: Layer, law: ContactForceLaw, area_mm2: float) -> ValidityLimit:
+def _column_depth(layer: Layer, law: ContactForceLaw, area_mm2: float) -> float:
     """Depth up to which a narrow specimen yields as a whole by little."""
     depths = law.depth_mm[-1] * np.logspace(-4, 0, _DEPTHS)
     per_modulus = law.force(depths) / (1 - layer.poisson_ratio**2)
     share = per_modulus * layer.height_mm / (area_mm2 * depths)
     above = np.flatnonzero(share > COLUMN_SHARE)
-    depth = float("inf") if not above.size else float(depths[above[0] - 1]) if above[0] else 0.0
-    return ValidityLimit(
-        f"shortening of the whole specimen <= {100 * COLUMN_SHARE:g} % of d", depth
-    )
+    return float("inf") if not above.size else float(depths[above[0] - 1]) if above[0] else 0.0
 
 
 def caution(indenter: Indenter) -> str:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -24,10 +23,11 @@ from study.mechanics.forward.contact_law import (
     force_law,
     limits,
 )
+from study.mechanics.measurement.measured_test import SingleTest
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.phases import RowCount
 from study.mechanics.measurement.reading import first_notes, rules_of, specimens
-from study.mechanics.measurement.recording import read_recordings
+from study.mechanics.measurement.recording import Recording, read_recordings
 from study.mechanics.setup.calibration_table import Theory
 from study.mechanics.setup.geometry import Indenter
 
@@ -52,15 +52,7 @@ class MedianEstimate:
 def median_estimate(
     moduli_MPa: Sequence[float], alone: tuple[float, float] | None = None
 ) -> MedianEstimate:
-    """Median with its interval: by order statistics from six units on, Student's t below.
-
-    Examples
-    --------
-    The least and the largest of six hold the median in 1 - 2/64 = 96.9 %:
-
-    >>> median_estimate([3.0, 1.0, 2.0, 6.0, 4.0, 5.0]).interval_MPa
-    (1.0, 6.0)
-    """
+    """Median with its interval: by order statistics from six units on, Student's t below."""
     values = np.sort(np.asarray(moduli_MPa, dtype=float))
     n = values.size
     low, middle, high = (float(v) for v in np.quantile(values, [0.25, 0.5, 0.75]))
@@ -97,7 +89,7 @@ _MOST_CORRELATED = 0.99
 class CurveModulus:
     """Modulus of one curve."""
 
-    #: {"fitted", "outside", "implausible", "unreadable"}: how the fit ended.
+    #: How the fit ended.
     status: Status
     #: Why there is no modulus; empty where there is one.
     message: str = ""
@@ -114,6 +106,25 @@ class CurveModulus:
     correlation: float | None = None
     #: Root mean square of the residuals over that of the forces.
     relative_rms: float | None = None
+    recording: Recording | None = None
+
+    @property
+    def label(self) -> str:
+        """Test of the file."""
+        return "" if self.recording is None else self.recording.where
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values, moduli in kPa."""
+        document = {**vars(self)}
+        recording, low_high = document.pop("recording"), document.pop("interval_MPa")
+        return {
+            "label": self.label,
+            "groups": dict(recording.groups),
+            "modulus_kPa": _kilo(document.pop("modulus_MPa")),
+            "standard_error_kPa": _kilo(document.pop("error_MPa")),
+            "ci95_kPa": None if low_high is None else [_kilo(v) for v in low_high],
+            **document,
+        }
 
 
 def fit_modulus(
@@ -235,23 +246,10 @@ def _covariance(jacobian: Array, residual: Array) -> tuple[Array, float, float]:
 # Measured indentations, each on its own rows: many curves share no grid.
 
 
-@dataclass(frozen=True)
-class RecordedCurve:
-    """One curve as it was measured."""
-
-    label: str
-    groups: Mapping[str, str]
-    #: shape (n,); rows, rising in displacement; empty where the curve is of no use.
-    displacement_mm: Array
-    force_N: Array
-    #: Why it is of no use.
-    fault: str = ""
-
-
 def read_curves(
     spec: MeasurementSpec, root: Path, height_mm: float | None, displacement_mm: float | None
-) -> tuple[tuple[RecordedCurve, ...], tuple[str, ...]]:
-    """Read all curves of a specification, and notes of what was done to the files."""
+) -> tuple[list[tuple[Recording, SingleTest | str]], tuple[str, ...]]:
+    """Curves of a specification, or why one is of no use, and what was done to the files."""
     columns = (spec.columns.kinematic, spec.columns.kinetic)
     if columns != ("displacement", "force"):
         rule = f"an indentation needs displacement and force, got {' and '.join(columns)}"
@@ -259,7 +257,7 @@ def read_curves(
         raise InputError(Fault("measurements.columns", rule, mend))
     rules = rules_of(replace(spec, points="raw"), height_mm, displacement_mm)
     recorded = read_recordings(spec, root)
-    curves: list[RecordedCurve] = []
+    curves: list[tuple[Recording, SingleTest | str]] = []
     faults: list[Fault] = []
     told: list[str] = []
     counts: list[RowCount] = []
@@ -268,42 +266,19 @@ def read_curves(
             test, did = specimens(one, rules)
         except InputError as error:
             faults += error.faults
-            nothing = np.empty(0)
-            curves.append(RecordedCurve(one.where, one.groups, nothing, nothing, str(error)))
+            curves.append((one, str(error)))
             counts.append(RowCount(one.kinetic.size, 0, {"of unreadable curves": one.kinetic.size}))
             continue
         told += did
         counts.append(test.specimen.count)
-        curves.append(RecordedCurve(one.where, one.groups, test.displacement_mm, test.force_N))
-    if all(curve.fault for curve in curves):
+        curves.append((one, test))
+    if all(isinstance(curve, str) for _, curve in curves):
         raise InputError(faults)
     notes = (*recorded.notes, *first_notes(told))
-    return tuple(curves), (*notes, RowCount.sum_of(counts).sentence)
+    return curves, (*notes, RowCount.sum_of(counts).sentence)
 
 
 # Moduli of the curves of a test, gathered by unit, and what is wrong with them.
-
-
-@dataclass(frozen=True)
-class FittedCurve:
-    """Modulus of one curve."""
-
-    label: str
-    groups: Mapping[str, str]
-    found: CurveModulus
-
-    def to_json(self) -> dict[str, object]:
-        """Plain values, moduli in kPa."""
-        document = asdict(self.found)
-        low_high = document.pop("interval_MPa")
-        return {
-            "label": self.label,
-            "groups": dict(self.groups),
-            "modulus_kPa": _kilo(document.pop("modulus_MPa")),
-            "standard_error_kPa": _kilo(document.pop("error_MPa")),
-            "ci95_kPa": None if low_high is None else [_kilo(v) for v in low_high],
-            **document,
-        }
 
 
 @dataclass(frozen=True)
@@ -319,7 +294,7 @@ class IndentationModulus:
     height_mm: float
     #: Depths at which assumptions end, the least first; one that was asked for before them.
     limits: tuple[ValidityLimit, ...]
-    curves: tuple[FittedCurve, ...]
+    curves: tuple[CurveModulus, ...]
     #: Column of the units; every curve is one where it is None.
     block: str | None
     #: Median of the curves of every unit.
@@ -331,17 +306,17 @@ class IndentationModulus:
     @property
     def rows(self) -> int:
         """Rows in contact."""
-        return sum(curve.found.rows for curve in self.curves)
+        return sum(curve.rows for curve in self.curves)
 
     @property
     def rows_outside(self) -> int:
         """Rows beyond a limit, which no fit uses."""
-        return sum(curve.found.rows_outside for curve in self.curves)
+        return sum(curve.rows_outside for curve in self.curves)
 
     @property
     def fitted(self) -> int:
         """Curves that have a modulus."""
-        return sum(curve.found.status == "fitted" for curve in self.curves)
+        return sum(curve.status == "fitted" for curve in self.curves)
 
     def to_json(self) -> dict[str, object]:
         """Plain values, moduli in kPa."""
@@ -454,34 +429,31 @@ def indentation_modulus(
     """Young's modulus of every curve of a test and their median, and notes on the files."""
     height = test.layer.height_mm
     curves, notes = read_curves(test.spec, root, height, test.displacement_mm)
-    deepest = max(float(c.displacement_mm[-1]) for c in curves if not c.fault)
+    made = [curve for _, curve in curves if not isinstance(curve, str)]
+    deepest = max(float(curve.displacement_mm[-1]) for curve in made)
     law = force_law(
         test.indenter, test.layer, _DEEPER * deepest, theory=test.theory, paraboloid=test.paraboloid
     )
     series = test.theory == "dimitriadis"
     validity = limits(test.indenter, test.layer, law, area_mm2=test.area_mm2, is_series=series)
-    fit = partial(
-        fit_modulus,
-        law=law,
-        poisson_ratio=test.layer.poisson_ratio,
-        deepest_mm=test.deepest_mm(validity),
-        find_contact=test.find_contact,
-    )
-    fitted = tuple(
-        FittedCurve(
-            c.label,
-            c.groups,
-            CurveModulus("unreadable", c.fault) if c.fault else fit(c.displacement_mm, c.force_N),
-        )
-        for c in curves
-    )
+    fitted = []
     moduli: dict[str, list[float]] = {}
-    for curve in fitted:
-        if curve.found.modulus_MPa is not None:
-            unit = curve.label if test.spec.block is None else curve.groups[test.spec.block]
-            moduli.setdefault(unit, []).append(curve.found.modulus_MPa)
+    for recording, curve in curves:
+        if isinstance(curve, str):
+            modulus = CurveModulus("unreadable", curve)
+        else:
+            modulus = fit_modulus(
+                curve.displacement_mm, curve.force_N, law,
+                poisson_ratio=test.layer.poisson_ratio, deepest_mm=test.deepest_mm(validity),
+                find_contact=test.find_contact,
+            )  # fmt: skip
+        fitted.append(replace(modulus, recording=recording))
+        if modulus.modulus_MPa is not None:
+            block = test.spec.block
+            unit = recording.where if block is None else recording.groups[block]
+            moduli.setdefault(unit, []).append(modulus.modulus_MPa)
     units = {unit: float(np.median(values)) for unit, values in moduli.items()}
-    intervals = [curve.found.interval_MPa for curve in fitted if curve.found.interval_MPa]
+    intervals = [curve.interval_MPa for curve in fitted if curve.interval_MPa]
     alone = intervals[0] if len(intervals) == 1 else None
     result = IndentationModulus(
         test=number,
@@ -491,7 +463,7 @@ def indentation_modulus(
         poisson_ratio=test.layer.poisson_ratio,
         height_mm=height,
         limits=(*test.lifted, *validity),
-        curves=fitted,
+        curves=tuple(fitted),
         block=test.spec.block,
         unit_moduli_MPa=units,
         estimate=median_estimate(list(units.values()), alone) if units else None,
@@ -502,14 +474,14 @@ def indentation_modulus(
 
 def _warnings(
     test: IndentationTest,
-    fitted: Sequence[FittedCurve],
+    fitted: Sequence[CurveModulus],
     validity: Sequence[ValidityLimit],
     law: ContactForceLaw,
     deepest_mm: float,
 ) -> list[str]:
     lines = []
-    rows = sum(curve.found.rows for curve in fitted)
-    outside = sum(curve.found.rows_outside for curve in fitted)
+    rows = sum(curve.rows for curve in fitted)
+    outside = sum(curve.rows_outside for curve in fitted)
     limit_mm, first = test.deepest_mm(validity), validity[0]
     if outside:
         what = (*test.lifted, first)[0].what
@@ -523,11 +495,11 @@ def _warnings(
             f"calibration.depth_limit lifts the limit from {first.depth_mm:.4g} to {limit_mm:.4g} "
             f"mm: the moduli rest on rows where the closed form does not hold ({broken})"
         )
-    for status, count in Counter(curve.found.status for curve in fitted).items():
+    for status, count in Counter(curve.status for curve in fitted).items():
         if status != "fitted":
-            one = next(curve for curve in fitted if curve.found.status == status)
+            one = next(curve for curve in fitted if curve.status == status)
             lines.append(f"{count} of {len(fitted)} curves are {status}: {one.label}: "
-                        f"{one.found.message}")  # fmt: skip
+                        f"{one.message}")  # fmt: skip
     if words := caution(test.indenter):
         lines.append(words)
     return [*lines, *_support(test, law, min(limit_mm, deepest_mm))]

@@ -13,25 +13,31 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.declaration import Bad, Reads, flag, number, quantity, section
 from study.ground.errors import Fault
 
 # How a material resists a change of volume, U = K/2 (J - 1)^2.
 
 
-@dataclass(frozen=True)
-class Compressibility:
-    """Exactly one of the three ways to give a bulk modulus."""
+def _poisson_ratio(value: object) -> float:
+    if value == 0.5 and not isinstance(value, bool):
+        raise Bad("must be below 0.5, got 0.5", "write incompressible = true")
+    return number(-1.0, 0.5)(value)
 
-    #: K in MPa.
-    bulk_modulus: float | None = None
-    #: Initial Poisson's ratio; K then follows the initial shear modulus.
-    poisson_ratio: float | None = None
-    incompressible: bool = False
+
+@section
+class Compressibility:
+    """How a material resists a change of volume; one of the three."""
+
+    #: Initial one; K then follows the initial shear modulus.
+    poisson_ratio: Annotated[float | None, Reads(_poisson_ratio, "number")] = None
+    bulk_modulus_MPa: Annotated[float | None, Reads(quantity("pressure"), "pressure")] = None
+    incompressible: Annotated[bool, Reads(flag)] = False
 
     @property
     def bulk_over_shear(self) -> float:
@@ -43,13 +49,13 @@ class Compressibility:
         """K in MPa where the initial shear modulus is ``shear_modulus``; may be infinite."""
         if self.incompressible:
             return math.inf
-        if self.bulk_modulus is not None:
-            return self.bulk_modulus
+        if self.bulk_modulus_MPa is not None:
+            return self.bulk_modulus_MPa
         return self.bulk_over_shear * shear_modulus
 
     def faults(self) -> list[Fault]:
         """Return what is wrong: not one of the three, or out of range."""
-        bulk, nu = self.bulk_modulus, self.poisson_ratio
+        bulk, nu = self.bulk_modulus_MPa, self.poisson_ratio
         given = (bulk is not None) + (nu is not None) + bool(self.incompressible)
         if given != 1:
             rule = "give exactly one of bulk_modulus, poisson_ratio and incompressible = true"
@@ -135,11 +141,12 @@ class Energy(ABC):
     def bounds(self, constant: str) -> Bounds:
         """Range of a constant within which a fit looks, MPa or plain."""
 
-    @abstractmethod
     def initial_shear_modulus(
         self, constants: Constants, compressibility: Compressibility
     ) -> float:
-        """Return the initial shear modulus mu0 in MPa."""
+        """Return mu0 in MPa: a sum over the constants, where W is linear in its moduli."""
+        gradient = self.initial_shear_modulus_gradient(constants, compressibility)
+        return float(sum(w * constants[n] for n, w in gradient.items()))
 
     @abstractmethod
     def initial_shear_modulus_gradient(
@@ -263,13 +270,6 @@ class IsochoricEnergy(Energy):
     def always_stable(self, constants: Constants) -> bool:
         """Whether Drucker's criterion is known to hold at every stretch; False says nothing."""
         return False
-
-    def initial_shear_modulus(
-        self, constants: Constants, compressibility: Compressibility
-    ) -> float:
-        """Sum of the constants times their share of mu0, where W is linear in its moduli."""
-        gradient = self.initial_shear_modulus_gradient(constants, compressibility)
-        return float(sum(w * constants[n] for n, w in gradient.items()))
 
 
 class CompressibleEnergy(Energy):

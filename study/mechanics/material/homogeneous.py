@@ -339,11 +339,6 @@ def sheared_stretches(shear: Array, prestretch: float = 1.0) -> tuple[Array, Arr
     """Principal stretches of a simple shear, the longest and shortest in its plane.
 
     Shapes: shear (n,); returns (n,).
-
-    Examples
-    --------
-    >>> [round(float(one[0]), 6) for one in sheared_stretches(np.array([1.5]))]
-    [2.0, 1.0, 0.5]
     """
     free = 1 / math.sqrt(prestretch)
     # (l_1 +- l_3)^2 = tr b +- 2 l_1 l_3

@@ -159,13 +159,7 @@ _UNITS = "Units: mm, N, s, MPa."
 
 
 def material_name(text: str) -> str:
-    """Return a name that both programs take: letters, digits and underscores, a letter first.
-
-    Examples
-    --------
-    >>> material_name("2 mm gel"), material_name("ecoflex-10")
-    ('material_2_mm_gel', 'ecoflex_10')
-    """
+    """Return a name that both programs take: letters, digits and underscores, a letter first."""
     plain = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")[:60] or "a"
     return plain if plain[0].isalpha() else f"material_{plain}"
 

@@ -41,7 +41,7 @@ class LinearElastic(Energy):
         """E / (2 (1 + nu)), or 3 K E / (9 K - E)."""
         modulus, bulk, nu = (
             constants[MODULUS],
-            compressibility.bulk_modulus,
+            compressibility.bulk_modulus_MPa,
             compressibility.poisson_ratio,
         )
         if bulk is not None:
@@ -55,7 +55,7 @@ class LinearElastic(Energy):
         """Differentiate mu0 by E; K or nu is held, whichever was given."""
         ratio = self.initial_shear_modulus(constants, compressibility) / constants[MODULUS]
         # at given K, 1/mu = 3/E - 1/(3K)
-        return {MODULUS: ratio if compressibility.bulk_modulus is None else 3 * ratio**2}
+        return {MODULUS: ratio if compressibility.bulk_modulus_MPa is None else 3 * ratio**2}
 
     def law(self, constants: Constants, compressibility: Compressibility) -> Law:
         """Shear modulus."""

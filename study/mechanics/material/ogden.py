@@ -198,12 +198,6 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
 
     name = "ogden-hill"
 
-    def initial_shear_modulus(
-        self, constants: Constants, compressibility: Compressibility
-    ) -> float:
-        """Sum of the moduli."""
-        return float(ogden_terms(constants)[0].sum())
-
     def law(self, constants: Constants, compressibility: Compressibility) -> Law:
         """Refuse: the mixed form needs an energy that splits."""
         raise _no_elements()

@@ -6,7 +6,7 @@ import functools
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -262,24 +262,6 @@ class PolynomialEnergy(InvariantEnergy):
         return {"C10": shear_modulus / 2}
 
 
-class NeoHookean(PolynomialEnergy):
-    """W = C10 (I1 - 3)."""
-
-    name = "neo-hookean"
-
-    def constant_names(self, order: int = 1) -> tuple[str, ...]:
-        """C10 alone."""
-        return ("C10",)
-
-    def bounds(self, constant: str) -> Bounds:
-        """C10 is positive."""
-        return POSITIVE
-
-    def simpler(self, order: int) -> tuple[str, int | None] | None:
-        """None: it has a single constant."""
-        return None
-
-
 class MooneyRivlin(PolynomialEnergy):
     """W = C10 (I1 - 3) + C01 (I2 - 3)."""
 
@@ -295,13 +277,17 @@ class ReducedPolynomial(PolynomialEnergy):
 
     name = "reduced-polynomial"
     has_order = True
+    #: Terms of an energy that leaves no choice of them.
+    terms: ClassVar[int | None] = None
 
     def constant_names(self, order: int = 1) -> tuple[str, ...]:
         """C10, C20, ..."""
-        return tuple(f"C{i}0" for i in range(1, order + 1))
+        return tuple(f"C{i}0" for i in range(1, (self.terms or order) + 1))
 
     def has_constant(self, name: str) -> bool:
         """Ci0 with a positive i."""
+        if self.terms:
+            return name in self.constant_names()
         return re.fullmatch(r"C[1-9]\d*0", name) is not None
 
     def bounds(self, constant: str) -> Bounds:
@@ -310,7 +296,18 @@ class ReducedPolynomial(PolynomialEnergy):
 
     def simpler(self, order: int) -> tuple[str, int | None] | None:
         """One order lower: a third order that starts from C10 alone softens without end."""
-        return (self.name, order - 1) if order > 2 else super().simpler(order)
+        terms = self.terms or order
+        if terms > 2:
+            return ReducedPolynomial.name, terms - 1
+        return None if self.terms else super().simpler(order)
+
+
+class NeoHookean(ReducedPolynomial):
+    """W = C10 (I1 - 3)."""
+
+    name = "neo-hookean"
+    has_order = False
+    terms = 1
 
 
 class Yeoh(ReducedPolynomial):
@@ -318,18 +315,7 @@ class Yeoh(ReducedPolynomial):
 
     name = "yeoh"
     has_order = False
-
-    def constant_names(self, order: int = 1) -> tuple[str, ...]:
-        """Three constants."""
-        return ("C10", "C20", "C30")
-
-    def has_constant(self, name: str) -> bool:
-        """One of the three."""
-        return name in self.constant_names()
-
-    def simpler(self, order: int) -> tuple[str, int | None] | None:
-        """Second order of the same polynomial."""
-        return "reduced-polynomial", 2
+    terms = 3
 
 
 class Polynomial(PolynomialEnergy):
@@ -350,13 +336,7 @@ class Polynomial(PolynomialEnergy):
 
 @functools.cache
 def index_pair(name: str) -> tuple[int, int]:
-    """Powers (i, j) of a constant C_ij; the last digit is j.
-
-    Examples
-    --------
-    >>> index_pair("C20"), index_pair("C01")
-    ((2, 0), (0, 1))
-    """
+    """Powers (i, j) of a constant C_ij; the last digit is j."""
     match = _NAME.fullmatch(name)
     if match is None or match.groups() == ("0", "0"):
         raise InputError(Fault(f"material.{name}", "is not a polynomial constant such as C10"))

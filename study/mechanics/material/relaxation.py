@@ -56,13 +56,7 @@ def times(terms: Iterable[RelaxationTerm]) -> Array:
 
 
 def long_term_share(terms: Iterable[RelaxationTerm]) -> float:
-    """Share of the stress that never fades.
-
-    Examples
-    --------
-    >>> long_term_share([RelaxationTerm(0.3, 1.0), RelaxationTerm(0.2, 10.0)])
-    0.5
-    """
+    """Share of the stress that never fades."""
     return 1.0 - math.fsum(term.share for term in terms)
 
 

@@ -63,12 +63,6 @@ def stability(
     """Check Drucker's criterion in uniaxial, equibiaxial and planar loading.
 
     ``held`` are the least and the largest stretch of loadings that have a range of their own.
-
-    Examples
-    --------
-    >>> stability(Material("reduced-polynomial", {"C10": 1.0, "C20": -0.1}, incompressible=True),
-    ...           stretches=[0.9, 1.0]).sentence
-    'stable in uniaxial, equibiaxial and planar loading from stretch 0.9 to 1'
     """
     given = np.append(np.asarray(stretches, float).ravel(), 1.0)
     usual = (float(given.min()), float(given.max()))
@@ -227,12 +221,6 @@ def ellipticity(material: Material, stretches: Array) -> Array:
     """How far from losing its ellipticity an energy is, in the worst of the principal planes.
 
     Shapes: stretches (3, n); returns (n,), MPa.
-
-    Examples
-    --------
-    >>> rubber = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
-    >>> ellipticity(rubber, np.array([[1.0], [1.0], [1.0]])).round(3)
-    array([2.])
     """
     bar = _apart(stretches / np.cbrt(stretches.prod(axis=0)))
     energy, constants = material.isochoric, material.constants

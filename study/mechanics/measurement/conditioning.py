@@ -28,7 +28,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.mechanics.measurement.measured_test import IMPLAUSIBLE
+from study.mechanics.measurement.measured_test import IMPLAUSIBLE, SingleTest
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.phases import NO_FORCE, Phase, SpecimenRows, counted, phases_of
 
@@ -90,27 +90,7 @@ class Rules:
         return np.linspace(self.low_mm, self.high_mm, int(self.spec.points))
 
 
-@dataclass(frozen=True)
-class Conditioned:
-    """Curve of one test on the grid of its rules, shape (points,), and what was done.
-
-    ``recorded`` holds the rows in the range that it was interpolated from. ``offset`` is the force
-    of the unloaded specimen over the largest one, where that is no zero and no rule asks for it.
-    """
-
-    displacement_mm: Array
-    force_N: Array
-    counts: Counter[str]
-    zero_N: float
-    toe_mm: float
-    rows: int
-    recorded: Curve
-    #: All rows of the test, and what became of them.
-    specimen: SpecimenRows
-    offset: float | None = None
-
-
-def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) -> Conditioned:
+def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) -> SingleTest:
     """Apply the rules of this module to one test.
 
     Shapes: displacement_mm, force_N (rows,).
@@ -155,7 +135,7 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
         places, force = recorded.displacement_mm, recorded.force_N
     else:
         places, force = rules.grid(), _resample(d, f, rules, where, counts)
-    return Conditioned(places, force, counts, zero, toe, inside, recorded, specimen, offset)
+    return SingleTest(places, force, recorded, specimen, inside, counts, zero, toe, offset)
 
 
 def _rows_of(phases: Sequence[Phase], d: Array, f: Array) -> tuple[Array, Array]:
@@ -183,7 +163,7 @@ def _fates(
 
 def condition_course(
     displacement_mm: Array, force_N: Array, time_s: Array, rules: Rules, where: str
-) -> Conditioned:
+) -> SingleTest:
     """Apply the rules that a course in time leaves: sign, and the load cell's first reading.
 
     Shapes: displacement_mm, force_N, time_s (rows,).
@@ -204,7 +184,7 @@ def condition_course(
         raise InputError(Fault(where, rule, f'write sign = "{other}", or check the columns'))
     course = Curve(d, f, time_s=time_s)
     rows = SpecimenRows(d, f, phases_of(d), np.zeros(d.size, dtype=int), ("",))
-    return Conditioned(d, f, Counter(), zero, 0.0, d.size, course, rows)
+    return SingleTest(d, f, course, rows, d.size, zero_N=zero)
 
 
 def _slack(rules: Rules) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 
@@ -125,17 +126,11 @@ class InspectedColumn:
     labels: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class InspectedPhase:
-    """Rows on which a recording goes one way."""
-
-    phase: str
-    cycle: int
-    #: First and last line.
-    lines: tuple[int, int]
-    #: Kinematic and kinetic quantity at either end, as recorded.
-    start: tuple[float, float]
-    end: tuple[float, float]
+#: a phase in words, its first and last line, and the kinematic and kinetic quantity at either end
+InspectedPhase = TypedDict(
+    "InspectedPhase",
+    {"phase": str, "cycle": int, "lines": list[int], "from": list[float], "to": list[float]},
+)
 
 
 @dataclass(frozen=True)
@@ -153,13 +148,13 @@ class Inspection:
     #: Lines of the names and of the units; None where there is none.
     header_line: int | None
     unit_line: int | None
-    #: First and last line of the rows, and their number.
-    lines: tuple[int, int]
+    #: Of the rows, and their number.
+    first_line: int
+    last_line: int
     rows: int
     columns: tuple[InspectedColumn, ...]
-    #: Phases of the recording in words, with lines and ends.
+    #: Phases of the recording in words, the lines of each, and how far and hard at either end.
     phases: tuple[InspectedPhase, ...]
-    cycles: int
     #: Table ``[measurements]``.
     measurements: Mapping[str, object]
     #: What is assumed, and what to look at.
@@ -182,15 +177,8 @@ class Inspection:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study inspect --json``."""
-        document = plain({**vars(self), "toml": self.toml})
-        document["first_line"], document["last_line"] = self.lines
-        del document["lines"]
-        document["phases"] = [
-            {"phase": p.phase, "cycle": p.cycle, "lines": list(p.lines),
-             "from": list(p.start), "to": list(p.end)}
-            for p in self.phases
-        ]  # fmt: skip
-        return dict(document)
+        cycles = max((phase["cycle"] for phase in self.phases), default=0)
+        return dict(plain({**vars(self), "cycles": cycles, "toml": self.toml}))
 
 
 def _toml(value: object) -> str:
@@ -219,7 +207,8 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         rule = f"has {len(lines)} lines, at most {MAX_ROWS} rows are read"
         raise InputError(Fault(source, rule, "thin the recording out or split it"))
     block = _block_of(lines, source)
-    columns, numbers_of, words, notes = _columns(block)
+    columns, numbers_of, words = _columns(block)
+    notes: list[str] = []
     table: dict[str, object] = {"file": source}
     if sheet and len(sheets) > 1:
         table["sheet"] = sheet
@@ -231,7 +220,6 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     table["columns"] = {q: columns[k].name for q, k in chosen.items()}
     table["units"] = {quantity: unit for quantity, unit in units.items() if unit}
     groups = _groups(columns, block, table)
-    phases: tuple[Phase, ...] = ()
     kinematic = next((q for q in KINEMATIC if q in chosen), None)
     kinetic = next((q for q in KINETIC if q in chosen), None)
     placed: list[InspectedPhase] = []
@@ -244,10 +232,9 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         d, f, at = d[first], f[first], [block.at[k] for k in first]
         phases = _place(kinematic, d, f, table, notes)
         placed = [
-            InspectedPhase(
-                p.words, p.cycle, (at[p.first], at[p.last]),
-                (float(d[p.first]), float(f[p.first])), (float(d[p.last]), float(f[p.last])),
-            )
+            {"phase": p.words, "cycle": p.cycle, "lines": [at[p.first], at[p.last]],
+             "from": [float(d[p.first]), float(f[p.first])],
+             "to": [float(d[p.last]), float(f[p.last])]}
             for p in phases
         ]  # fmt: skip
     else:
@@ -256,9 +243,8 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     return Inspection(
         source, encoding, sheets, block.delimiter, block.decimal,
         tuple(line.strip()[:120] for line in lines[: block.skip] if line.strip())[:8],
-        block.header, block.units, (block.at[0], block.at[-1]), len(block.at),
-        tuple(columns), tuple(placed), max((p.cycle for p in phases), default=0),
-        table, tuple(notes),
+        block.header, block.units, block.at[0], block.at[-1], len(block.at),
+        tuple(columns), tuple(placed), table, tuple(notes),
     )  # fmt: skip
 
 
@@ -438,14 +424,11 @@ def _known_unit(word: str) -> tuple[str, str] | None:
 # What the columns hold.
 
 
-def _columns(
-    block: _Block,
-) -> tuple[list[InspectedColumn], list[Array], list[str], list[str]]:
-    """Columns, their numbers (empty for labels), the words that stand for their units, notes."""
+def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[str]]:
+    """Columns, their numbers (empty for labels), and the words that stand for their units."""
     columns: list[InspectedColumn] = []
     numbers: list[Array] = []
     words: list[str] = []
-    notes: list[str] = []
     for k, name in enumerate(block.names):
         cells = block.column(k)
         values = parsed_numbers(cells, block.decimal, _thousands(block.decimal))
@@ -463,7 +446,7 @@ def _columns(
         labels = () if is_number else tuple(dict.fromkeys(cells))[:6]
         columns.append(InspectedColumn(name, unit[0] if unit else "", quantity, low, high, labels))
         numbers.append(values if is_number else np.empty(0))
-    return columns, numbers, words, notes
+    return columns, numbers, words
 
 
 def _thousands(decimal: str) -> str:
@@ -558,6 +541,12 @@ def _unit_for(
             )
             return ""
         unit = "%" if largest > _PERCENT else unit
+    if dimension != "ratio":
+        notes.append(
+            f"the file names no unit of {column.name!r}, {values.min():.4g} to {values.max():.4g}; "
+            f'{unit} is the guess: write units.{quantity} = "{unit}", or the unit of the instrument'
+        )
+        return ""
     notes.append(f"the file names no unit of {column.name!r}: {unit} is assumed")
     return unit
 
@@ -628,8 +617,13 @@ def _place(
     if min(d.max() - d[0], d[0] - d.min()) > _BOTH_WAYS * travel:
         # it begins in the middle: loading goes where the force is larger
         far = max(int(np.argmin(d)), int(np.argmax(d)), key=lambda k: abs(float(f[k])))
-    # of the first rows the middle one: a single row may be a trigger
-    falls, pushes = d[far] < d[0], float(f[far] - np.median(f[:_FIRST]))
+    # of the first rows the middle one: a single row may be a trigger; a specimen that tore, or was
+    # unloaded at the end of the travel, resisted before
+    away = f - np.median(f[:_FIRST])
+    most = int(np.argmax(np.abs(away)))
+    falls, pushes = d[far] < d[0], float(away[far])
+    if abs(pushes) < 2 * TURN * abs(float(away[most])):
+        pushes = float(away[most])
     through = d.min() < rest - 2 * TURN * travel and d.max() > rest + 2 * TURN * travel
     ends = f[[int(np.argmin(d)), int(np.argmax(d))]]
     through = through and ends[0] * ends[1] < 0
@@ -671,7 +665,7 @@ def _place(
 
 def _unit_of(table: Mapping[str, object], quantity: str) -> str:
     units = table["units"]
-    return str(units.get(quantity, "mm")) if isinstance(units, Mapping) else "mm"
+    return str(units.get(quantity, "?")) if isinstance(units, Mapping) else "?"
 
 
 def _zero_of(

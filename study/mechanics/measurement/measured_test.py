@@ -7,6 +7,7 @@ Repeats on one specimen are nested in it: they are averaged, never counted as in
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -32,16 +33,25 @@ AVERAGED_POINTS = 200
 
 @dataclass(frozen=True, eq=False)
 class SingleTest:
-    """One recorded test on the common grid: its group labels and force, shape (points,).
+    """Curve of one test on the grid of its rules, shape (points,), and what was done to its rows.
 
-    ``recorded`` holds the rows that the forces were interpolated from.
+    ``recorded`` holds the rows in the range that it was interpolated from, ``specimen`` all rows.
+    ``offset`` is the force of the unloaded specimen over the largest one, where that is no zero and
+    no rule asks for it.
     """
 
-    groups: Mapping[str, str]
+    displacement_mm: Array
     force_N: Array
-    recorded: Curve | None = None
-    #: All of its rows, as the file has them and in the coordinates of the specimen.
-    specimen: SpecimenRows | None = None
+    recorded: Curve
+    specimen: SpecimenRows
+    #: Rows within the range.
+    rows: int
+    counts: Counter[str] = field(default_factory=Counter)
+    zero_N: float = 0.0
+    toe_mm: float = 0.0
+    offset: float | None = None
+    #: Labels of the grouping columns.
+    groups: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -116,7 +126,7 @@ class Measurements:
             raise InputError(Fault("measurements", rule, f"{mend}repeats on one specimen"))
         places, forces, time = self._rows_of(chosen)
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
-        recordings = tuple(test.recorded for test in chosen if test.recorded is not None)
+        recordings = tuple(test.recorded for test in chosen)
         curve = Curve(places, forces.mean(axis=0), time_s=time, recorded=recordings)
         rows = self._row_count(block, chosen)
         return MeasuredTest(curve, scatter, len(chosen), recordings, tuple(chosen), rows)
@@ -124,8 +134,8 @@ class Measurements:
     def _rows_of(self, chosen: Sequence[SingleTest]) -> tuple[Array, Array, Array | None]:
         """Displacements, forces and times of tests that are averaged."""
         # Shapes: returns (points,), (tests, points), (points,).
-        rows = [test.recorded for test in chosen if test.recorded is not None]
-        if not self.own_rows or len(rows) < len(chosen):
+        rows = [test.recorded for test in chosen]
+        if not self.own_rows:
             forces = np.array([test.force_N for test in chosen])
             return self.displacement_mm.copy(), forces, self.time_s
         first = rows[0]
@@ -150,10 +160,9 @@ class Measurements:
         """Rows of the tests of a block, of which some were chosen."""
         counts = []
         for test in self.tests if block is None else self._matching(block, {}):
-            if test.specimen is not None:
-                rows = test.specimen.count
-                aside = {"of tests that were not chosen": rows.read}
-                counts.append(rows if test in chosen else RowCount(rows.read, 0, aside))
+            rows = test.specimen.count
+            aside = {"of tests that were not chosen": rows.read}
+            counts.append(rows if test in chosen else RowCount(rows.read, 0, aside))
         return RowCount.sum_of(counts)
 
     def pairs(self, block: str | None = None) -> list[tuple[MeasuredTest, MeasuredTest]]:
@@ -230,18 +239,7 @@ IMPLAUSIBLE = "no soft material"
 
 
 def apparent_modulus(setup: Setup, displacement_mm: float, force_N: float) -> float | None:  # noqa: N803
-    """Young's modulus in MPa that one point of a curve speaks for.
-
-    Examples
-    --------
-    A cylinder of 10 mm radius and 20 mm height, pressed 2 mm by 3.1416 N: 10 kPa over 10 %.
-
-    >>> from study.mechanics.setup import geometry, setup
-    >>> cylinder = geometry.Cylinder(10.0, 20.0)
-    >>> setup = setup.Setup(cylinder, setup.Test("compression", None), setup.Model(), 20.0)
-    >>> round(apparent_modulus(setup, 2.0, 3.1416), 4)
-    0.1
-    """
+    """Young's modulus in MPa that one point of a curve speaks for."""
     indenter = setup.test.indenter
     if indenter is not None:
         return force_N * _PLANE / _half_space(indenter, displacement_mm)
@@ -269,8 +267,8 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
     low, high = SOFT_MPA
     odd: list[tuple[float, float, float]] = []
     for test in measurements.tests:
-        rows = test.recorded.displacement_mm if measurements.own_rows and test.recorded else None
-        places = measurements.displacement_mm if rows is None else rows
+        rows = test.recorded if measurements.own_rows else measurements
+        places = rows.displacement_mm
         place, force = float(places[len(places) // 2]), float(test.force_N[len(places) // 2])
         modulus = apparent_modulus(setup, place, force) if place > 0 and force > 0 else None
         if modulus is not None and not low <= modulus <= high:

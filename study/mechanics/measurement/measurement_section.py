@@ -7,13 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Literal
 
-from pydantic import Field
-
 from study.ground import units
 from study.ground.bounded_file import ENCODINGS
-from study.ground.errors import Fault, InputError, UnitError
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Bad,
+    Field,
     Force,
     Read,
     Reads,
@@ -29,6 +27,7 @@ from study.mechanics.setup.declaration import (
     unit_of_length,
     word,
 )
+from study.ground.errors import Fault, InputError, UnitError
 
 #: what may part the cells of a file, by its name in a study file; found out where it is not said
 DELIMITERS: Mapping[str, str | None] = {
@@ -83,13 +82,7 @@ class Range:
     high: float
 
     def in_mm(self, height_mm: float | None = None) -> tuple[float, float]:
-        """Both ends in mm.
-
-        Examples
-        --------
-        >>> Range("percent", 1.0, 20.0).in_mm(30.0)
-        (0.3, 6.0)
-        """
+        """Both ends in mm."""
         if self.kind == "mm":
             return self.low, self.high
         if height_mm is None:
@@ -308,11 +301,9 @@ class MeasurementSpec:
     columns: Columns = Field(
         description='for example columns = { displacement = "displacement_mm", force = "force_N" }'
     )
-    #: Column and unit of displacement and force.
     units: Units = Units()
     #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
     file: Annotated[str | None, Reads(csv_path)] = None
-    #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
     files: Annotated[str | None, Reads(csv_pattern)] = None
     #: Column of the unit that was replicated.
     block: Annotated[str | None, Reads(name)] = None
@@ -324,15 +315,14 @@ class MeasurementSpec:
     points: Annotated[int | Literal["raw"], Reads(_points)] = 200
     #: Which rows give constants, which give responses.
     fit: Annotated[dict[str, Labels] | None, Reads(rows)] = None
-    #: Which rows give constants, which give responses.
     score: Annotated[dict[str, Labels] | None, Reads(rows)] = None
     #: Whether fit and score also change places.
     swap: Annotated[bool, Reads(flag)] = False
-    #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
+    #: Rule of the load cell's zero.
     zero: Annotated[str, Reads(choice("none", "first", "fit"))] = "none"
     #: Force in N at which contact counts as made.
     toe: Force | None = None
-    #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
+    #: Sign of a force that resists.
     sign: Annotated[str, Reads(choice("positive", "negative"))] = "positive"
     #: Recorded displacement of the unloaded specimen in contact: a row, or a value in mm.
     displacement_zero: Annotated[str | float | None, Reads(_displacement_zero)] = None
@@ -342,18 +332,13 @@ class MeasurementSpec:
     branch: Annotated[str | int, Reads(_branch)] = "auto"
     #: Branch of a cycle that is given by its number.
     cycle: Annotated[str, Reads(choice("loading", "unloading"))] = "loading"
-    #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
     decimal: Annotated[str, Reads(choice(".", ","))] = "."
     #: Printed in the report.
     citation: Annotated[str, Reads(text)] = ""
     #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
     #: is no plain CSV.
     skip_lines: Annotated[int, Reads(integer(0, MAX_SKIPPED))] = 0
-    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
-    #: is no plain CSV.
     comment: Annotated[str, Reads(_mark)] = ""
-    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
-    #: is no plain CSV.
     delimiter: Annotated[str, Reads(choice("", *DELIMITERS))] = ""
     #: Whether a line names the columns; without one columns are named by their number.
     header: Annotated[bool, Reads(flag)] = True
@@ -368,16 +353,7 @@ class MeasurementSpec:
     sheet: Annotated[str, Reads(text)] = ""
 
     def plain_text(self, text: str) -> tuple[str, list[int], str]:
-        r"""Text with a header line, where its lines stand, and its delimiter if that is known.
-
-        Examples
-        --------
-        >>> spec = MeasurementSpec(Columns(), skip_lines=1, comment="#", delimiter="space")
-        >>> spec.plain_text("of 1944\nl  P\n# first row\n1.02   0.0255")
-        ('l\tP\n1.02\t0.0255', [2, 4], '\t')
-        >>> MeasurementSpec(Columns(), header=False).plain_text("1.02, 0.0255\n1.1, 0.12")
-        ('1,2\n1.02, 0.0255\n1.1, 0.12', [1, 1, 2], ',')
-        """
+        """Text with a header line, where its lines stand, and its delimiter if that is known."""
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         at = [
             k

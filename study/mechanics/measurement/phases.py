@@ -55,13 +55,6 @@ def phases_of(displacement_mm: Array) -> tuple[Phase, ...]:
     """Phases of a recording; one that holds all rows where they stand in no order.
 
     Shapes: displacement_mm (rows,), positive into the specimen and negative on the approach.
-
-    Examples
-    --------
-    >>> [one.words for one in phases_of(np.array([0.0, 1, 2, 3, 4, 3, 2, 1, 0]))]
-    ['loading of cycle 1', 'unloading of cycle 1']
-    >>> len(phases_of(np.array([0.0, 3, 1, 4, 2])))
-    1
     """
     d = displacement_mm
     least, end = TURN * float(np.ptp(d)), d.size - 1

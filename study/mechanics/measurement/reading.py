@@ -16,7 +16,6 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.conditioning import (
     OFFSET,
     PERCENT,
-    Conditioned,
     Rules,
     condition,
     condition_course,
@@ -71,18 +70,14 @@ def read_measurements(
         rules = _begun(rules, recorded, gauge)
     tests: list[SingleTest] = []
     faults: list[Fault] = []
-    done: list[Conditioned] = []
     for recording in recorded.tests:
         try:
-            result, did = specimens(recording, rules, gauge)
+            test, did = specimens(recording, rules, gauge)
         except InputError as error:
             faults.extend(error.faults)
             continue
-        done.append(result)
         test_notes += did
-        tests.append(
-            SingleTest(dict(recording.groups), result.force_N, result.recorded, result.specimen)
-        )
+        tests.append(test)
     mend = "give each its own name in braces in `files`, or name what differs"
     faults.extend(
         Fault("measurements", f"{n} files hold the same test: {dict(key)}", mend)
@@ -91,12 +86,12 @@ def read_measurements(
     )
     if faults:
         raise InputError(capped(faults))
-    notes = [*recorded.notes, *first_notes(test_notes), *_summary(done, rules)]
+    notes = [*recorded.notes, *first_notes(test_notes), *_summary(tests, rules)]
     if rules != usual:
         notes.append(f"the range begins at {rules.low_mm:.4g} mm, where the last test begins")
     own_rows = own_rows and rules.is_raw
     # of rows of their own, no grid is common
-    displacement, time = _common_grid(done[:1] if own_rows else done, rules)
+    displacement, time = _common_grid(tests[:1] if own_rows else tests, rules)
     measurements = Measurements(
         tuple(tests), displacement, spec.block, tuple(spec.average or ()), spec.fit, spec.score,
         bool(spec.swap), tuple(notes), dict(recorded.files), time, own_rows,
@@ -122,13 +117,13 @@ def first_notes(notes: Sequence[str]) -> list[str]:
 
 def specimens(
     recording: Recording, rules: Rules, gauge: Gauge | None = None
-) -> tuple[Conditioned, list[str]]:
+) -> tuple[SingleTest, list[str]]:
     """Make the test of a specimen from a recording; say where its zero and branch were taken."""
     kinematic, branch = rules.spec.columns.kinematic, rules.spec.branch
     if gauge is not None and gauge.mode == "simple-shear" and recording.time_s is None:
         recording = _folded(recording)
     moved, notes = _in_place(recording, rules)
-    d, f = _rows(moved, rules.spec, gauge)
+    d, f = displacement_and_force(moved, gauge)
     if recording.time_s is not None:
         made = condition_course(d, f, recording.time_s, rules, recording.where)
     else:
@@ -142,7 +137,8 @@ def specimens(
             f'{PERCENT} Then write units = {{ {kinematic} = "%" }}'
         )
     rows = made.rows // recording.directions
-    made = replace(made, rows=rows, specimen=replace(made.specimen, recording=recording))
+    specimen = replace(made.specimen, recording=recording)
+    made = replace(made, rows=rows, specimen=specimen, groups=recording.groups)
     chosen = [p for p in made.specimen.phases if made.specimen.fate[p.rows].min() == 0]
     if recording.time_s is None and (branch != "auto" or len(made.specimen.phases) > 1):
         lines = recording.lines
@@ -177,14 +173,6 @@ def _in_place(recording: Recording, rules: Rules) -> tuple[Recording, list[str]]
     return replace(recording, kinematic=moved), [did] if did else []
 
 
-def _rows(recording: Recording, spec: MeasurementSpec, gauge: Gauge | None) -> tuple[Array, Array]:
-    """Displacements and forces of a recording."""
-    return displacement_and_force(
-        spec.columns.kinematic, recording.kinematic, spec.columns.kinetic, recording.kinetic,
-        gauge, recording.where, in_order=recording.time_s is not None,
-    )  # fmt: skip
-
-
 def _begun(rules: Rules, recorded: Recordings, gauge: Gauge | None) -> Rules:
     """Begin a range that nobody asked for where the last of the tests begins.
 
@@ -193,14 +181,14 @@ def _begun(rules: Rules, recorded: Recordings, gauge: Gauge | None) -> Rules:
     begins = [rules.low_mm]
     for recording in recorded.tests:
         with suppress(InputError):  # said where its rows become a curve
-            moved = _rows(_in_place(recording, rules)[0], rules.spec, gauge)[0]
+            moved = displacement_and_force(_in_place(recording, rules)[0], gauge)[0]
             begins.append(float(np.abs(moved).min()))
     spacing = (rules.high_mm - rules.low_mm) / max(int(rules.spec.points) - 1, 1)
     late = max(begins) > rules.low_mm + spacing and rules.spec.toe is None
     return replace(rules, low_mm=max(begins)) if late and max(begins) < rules.high_mm else rules
 
 
-def _common_grid(done: Sequence[Conditioned], rules: Rules) -> tuple[Array, Array | None]:
+def _common_grid(done: Sequence[SingleTest], rules: Rules) -> tuple[Array, Array | None]:
     """Displacements and times of all tests: rows as measured must be the same ones in each."""
     if not rules.is_raw:
         return rules.grid(), None
@@ -254,7 +242,7 @@ def _range(
     return displacement_mm / max(spec.points, 2), displacement_mm
 
 
-def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
+def _summary(done: Sequence[SingleTest], rules: Rules) -> list[str]:
     """Report what the rules did over all tests, counted."""
     total: Counter[str] = Counter()
     tests: Counter[str] = Counter()

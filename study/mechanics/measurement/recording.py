@@ -15,9 +15,10 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.bounded_file import read_bytes, table_text
+from study.ground.declaration import Bad, relative_path
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, parse_csv
-from study.ground.units import parse
+from study.ground.units import agree, parse
 from study.mechanics.measurement.measurement_section import (
     KINEMATIC,
     KINETIC,
@@ -25,7 +26,6 @@ from study.mechanics.measurement.measurement_section import (
     Columns,
     MeasurementSpec,
 )
-from study.mechanics.setup.declaration import Bad, relative_path
 
 
 def read_table(
@@ -91,32 +91,22 @@ class Gauge:
     is_homogeneous: bool
 
 
-def displacement_and_force(
-    kinematic: str,
-    deformed: Array,
-    kinetic: str,
-    resisted: Array,
-    gauge: Gauge | None,
-    where: str,
-    *,
-    in_order: bool = False,
-) -> tuple[Array, Array]:
-    """Curve of a test as it was recorded.
-
-    Shapes: deformed, resisted (rows,), mm, MPa; returns (rows,).
-    """
+def displacement_and_force(recording: Recording, gauge: Gauge | None) -> tuple[Array, Array]:
+    """Displacements and forces of a test, mm and N, both of shape (rows,)."""
+    kinematic, kinetic = recording.quantities
+    deformed, resisted, where = recording.kinematic, recording.kinetic, recording.where
     if gauge is not None and gauge.mode == "biaxial" and kinematic not in SECOND:
         rule = "a biaxial test has a stretch and a stress in each of two directions"
         mend = "name columns stretch_1, stretch_2, stress_1 and stress_2"
         raise InputError(Fault(where, rule, mend))
     if kinematic == "displacement" and kinetic == "force":
         return deformed, resisted
-    section = _checked(kinematic, kinetic, gauge, where)
+    section = _checked(recording, gauge)
     if section.mode == "simple-shear":
         shear = deformed / section.length_mm if kinematic == "displacement" else deformed
         force = resisted if kinetic == "force" else section.area_mm2 * resisted
         turned = np.where(shear < 0, -1.0, 1.0)
-        if in_order or (turned > 0).all():
+        if recording.time_s is not None or (turned > 0).all():
             return shear * section.length_mm, force
         order = np.argsort(np.abs(shear), kind="stable")
         return np.abs(shear)[order] * section.length_mm, (turned * force)[order]
@@ -143,16 +133,17 @@ def displacement_and_force(
     return displacement, _force(kinetic, resisted, stretch, section)
 
 
-def _checked(kinematic: str, kinetic: str, gauge: Gauge | None, where: str) -> Gauge:
+def _checked(recording: Recording, gauge: Gauge | None) -> Gauge:
     if gauge is None or not gauge.is_homogeneous:
-        rule = f"{kinematic} and {kinetic} are those of a specimen that deforms the same everywhere"
+        pair = " and ".join(recording.quantities)
+        rule = f"{pair} are those of a specimen that deforms the same everywhere"
         mend = "give displacement and force, or a test without bonded faces"
-        raise InputError(Fault(where, rule, mend))
-    for column in (kinematic, kinetic):
+        raise InputError(Fault(recording.where, rule, mend))
+    for column in recording.quantities:
         modes = _MODES.get(column, (gauge.mode,))
         if gauge.mode not in modes:
             rule = f"a column {column} has no meaning in {gauge.mode} loading"
-            raise InputError(Fault(where, rule, f"it belongs to {', '.join(modes)}"))
+            raise InputError(Fault(recording.where, rule, f"it belongs to {', '.join(modes)}"))
     return gauge
 
 
@@ -485,11 +476,7 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
     if spec.unit_row:
         shown = {}  # what is declared wins over the file
     for who, word in shown.items():
-        try:
-            named = parse(f"1 {word}", dimension) if word else factor
-        except InputError:
-            continue  # the last word of the name is no unit of this dimension
-        if not np.isclose(named, factor, rtol=1e-9):
+        if word and agree(word, unit) is False:  # the last word of a name may be no unit at all
             rule = f"{who} says {word}, but {unit} is declared in measurements.units"
             mend = "declare the unit that the file is in"
             raise InputError(Fault(f"{table.source}: column {column!r}", rule, mend))

@@ -28,6 +28,7 @@ from study.mechanics.mesh.structured import (
     line_about,
     line_by_size,
     line_from,
+    quarter_circle,
     quarter_disc_of_quadrilaterals,
     rectangle,
     spread,
@@ -100,9 +101,7 @@ def inward(field: SizeField) -> SizeField:
 def _rings(specimen: Cylinder | Block, field: SizeField, depth: Array) -> tuple[Array, Array]:
     """Middle block, shape (n, n, 2), and the rings around it at each depth, inside out."""
     ring, n = field.ring_mm, around(field)
-    angles = np.linspace(0, np.pi / 2, 2 * n + 1)
-    ray = np.column_stack([np.cos(angles), np.sin(angles)])
-    ray[0, 1] = ray[-1, 0] = 0.0
+    ray = quarter_circle(1.0, np.linspace(0, np.pi / 2, 2 * n + 1))
     # 0 on the axes, 1 at the corner of a square
     corner = (1 / ray.max(axis=1) - 1) / (np.sqrt(2) - 1)
     core, sides = (
@@ -236,16 +235,13 @@ _POOREST = 0.02
 
 def indentation_mesh(setup: Setup) -> Mesh:
     """Mesh of an indented cylinder or block."""
-    specimen, model = setup.specimen, setup.model
-    if not isinstance(specimen, Cylinder | Block):
-        raise MeshError("a graded mesh needs a cylinder or a block")
+    (specimen, contact), model = _indented(setup), setup.model
     height, field = specimen.height_mm, sizes_of(setup)
-    ring = _contact_of(setup).indenter.face_radius_mm
-    solid = model.space == "3d"
+    ring, solid = contact.indenter.face_radius_mm, model.space == "3d"
     if model.element_shape == "tensor" and solid and has_room(specimen, ring):
         points, cells = punched(specimen, field)
     elif model.element_shape == "tensor":
-        points, cells = _grid(setup, specimen, field, ring)
+        points, cells = _grid(setup, field)
     elif model.space == "axisymmetric":
         points, cells = _triangles(equivalent_radius(specimen), height, field, ring)
     else:
@@ -253,28 +249,26 @@ def indentation_mesh(setup: Setup) -> Mesh:
     return Mesh(points, cells, False, field.size_mm, field.finest_mm)
 
 
-def _contact_of(setup: Setup) -> AroundContact:
-    """Indenter and depth that sizes are made for."""
-    if not isinstance(setup.grading, AroundContact):
-        raise MeshError("a mesh graded around a contact needs an indenter")
-    return setup.grading
+def _indented(setup: Setup) -> tuple[Cylinder | Block, AroundContact]:
+    """Specimen, and the indenter and depth that sizes are made for."""
+    specimen, contact = setup.specimen, setup.grading
+    if not (isinstance(specimen, Cylinder | Block) and isinstance(contact, AroundContact)):
+        raise MeshError("a mesh graded around a contact needs an indenter on a cylinder or a block")
+    return specimen, contact
 
 
 def sizes_of(setup: Setup) -> SizeField:
     """Sizes of the elements of an indented cylinder or block."""
-    specimen = setup.specimen
-    if not isinstance(specimen, Cylinder | Block):
-        raise MeshError("an indentation mesh needs a cylinder or a block")
+    specimen, contact = _indented(setup)
     extent = min(specimen.half_width_mm, specimen.height_mm)
-    return size_field(setup.model, _contact_of(setup), specimen.height_mm, extent)
+    return size_field(setup.model, contact, specimen.height_mm, extent)
 
 
-def _grid(
-    setup: Setup, specimen: Cylinder | Block, field: SizeField, ring: float
-) -> tuple[Array, Ints]:
+def _grid(setup: Setup, field: SizeField) -> tuple[Array, Ints]:
     """Quadrilaterals or hexahedra on lines that follow the sizes along the top and the axis."""
-    space, order = setup.model.space, setup.model.element_order
-    wide, tall = UNDER_CONE[order] if _contact_of(setup).indenter.is_pointed else (1.0, 1.0)
+    (specimen, contact), space = _indented(setup), setup.model.space
+    pointed, ring = contact.indenter.is_pointed, contact.indenter.face_radius_mm
+    wide, tall = UNDER_CONE[setup.model.element_order] if pointed else (1.0, 1.0)
     top = np.array([field.top_mm])
 
     def along_top(rho: Array) -> Array:
@@ -308,11 +302,8 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
     size = float(field.at(radius, field.top_mm))
     segments = max(4, int(np.ceil(np.pi / 2 * radius / size)))
     angle = np.pi / 2 / segments
-    theta = np.linspace(0, np.pi / 2, segments + 1)
     scaled = radius * np.sqrt(angle / np.sin(angle))
-    corners = scaled * np.column_stack([np.cos(theta), np.sin(theta)])
-    corners[0, 1] = corners[-1, 0] = 0.0
-    return np.asarray(corners)
+    return quarter_circle(scaled, np.linspace(0, np.pi / 2, segments + 1))
 
 
 @contextmanager
@@ -456,9 +447,7 @@ def _quarter(
 def _arc(gmsh: ModuleType, ring: float, height: float, field: SizeField) -> list[int]:
     """Points of the polygon that follows a circle about the axis, from x to y."""
     segments = max(4, int(np.ceil(np.pi / 2 * ring / float(field.at(ring, height)))))
-    theta = np.linspace(0, np.pi / 2, segments + 1)
-    places = ring * np.column_stack([np.cos(theta), np.sin(theta)])
-    places[0, 1] = places[-1, 0] = 0.0
+    places = quarter_circle(ring, np.linspace(0, np.pi / 2, segments + 1))
     return [int(gmsh.model.geo.addPoint(x, y, height)) for x, y in places]
 
 

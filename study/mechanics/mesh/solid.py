@@ -233,22 +233,17 @@ def _cubes(found: Body, field: SizeField) -> float:
         corners = np.concatenate([np.stack(part, axis=1) for part in parts])
     volumes, middle = np.linalg.det(corners) / 6, corners.mean(axis=1)
     places = np.column_stack([np.hypot(middle[:, 0], middle[:, 1]), middle[:, 2]])
-    if len(corners) > _GATHERED:
-        volumes, places = _gathered(volumes, places)
+    if len(corners) > _GATHERED:  # sizes depend on radius and height alone: near ones are one
+        step = float(np.ptp(places, axis=0).max()) / _RASTER
+        columns = np.round((places - places.min(axis=0)) / step).astype(np.int64)
+        _, group, count = np.unique(
+            columns[:, 0] * (_RASTER + 1) + columns[:, 1], return_inverse=True, return_counts=True
+        )
+        places = np.column_stack([np.bincount(group, weights=c) / count for c in places.T])
+        volumes = np.bincount(group, weights=volumes).astype(float)
     t = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 80)])
     h = field.at(places[:, :1] * t, found.axis_height_mm + places[:, 1:] * t)
     return float((3 * volumes * np.trapezoid(t**2 / h**3, t, axis=1)).sum())
-
-
-def _gathered(volumes: Array, places: Array) -> tuple[Array, Array]:
-    """Pyramids that end at nearly one radius and height as one: sizes depend on these alone."""
-    step = float(np.ptp(places, axis=0).max()) / _RASTER
-    columns = np.round((places - places.min(axis=0)) / step).astype(np.int64)
-    _, group, count = np.unique(
-        columns[:, 0] * (_RASTER + 1) + columns[:, 1], return_inverse=True, return_counts=True
-    )
-    middle = [np.bincount(group, weights=column) / count for column in places.T]
-    return np.bincount(group, weights=volumes).astype(float), np.column_stack(middle)
 
 
 def _body_of(setup: Setup) -> Body:
@@ -330,32 +325,22 @@ def _volume(points: Array, cells: Ints) -> float:
     return float(np.abs(np.linalg.det(edges)).sum() / 6)
 
 
-def surface_faults(setup: Setup) -> list[Fault]:
+def surface_faults(setup: Setup) -> Iterator[Fault]:
     """Everything that speaks against a test of a specimen given as a surface."""
-    if not isinstance(setup.specimen, Enclosed):
-        return []
-    wrong = list(_model(setup))
-    if wrong:
-        return wrong
-    found = body(setup.specimen)
-    return [*_plates(setup, found), *_punch(setup)]
-
-
-def _model(setup: Setup) -> Iterator[Fault]:
-    model = setup.model
+    specimen, model, pressed = setup.specimen, setup.model, setup.test.indenter
+    if not isinstance(specimen, Enclosed):
+        return
     if model.space == "axisymmetric":
-        what = "a surface from a file" if isinstance(setup.specimen, Surface) else "a brain"
+        what = "a surface from a file" if isinstance(specimen, Surface) else "a brain"
         rule = f"{what} has no axis of symmetry that could be relied on"
         yield Fault("model.space", rule, 'write space = "3d"')
     if model.element_shape == "tensor":
         rule = "the inside of a surface is meshed with tetrahedra"
         yield Fault("model.element_shape", rule, 'write element_shape = "tetrahedron"')
-
-
-def _plates(setup: Setup, found: Body) -> Iterator[Fault]:
-    specimen = setup.specimen
-    clamped = isinstance(specimen, Enclosed) and specimen.clamp_below_mm is not None
-    if not clamped and not found.touches("base"):
+    if model.space == "axisymmetric" or model.element_shape == "tensor":
+        return
+    found = body(specimen)
+    if specimen.clamp_below_mm is None and not found.touches("base"):
         rule = "no face of the specimen lies in the plane of its lowest point: nothing holds it"
         mend = "hold it with clamp_below, turn it with axis, or raise plate_tolerance"
         yield Fault("test.base", rule, mend)
@@ -364,10 +349,6 @@ def _plates(setup: Setup, found: Body) -> Iterator[Fault]:
         rule = "no face of the specimen lies in the plane of its highest point: nothing to bond"
         mend = 'use interface = "frictionless", turn it with axis, or raise plate_tolerance'
         yield Fault("test.interface", rule, mend)
-
-
-def _punch(setup: Setup) -> Iterator[Fault]:
-    pressed = setup.test.indenter
     if pressed is None or not pressed.has_face:
         return
     why = "a mesh of a surface has no line of nodes along the edge of a flat punch"

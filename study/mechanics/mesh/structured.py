@@ -225,6 +225,13 @@ def _both_sides(line: Array) -> Array:
     return np.concatenate([-line[:0:-1], line])
 
 
+def quarter_circle(radius: float, angles: Array) -> Array:
+    """Points at angles from 0 to a right one, the first and last exactly on their axes, (n, 2)."""
+    points = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    points[0, 1] = points[-1, 0] = 0.0
+    return np.asarray(points)
+
+
 def quarter_disc(rings: Array, h: float) -> tuple[Array, Ints]:
     """Triangles of a quarter disc: every ring carries segments about as long as ``h``.
 
@@ -242,9 +249,7 @@ def quarter_disc(rings: Array, h: float) -> tuple[Array, Ints]:
     cells: list[tuple[int, int, int]] = []
     inner = np.array([0])
     for r, n in zip(rings[1:], segments, strict=True):
-        theta = np.linspace(0, np.pi / 2, n + 1)
-        ring = scale * r * np.column_stack([np.cos(theta), np.sin(theta)])
-        ring[0, 1] = ring[-1, 0] = 0.0
+        ring = quarter_circle(scale * r, np.linspace(0, np.pi / 2, n + 1))
         outer = np.arange(n + 1) + sum(len(p) for p in points)
         points.append(ring)
         cells += _stitch(inner, outer)
@@ -280,9 +285,7 @@ def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Ar
             np.column_stack([inner[-2::-1], np.full(m, side)]),
         ]
     )
-    circle = rim * np.column_stack([np.cos(angles), np.sin(angles)])
-    circle[0, 1] = circle[-1, 0] = 0.0
-    rings = border + fraction[:, None, None] * (circle - border)
+    rings = border + fraction[:, None, None] * (quarter_circle(rim, angles) - border)
     core, quads = rectangle(inner, inner, "tensor")
     on_border = np.concatenate(
         [np.arange(m + 1) * (m + 1) + m, m * (m + 1) + np.arange(m - 1, -1, -1)]

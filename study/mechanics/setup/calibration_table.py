@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Literal, get_args
 
 from study.ground import units
+from study.ground.declaration import AsWritten, Bad, Reads, choice, integer, section, shown
 from study.ground.errors import nearest
 from study.mechanics.material.material import is_dimensionless
-from study.mechanics.setup.declaration import AsWritten, Bad, Reads, choice, integer, section, shown
 
 METHODS = ("auto", "analytic", "inverse-fem", "none")
 #: how residuals count: by squares, or beyond some noise in proportion (Huber 1964, Ann. Math. Stat.

@@ -7,12 +7,11 @@ from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from study.ground.arrays import Array
-from study.ground.errors import Fault
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Coordinate,
+    Field,
     Length,
     LengthOrZero,
     Reads,
@@ -23,6 +22,7 @@ from study.mechanics.setup.declaration import (
     unit_of_length,
     word,
 )
+from study.ground.errors import Fault
 
 _CYLINDER = measured("length", mend="cylinder takes radius, height")
 _BLOCK = measured("length", mend="block takes width, depth, height")
@@ -176,9 +176,10 @@ class Flat:
 
     def faults(self) -> Iterator[Fault]:
         """Dimensions that make no such body."""
-        if not 0 <= self.edge_radius_mm <= self.radius_mm:
-            rule = f"{self.edge_radius_mm:g} mm is not between 0 and the radius"
-            yield Fault("test.indenter.edge_radius", rule, "round the edge less")
+        edge, radius = self.edge_radius_mm, self.radius_mm
+        if not 0 <= edge <= radius:
+            beyond = f"larger than the radius, {radius:g} mm" if edge > 0 else "below 0"
+            yield Fault("test.indenter.edge_radius", f"{edge:g} mm is {beyond}", "round less")
 
 
 @section
@@ -219,6 +220,10 @@ class Cone:
         if not 0 < self.half_angle_deg < 90:
             rule = f"{self.half_angle_deg:g} deg is not between 0 and 90 deg"
             yield Fault("test.indenter.half_angle", rule, "it is measured from the axis")
+        shaft = self.shaft_radius_mm
+        if shaft is not None and self.tip_radius_mm > shaft:
+            rule = f"{self.tip_radius_mm:g} mm is larger than the shaft radius, {shaft:g} mm"
+            yield Fault("test.indenter.tip_radius", rule, "a tip is inside its shaft")
 
 
 @section

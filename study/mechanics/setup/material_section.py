@@ -4,41 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, cast
+from typing import cast
 
+from study.ground.declaration import (
+    field_named,
+    section_of,
+)
 from study.ground.errors import Fault, InputError
-from study.mechanics.material.energy import FREE, Bounds, DeclaredConstants
+from study.mechanics.material.energy import FREE, Bounds, Compressibility, DeclaredConstants
 from study.mechanics.material.material import Material, constant_names, energy_named
 from study.mechanics.material.relaxation import (
     RelaxationTerm,
     relaxation_names,
 )
-from study.mechanics.setup.declaration import (
-    Bad,
-    Pressure,
-    Reads,
-    field_named,
-    flag,
-    number,
-    section,
-    section_of,
-)
-
-
-def _poisson_ratio(value: object) -> float:
-    if value == 0.5 and not isinstance(value, bool):
-        raise Bad("must be below 0.5, got 0.5", "write incompressible = true")
-    return number(-1.0, 0.5)(value)
-
-
-@section
-class CompressibilityTable:
-    """How a material resists a change of volume; one of the three."""
-
-    poisson_ratio: Annotated[float, Reads(_poisson_ratio, "number")] | None = None
-    bulk_modulus_MPa: Pressure | None = None
-    incompressible: Annotated[bool, Reads(flag)] = False
-
 
 #: of the stress that may fade, as a fit starts; the rest stays
 _FADING = 0.5
@@ -78,14 +56,14 @@ class MaterialSection:
     order: int | None
     #: In MPa, exponents plain; empty where a calibration finds them.
     constants: Mapping[str, float]
-    compressibility: CompressibilityTable
+    compressibility: Compressibility
     #: How its stress fades; empty where it does not.
     relaxation: tuple[RelaxationKey, ...] = ()
 
     @classmethod
     def of(cls, table: Mapping[str, object]) -> MaterialSection:
         """Material of its resolved table, in MPa and s."""
-        resistance = section_of("material", CompressibilityTable, table)
+        resistance = section_of("material", Compressibility, table)
         order = cast("int | None", table.get("order"))
         constants = cast("Mapping[str, float]", table.get("constants") or {})
         terms = cast("list[Mapping[str, object]]", table.get("relaxation") or [])

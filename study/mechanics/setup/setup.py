@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
+from study.ground.declaration import DERIVED, Length, section, word
 from study.mechanics.material.material import Material
-from study.mechanics.setup.declaration import DERIVED, Length, section, word
 from study.mechanics.setup.geometry import Enclosed, Specimen
 from study.mechanics.setup.test_kind import (
+    TEST_KINDS,
     AroundContact,
     Contact,
     FaceCondition,
@@ -20,8 +21,8 @@ from study.mechanics.setup.test_kind import (
     Test,
     TestKind,
     TowardsPlates,
+    indenter_of_test,
 )
-from study.mechanics.setup.test_kinds import TEST_KINDS, indenter_of_test
 
 Space = Literal["axisymmetric", "3d"]
 Order = Literal["linear", "quadratic"]
@@ -58,7 +59,7 @@ class Model:
     #: Size of a named mesh over that of the next finer one; ``converge.ratio`` of the file.
     mesh_ratio: Annotated[float, DERIVED] = 1.5
     mesh_size_mm: Length | None = None
-    #: Moves the nodes of the mesh at random (see :mod:`study.mechanics.mesh.perturbation`).
+    #: Moves the nodes of the mesh at random (see :mod:`study.mechanics.mesh.mesher`).
     mesh_seed: Annotated[int | None, DERIVED] = None
 
     @property

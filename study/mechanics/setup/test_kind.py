@@ -2,8 +2,7 @@
 
 A test (:class:`Test`) says what one specimen goes through. Its kind (:class:`TestKind`) turns that
 into conditions, contacts and sizes, and is all that the finite-element model knows of it. A kind
-is added as a module beside :mod:`study.mechanics.setup.test_kinds` and an entry of
-:data:`study.mechanics.setup.test_kinds.TEST_KINDS`.
+is added as a class and an entry of :data:`TEST_KINDS`.
 """
 
 from __future__ import annotations
@@ -11,11 +10,33 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
+
+import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.declaration import (
+    Duration,
+    Length,
+    Reads,
+    as_written,
+    choice,
+    integer,
+    measured,
+    number,
+    section,
+    word,
+)
 from study.ground.errors import Fault, InputError
-from study.mechanics.setup.geometry import FaceMotion, Gravity, Indenter
+from study.mechanics.material.homogeneous import sheared_stretches
+from study.mechanics.setup.geometry import (
+    Block,
+    Cylinder,
+    FaceMotion,
+    Gravity,
+    Indenter,
+    Specimen,
+)
 
 # The load steps of a test, and the settings of the iteration that go with its size.
 
@@ -79,29 +100,54 @@ class StepRule:
 
 Interface = Literal["frictionless", "bonded"]
 Face = Literal["top", "base"]
+_CONDITIONS = "frictionless", "bonded"
+_SYNONYMS = {"lubricated": "frictionless"}
 
 
-@dataclass(frozen=True)
+def _kind(value: object) -> str:
+    return choice(*TEST_KINDS)(value)
+
+
+@section
 class Test:
-    """How a specimen is loaded: a :class:`TestSection` with nothing left to its kind.
+    """How a specimen is loaded, of which a file leaves a part to the kind of the test.
 
     Its displacement is None where the measurements have yet to say it.
     """
 
     __test__ = False  # not a pytest class
 
-    kind: str
-    displacement_mm: float | None
-    interface: Interface = "frictionless"
-    base: Interface = "frictionless"
-    steps: int = 10
-    indenter: Indenter | None = None
-    speed_mm_per_s: float | None = None
-    hold_s: float | None = None
-    cycles: int | None = None
+    #: One of :data:`TEST_KINDS`.
+    kind: Annotated[str, Reads(_kind, mend="compression, ...", given=_kind)]
+    #: Final displacement; the end of the measured range may give it.
+    displacement_mm: Length | None = None
+    #: What holds the specimen where it is loaded.
+    interface: Annotated[
+        Interface, word(*_CONDITIONS, synonyms=_SYNONYMS, mend="frictionless or bonded")
+    ] = "frictionless"
+    #: What holds it below: as above in compression, bonded in
+    #: indentation, unless given.
+    base: Annotated[Interface, word(*_CONDITIONS, synonyms=_SYNONYMS)] | None = None
+    #: Displacements at which the force is asked for.
+    steps: Annotated[int, Reads(integer(1, 10_000))] = 10
+    #: Of an indentation.
+    indenter: Annotated[Indenter | None, as_written()] = None
+    #: Of the displacement; a material that relaxes resists a fast test more.
+    speed_mm_per_s: Annotated[float, measured("speed")] | None = None
+    #: How long the final displacement is held.
+    hold_s: Duration | None = None
+    #: How often it is reached and left again, at the same speed.
+    cycles: Annotated[int | None, Reads(integer(1, 1000))] = None
+    #: Final motion of the plate above besides the displacement, of a plate motion.
     motion: FaceMotion | None = None
+    #: Weight of the specimen.
     gravity: Gravity | None = None
-    prestretch: float | None = None
+    #: Of a simple shear: stretch along the normal of the sheared faces before the test.
+    prestretch: Annotated[float, Reads(number(0.2, 5.0))] | None = None
+
+    def __post_init__(self) -> None:
+        if self.base is None:
+            object.__setattr__(self, "base", TEST_KINDS[self.kind].usual_base(self.interface))
 
     @property
     def weight_N_mm3(self) -> float:  # noqa: N802
@@ -121,6 +167,41 @@ class Test:
         depth = displacement_mm if self.displacement_mm is None else self.displacement_mm
         deeper = replace(self, displacement_mm=depth)
         return replace(deeper, displacement_mm=deeper.depth_mm)
+
+
+# Course of a test in time: a ramp at one speed, and what follows it, a hold or cycles.
+
+#: first row of a hold over its duration: rows are even on a logarithmic scale, as relaxation is
+_FIRST_OF_HOLD = 1e-3
+
+
+def course_of(test: Test) -> tuple[Array, Array] | None:
+    """Displacements and times that a test prescribes; None without a speed.
+
+    Displacement is linear between the rows; the unloaded begin at 0 s is left out.
+    Shapes: returns (n,), mm and s.
+
+    Examples
+    --------
+    >>> ramp = Test("tension", 4.0, steps=2, speed_mm_per_s=0.5, cycles=1)
+    >>> course_of(ramp)
+    (array([2., 4., 2., 0.]), array([ 4.,  8., 12., 16.]))
+    """
+    speed = test.speed_mm_per_s
+    if speed is None:
+        return None
+    share = np.arange(1, test.steps + 1) / test.steps
+    ramp = test.depth_mm / speed
+    if test.cycles is not None:
+        once = np.concatenate([share, 1 - share])
+        time = (np.arange(2 * test.cycles)[:, None] + share).ravel() * ramp
+        return test.depth_mm * np.tile(once, test.cycles), time
+    displacement, time = test.depth_mm * share, ramp * share
+    if test.hold_s is not None:
+        held = test.hold_s * np.geomspace(_FIRST_OF_HOLD, 1.0, test.steps)
+        displacement = np.append(displacement, np.full(test.steps, test.depth_mm))
+        time = np.append(time, ramp + held)
+    return displacement, time
 
 
 @dataclass(frozen=True)
@@ -284,3 +365,242 @@ class TestKind(ABC):
     @abstractmethod
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
         """Say why a specimen of this height and half-width cannot go through the test."""
+
+
+# Compression between two rigid plates.
+
+#: points of a range of stretches at which stability is looked at
+_STRETCHES = 41
+
+#: stretch of a cube whose surface folds under its own compression (Biot 1963): no column is
+#: pressed further before something else gives way
+LEAST_STRETCH = 0.544
+
+
+@dataclass(frozen=True)
+class Compression(TestKind):
+    """Plates approach each other by the displacement; each may be bonded."""
+
+    compresses: bool = True
+
+    def usual_base(self, interface: Interface) -> Interface:
+        """Both plates are alike."""
+        return interface
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Let the plate above move and the one below stand."""
+        return (
+            FaceCondition("top", self.sense, test.interface == "bonded"),
+            FaceCondition("base", 0.0, test.base == "bonded"),
+        )
+
+    def contacts(self, test: Test) -> tuple[PlateContact, ...]:
+        """Bulging sides may fold onto a plate, a round end comes to lie in it."""
+        return tuple(PlateContact(face.face, face.is_held) for face in self.faces(test))
+
+    def has_middle_plane(self, test: Test) -> bool:
+        """Between plates of one kind."""
+        return test.interface == test.base
+
+    def is_homogeneous(self, test: Test) -> bool:
+        """Between frictionless plates."""
+        return test.interface == test.base == "frictionless"
+
+    def stretches(self, test: Test, height_mm: float) -> Array:
+        """From the end of the test to none."""
+        return np.linspace(1 - test.depth_mm / height_mm, 1.0, _STRETCHES)
+
+    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+        """Plates cannot meet."""
+        return beyond_height(test, height_mm)
+
+
+def beyond_height(test: Test, height_mm: float) -> Iterator[Fault]:
+    """Refuse a displacement into a specimen that reaches its height."""
+    depth = test.depth_mm
+    if depth >= height_mm:
+        rule = f"{depth:g} mm reaches the height of the specimen, {height_mm:g} mm"
+        yield Fault("test.displacement", rule, "make it smaller than specimen.height")
+
+
+def buckling_strain(test: Test, specimen: Specimen) -> float | None:
+    """Compression per height at which a column sways; None where it is none, or never does.
+
+    Euler's load pi^2 E I / (k H)^2 of an incompressible neo-Hookean column, where k is 1/2 between
+    bonded plates, and 1 where one lets it slide. Shear, which lowers it, and the thickness gained
+    by compression, which raises it, make up for one another: within 2 % of elements at 10 mm over
+    100, 5 % at 10 mm over 40.
+    """
+    if not isinstance(specimen, Cylinder | Block) or test.motion is not None:
+        return None
+    thin = specimen.half_width_mm / specimen.height_mm
+    if test.kind != "compression" or not thin > 0:
+        return None
+    square = thin**2 / (4.0 if isinstance(specimen, Cylinder) else 3.0)  # I / (A H^2)
+    free = 0.5 if test.interface == test.base == "bonded" else 1.0
+    stress = np.pi**2 * square / free**2  # over E = 3 G
+    stretches = np.linspace(1.0, LEAST_STRETCH, 2001)
+    beyond = (1 / stretches**2 - stretches) / 3 >= stress
+    return float(1 - stretches[beyond.argmax()]) if beyond.any() else None
+
+
+# Indentation of a specimen on a rigid support by a rigid body of revolution.
+
+#: stretches around an indenter in which a material must at least be stable
+LOWEST_STRETCH = 0.8
+HIGHEST_STRETCH = 1.2
+
+
+@dataclass(frozen=True)
+class Indentation(TestKind):
+    """An indenter comes down by the displacement; it may keep hold of what it touches."""
+
+    takes_indenter: bool = True
+    strains_locally: bool = True
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Support, and the disc that a bonded flat face moves."""
+        support = FaceCondition("base", 0.0, test.base == "bonded")
+        if not holds_face(test):
+            return (support,)
+        radius = indenter_of_test(test).face_radius_mm
+        return (support, FaceCondition("top", self.sense, True, within_mm=radius))
+
+    def contacts(self, test: Test) -> tuple[IndenterContact, ...]:
+        """Indenter, unless it holds from the start all that it will ever hold."""
+        if test.indenter is None or holds_face(test):
+            return ()
+        return (IndenterContact(test.indenter, test.interface == "bonded"),)
+
+    def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
+        """Shares of the indenter's own length; those of what sticks are small and even."""
+        length = test.depth_mm
+        if test.indenter is not None:
+            length = test.indenter.step_length_mm(length)
+        if test.interface == "bonded":
+            share = settings.held_face if holds_face(test) else settings.sticking
+            largest = min(settings.largest * height_mm, share * length)
+            return StepRule(settings, largest, largest)
+        first, largest = settings.first_touch * length, settings.largest_touch * length
+        return StepRule(settings, first, largest, settings.deeper)
+
+    def stretches(self, test: Test, height_mm: float) -> Array:
+        """About none: larger ones are reached at single places only."""
+        return np.linspace(LOWEST_STRETCH, HIGHEST_STRETCH, _STRETCHES)
+
+    def singularities(self, test: Test) -> tuple[Singularity, ...]:
+        """Edge of a flat face, or the rim of a smooth contact."""
+        pressed = indenter_of_test(test)
+        if pressed.is_sharp_edged:
+            return (SharpEdge("sharp edge"),)
+        if holds_face(test):
+            return (SharpEdge("rim of the bonded face"),)
+        return (RoundedEdge(pressed.rounding_mm) if pressed.has_face else ContactRim(),)
+
+    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+        """Depth, shape of the indenter, and what it could touch."""
+        yield from beyond_height(test, height_mm)
+        pressed = indenter_of_test(test)
+        yield from pressed.faults()
+        reach = pressed.reach_mm(test.depth_mm)
+        if reach > half_width_mm:
+            rule = f"the indenter touches up to {reach:g} mm from the axis, beyond"
+            mend = "use a smaller indenter or a wider specimen"
+            yield Fault("test.indenter", f"{rule} {half_width_mm:g} mm", mend)
+
+
+def holds_face(test: Test) -> bool:
+    """Whether a flat indenter sticks: it has hold of all that it will hold at once."""
+    return test.interface == "bonded" and test.indenter is not None and test.indenter.has_face
+
+
+def indenter_of_test(test: Test) -> Indenter:
+    """Indenter of a test."""
+    if test.indenter is None:
+        mend = "give shape and radius"
+        raise InputError(Fault("test.indenter", "an indentation needs an indenter", mend))
+    return test.indenter
+
+
+# Tests of material on a gauge section that deforms the same everywhere: a closed form for every
+# energy, no elements.
+
+
+@dataclass(frozen=True)
+class GaugeSection(TestKind):
+    """A test of material; no elements."""
+
+    sense: float = 1.0
+    needs_homogeneous: bool = True
+
+    def usual_base(self, interface: Interface) -> Interface:
+        """Without meaning: nothing holds a gauge section but its own material."""
+        return interface
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Return none: no elements."""
+        return ()
+
+    def has_middle_plane(self, test: Test) -> bool:
+        """Every plane is one."""
+        return True
+
+    def is_homogeneous(self, test: Test) -> bool:
+        """By definition."""
+        return True
+
+    def stretches(self, test: Test, height_mm: float) -> Array:
+        """Stretches of the loaded direction, for a shear those of its longest line."""
+        share = self.sense * test.depth_mm / height_mm
+        if self.shears:
+            longest = sheared_stretches(np.array([share]), test.prestretch or 1.0)[0]
+            return np.linspace(1.0, longest[0], _STRETCHES)
+        return np.linspace(1.0, 1.0 + share, _STRETCHES)
+
+    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+        """Elements were asked for."""
+        rule = "is a test of a gauge section and has a closed form, which finite elements are not"
+        yield Fault("test.kind", rule, 'write specimen.shape = "homogeneous"')
+
+
+# Compression by a plate that also shifts and turns, and on which the face may spread: a rigid
+# motion with small rotations and one in-plane stretch of the loaded face.
+
+
+@dataclass(frozen=True)
+class PlateMotion(Compression):
+    """The plate above has all six rigid motions, in proportion to the axial displacement.
+
+    The force is the one that does the work of the whole motion, per unit of the displacement:
+    sideways forces and moments stand in it with their share of the motion.
+    """
+
+    compresses: bool = False
+
+    usual_base = TestKind.usual_base
+    has_middle_plane = TestKind.has_middle_plane
+    is_homogeneous = TestKind.is_homogeneous
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Prescribe every component above; the face below is held, or slides."""
+        share = 1.0 / test.displacement_mm if test.displacement_mm else 0.0  # open for now
+        besides = test.motion or FaceMotion()
+        return (
+            FaceCondition("top", self.sense, True, besides=besides, share_per_mm=share),
+            FaceCondition("base", 0.0, test.base == "bonded"),
+        )
+
+
+#: every kind of test by its name in a file
+TEST_KINDS: dict[str, TestKind] = {
+    "compression": Compression(),
+    "indentation": Indentation(),
+    "plate-motion": PlateMotion(),
+    "tension": GaugeSection(),
+    "equibiaxial": GaugeSection(mode="equibiaxial"),
+    "planar": GaugeSection(mode="planar"),
+    "biaxial": GaugeSection(mode="biaxial"),
+    "simple-shear": GaugeSection(mode="simple-shear", shears=True),
+    "volumetric": GaugeSection(mode="volumetric", sense=-1.0),
+    "confined-compression": GaugeSection(mode="confined", sense=-1.0),
+}

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from study.ground.arrays import Array, Flags, Ints
+from study.ground.arrays import Array, Ints
 from study.mechanics.contact.collocation import _ring_shares
 from study.mechanics.contact.contact import Constraints, TiedPoints, prescribed_rates
 from study.mechanics.element.function_space import (
@@ -27,7 +27,7 @@ from study.mechanics.element.function_space import (
 )
 from study.mechanics.mesh.structured import KINDS, Mesh, mirror
 from study.mechanics.setup.setup import Problem, Setup
-from study.mechanics.setup.test_kinds import buckling_strain
+from study.mechanics.setup.test_kind import buckling_strain
 from study.mechanics.solver.internal_force import ContactBlocks, Tangent
 from study.mechanics.solver.linear_solver import (
     KeptFactors,
@@ -100,13 +100,14 @@ def surplus(system: System) -> int | None:
 
 
 def is_unstable(system: System, state: State) -> bool:
-    """Whether the whole body has a way to give way at a state, assembled and factorized here.
+    """Whether the whole body has a way to give way at a state, whose tangent is factorized here.
 
     Where pivots tell nothing, the least stiffness does. A mode of a few elements is a crease, or
     one of the elements alone (linear hexahedra at the rim of a punch have some): it is left to
     what is said of snaps and of meshes.
     """
-    system.assemble(state)
+    if system.tangent.state is not state:
+        system.assemble(state)
     try:
         system.factorize()
     except SingularMatrixError:
@@ -283,11 +284,20 @@ class Equilibria:
     instability: Instability | None = None
 
     def quantities(self) -> dict[str, Array]:
-        """Responses of each point by their names: kPa, mm^2 and N."""
+        """Responses of each point by their names: kPa, mm^2, N and N mm."""
+        of_bodies = {
+            f"{prefix}{name}": np.array([float(np.linalg.norm(vector)) for vector in vectors])
+            for prefix, body in (("", self.plate), ("base_", self.base))
+            for name, vectors in (
+                ("side_force", [held.side for held in body]),
+                ("moment", [held.moment for held in body]),
+            )
+        }
         return {
             "peak_contact_pressure": 1e3 * np.array([c.peak_pressure_MPa for c in self.contact]),
             "contact_area": np.array([c.area_mm2 for c in self.contact]),
-            "side_force": np.array([float(np.hypot(*one.side)) for one in self.plate]),
+            "base_force": np.array([held.axial for held in self.base]),
+            **of_bodies,
         }
 
     def to_json(self) -> dict[str, object]:
@@ -381,15 +391,6 @@ def _corners(facet: int, dim: int) -> int:
     return 2 if dim == 2 else 3 if facet in (3, 6) else 4
 
 
-def _meets(system: System) -> Flags:
-    """Facets that lie in the loaded face, or that a moving surface may meet, shape (n_facets,)."""
-    space = system.space
-    sets = [at_level(space, system.mesh, system.mesh.height_mm)]
-    sets += [points.nodes for points in system.contact if points.surface.speed != 0]
-    within = [np.isin(space.facets, nodes).all(axis=1) for nodes in sets]
-    return np.asarray(np.any(within, axis=0) & (space.facet_weights > 0))  # not along an axis
-
-
 def contact_pressure(system: System, state: State, force: Array) -> Array:
     """Pressure of nodal forces at the nodes of the boundary, MPa, shape (n_nodes,).
 
@@ -406,7 +407,11 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
     held = held[(held < space.n_displacement) & (held % dim < dim - 1)]
     force[held // dim, held % dim] = 0.0
     places = space.nodes + (0.0 if system.material.small_strain else system.displacements(state.x))
-    facets = space.facets[_meets(system)]
+    # those that lie in the loaded face or that a moving surface may meet, none along an axis
+    met = [at_level(space, system.mesh, system.mesh.height_mm)]
+    met += [points.nodes for points in system.contact if points.surface.speed != 0]
+    within = np.any([np.isin(space.facets, nodes).all(axis=1) for nodes in met], axis=0)
+    facets = space.facets[within & (space.facet_weights > 0)]
     k = _corners(facets.shape[1], dim)
     corners = facets[:, :k]
     areas, shares = facet_areas(places[corners]), np.full((len(facets), k), 1.0 / k)

@@ -14,8 +14,10 @@ from study.ground.arrays import Array, Ints
 from study.ground.bounded_file import read_existing
 from study.ground.compilation import vectors_alone
 from study.ground.errors import Fault, InputError, MeshError
+from study.mechanics.contact.contact import BESIDES, face_motions
 from study.mechanics.element.function_space import (
     Discretization,
+    at_level,
     deformation_gradient,
     middle_nodes,
 )
@@ -34,10 +36,11 @@ from study.mechanics.solver.equilibrium import (
     nodal_reactions,
 )
 from study.mechanics.solver.load_path import LoadPath
-from study.mechanics.solver.newton import Options
+from study.mechanics.solver.newton import NewtonSettings, Options, solve_step
+from study.mechanics.solver.sensitivity import Loads, linear_rates
 from study.mechanics.solver.solution import Solution, without_answer
 from study.mechanics.solver.solution_cost import size_faults
-from study.mechanics.solver.system import State, System
+from study.mechanics.solver.system import Assembly, State, System
 from study.mechanics.surface.closed_surface import PLAUSIBLE_MM, body, height_of
 
 # -------------------------------------------------------------------------------------------------
@@ -53,8 +56,7 @@ def check(problem: Problem) -> None:
     Units: problem mm, MPa.
     """
     setup, specimen = problem.setup, problem.specimen
-    faults = surface_faults(setup)
-    if faults:
+    if faults := [*surface_faults(setup)]:
         raise InputError(faults)
     solid = body(specimen) if isinstance(specimen, Enclosed) else specimen
     loading = setup.kind.faults(problem.test, solid.height_mm, solid.half_width_mm)
@@ -200,6 +202,126 @@ def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mes
         solver=options.linear_solver,
         folding=options.side_contact,
     )
+
+
+# -------------------------------------------------------------------------------------------------
+# Equilibria under any motion of a plate, and how they move with it.
+#
+# A load path brings a specimen to one motion. Equilibria at others are reached from there along
+# the derivatives by the motion, which one factorization gives for all of its components: of an
+# elastic body the way does not matter.
+
+#: components of a motion: towards the specimen, x and y (mm), three rotations (rad), spread
+COMPONENTS = 1 + BESIDES
+
+#: residual of the derivatives over the forces that they balance
+_PRESCRIBED_MOTION_TOLERANCE = 1e-6
+
+#: halvings of a change of motion that is too large for one step
+_PRESCRIBED_MOTION_HALVINGS = 5
+
+
+@dataclass(frozen=True)
+class MovedPlate:
+    """Equilibrium at a motion of the plate."""
+
+    #: shape (7,); down, x and y in mm, rotations about x, y and the axis in rad, spread.
+    motion: Array
+    state: State
+    #: shape (n_nodes, 3); of the nodes, mm.
+    displacement: Array
+    #: shape (n_nodes, 3, 7); derivatives of the displacements by the motion.
+    rates: Array
+
+
+class NoEquilibrium(Exception):
+    """No equilibrium was found at a motion of the plate."""
+
+
+class PrescribedMotion:
+    """A solved plate motion that can be taken elsewhere."""
+
+    def __init__(self, problem: Problem, solution: Solution) -> None:
+        if solution.warm is None or not solution.converged:
+            raise NoEquilibrium(solution.message)
+        self.system = solution.warm.system
+        self._modes = _modes(self.system)
+        self._settings = NewtonSettings()
+        state, besides = solution.warm.steps[-1].state, problem.test.motion
+        others = np.zeros(BESIDES) if besides is None else besides.components()
+        motion = np.concatenate([[problem.test.depth_mm], others])
+        self.start = self._described(self._under(motion), motion, state)
+
+    def at(self, motion: Array, near: MovedPlate) -> MovedPlate:
+        """Equilibrium at another motion.
+
+        Shapes: motion (7,).
+        """
+        if not motion[0] > 0:
+            raise NoEquilibrium(f"the plate would move by {motion[0]:.3g} mm, off the specimen")
+        return self._reached(motion, near, _PRESCRIBED_MOTION_HALVINGS)
+
+    def _reached(self, motion: Array, near: MovedPlate, halvings: int) -> MovedPlate:
+        system = self._under(motion)
+        guess = near.state.x.copy()
+        moved = near.displacement + near.rates @ (motion - near.motion)
+        guess[: system.space.n_displacement] = moved.ravel()
+        guess[system.constraints.dofs] = system.prescribed(float(motion[0]))
+        start = replace(near.state, displacement_mm=float(motion[0]), x=guess)
+        if (system.volume_ratios(guess) > 0).all():
+            found = solve_step(system, start, self._settings)
+            if found.converged:
+                return self._described(system, motion, found.state)
+        if not halvings:
+            raise NoEquilibrium("no equilibrium was found at the plate motion that fits")
+        middle = self._reached(0.5 * (motion + near.motion), near, halvings - 1)
+        return self._reached(motion, middle, halvings - 1)
+
+    def _under(self, motion: Array) -> System:
+        """Return the same equations under another motion; solver and arrays are shared."""
+        rate = self._modes @ motion / motion[0]
+        constraints = replace(self.system.constraints, rate=rate)
+        return replace(self.system, constraints=constraints, latest=replace(self.system.latest))
+
+    def _described(self, system: System, motion: Array, state: State) -> MovedPlate:
+        rates = self._rates(system, state, system.assemble(state))
+        shape = (*system.space.nodes.shape, COMPONENTS)
+        return MovedPlate(
+            motion=motion.copy(),
+            state=state,
+            displacement=system.displacements(state.x).copy(),
+            rates=rates[: system.space.n_displacement].reshape(shape),
+        )
+
+    def _rates(self, system: System, state: State, assembly: Assembly) -> Array:
+        """Differentiate all unknowns by the motion, shape (n, 7)."""
+        start = np.zeros((system.space.n, COMPONENTS))
+        start[system.constraints.dofs] = self._modes
+        targets = []
+        for points, touch in zip(system.contact, assembly.contact, strict=True):
+            target = np.zeros((points.size, COMPONENTS))  # sideways motion opens no plane contact
+            target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
+            targets.append(target)
+        loads = Loads(np.zeros_like(start), start, tuple(targets))
+        rates = linear_rates(system, assembly, loads, _PRESCRIBED_MOTION_TOLERANCE)
+        if rates.excess > 1:
+            raise NoEquilibrium("the derivatives by the plate motion did not converge")
+        return rates.x
+
+
+def _modes(system: System) -> Array:
+    """Values of the constrained unknowns for a unit of every component, shape (n_held, 7)."""
+    dim, dofs = system.space.dim, system.constraints.dofs
+    top = at_level(system.space, system.mesh, system.mesh.height_mm)
+    values = np.zeros((system.space.n, COMPONENTS))
+    moved = (top[:, None] * dim + np.arange(dim)).ravel()
+    if np.setdiff1d(moved, dofs).size:
+        raise NoEquilibrium("the plate above must hold the face that it moves")
+    down = np.zeros((top.size, dim, 1))
+    down[:, -1] = -1.0
+    every = np.concatenate([down, face_motions(system.space, top)], axis=2)
+    values[moved] = every.reshape(-1, COMPONENTS)
+    return values[dofs]
 
 
 # -------------------------------------------------------------------------------------------------
@@ -379,17 +501,13 @@ def write_vtu(solution: Solution, path: str | Path, step: int = -1, *, whole: bo
         cell_data={name: [values] for name, values in cellular.items()},
     )
     mesh.write(path, file_format="vtu")
-    _write_facts(Path(path), solution, step, found)
-
-
-def _write_facts(path: Path, solution: Solution, step: int, found: Fields) -> None:
-    """Add what is of the whole file, which meshio does not write."""
-    above, below = solution.equilibria.plate[step], solution.equilibria.base[step]
+    # what is of the whole file meshio does not write
     facts = {"displacement_mm": [found.displacement_mm], "modelled_share": [found.share]}
-    for name, one in (("plate", above), ("base", below)):
-        facts[f"{name}_axial_N"] = [one.axial]
-        facts[f"{name}_side_N"] = [*one.side]
-        facts[f"{name}_moment_Nmm"] = [*one.moment]
+    bodies = {"plate": solution.equilibria.plate[step], "base": solution.equilibria.base[step]}
+    for name, held in bodies.items():
+        facts[f"{name}_axial_N"] = [held.axial]
+        facts[f"{name}_side_N"] = [*held.side]
+        facts[f"{name}_moment_Nmm"] = [*held.moment]
     rows = [
         f'<DataArray type="Float64" Name="{name}" NumberOfTuples="1" '
         f'NumberOfComponents="{len(values)}" format="ascii">'
@@ -398,6 +516,7 @@ def _write_facts(path: Path, solution: Solution, step: int, found: Fields) -> No
     ]
     grid = "<UnstructuredGrid>"
     data = f"{grid}\n<!-- {found.symmetry} -->\n<FieldData>{''.join(rows)}</FieldData>"
+    path = Path(path)
     written = read_existing(path, limit=path.stat().st_size)
     path.write_bytes(written.replace(grid.encode(), data.encode(), 1))
 
@@ -426,22 +545,15 @@ def cauchy_stress(system: System, state: State, F: Array, J: Array) -> Array:
     Shapes: F (3, 3, n_elements, n_quadrature); J (n_elements, n_quadrature); returns (3, 3,
     n_elements, n_quadrature).
     """
-    nominal = first_piola(system.material, F)
+    nominal, space = first_piola(system.material, F), system.space
     small = system.material.small_strain
     stress = nominal if small else np.einsum("ij...,kj...->ik...", nominal, F) / J
     eye = np.eye(3)[:, :, None, None]
-    stress = stress - np.trace(stress) / 3 * eye
-    return np.asarray(stress + _pressure(system, state, J) * eye)
-
-
-def _pressure(system: System, state: State, J: Array) -> Array:
-    """Mean stress at every quadrature point."""
-    space = system.space
-    pointwise = system.internal.pointwise_bulk(system.material)
-    own = space.dofs[:, space.dim * space.element_nodes.shape[1] :]
-    shape = np.broadcast_to(space.pressure_shape, (*space.weights.shape, own.shape[1]))
-    held = np.einsum("eqk,ek->eq", shape, state.x[own])
-    return np.asarray(held + pointwise * (J - 1))
+    pressures = space.dofs[:, space.dim * space.element_nodes.shape[1] :]
+    shape = np.broadcast_to(space.pressure_shape, (*space.weights.shape, pressures.shape[1]))
+    mean = np.einsum("eqk,ek->eq", shape, state.x[pressures])
+    mean = mean + system.internal.pointwise_bulk(system.material) * (J - 1)
+    return np.asarray(stress + (mean - np.trace(stress) / 3) * eye)
 
 
 def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:

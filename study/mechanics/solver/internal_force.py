@@ -6,8 +6,7 @@ sees vectors of unknowns and the sum of the tangents.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -63,17 +62,6 @@ class StoredEnergy(NamedTuple):
     def total(self) -> float:
         """What the work of the test goes into."""
         return self.material + self.stabilization + self.raised
-
-
-def without_shear(material: Material) -> Law:
-    """Law whose isochoric stress vanishes; its constants have the shape of the material's.
-
-    A function of the invariants becomes the polynomial without terms: at constants of zero some
-    of them divide by a limit of their stretches.
-    """
-    kind, constants = material.law()
-    is_of_invariants = kind >= PointLaw.POLYNOMIAL
-    return Law(PointLaw.POLYNOMIAL if is_of_invariants else kind, np.zeros_like(constants))
 
 
 class BulkSplit(NamedTuple):
@@ -218,13 +206,19 @@ class Internal:
 
         Residuals are linear in the local bulk modulus and in the compliance.
         """
-        rate, zero = BulkSplit(material.bulk_gradient()[name], 0.0), without_shear(material)
+        rate = BulkSplit(material.bulk_gradient()[name], 0.0)
         if self._mixed:
             c, shear_rate = self.local_bulk, material.mu0_gradient()[name]
             rate = split_bulk_rate(material.bulk, c * material.mu0, rate.local, c * shear_rate)
         out = np.zeros(self.space.n)
         if not any(rate):
             return out
+
+        # a law without isochoric stress whose constants have the material's shape: a function of
+        # the invariants becomes the polynomial, for some divide by a limit of their stretches
+        kind, constants = material.law()
+        kind = PointLaw.POLYNOMIAL if kind >= PointLaw.POLYNOMIAL else kind
+        zero = Law(kind, np.zeros_like(constants))
 
         def residual(local: float, compliance: float) -> Array:
             self._elements(x, _element_energy(zero, BulkSplit(local, compliance), 0.0))
@@ -261,6 +255,10 @@ class Tangent:
     edge: Unknowns
     #: Entries of the pattern, and what is kept of those elements.
     sums: Sums
+    #: Entries of the elements alone, where contact has added its own to the others.
+    elastic: Array = field(default_factory=lambda: np.zeros(0))
+    #: State that it was assembled at, drag apart; None before the first.
+    state: object = None
 
     @classmethod
     def of(cls, pattern: Pattern, dofs: Unknowns) -> Tangent:
@@ -278,11 +276,11 @@ class Tangent:
         """Entries of the pattern, shape (n_entries,); contact adds its own to them."""
         return self.sums.data
 
-    def product(self, v: Array) -> Array:
+    def product(self, v: Array, data: Array | None = None) -> Array:
         """Tangent times ``v``, shape (n,), constrained rows and columns included."""
-        out = self.beside(v)
+        out, entries = self.beside(v), self.data if data is None else data
         free, pattern = self.pattern.free, self.pattern
-        out[free] += symmetric_product(pattern.indptr, pattern.indices, self.data, v[free])
+        out[free] += symmetric_product(pattern.indptr, pattern.indices, entries, v[free])
         return out
 
     def beside(self, v: Array) -> Array:
@@ -307,9 +305,7 @@ class ContactBlocks:
     #: shape (n_points, m (m + 1) / 2); upper triangles.
     packed: Array
     _inside: NDArray[np.bool_]
-    _entries: Unknowns
     _edge: Unknowns
-    _before: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of(
@@ -321,28 +317,16 @@ class ContactBlocks:
             dofs = points.dofs(dim)
             positions = pattern.locate(dofs)
             inside = positions >= 0
-            entries = np.unique(positions[inside])
             edge = np.flatnonzero(~inside.all(axis=1)).astype(np.int32)
             packed = np.zeros(positions.shape)
-            each = dofs.astype(np.int32), positions, packed, inside, entries, edge
+            each = dofs.astype(np.int32), positions, packed, inside, edge
             found.append(cls(points, *each))
         return tuple(found)
 
     def fill(self, packed: Array, data: Array) -> None:
         """Add blocks to the entries of a pattern."""
         self.packed[:] = packed
-        self._before = data[self._entries]
         np.add.at(data, self.positions[self._inside], packed[self._inside])
-
-    @contextmanager
-    def taken_out(self, data: Array) -> Iterator[None]:
-        """Context in which the entries are what they were: subtracting would cost digits."""
-        filled = data[self._entries]
-        data[self._entries] = self._before
-        try:
-            yield
-        finally:
-            data[self._entries] = filled
 
     def add_beside(self, v: Array, out: Array) -> None:
         """Add the product with the entries of constrained rows and columns alone."""

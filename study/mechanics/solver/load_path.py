@@ -1,18 +1,21 @@
-"""One pass over the requested load steps: sub-steps, limit points, points where a curve bends."""
+"""One run over the requested load steps: sub-steps, limit points, points where a curve bends."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from study.ground.arrays import Array
-from study.mechanics.contact.contact import BESIDES, face_motions
-from study.mechanics.element.function_space import at_level, deformation_gradient
+from study.ground.arrays import Array, Flags, Ints
+from study.ground.curve import Curve
+from study.mechanics.element.function_space import deformation_gradient
 from study.mechanics.material.stability import always_elliptic, ellipticity
+from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Problem
+from study.mechanics.setup.test_kind import buckling_strain
 from study.mechanics.solver.equilibrium import (
+    Equilibria,
     Instability,
     is_unstable,
     least_stiffness,
@@ -27,104 +30,21 @@ from study.mechanics.solver.newton import (
     Options,
     sagged_state,
     solve_step,
+    solve_through,
 )
-from study.mechanics.solver.sensitivity import Loads, StepGradients, linear_rates, step_gradients
-from study.mechanics.solver.solution import Logbook, Solution, Step
-from study.mechanics.solver.system import Assembly, Drag, State, System
-
-# -------------------------------------------------------------------------------------------------
-# Past a limit point: the specimen creeps to the next equilibrium through something viscous.
-#
-# A surface that a sharp indenter stretches can lose its equilibrium at a load and find the next
-# one some way off: it snaps. Full Newton steps then jump to and fro for ever. Here the motion is
-# resisted by a drag in proportion to it, so that a state nearby balances (a backward Euler step of
-# the gradient flow, or pseudo-transient continuation: Kelley and Keyes 1998, SIAM J. Numer. Anal.
-# 35, 508). Step by step the drag falls, and the last step is one of plain Newton without it: the
-# equilibrium that is found is one of the specimen alone.
-
-#: steps in all, and plain solves that may fail before it is given up
-_STEPS = 60
-_TRIALS = 6
-
-#: drag over the diagonal of the tangent: at first, where it hardly counts, and where it is hopeless
-_FIRST = 0.05
-_LITTLE = 1e-4
-_MOST = 1e3
-
-#: it falls after an easy step, grows after a hard one and more so after one that failed
-_EASY = 6
-_HARD = 10
-_LESS = 0.25
-_MORE = 1.5
-_MUCH_MORE = 5.0
-
-#: iterations of a step that leads to the next, also while contact changes
-_ITERATIONS = 15
-_SWITCHING = 25
-
-#: motion over the size of an element below which a place is nearly one of equilibrium
-_STILL = 1e-3
-
-#: largest diagonal that counts, over the median: springs of the contact are no part of it
-_OUTSTANDING = 3.0
-
-
-def solve_through(
-    system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
-) -> NewtonResult:
-    """Equilibrium at ``guess.displacement_mm``, however far from the last one."""
-    weights = _weights(system, lifted_from or guess)
-    rough = replace(settings.passing(), max_iterations=_ITERATIONS, max_switching=_SWITCHING)
-    (place, lift), spent = _lifted(system, guess, rough, lifted_from)
-    drag, trials = _FIRST, 0
-    for _ in range(_STEPS):
-        dragged = replace(system, drag=Drag(drag * weights, place.x), latest=replace(system.latest))
-        result = solve_step(dragged, place, rough, lifted_from=lift)
-        spent += result.iterations
-        if not result.converged:
-            drag *= _MUCH_MORE
-            if drag > _MOST:
-                break
-            continue
-        moved = float(np.abs(result.state.x - place.x)[: system.space.n_displacement].max())
-        place, lift = replace(result.state, closed=()), None
-        still = drag <= _FIRST and moved < _STILL * system.mesh.contact_size_mm
-        if drag < _LITTLE or still:
-            result = solve_step(system, place, settings)
-            spent, trials = spent + result.iterations, trials + 1
-            if result.converged or trials == _TRIALS:
-                return replace(result, iterations=spent)
-            rough = replace(rough, tolerance=max(0.1 * rough.tolerance, settings.tolerance))
-            drag = max(drag, _LITTLE)
-        drag *= _LESS if result.iterations <= _EASY else _MORE if result.iterations > _HARD else 1.0
-    return replace(result, converged=False, iterations=spent)
-
-
-def _lifted(
-    system: System, guess: State, settings: NewtonSettings, before: State | None
-) -> tuple[tuple[State, State | None], int]:
-    """Place to begin at, the state to lift it from where it has yet to be lifted, and iterations.
-
-    A plate's motion spreads through the specimen as it is: drag would keep it near the plate.
-    """
-    if before is None:
-        return (guess, None), 0
-    once = replace(settings, max_iterations=1, max_switching=1)
-    tried = solve_step(system, guess, once, lifted_from=before)
-    there = tried.state.displacement_mm == guess.displacement_mm
-    return (tried.state, None) if there else (guess, before), tried.iterations
-
-
-def _weights(system: System, state: State) -> Array:
-    """Diagonal of the tangent at the displacements, zero where nothing moves freely."""
-    system.assemble(state)
-    free = system.pattern.free
-    moving = free < system.space.n_displacement
-    diagonal = np.abs(system.data[system.pattern.indptr[:-1]])[moving]
-    weights = np.zeros(system.space.n)
-    weights[free[moving]] = np.minimum(diagonal, _OUTSTANDING * np.median(diagonal))
-    return weights
-
+from study.mechanics.solver.sensitivity import StepGradients, step_gradients
+from study.mechanics.solver.solution import (
+    JUMP_SHARE,
+    STICKING_JUMP_SHARE,
+    EnergyBalance,
+    Solution,
+    Step,
+    Warm,
+    balanced,
+    jumped,
+)
+from study.mechanics.solver.system import State, System
+from study.mechanics.surface.closed_surface import body
 
 #: share of the first stiffness below which a specimen gives way
 _VANISHED_SHARE = 0.2
@@ -205,6 +125,17 @@ _LOAD_PATH_HALVINGS = 3
 _ROUNDS = 8
 
 
+#: what a user can do about an energy that is stretched too far
+_OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another energy"
+
+#: part of the displacement up to which the specimen's surface may lie inside the moving one unsaid:
+#: where a facet bridges the edge of a punch, the force is that of a blunter one
+_INSIDE = 0.1
+
+#: force of a pin over that of the test above which a specimen is not balanced
+_UNBALANCED = 1e-3
+
+
 #: what a load step starts from, so that it can be taken once more in halves: the state and the one
 #: before, J, length and smallest J
 _Place = tuple[State, State | None, Array, float, float]
@@ -237,7 +168,9 @@ class LoadPath:
         self.J = system.volume_ratios(self.state.x)
         self.rule = problem.setup.step_rule(options.steps, system.mesh.height_mm)
         self.step_mm = self.rule.first_mm
-        self.logbook = Logbook(system, problem, self.wanted, options.curve_error)
+        self.steps: list[Step] = []
+        #: displacements at which the surface snapped to another equilibrium, mm
+        self.snaps: list[float] = []
         self.min_j, self.reason = 1.0, ""
         self.instability: Instability | None = None
         self._known_to_stand, self._local_surplus = 0.0, 0
@@ -249,18 +182,18 @@ class LoadPath:
         if self.rest is None:
             self.reason = FALLS
             return self
-        for target, asked in self._targets():
+        for target in self._targets():
             if not self._advance(target, _LOAD_PATH_HALVINGS):
                 break
-            self.logbook.requested += asked
             self.progress(target / self.problem.test.depth_mm)
-        if self.options.curve_error and not self._follows and not self.system.sticks:
-            self._fill_in(self.options.curve_error)
+        error, fills = self.options.curve_error, not (self._follows or self.system.sticks)
+        if error and fills and self._complete:
+            self._fill_in(error)
         self._look_back()
         return self
 
-    def _targets(self) -> list[tuple[float, bool]]:
-        """Displacements, and whether they are requested; an earlier solve's may be among them.
+    def _targets(self) -> list[float]:
+        """List the requested displacements; those of an earlier solve may be among them.
 
         Curves of one problem then have the same points, and their difference is one of forces.
         """
@@ -272,19 +205,19 @@ class LoadPath:
         added = [d for d in followed if d < asked[-1]]
         near = 1e-9 * self.system.mesh.height_mm
         others = [d for d in added if min(abs(d - own) for own in asked) > near]
-        return sorted([(d, True) for d in asked] + [(d, False) for d in others])
+        return sorted([*asked, *others])
 
     def _advance(self, target: float, halvings: int) -> bool:
         """Reach a displacement and write it down, in halves where energy does not add up."""
-        place, snaps = self._place(), len(self.logbook.snaps)
+        place, snaps = self._place(), len(self.snaps)
         result, spent = self._reach(target)
         if result is None:
             return False
         # made here, for other steps may be assembled before it is written down
         step = self._step(result, self.state, spent)
         unstable = self._gives_way()
-        known = len(self.logbook.snaps) > snaps
-        jumped = not known and self.logbook.jumped_to(step)
+        known = len(self.snaps) > snaps
+        jumped = not known and self._jumped_to(step)
         if jumped and halvings and not self.system.sticks:
             there, middle = self._place(), 0.5 * (place[0].displacement_mm + target)
             self._return_to(place)
@@ -295,8 +228,8 @@ class LoadPath:
             self._refuse(self.state, self.system)
             return False
         if jumped:
-            self.logbook.snaps.append(self.logbook.reached[-1])
-        self.logbook.add(step)
+            self.snaps.append(self._reached[-1])
+        self._add(step)
         return True
 
     def _gives_way(self) -> bool:
@@ -320,9 +253,9 @@ class LoadPath:
 
         The last step gets factors of its own where those at hand told nothing of it.
         """
-        last = self.logbook.last
-        if last is None or self.instability is not None:
+        if not self.steps or self.instability is not None:
             return
+        last = self.steps[-1].state
         if last.displacement_mm > self._known_to_stand and is_unstable(self.system, last):
             self._refuse(last, self.system)
             return
@@ -335,7 +268,7 @@ class LoadPath:
     ) -> None:
         """Go back to the last stable step, by bisection, and say where stability was lost."""
         place_mm = unstable.displacement_mm
-        steps = [step.state for step in self.logbook.steps]
+        steps = [step.state for step in self.steps]
         states = [s for s in steps if s.displacement_mm < place_mm] + [unstable]
         stable, first = -1, len(states) - 1
         if first and not is_unstable(system, states[first - 1]):  # as a rule
@@ -352,7 +285,7 @@ class LoadPath:
         a, b = before.displacement_mm, states[first].displacement_mm
         share = k0 / (k0 - k1) if k1 < 0 < k0 else 1.0
         self.instability = Instability(a + share * (b - a), a, b, sway, mode, parity)
-        self.logbook.drop_from(b)
+        self._drop_from(b)
         self.reason, self.state = self.instability.sentence, before
         self.J = self.system.volume_ratios(before.x)
         self.min_j = float(self.J.min())
@@ -365,24 +298,28 @@ class LoadPath:
         self.state, self.previous, self.J, self.step_mm, self.min_j = place
         self.reason = ""
         # the way that led past the last step written down is given up, and its jumps with it
-        last_mm = self.logbook.reached[-1] if self.logbook.reached else 0.0
-        self.logbook.snaps = [at for at in self.logbook.snaps if at < last_mm]
+        last_mm = self._reached[-1] if self._reached else 0.0
+        self.snaps = [at for at in self.snaps if at < last_mm]
 
     def _fill_in(self, error: float) -> None:
         """Add steps in the middle of intervals in which the curve bends.
 
         What is missed where no more can be added, or after the last round, is said in the message.
         """
+        failed = set[float]()  # intervals that took no step: another try would fail again
         for _ in range(_ROUNDS):
-            added = [self._insert(place_mm) for place_mm in self.logbook.coarse_intervals(error)]
-            if not any(added):
+            coarse = self._curve(self._balance()[1]).coarse_intervals(error)
+            places = [mm for mm in coarse if mm not in failed]
+            added = [mm for mm in places if self._insert(mm)]
+            failed.update(set(places).difference(added))
+            if not added:
                 return
 
     def _insert(self, displacement: float) -> bool:
         """Write down an equilibrium between two steps, where it lies on the way between them."""
-        before, after = self.logbook.around(displacement)
-        left = (self.rest or self.system.start()) if before is None else before
-        end = self._place()
+        at = int(np.searchsorted(self._reached, displacement))
+        left = self.steps[at - 1].state if at else self.rest or self.system.start()
+        after, end = self.steps[at].state, self._place()
         result = self._halfway(left, after, displacement)
         if result is None:  # reached from there by load steps like any others
             self.state, self.previous, self.J = left, None, self.system.volume_ratios(left.x)
@@ -391,9 +328,9 @@ class LoadPath:
         is_added = False
         if result is not None:
             step = self._step(result, result.state, result.iterations)
-            is_added = self.logbook.lies_between(step)
+            is_added = self._lies_between(step)
             if is_added:
-                self.logbook.add(step)
+                self._add(step)
         self._return_to(end)
         return is_added
 
@@ -414,7 +351,7 @@ class LoadPath:
 
         Where a surface is about to snap, the way that led there decides whether it is passed.
         """
-        done = self.logbook.complete or self.instability is not None
+        done = self._complete or self.instability is not None
         return not done and not self._lost()
 
     def _reach(self, target: float) -> tuple[NewtonResult | None, int]:
@@ -487,7 +424,7 @@ class LoadPath:
             if result.converged:
                 self._write_down_both_sides(result)
                 self.step_mm, self.previous = 0.5 * step, None
-                self.logbook.snaps.append(here)
+                self.snaps.append(here)
                 # assembled once more: slopes are those of the state that was assembled last
                 again = solve_step(self.system, result.state, newton)
                 return replace(again, iterations=spent + again.iterations)
@@ -503,7 +440,7 @@ class LoadPath:
             return
         landed, here_mm = landing.state, self.state.displacement_mm
         arrived = self._step(landing, landed, landing.iterations)
-        way_mm = here_mm - (self.logbook.reached[-1] if self.logbook.reached else 0.0)
+        way_mm = here_mm - (self._reached[-1] if self._reached else 0.0)
         if way_mm > self.rule.smallest_mm():
             self._write_down_near(self.state, [here_mm - share * way_mm for share in _BEFORE])
         places = [here_mm + share * (landed.displacement_mm - here_mm) for share in _BACK]
@@ -526,8 +463,8 @@ class LoadPath:
             if not (found.converged and _near(found, self.system.volume_ratios(state.x))):
                 continue
             step = self._step(found, found.state, found.iterations)
-            if arrived is None or not self.logbook.lies_apart(step, arrived):
-                self.logbook.add(step)
+            if arrived is None or not self._lies_apart(step, arrived):
+                self._add(step)
                 return
 
     def _extrapolated(self, displacement: float) -> State | None:
@@ -551,7 +488,9 @@ class LoadPath:
         step = self._warm_steps[near[0]]
         x, multipliers = step.state.x.copy(), list(step.state.multipliers)
         for name, rate in step.gradients.constants.items():
-            change = self.problem.material.constants[name] - self.warm.values[name]
+            change = (
+                self.problem.material.constants[name] - self.warm.system.material.constants[name]
+            )
             x += change * rate.x
             multipliers = [
                 m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)
@@ -592,139 +531,209 @@ class LoadPath:
             self._latest = result, row
         return self._latest[1]
 
-    def solution(self, seconds: float) -> Solution:
-        """Return what was written down; ``seconds`` is the time that it took."""
-        ended = self._lost(), self._why()
-        return self.logbook.solution(self.state, self.min_j, *ended, seconds, self.instability)
-
     def _why(self) -> str:
         """Why the run went no further: a limit point is no failure of the iteration."""
-        steps = self.logbook.steps
-        if self.logbook.complete or self.instability or self._lost() or not steps:
+        steps = self.steps
+        if self._complete or self.instability or self._lost() or not steps:
             return self.reason
         return gives_way(self.system, steps[0].state, self.state) or self.reason
+
+    @property
+    def _reached(self) -> list[float]:
+        """Displacements of the steps, mm."""
+        return [step.state.displacement_mm for step in self.steps]
+
+    @property
+    def _asked(self) -> Flags:
+        """Steps that were requested: others were added where energy is missing or a curve bends."""
+        places = np.array(self._reached) * self.problem.test.steps / self._whole_mm
+        return np.asarray(np.abs(places - np.round(places)) < 1e-6)
+
+    @property
+    def _complete(self) -> bool:
+        """Whether every requested step is there."""
+        return int(np.count_nonzero(self._asked)) == self.problem.test.steps
+
+    @property
+    def _whole_mm(self) -> float:
+        return self.problem.test.depth_mm
+
+    @property
+    def _share(self) -> float:
+        """Share of the stored energy above which something has jumped."""
+        return STICKING_JUMP_SHARE if self.system.sticks else JUMP_SHARE
+
+    def _add(self, step: Step) -> None:
+        """Write down a step that converged, in the order of displacements."""
+        self.steps.insert(int(np.searchsorted(self._reached, step.state.displacement_mm)), step)
+
+    def _drop_from(self, displacement_mm: float) -> None:
+        """Forget the steps from a displacement on."""
+        del self.steps[int(np.searchsorted(self._reached, displacement_mm * (1 - 1e-12))) :]
+        self.snaps = [place for place in self.snaps if place < displacement_mm]
+
+    def _lies_apart(self, before: Step, after: Step) -> bool:
+        """Whether energy is missing, or too much, between two states."""
+        return jumped(before, after, self._whole_mm, self._share)
+
+    def _jumped_to(self, step: Step) -> bool:
+        """Whether energy is missing, or too much, since the last step written down.
+
+        Within the first requested step nothing is looked at: contact begins point by point there,
+        and the slope at first touch is not known.
+        """
+        first_mm = self._whole_mm / self.problem.test.steps
+        if not self.steps or self._reached[-1] < (1 - 1e-9) * first_mm:
+            return False
+        return self._lies_apart(self.steps[-1], step)
+
+    def _lies_between(self, step: Step) -> bool:
+        """Whether a state is on the way between its neighbors.
+
+        Of another branch energy is missing on the way there, and too much on the way back. Before
+        the first state nothing is known that it could be held against.
+        """
+        at = int(np.searchsorted(self._reached, step.state.displacement_mm))
+        there = at > 0 and self._lies_apart(self.steps[at - 1], step)
+        return not (there and self._lies_apart(step, self.steps[at]))
+
+    def _equilibria(self, kept: Ints) -> Equilibria:
+        """Reactions and contact of some steps, given by their places."""
+        plate, base, contact = (tuple(self.steps[n].held[k] for n in kept) for k in range(3))
+        return Equilibria(plate, base, contact, self.instability)
+
+    def _balance(self) -> tuple[EnergyBalance, Array]:
+        """Energy balance of the steps, and the work done up to each, shape (n,), N mm."""
+        return balanced(self.steps, tuple(self.snaps), self._whole_mm, self._share)
+
+    def _curve(self, work_Nmm: Array) -> Curve:
+        """Force-displacement curve with its gradients."""
+        rows = [step.gradients for step in self.steps]
+        return Curve(
+            np.array(self._reached),
+            np.array([row.force_N for row in rows]),
+            np.array([row.stiffness_N_per_mm for row in rows]),
+            {n: np.array([row.force_gradient[n] for row in rows]) for n in self.wanted},
+            work_Nmm,
+            is_conjugate=self.system.constraints.axial is None,
+            quantities=self._equilibria(np.arange(len(rows))).quantities(),
+        )
+
+    def solution(self, seconds: float) -> Solution:
+        """Return what was written down; ``seconds`` is the time that it took."""
+        system, state, lost = self.system, self.state, self._lost()
+        # the steps that were requested, or all, with the iterations of those left out before them
+        kept = np.flatnonzero(self._asked | (self.options.curve_error is not None))
+        total = np.cumsum([0, *(step.iterations for step in self.steps)])[np.r_[0, kept + 1]]
+        balance, work = self._balance()
+        curve, gave_way = self._curve(work), bool(lost) or self.instability is not None
+        status = "converged" if self._complete else "unstable" if gave_way else "not-converged"
+        if self._complete and self._apart():
+            status = "lost-contact"
+        return Solution(
+            status=status,
+            message=self._message(lost, curve),
+            curve=curve.at_points(kept),
+            energy=balance.at_points(kept),
+            reached_mm=state.displacement_mm,
+            min_j=self.min_j,
+            equilibria=self._equilibria(kept),
+            newton_iterations=tuple(int(n) for n in np.diff(total)),
+            dofs=system.dofs,
+            elements=system.space.n_elements,
+            mesh_hash=system.mesh.digest(),
+            mesh_size_mm=system.mesh.size_mm,
+            solver=system.solver.name,
+            seconds={**system.seconds, "total": seconds},
+            points=system.mesh.points,
+            cells=system.mesh.cells,
+            displacement=system.displacements(state.x)[: len(system.mesh.points)],
+            warm=Warm(system, tuple(self.steps[k] for k in kept)),
+        )
+
+    def _message(self, lost: str, curve: Curve) -> str:
+        """Say how the run ended, and what was mended or is not as it should be."""
+        said = ["every step converged"]
+        if self.snaps:
+            places = ", ".join(f"{d:.3g}" for d in sorted(self.snaps))
+            said.append(f"past {places} mm the surface snapped to another equilibrium")
+        pinned = max((step.pinned for step in self.steps), default=0.0)
+        if pinned > _UNBALANCED:
+            said.append(
+                "what only keeps the specimen from sliding or turning carries up to "
+                f"{100 * pinned:.2g} % of the force: it is not balanced as it stands"
+            )
+        if not self._complete:
+            reached, asked = self.state.displacement_mm, self.problem.test.depth_mm
+            said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {lost or self._why()}"]
+            if lost:
+                said.append(_OUT_OF_REACH)
+        elif apart := self._apart():
+            said = [apart]
+        elif lost:
+            said.append(f"{lost}: there the answer depends on the mesh")
+        inside = max((step.held[2].penetration_mm for step in self.steps), default=0.0)
+        if inside > _INSIDE * self._whole_mm:
+            said.append(
+                f"the specimen's surface lies up to {inside:.2g} mm inside the moving one, "
+                f"{100 * inside / self._whole_mm:.2g} % of the displacement: use a smaller "
+                "mesh_size, or press less deep"
+            )
+        said += self._cannot_sway()
+        said += self._not_converged(curve)
+        if isinstance(self.problem.specimen, Enclosed):
+            said += body(self.problem.specimen).notes
+        return "; ".join(said)
+
+    def _apart(self) -> str:
+        """Say where what moves has lost the specimen, or never met it; empty where it has not.
+
+        A specimen that has yet to be reached is no loss, nor is a bonded plate that pulls.
+        """
+        slides = self.problem.test.interface == "frictionless"
+        held = [step.held for step in self.steps]
+        pulls = np.array([slides and above.axial < 0 for above, _, _ in held], dtype=bool)
+        off = pulls | (np.array([figures.area_mm2 for _, _, figures in held]) == 0)
+        if self.problem.setup.is_whole and not self.problem.setup.contacts:
+            return ""
+        met = np.flatnonzero(~off)
+        if off.size and not met.size:
+            return "nothing touches the specimen: it has sagged away, or the test ends too early"
+        lost = np.flatnonzero(off & (np.arange(off.size) > (met[0] if met.size else 0)))
+        return f"contact is lost at {self._reached[lost[0]]:.4g} mm" if lost.size else ""
+
+    def _cannot_sway(self) -> list[str]:
+        """Say that a column went past Euler's load in a model whose axis holds it straight."""
+        setup, height_mm = self.problem.setup, self.system.mesh.height_mm
+        critical = buckling_strain(setup.test, setup.specimen)
+        if self.system.space.dim == 3 or self.system.material.small_strain or critical is None:
+            return []
+        if not self._reached or self._reached[-1] < critical * height_mm:
+            return []
+        return [
+            f"a column of this slenderness buckles at about {critical * height_mm:.3g} mm (Euler's "
+            "load), which a model with an axis of symmetry cannot show"
+        ]
+
+    def _not_converged(self, curve: Curve) -> list[str]:
+        """Say which iterations beside Newton's ended before their tolerance."""
+        notes, missed = [], [step for step in self.steps if step.gradients.excess > 1]
+        if missed:
+            worst = max(missed, key=lambda step: step.gradients.excess)
+            notes.append(
+                f"the derivatives of {len(missed)} steps did not converge: at "
+                f"{worst.state.displacement_mm:.4g} mm {worst.gradients.excess:.2g} times the "
+                "residual that is allowed is left"
+            )
+        error, most = curve.relative_interpolation_error(), self.options.curve_error
+        if self._complete and most is not None and error > most:
+            notes.append(
+                f"between its points the curve may be off by {100 * error:.2g} % of the force, "
+                f"more than the {100 * most:.2g} % asked for: use more steps"
+            )
+        return notes
 
 
 def _near(result: NewtonResult, J: Array) -> bool:
     """Whether a state has still much of the ``J`` of the one that it was reached from."""
     return bool((_LEAPT * J < result.J).all())
-
-
-# -------------------------------------------------------------------------------------------------
-# Equilibria under any motion of a plate, and how they move with it.
-#
-# A load path brings a specimen to one motion. Equilibria at others are reached from there along
-# the derivatives by the motion, which one factorization gives for all of its components: of an
-# elastic body the way does not matter.
-
-#: components of a motion: towards the specimen, x and y (mm), three rotations (rad), spread
-COMPONENTS = 1 + BESIDES
-
-#: residual of the derivatives over the forces that they balance
-_PRESCRIBED_MOTION_TOLERANCE = 1e-6
-
-#: halvings of a change of motion that is too large for one step
-_PRESCRIBED_MOTION_HALVINGS = 5
-
-
-@dataclass(frozen=True)
-class MovedPlate:
-    """Equilibrium at a motion of the plate."""
-
-    #: shape (7,); down, x and y in mm, rotations about x, y and the axis in rad, spread.
-    motion: Array
-    state: State
-    #: shape (n_nodes, 3); of the nodes, mm.
-    displacement: Array
-    #: shape (n_nodes, 3, 7); derivatives of the displacements by the motion.
-    rates: Array
-
-
-class NoEquilibrium(Exception):
-    """No equilibrium was found at a motion of the plate."""
-
-
-class PrescribedMotion:
-    """A solved plate motion that can be taken elsewhere."""
-
-    def __init__(self, problem: Problem, solution: Solution) -> None:
-        if solution.warm is None or not solution.converged:
-            raise NoEquilibrium(solution.message)
-        self.system = solution.warm.system
-        self._modes = _modes(self.system)
-        self._settings = NewtonSettings()
-        state, besides = solution.warm.steps[-1].state, problem.test.motion
-        others = np.zeros(BESIDES) if besides is None else besides.components()
-        motion = np.concatenate([[problem.test.depth_mm], others])
-        self.start = self._described(self._under(motion), motion, state)
-
-    def at(self, motion: Array, near: MovedPlate) -> MovedPlate:
-        """Equilibrium at another motion.
-
-        Shapes: motion (7,).
-        """
-        if not motion[0] > 0:
-            raise NoEquilibrium(f"the plate would move by {motion[0]:.3g} mm, off the specimen")
-        return self._reached(motion, near, _PRESCRIBED_MOTION_HALVINGS)
-
-    def _reached(self, motion: Array, near: MovedPlate, halvings: int) -> MovedPlate:
-        system = self._under(motion)
-        guess = near.state.x.copy()
-        moved = near.displacement + near.rates @ (motion - near.motion)
-        guess[: system.space.n_displacement] = moved.ravel()
-        guess[system.constraints.dofs] = system.prescribed(float(motion[0]))
-        start = replace(near.state, displacement_mm=float(motion[0]), x=guess)
-        if (system.volume_ratios(guess) > 0).all():
-            found = solve_step(system, start, self._settings)
-            if found.converged:
-                return self._described(system, motion, found.state)
-        if not halvings:
-            raise NoEquilibrium("no equilibrium was found at the plate motion that fits")
-        middle = self._reached(0.5 * (motion + near.motion), near, halvings - 1)
-        return self._reached(motion, middle, halvings - 1)
-
-    def _under(self, motion: Array) -> System:
-        """Return the same equations under another motion; solver and arrays are shared."""
-        rate = self._modes @ motion / motion[0]
-        constraints = replace(self.system.constraints, rate=rate)
-        return replace(self.system, constraints=constraints, latest=replace(self.system.latest))
-
-    def _described(self, system: System, motion: Array, state: State) -> MovedPlate:
-        rates = self._rates(system, state, system.assemble(state))
-        shape = (*system.space.nodes.shape, COMPONENTS)
-        return MovedPlate(
-            motion=motion.copy(),
-            state=state,
-            displacement=system.displacements(state.x).copy(),
-            rates=rates[: system.space.n_displacement].reshape(shape),
-        )
-
-    def _rates(self, system: System, state: State, assembly: Assembly) -> Array:
-        """Differentiate all unknowns by the motion, shape (n, 7)."""
-        start = np.zeros((system.space.n, COMPONENTS))
-        start[system.constraints.dofs] = self._modes
-        targets = []
-        for points, touch in zip(system.contact, assembly.contact, strict=True):
-            target = np.zeros((points.size, COMPONENTS))  # sideways motion opens no plane contact
-            target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
-            targets.append(target)
-        loads = Loads(np.zeros_like(start), start, tuple(targets))
-        rates = linear_rates(system, assembly, loads, _PRESCRIBED_MOTION_TOLERANCE)
-        if rates.excess > 1:
-            raise NoEquilibrium("the derivatives by the plate motion did not converge")
-        return rates.x
-
-
-def _modes(system: System) -> Array:
-    """Values of the constrained unknowns for a unit of every component, shape (n_held, 7)."""
-    dim, dofs = system.space.dim, system.constraints.dofs
-    top = at_level(system.space, system.mesh, system.mesh.height_mm)
-    values = np.zeros((system.space.n, COMPONENTS))
-    moved = (top[:, None] * dim + np.arange(dim)).ravel()
-    if np.setdiff1d(moved, dofs).size:
-        raise NoEquilibrium("the plate above must hold the face that it moves")
-    down = np.zeros((top.size, dim, 1))
-    down[:, -1] = -1.0
-    every = np.concatenate([down, face_motions(system.space, top)], axis=2)
-    values[moved] = every.reshape(-1, COMPONENTS)
-    return values[dofs]

@@ -10,7 +10,10 @@ import numpy as np
 from study.ground.arrays import Array, Flags
 from study.mechanics.setup.test_kind import StepSettings
 from study.mechanics.solver.linear_solver import SingularMatrixError
-from study.mechanics.solver.system import Assembly, State, System
+from study.mechanics.solver.system import Assembly, Drag, State, System
+
+#: why a state has no stress where no element is inverted
+_OUT_OF_REACH = "a point is stretched beyond what the energy reaches, such as the end of its chains"
 
 #: iterations after which a residual that was never below the next figure is given up
 _HOPELESS = 9
@@ -31,6 +34,9 @@ _LOOSEST = 0.01
 _ROUGH = 1e-3
 
 
+#: a step is halved until no J falls below this fraction of its last value
+_J_FILTER = 0.5
+
 #: tolerance and gap of a state that only leads to the next
 _PASSING_TOLERANCE = 1e-3
 _PASSING_GAP = 2e-5
@@ -49,8 +55,6 @@ class NewtonSettings:
     #: After as many the step has failed; the second counts while contact still changes.
     max_iterations: int = 25
     max_switching: int = 40
-    #: A step is halved until no J falls below this fraction of its last value.
-    j_filter: float = 0.5
 
     def passing(self) -> NewtonSettings:
         """For a state that nobody asked for: it only leads to the next."""
@@ -97,7 +101,8 @@ def solve_step(
         state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
         assembly = system.assemble(state)
         if not assembly.min_j > 0:
-            return NewtonResult(state, False, iteration, _invalid(J), ())
+            reason = _OUT_OF_REACH if (J > 0).all() else "an element is inverted"
+            return NewtonResult(state, False, iteration, reason, ())
         right = -assembly.residual[free]
         if lift.size:
             right -= system.lift_product(lift)
@@ -118,7 +123,7 @@ def solve_step(
         if lift.size:
             increment[system.constraints.dofs] = lift
             state = replace(state, displacement_mm=guess.displacement_mm)
-        fraction, J = _filtered(system, state.x, J, increment, settings)
+        fraction, J = _filtered(system, state.x, J, increment)
         if fraction == 0 or (lift.size and fraction < 1):  # the plate would stay on its way
             return NewtonResult(state, False, iteration, "an element would be inverted", ())
         updated = []
@@ -165,21 +170,12 @@ def _solved(
     return system.solve_afresh(right, rough)
 
 
-def _invalid(J: Array) -> str:
-    """Why a state has no stress: its volume ratios tell an inverted element."""
-    if (J > 0).all():
-        return "a point is stretched beyond what the energy reaches, such as the end of its chains"
-    return "an element is inverted"
-
-
-def _filtered(
-    system: System, x: Array, before: Array, increment: Array, settings: NewtonSettings
-) -> tuple[float, Array]:
+def _filtered(system: System, x: Array, before: Array, increment: Array) -> tuple[float, Array]:
     """Longest halving of a step that keeps every J, and what J is there; 0 where 1/1024 fails."""
     fraction = 1.0
     while fraction > 1e-3:
         J = system.volume_ratios(x + fraction * increment)
-        if (settings.j_filter * before < J).all():
+        if (_J_FILTER * before < J).all():
             return fraction, J
         fraction /= 2
     return 0.0, before
@@ -276,6 +272,100 @@ class Switches:
             chosen.append(side)
         self._last, self._iteration = chosen, self._iteration + 1
         return replace(state, closed=tuple(chosen))
+
+
+# -------------------------------------------------------------------------------------------------
+# Past a limit point: the specimen creeps to the next equilibrium through something viscous.
+#
+# A surface that a sharp indenter stretches can lose its equilibrium at a load and find the next
+# one some way off: it snaps. Full Newton steps then jump to and fro for ever. Here the motion is
+# resisted by a drag in proportion to it, so that a state nearby balances (a backward Euler step of
+# the gradient flow, or pseudo-transient continuation: Kelley and Keyes 1998, SIAM J. Numer. Anal.
+# 35, 508). Step by step the drag falls, and the last step is one of plain Newton without it: the
+# equilibrium that is found is one of the specimen alone.
+
+#: steps in all, and plain solves that may fail before it is given up
+_STEPS = 60
+_TRIALS = 6
+
+#: drag over the diagonal of the tangent: at first, where it hardly counts, and where it is hopeless
+_FIRST = 0.05
+_LITTLE = 1e-4
+_MOST = 1e3
+
+#: it falls after an easy step, grows after a hard one and more so after one that failed
+_EASY = 6
+_HARD = 10
+_LESS = 0.25
+_MORE = 1.5
+_MUCH_MORE = 5.0
+
+#: iterations of a step that leads to the next, also while contact changes
+_ITERATIONS = 15
+_SWITCHING = 25
+
+#: motion over the size of an element below which a place is nearly one of equilibrium
+_STILL = 1e-3
+
+#: largest diagonal that counts, over the median: springs of the contact are no part of it
+_OUTSTANDING = 3.0
+
+
+def solve_through(
+    system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
+) -> NewtonResult:
+    """Equilibrium at ``guess.displacement_mm``, however far from the last one."""
+    weights = _weights(system, lifted_from or guess)
+    rough = replace(settings.passing(), max_iterations=_ITERATIONS, max_switching=_SWITCHING)
+    (place, lift), spent = _lifted(system, guess, rough, lifted_from)
+    drag, trials = _FIRST, 0
+    for _ in range(_STEPS):
+        dragged = replace(system, drag=Drag(drag * weights, place.x), latest=replace(system.latest))
+        result = solve_step(dragged, place, rough, lifted_from=lift)
+        spent += result.iterations
+        if not result.converged:
+            drag *= _MUCH_MORE
+            if drag > _MOST:
+                break
+            continue
+        moved = float(np.abs(result.state.x - place.x)[: system.space.n_displacement].max())
+        place, lift = replace(result.state, closed=()), None
+        still = drag <= _FIRST and moved < _STILL * system.mesh.contact_size_mm
+        if drag < _LITTLE or still:
+            result = solve_step(system, place, settings)
+            spent, trials = spent + result.iterations, trials + 1
+            if result.converged or trials == _TRIALS:
+                return replace(result, iterations=spent)
+            rough = replace(rough, tolerance=max(0.1 * rough.tolerance, settings.tolerance))
+            drag = max(drag, _LITTLE)
+        drag *= _LESS if result.iterations <= _EASY else _MORE if result.iterations > _HARD else 1.0
+    return replace(result, converged=False, iterations=spent)
+
+
+def _lifted(
+    system: System, guess: State, settings: NewtonSettings, before: State | None
+) -> tuple[tuple[State, State | None], int]:
+    """Place to begin at, the state to lift it from where it has yet to be lifted, and iterations.
+
+    A plate's motion spreads through the specimen as it is: drag would keep it near the plate.
+    """
+    if before is None:
+        return (guess, None), 0
+    once = replace(settings, max_iterations=1, max_switching=1)
+    tried = solve_step(system, guess, once, lifted_from=before)
+    there = tried.state.displacement_mm == guess.displacement_mm
+    return (tried.state, None) if there else (guess, before), tried.iterations
+
+
+def _weights(system: System, state: State) -> Array:
+    """Diagonal of the tangent at the displacements, zero where nothing moves freely."""
+    system.assemble(state)
+    free = system.pattern.free
+    moving = free < system.space.n_displacement
+    diagonal = np.abs(system.data[system.pattern.indptr[:-1]])[moving]
+    weights = np.zeros(system.space.n)
+    weights[free[moving]] = np.minimum(diagonal, _OUTSTANDING * np.median(diagonal))
+    return weights
 
 
 # -------------------------------------------------------------------------------------------------

@@ -277,7 +277,17 @@ def _loads(system: System, state: State, assembly: Assembly, wanted: tuple[str, 
     for points, touch in zip(system.contact, assembly.contact, strict=True):
         dofs = points.dofs(system.space.dim)
         np.add.at(right[:, 0], dofs.ravel(), -points.rotation_forces(touch).ravel())
-    return Loads(right, start, _targets(system, state, assembly, wanted))
+    targets = []  # the loading moves the surface; constants move where ties hold their points
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        target = np.zeros((points.size, k))
+        target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
+        if straight is not None:
+            target[:, -1] = target[:, 0]
+        if state.glue is not None and isinstance(points, TiedPoints):
+            for column, name in enumerate(wanted, start=1):
+                target[:, column] = state.glue.rate(name)[:, points.surface.axis]
+        targets.append(target)
+    return Loads(right, start, tuple(targets))
 
 
 def _force(assembly: Assembly, rates: Rates, t: int) -> float:
@@ -324,24 +334,3 @@ def _rate(system: System, rates: Rates, j: int) -> Rate:
         everywhere[each.among] = each.pressure[:, j]
         pressures.append(everywhere)
     return Rate(rates.x[:, j].copy(), tuple(pressures))
-
-
-def _targets(
-    system: System, state: State, assembly: Assembly, wanted: tuple[str, ...]
-) -> tuple[Array, ...]:
-    """Rate of n . x that keeps active contact closed.
-
-    The loading moves the surface; constants move the places where ties hold their points.
-    """
-    targets = []
-    for points, touch in zip(system.contact, assembly.contact, strict=True):
-        straight = system.constraints.axial is not None
-        target = np.zeros((points.size, 1 + len(wanted) + straight))
-        target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
-        if straight:
-            target[:, -1] = target[:, 0]
-        if state.glue is not None and isinstance(points, TiedPoints):
-            for column, name in enumerate(wanted, start=1):
-                target[:, column] = state.glue.rate(name)[:, points.surface.axis]
-        targets.append(target)
-    return tuple(targets)

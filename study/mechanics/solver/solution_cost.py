@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from study.ground.arrays import Array
 from study.ground.errors import Fault
 from study.mechanics.contact.contact import constraints
+from study.mechanics.element.function_space import Nodes, basis_of, pressure_of
 from study.mechanics.mesh.graded import BULGE, CORE, UNDER_CONE, around, has_room, inward, sizes_of
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.size_field import SizeField
@@ -25,9 +27,6 @@ from study.mechanics.mesh.solid import expected_unknowns as inside
 from study.mechanics.mesh.structured import (
     CORNER_FRACTION,
     GROWTH,
-    KINDS,
-    MIDDLES,
-    QUADRATIC,
     Mesh,
     equivalent_radius,
 )
@@ -280,8 +279,8 @@ _ENCLOSED = 2.6
 _PATIENCE_S = 0.5
 
 #: seconds of that by who makes it: for any mesh, and for each unknown
-_BY_LINES = (2e-3, 1e-6)
-_BY_GMSH = {"axisymmetric": (5e-3, 4e-6), "3d": (4e-2, 2.5e-5)}
+_BY_LINES = (2e-3, 2.5e-6)
+_BY_GMSH = {"axisymmetric": (6e-3, 6e-6), "3d": (4e-2, 2.6e-5)}
 
 #: slenderness from which gmsh takes longer for each of them: 18 us at 2000, in a plane
 _SLENDER = 50.0
@@ -363,40 +362,12 @@ def _iteration(setup: Setup, dofs: float) -> float:
 
 
 def unknowns(setup: Setup, mesh: Mesh) -> int:
-    """Free displacements and pressures of a problem on a mesh, without discretizing it."""
-    model, dim, cells = setup.model, mesh.points.shape[1], mesh.cells
-    vertices, n = len(mesh.points), len(cells)
-    tensor, quadratic = model.element_shape == "tensor", model.element_order == "quadratic"
-    mixed = model.formulation == "mixed"
-    nodes = vertices
-    if quadratic:
-        middles = MIDDLES[QUADRATIC[KINDS[(dim, cells.shape[1])]]]
-        for corners in {len(m) for m in middles}:  # edges, faces, cells
-            nodes += _distinct(cells, [m for m in middles if len(m) == corners])
-    elif mixed and not tensor:
-        nodes += n  # bubbles
-    pressures = (dim + 1 if quadratic else 1) * n if tensor else vertices
-    # a held plane has about twice as many nodes in each direction as vertices
-    held = constraints(setup, _Vertices(mesh.points), mesh).dofs.size
-    held *= 2 ** (dim - 1) if quadratic else 1
-    # of a few elements more may be held, by this count, than there is
-    return max(int(dim * nodes + (pressures if mixed else 0) - held), 1)
-
-
-@dataclass(frozen=True)
-class _Vertices:
-    """Vertices of a mesh, as boundary conditions see the nodes of a discretization."""
-
-    nodes: NDArray[np.float64]
-
-    @property
-    def dim(self) -> int:
-        return int(self.nodes.shape[1])
-
-
-def _distinct(cells: NDArray[np.int64], parts: Sequence[tuple[int, ...]]) -> int:
-    groups = np.sort(np.vstack([cells[:, list(part)] for part in parts]), axis=1)
-    return len(np.unique(groups, axis=0))
+    """Free displacements and pressures of a problem on a mesh, without its element arrays."""
+    basis = basis_of(mesh, setup.model, 1)
+    space = cast(Nodes, SimpleNamespace(nodes=basis.doflocs.T, dim=mesh.points.shape[1]))
+    held = constraints(setup, space, mesh).dofs.size
+    pressures = int(pressure_of(basis, setup.model)[1].max(initial=-1)) + 1
+    return int(space.dim * basis.N + pressures - held)
 
 
 def _load_steps(setup: Setup, height_mm: float) -> float:

@@ -498,11 +498,30 @@ def body(surface: Enclosed) -> Body:
 @functools.lru_cache(maxsize=8)
 def _body(surface: Surface, changed: int, size: int) -> Body:
     """Body of a file as it is now; ``changed`` and ``size`` tell versions of it apart."""
-    points, triangles = read_triangles(Path(surface.file))
-    inspected = inspect(points, triangles, Path(surface.file).name, surface.unit)
-    scale = unit_mm(surface.unit)
+    path = Path(surface.file)
+    where = f"specimen.file: {path.name}"
+    points, triangles = read_mesh(path, where)
+    if not len(triangles):
+        raise InputError(Fault(where, "holds no triangles", "save the surface, not its points"))
+    if len(triangles) > MAX_TRIANGLES:
+        rule = f"has {len(triangles)} triangles, the limit is {MAX_TRIANGLES}"
+        raise InputError(Fault(where, rule, "decimate the surface: a mesh cannot follow it"))
+    inspected = inspect(points, triangles, path.name, surface.unit)
+    try:
+        scale = parse(f"1 {surface.unit}", "length")
+    except UnitError as error:
+        mend = 'for example unit = "mm"; an STL file does not say in which unit it is'
+        rule = f"{surface.unit!r} is not a length unit"
+        raise InputError(Fault("specimen.unit", rule, mend)) from error
     turned = turned_up(inspected.points * scale, surface.axis)
-    notes = (*inspected.notes, *_implausible(np.ptp(turned, axis=0), surface.unit))
+    extent, notes = np.ptp(turned, axis=0), inspected.notes
+    low, high = PLAUSIBLE_MM
+    if not low <= float(extent.max()) <= high:
+        lengths = " x ".join(f"{v:.4g}" for v in extent)
+        notes += (
+            f"specimen.unit: the specimen is {lengths} mm, outside {low:g} to {high:g} mm: is it "
+            f"really in {surface.unit}?",
+        )
     return _stood(turned, inspected.triangles, surface, notes)
 
 
@@ -533,16 +552,6 @@ def _stood(turned: Array, triangles: Ints, surface: Enclosed, notes: tuple[str, 
     return Body(standing, triangles, top, base, float(low[2]), notes)
 
 
-def unit_mm(unit: str) -> float:
-    """Length of a unit in mm."""
-    try:
-        return parse(f"1 {unit}", "length")
-    except UnitError as error:
-        mend = 'for example unit = "mm"; an STL file does not say in which unit it is'
-        rule = f"{unit!r} is not a length unit"
-        raise InputError(Fault("specimen.unit", rule, mend)) from error
-
-
 def turned_up(points: Array, axis: str) -> Array:
     """Turn points, never mirrored, so that an axis of theirs points up. Shapes: points (n, 3)."""
     if axis not in _TURNS:
@@ -565,30 +574,6 @@ def _flattened(
     out[np.unique(triangles[top]), 2] = height
     out[np.unique(triangles[base]), 2] = 0.0
     return out, top, base
-
-
-def _implausible(extent: Array, unit: str) -> tuple[str, ...]:
-    low, high = PLAUSIBLE_MM
-    largest = float(extent.max())
-    if low <= largest <= high:
-        return ()
-    size = " x ".join(f"{v:.4g}" for v in extent)
-    return (
-        f"specimen.unit: the specimen is {size} mm, outside {low:g} to {high:g} mm: is it really "
-        f"in {unit}?",
-    )
-
-
-def read_triangles(path: Path) -> tuple[Array, Ints]:
-    """Vertices and triangles of an STL (ASCII or binary), PLY or OBJ file, as written."""
-    where = f"specimen.file: {path.name}"
-    points, triangles = read_mesh(path, where)
-    if not len(triangles):
-        raise InputError(Fault(where, "holds no triangles", "save the surface, not its points"))
-    if len(triangles) > MAX_TRIANGLES:
-        rule = f"has {len(triangles)} triangles, the limit is {MAX_TRIANGLES}"
-        raise InputError(Fault(where, rule, "decimate the surface: a mesh cannot follow it"))
-    return points, triangles
 
 
 def read_mesh(path: Path, where: str) -> tuple[Array, Ints]:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from study.ground.canonical import plain
-from study.reporting.content import effect_words, sentences, surface_content, tables
-from study.reporting.content.blocks import Block, Checks, Points, Table, Verbatim
+from study.reporting.content import effect_words, surface_content, tables
+from study.reporting.content.blocks import Block, Points, Table, Verbatim
 from study.reporting.content.effect_words import bound
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.report_facts import facts as read_facts
 from study.reporting.content.text import (
     MISSING,
     clean,
-    f_value,
     interval,
     level,
     listing,
@@ -26,13 +25,19 @@ from study.reporting.content.text import (
     percent,
     plural_of,
     ratio_digits,
+    sentence,
     significant,
     term_name,
 )
 from study.reporting.results.study_result import Check, ReportData
 from study.statistics.analysis import repeats
-from study.statistics.analysis.anova_table import Effect, Row
-from study.statistics.analysis.simple_effects import NOT_RESOLVED, REFUSALS
+from study.statistics.analysis.anova_table import Effect
+from study.statistics.analysis.simple_effects import (
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+    REFUSALS,
+)
 from study.statistics.surfaces.emulator import GIVEN, RANKED
 from study.statistics.surfaces.surface_profile import FittedSurface
 
@@ -69,36 +74,6 @@ def factor_information(data: ReportData) -> Table:
         },
         tail=1,
     )
-
-
-def analysis_of_variance(analysis: AnalysisResult) -> Table:
-    """Source, DF, SS, MS, F, P for every term, the error and the total."""
-    rows, cross = analysis.anova.rows, " \N{MULTIPLICATION SIGN} "
-    how = "Seq" if analysis.anova.type == "I" else "Adj"
-    columns: dict[str, Callable[[Row], str]] = {
-        "source": lambda row: (
-            "error" if row.term == "residual" else clean(row.term.replace(":", cross))
-        ),
-        "DF": lambda row: f"{row.df:g}",
-        f"{how} SS": lambda row: significant(row.ss, DIGITS),
-        f"{how} MS": lambda row: "" if row.ms is None else significant(row.ms, DIGITS),
-        "F": lambda row: "" if row.f is None else f_value(row.f),
-        "p": lambda row: "" if row.p is None else p_value(row.p),
-    }
-    if any(row.p_gg is not None for row in rows):
-        columns["GG epsilon"] = lambda row: (
-            "" if row.epsilon_gg is None else f"{row.epsilon_gg:.3f}"
-        )
-        columns["p corrected"] = lambda row: "" if row.p_gg is None else p_value(row.p_gg)
-    strata = len({row.error for row in rows if row.error}) > 1
-    if strata:
-        columns["tested against"] = lambda row: clean((row.error or "").replace(":", cross))
-    made = Table.of("anova", rows, columns, tail=int(strata), raw=plain)
-    if analysis.anova.ss_total is None:
-        return made
-    sums = significant(analysis.anova.ss_total, DIGITS)
-    total = ("total", f"{analysis.anova.df_total}", sums, *[""] * (len(columns) - 3))
-    return replace(made, rows=(*made.rows, total))
 
 
 def model_summary(analysis: AnalysisResult) -> Table | None:
@@ -219,13 +194,14 @@ def _raw_ends(ends: Ends | None, suffix: str = "") -> dict[str, object]:
     return {f"low{suffix}": low, f"high{suffix}": high}
 
 
-def judged(item: Facts, data: ReportData) -> Points:
-    """Say of every factor, and of every interaction that matters, what it does."""
-    return Points([
-        effect_words.verdict(effect, item, data.labels)
-        for effect in item.terms
-        if effect.is_main or effect.strength == "matters"
-    ])  # fmt: skip
+def open_effects(item: Facts, data: ReportData) -> Points | None:
+    """Say of every factor that is left open why it is; None where each has its verdict."""
+    lines = [
+        effect_words.open_verdict(effect, item, data.labels)
+        for effect in item.effects
+        if effect.practical is not None and effect.verdict not in (MATTERS, NO_DIFFERENCE)
+    ]
+    return Points(lines) if lines else None
 
 
 def contrasts(facts: Facts) -> Table | None:
@@ -408,9 +384,9 @@ def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Bloc
     if analysis.anova.rows:
         yield factor_information(data)
         title = f"Analysis of Variance: {analysis.request.response}, type {analysis.anova.type}"
-        yield replace(analysis_of_variance(analysis), name=title)
+        yield tables.anova(item, data, title)
         yield model_summary(analysis)
-        yield replace(tables.anova(item, data), name="Sizes of the effects")
+        yield replace(tables.sizes(item, data), name="Sizes of the effects")
         yield from effect_blocks(item, data)
         yield checks(analysis, "Assumptions")
         yield from _further_checks(analysis)
@@ -563,7 +539,7 @@ def mixed_blocks(model: MixedModel, response: str, alpha: float) -> Iterator[Blo
 # Checks that follow from the analysis: outcome, finding, and what it means for the reader.
 
 
-def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> Checks:
+def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> list[Check]:
     """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
     # controls that pass stand under numerical credibility alone
     bad = [check for check in data.controls if check.outcome in ("fail", "caution")]
@@ -577,13 +553,33 @@ def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> Checks:
                 Check("Analysis", "fail", why, "No verdict for this response.", facts.title)
             )
     made += [_surface(surface, data) for surface in data.surfaces]
-    return Checks.of(made)
+    return made
+
+
+_OUTCOMES = ("fail", "caution", "not applicable", "pass")
+
+
+def by_name(made: Iterable[Check]) -> list[list[Check]]:
+    """Gather checks of the same name, the worst outcome first, in and among the groups."""
+    groups: dict[str, list[Check]] = {}
+    for check in sorted(made, key=lambda check: _OUTCOMES.index(check.outcome)):
+        groups.setdefault(check.name, []).append(check)
+    return list(groups.values())
+
+
+def check_table(made: Iterable[Check], name: str) -> Table:
+    """List every check, named in the first of its rows: outcome, finding, what follows."""
+    rows = [
+        (sentence(check.name).rstrip(".") if first else "", check.outcome, clean(check.of),
+         sentence(clean(check.finding)), sentence(clean(check.consequence)))
+        for group in by_name(made)
+        for first, check in zip((True, *[False] * len(group)), group, strict=False)
+    ]  # fmt: skip
+    columns = ("check", "outcome", "response", "finding", "what follows")
+    return Table(name, columns, tuple(rows), len(columns))
 
 
 def _of_cases(data: ReportData) -> Iterator[Check]:
-    if data.failures:
-        finding = sentences.failures(data.failures, len(data.table))
-        yield Check("Failed cases", "caution", finding, "See the failure map.")
     if data.retried:
         finding = tables.retried_sentence(data.retried)
         where = "They are listed among the failures."
@@ -594,7 +590,8 @@ def _surface(fitted: FittedSurface, data: ReportData) -> Check:
     """Whether a surface predicts runs that it has not seen."""
     name, of = "Surface predicts runs left out", surface_content.title(fitted, data)
     if fitted.found is None:
-        return Check(name, "fail", clean(fitted.refused), "No verdict for this response.", of)
+        outcome = "not applicable" if fitted.screened else "fail"
+        return Check(name, outcome, clean(fitted.refused), "No verdict for this response.", of)
     q2 = fitted.found.model.q2
     if q2 >= GIVEN:
         use = "Between the runs its values may be used."
@@ -675,7 +672,7 @@ def _spread(facts: Facts, alpha: float) -> Check:
     applicable = {k: t for k, t in tests.items() if t.statistic is not None}
     if not applicable:
         reasons = [why for why in dict.fromkeys(test.reason for test in tests.values()) if why]
-        why = listing(reasons) if reasons else "they were not run"
+        why = listing(reasons) if reasons else "there are no residuals to test"
         untested = f"neither Bartlett's nor Levene's test applies: {why}"
         return Check(name, "not applicable", untested)
     against = [k.capitalize() for k, t in applicable.items() if effect_words.rejects(t, alpha)]
@@ -711,7 +708,8 @@ def _resolution(facts: Facts, data: ReportData, bounded: int) -> Check:
         if effect.u_needed is not None
     ]
     named = listing([term_name(effect.term, data.labels) for effect in open_ones])
-    finding = f"mesh error is too large to judge {named}; the measurements alone would suffice"
+    finding = f"mesh error is too large to judge {named}"
+    finding += "; the measurements alone would suffice" if data.is_measured else ""
     mend = (
         f"Refine: mesh error would have to be {listing(needed)}." if needed else "Refine the mesh."
     )

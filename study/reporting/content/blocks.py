@@ -1,4 +1,4 @@
-"""What a result says of itself before any medium: headings, sentences, tables, checks, figures.
+"""What a result says of itself before any medium: headings, sentences, tables, figures.
 
 A page, a terminal, a notebook, LaTeX and CSV render blocks and know no result.
 """
@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from study.reporting.results.study_result import Check
 
 T = TypeVar("T")
 #: a result as ``--json`` prints it
@@ -78,49 +76,6 @@ class Definitions:
     def of(cls, pairs: Iterable[tuple[str, str]], *, exact: bool = False) -> Definitions:
         """Make definitions of one sentence each."""
         return cls([Definition(term, (Sentence(words),)) for term, words in pairs], exact)
-
-
-_ORDER = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}
-
-
-@dataclass(frozen=True)
-class CheckGroup:
-    """One check for all responses; its outcome is the worst of them."""
-
-    name: str
-    items: tuple[Check, ...]
-
-    @property
-    def outcome(self) -> str:
-        """Worst outcome."""
-        return min((check.outcome for check in self.items), key=_ORDER.__getitem__)
-
-    @property
-    def consequence(self) -> str:
-        """What follows, where it is the same for two responses or more; else empty."""
-        texts = [check.consequence for check in self.items if check.consequence]
-        return texts[0] if len(texts) > 1 and len(set(texts)) == 1 else ""
-
-    @property
-    def agreed(self) -> bool:
-        """Whether every response has the same outcome."""
-        return len({check.outcome for check in self.items}) == 1
-
-
-@dataclass(frozen=True)
-class Checks:
-    """Checks with what each found, the worst first."""
-
-    groups: Sequence[CheckGroup]
-
-    @classmethod
-    def of(cls, made: Iterable[Check]) -> Checks:
-        """Gather checks of the same name into one."""
-        by_name: dict[str, list[Check]] = {}
-        for check in sorted(made, key=lambda check: _ORDER[check.outcome]):
-            by_name.setdefault(check.name, []).append(check)
-        groups = [CheckGroup(name, tuple(items)) for name, items in by_name.items()]
-        return cls(sorted(groups, key=lambda group: _ORDER[group.outcome]))
 
 
 @dataclass(frozen=True)
@@ -225,9 +180,7 @@ class Folded:
     is_open: bool = False
 
 
-Block = (
-    Heading | Sentence | Points | Definitions | Checks | Card | Verbatim | Table | Figure | Folded
-)
+Block = Heading | Sentence | Points | Definitions | Card | Verbatim | Table | Figure | Folded
 
 
 def titled(table: Table | None, title: str = "") -> Iterator[Block]:

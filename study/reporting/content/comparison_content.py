@@ -6,14 +6,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from study.reporting.content.blocks import Block, Folded, Points, Sentence, Table
-from study.reporting.content.effect_words import over_numerical, size, size_interval
+from study.reporting.content.effect_words import numerical, size, size_interval
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import (
     MISSING,
     clean,
     count,
     level,
-    listing,
     name_of,
     p_value,
     sentence,
@@ -54,12 +53,17 @@ def conclusion_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ..
 
 
 def summary(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
-    """Say which conclusions hold: how many, then response by response."""
-    mains = [row for row in comparison.conclusions if row.is_main]
+    """Count the conclusions that hold, and say of those that do not what each study says."""
+    shown = [row for row in comparison.conclusions if row.is_main or _strong(row)]
+    mains = [row for row in shown if row.is_main]
     lines = [_count(mains, comparison)] if mains else []
-    for rows in _by_response(comparison.conclusions).values():
-        lines.append(_of_response(rows, comparison, labels))
-    return tuple(text for text in lines if text)
+    lines += [
+        sentence(f"{_term(row, labels)}, for the {name_of(row.response, labels)}: "
+                 f"{_how(row, comparison)}")
+        for row in shown
+        if row.conclusion.startswith((study_answers.DIFFERS, study_answers.ONE_CANNOT_TELL))
+    ]  # fmt: skip
+    return tuple(lines)
 
 
 def _count(rows: Sequence[Conclusion], comparison: Beside) -> str:
@@ -75,62 +79,13 @@ def _count(rows: Sequence[Conclusion], comparison: Beside) -> str:
     return sentence("; ".join([text, *parts]))
 
 
-def _of_response(rows: Sequence[Conclusion], comparison: Beside, labels: Labels) -> str:
-    """One response: what matters in both, what does not, what differs, what is open."""
-    mains = [row for row in rows if row.is_main or _strong(row)]
-    groups = {
-        kind: [row for row in mains if row.conclusion.startswith(kind)]
-        for kind in (
-            study_answers.MATTERS,
-            study_answers.NO_DIFFERENCE,
-            study_answers.DIFFERS,
-        )
-    }
-    both = _both(groups[study_answers.MATTERS], groups[study_answers.NO_DIFFERENCE], labels)
-    parts = [f"under both: {both}"] if both else []
-    for row in groups[study_answers.DIFFERS]:
-        parts.append(f"{_term(row, labels)} differs: {_how(row, comparison)}")
-    parts += [f"{_term(row, labels)}: {_how(row, comparison)}"
-              for row in mains if row.conclusion == study_answers.ONE_CANNOT_TELL]  # fmt: skip
-    never = [_term(row, labels) for row in mains if row.conclusion == study_answers.NONE_CAN_TELL]
-    if never:
-        parts.append(f"neither study can show whether {listing(never, 'or')} matters")
-    title = name_of(rows[0].response, labels)
-    return sentence(f"for the {title}, {'; '.join(parts)}") if parts else ""
-
-
 def _strong(row: Conclusion) -> bool:
     """Whether an interaction deserves a sentence: it matters in one, or the studies differ."""
     return not row.is_main and any(effect.strength == MATTERS for effect in row.effects)
 
 
-def _both(matter: Sequence[Conclusion], small: Sequence[Conclusion], labels: Labels) -> str:
-    parts = [f"{_term(row, labels)} matters ({_sizes(row)}{_lead(row)})" for row in matter]
-    if small:
-        named = listing([f"{_term(row, labels)} ({_sizes(row)})" for row in small])
-        no = "does not" if len(small) == 1 else "do not"
-        none = f"make{'s' * (len(small) == 1)} no practical difference"
-        parts.append(f"{named} {no if matter else none}")
-    return ", ".join(parts)
-
-
 def _term(row: Conclusion, labels: Labels) -> str:
     return term_name(row.term, labels)
-
-
-def _sizes(row: Conclusion) -> str:
-    facts = facts_of(row)
-    return " and ".join(size(effect, facts) for effect in row.effects)
-
-
-def _lead(row: Conclusion) -> str:
-    """Say which level leads in both, or that a tie leaves it open."""
-    if not row.is_main or not row.best[0]:
-        return ""
-    best = [clean(level) for level in row.best]
-    if best[0] == best[1]:
-        return f", {row.end} with {best[0]} in both"
-    return f", {row.end} with {best[0]} and {best[1]}, which lie within what matters"
 
 
 def _how(row: Conclusion, comparison: Beside) -> str:
@@ -233,7 +188,7 @@ def table(comparison: Beside, labels: Labels = None) -> Table:
         f"{first} interval" if first == other else f"interval ({first}; {other})": lambda of: (
             size_interval(of[2], facts_of(of[0]))
         ),
-        "effect / u_num": lambda of: over_numerical(of[2]),
+        "U": lambda of: numerical(of[2], facts_of(of[0])),
         "p": lambda of: p_value(of[2].p),
         "leading level": lambda of: (
             f"{clean(of[3])} ({of[0].end})" if of[3] and of[2].strength == MATTERS else MISSING

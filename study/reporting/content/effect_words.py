@@ -46,9 +46,6 @@ from study.statistics.analysis.simple_effects import (
 # A difference is rounded to what the declared threshold makes meaningful: a thousandth of
 # 0.5 pp is 0.0005 pp, so nothing is printed finer than 0.001 pp.
 
-#: ratios effect / u_num beyond this are only said to be so
-_FAR = 100.0
-
 
 def decimals(effect: Effect) -> int | None:
     """Decimals at which an effect is worth printing."""
@@ -119,16 +116,6 @@ def _bounding(ratio: float, effect: Effect) -> str:
 def with_unit(number: str, unit: str) -> str:
     """Return a number as text with its unit, where it has one."""
     return number if number == MISSING or not unit else f"{number}{THIN}{unit}"
-
-
-def over_numerical(effect: Effect) -> str:
-    """Effect over its numerical uncertainty; below 3 it may be the mesh."""
-    times = effect.effect_over_u_num
-    if times is None or not math.isfinite(times):
-        return MISSING
-    if times >= _FAR:
-        return f"> {_FAR:.0f}"
-    return f"{times:.2g}" if times >= 0.1 else "< 0.1"
 
 
 def shown_difference(difference: float, effect: Effect, facts: Facts) -> str:
@@ -278,21 +265,12 @@ MATTERS_AT_SETTINGS = "matters at some settings"
 PLUS_MINUS = "\u00b1"
 
 
-def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
-    """One sentence: what a factor does to a response, and how sure that is."""
+def open_verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
+    """Say why data or meshes cannot show whether a factor matters."""
     name = term_name(effect.term, labels)
     if effect.range is None:
         return sentence(f"{name}: {effect.verdict}; {effect.why or 'no effect could be estimated'}")
     numbers = size(effect, facts) if effect.low is None else _sized(effect, facts)
-    if not effect.is_main:
-        return sentence(
-            f"{name}: its largest component in the {facts.title} is {numbers}; read it from the "
-            "simple effects"
-        )
-    if effect.verdict == MATTERS:
-        return sentence(_matters(effect, facts, name, numbers, labels) + robust(effect, facts))
-    if effect.verdict == NO_DIFFERENCE:
-        return sentence(_no_difference(effect, facts, name, numbers) + robust(effect, facts))
     if effect.verdict == NOT_RESOLVED:
         return sentence(
             f"{name}: not resolved by the mesh; {'on average ' * effect.depends_on_settings}the "
@@ -368,83 +346,11 @@ def setting(simple: SimpleEffect, labels: Labels = None) -> str:
     return f"at {listed}" if listed else "whatever the other factors"
 
 
-def robust(effect: Effect, facts: Facts) -> str:
-    """Say whether a claim holds with any one block left out; empty where that is not known."""
-    if effect.lost_without is None:
-        return ""
-    if not effect.lost_without:
-        return f"; so with any one {facts.block} left out"
-    return f"; the claim fails if {blocks_needed(effect, facts)} is left out"
-
-
 def blocks_needed(effect: Effect, facts: Facts) -> str:
     """Name the blocks without any one of which a claim is not made."""
     named = [clean(name) for name in effect.lost_without or ()]
     several = f"any one of {count(len(named), facts.block)}"
     return f"{facts.block} {listing(named, 'or')}" if len(named) < 4 else several
-
-
-def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
-    least, whatever, where = effect.deciding_simple, "", ""
-    if least is not None and effect.depends_on_settings:
-        whatever, where = ", whatever the other factors", " at any setting"
-        numbers = simple(least, effect, facts)
-    repeatable = ""  # a tiny difference may well be real: p never decides alone
-    if effect.p is not None and effect.p < facts.alpha:
-        repeatable = f" (repeatable, {p_phrase(effect.p)}, but too small to matter)"
-    return (
-        f"{name}: no practical difference in the {facts.title}{whatever}; the largest{where} is "
-        f"{numbers}, within {practical(effect, facts)}{repeatable}"
-    )
-
-
-def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labels) -> str:
-    if effect.largest is None:
-        return f"{name}: matters for the {facts.title}, {numbers}"
-    if sole := sole_setting(effect):
-        return (
-            f"{name}: matters for the {facts.title} {setting(sole, labels)}, where "
-            f"{clean(sole.first)} and {clean(sole.second)} differ by "
-            f"{simple(sole, effect, facts)}; "
-            f"on average over the other factors the largest difference is {numbers}"
-        )
-    low, high = clean(effect.lowest), clean(effect.highest)
-    # "1.37 times the modulus", yet "1.20 pp more error"
-    text = f"{high} gives " + (
-        f"{shown_size(effect)} times the {facts.title} of {low}"
-        if effect.is_ratio
-        else f"{size(effect, facts)} more {facts.title} than {low}"
-    )
-    if effect.low is not None:
-        text += f" ({level(facts.alpha)} interval {size_interval(effect, facts)})"
-    if not effect.depends_on_settings:
-        return f"{name}: matters; {text}"
-    if (effect.highest, effect.lowest) in effect.always:
-        return f"{name}: matters; {text}, and more than matters at every setting"
-    return f"{name}: matters; {text} on average, not at every setting"
-
-
-WHAT_IF: tuple[tuple[str, str], ...] = (
-    (
-        "Residuals are far from normal",
-        "p-values near the limit are uncertain; means and their differences stay unbiased. "
-        "Verdicts rest on the effect against what matters, so few of them would change.",
-    ),
-    (
-        "Cells scatter unequally",
-        "one error term is too small for some cells and too large for others. With each effect "
-        "tested against its own interaction with the blocks, only its own spread enters.",
-    ),
-    (
-        "Correlations between levels differ (no sphericity)",
-        "an uncorrected F rejects too often; the corrected p is the one to read.",
-    ),
-    (
-        "Block and cell interact",
-        "the effect depends on the block. The mean over blocks still answers for this family, "
-        "but not for one specimen; the log of a positive response often helps.",
-    ),
-)
 
 
 def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:

@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 
 from study.reporting.content import surface_content
 from study.reporting.content.effect_words import practical
-from study.reporting.content.report_facts import Facts, grouped_inputs
+from study.reporting.content.report_facts import ERROR_TERMS, Facts, grouped_inputs
 from study.reporting.content.text import (
     TIMES,
     clean,
@@ -239,14 +239,7 @@ TERMS: dict[str, str] = {
     "share": "Part of the total sum of squares.",
     "df": "Degrees of freedom: independent comparisons in a term.",
     "F": "Variance of a term over the variance of its error.",
-    "E0": "Error term: independent replicates within the cells.",
-    "E1": "Error term: the blocks; each effect is compared with how it differs between blocks.",
-    "E2": "Error term: measurement noise, by refits to resampled curves.",
-    "E3": "Error term: new meshes of the same size.",
-    "E4": "Error term: none; the numerical uncertainty alone.",
-    "E5": "Error term: interactions that were declared to be zero.",
-    "E6": "Error term: Lenth's, from the smallest effects of an unreplicated design.",
-    "E7": "Error term: none, so no p.",
+    **{key: f"Error term: {words}." for key, words in ERROR_TERMS.items()},
     "simple effect": "Difference of two levels of a factor at one setting of the others.",
     "component": "What an interaction adds to the effects of its factors alone.",
     "Ryan-Joiner": "A test of normality: the correlation of a normal probability plot.",

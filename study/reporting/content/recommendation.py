@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING
 from study.harness.record.record import cell_names
 from study.reporting.content import effect_words, surface_content
 from study.reporting.content.effect_words import size, size_interval, with_unit
-from study.reporting.content.report_facts import (
-    Facts,
-    cells,
-    comparable,
-    describe,
-    groups,
-    practical_of,
-)
+from study.reporting.content.report_facts import Facts, cells, comparable, practical_of
 from study.reporting.content.text import (
     THIN,
     clean,
@@ -49,68 +42,6 @@ from study.statistics.analysis.simple_effects import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.reporting.content.report_facts import Group
-
-
-def best_cell(data: ReportData, all_facts: Sequence[Facts]) -> str:
-    """Name the best cell of the first response that has a better end, and the tie around it."""
-    for facts in all_facts:
-        if facts.better not in ("lower", "higher"):
-            continue
-        if effect_words.factors_of(data, effect_words.CONDITION, effect_words.UNKNOWN):
-            return _best_choice(data, facts)
-        ranked = groups(data, facts)
-        if not ranked:
-            continue
-        if facts.better == "higher":
-            ranked = ranked[::-1]
-        word = "lowest" if facts.better == "lower" else "highest"
-        mean = quantity(ranked[0].mean, facts.unit)
-        return sentence(
-            f"the {word} {facts.title} is {mean}, with {describe(ranked[0], data)}"
-            f"{_over_fewer(data, facts)}{_tie(data, facts, ranked)}"
-        )
-    return "No goal (minimize or maximize) was given, so no best setting is named."
-
-
-def _best_choice(data: ReportData, facts: Facts) -> str:
-    """Name the best combination of the choices, at each setting of the conditions."""
-    chosen = effect_words.factors_of(data, effect_words.CHOICE)
-    if not chosen:
-        return "No factor is a choice, so nothing is recommended; the effects are what counts."
-    last = facts.better == "higher"
-    best: dict[str, list[str]] = {}
-    ties = []
-    for setting in effect_words.settings(data):
-        frame = cells(effect_words.at(data, setting), facts.name, chosen)
-        if frame.empty:
-            continue
-        row = frame.iloc[-1 if last else 0]
-        limit = practical_of(facts, frame)
-        ties.append(int((abs(frame["mean"] - row["mean"]) <= limit).sum()) - 1)
-        mean = quantity(float(row["mean"]), facts.unit)
-        where = f"{effect_words.named(setting, data)} ({mean})" if setting else mean
-        best.setdefault(listing([clean(row[name]) for name in chosen]), []).append(where)
-    over = [name_of(n, data.labels) for n in effect_words.factors_of(data, effect_words.UNKNOWN)]
-    mean_of = f", averaged over {listing(over)}" if over else ""
-    word = "highest" if last else "lowest"
-    if not effect_words.settings(data)[0]:
-        named, (mean,) = next(iter(best.items()))
-        tie = f"; {_within(ties[0], facts, data)}" if ties[0] else ""
-        return sentence(f"the {word} {facts.title} is {mean}, with {named}{mean_of}{tie}")
-    parts = [f"with {named} at {listing(where)}" for named, where in best.items()]
-    return sentence(f"the {word} {facts.title} is reached {'; '.join(parts)}{mean_of}")
-
-
-def _within(others: int, facts: Facts, data: ReportData) -> str:
-    """Say how many other combinations are as good in practice."""
-    chosen = effect_words.factors_of(data, effect_words.CHOICE)
-    frame = cells(data, facts.name, chosen)
-    limit = f"{practical_of(facts, frame):.3g}{THIN}{facts.difference_unit}"
-    every = "all the others" if others == len(frame) - 1 else count(others, "other combination")
-    verb = "lies" if others == 1 and others < len(frame) - 1 else "lie"
-    return f"{every} {verb} within {limit} of it, so cost may decide"
-
 
 def _over_fewer(data: ReportData, facts: Facts) -> str:
     """Say where means are taken over fewer blocks than there are."""
@@ -121,25 +52,6 @@ def _over_fewer(data: ReportData, facts: Facts) -> str:
         return ""
     blocks = plural_of(clean(data.block) or "block")
     return f" (over the {shared} of {len(data.blocks)} {blocks} in which every cell has an answer)"
-
-
-def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
-    """Say how many other computations are as good in practice."""
-    if len(ranked) == 1 and len(ranked[0]) > 1:
-        return "; on these meshes no cell can be told from another"
-    limit = practical_of(facts, cells(data, facts.name))
-    near = [g for g in ranked[1:] if abs(g.mean - ranked[0].mean) <= limit]
-    if not near:
-        return "; no other cell comes within the difference that matters" if limit else ""
-    within = f"within {limit:.3g}{THIN}{facts.difference_unit} of it, so cost may decide"
-    copies = any(len(group) > 1 for group in ranked)
-    noun = "distinct computation" if copies else "cell"
-    holding = f" ({count(sum(map(len, near)), 'cell')})" if copies else ""
-    others = f"the {len(near)} other" if len(near) == len(ranked) - 1 else f"{len(near)} other"
-    if len(near) == 1:
-        other = "the other" if len(ranked) == 2 else "one other"
-        return f"; {other} {noun}{holding} lies {within}"
-    return f"; {others} {plural_of(noun)}{holding} lie {within}"
 
 
 def cost_front(
@@ -167,6 +79,15 @@ def cost_front(
     return frame.reset_index(drop=True)
 
 
+def recommendations(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
+    """Recommendation of every response that has a better end and an answer."""
+    return tuple(
+        recommendation(data, facts)
+        for facts in all_facts
+        if facts.terms and facts.better and data.table[facts.name].notna().any()
+    )
+
+
 def recommendation(data: ReportData, facts: Facts) -> str:
     """Say for each condition the cheapest choices within what matters of the best."""
     chosen = effect_words.factors_of(data, effect_words.CHOICE)
@@ -184,9 +105,18 @@ def recommendation(data: ReportData, facts: Facts) -> str:
 
 def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
     frame = cost_front(data, facts, factors)
-    if frame.empty:
-        return "no computing times are known, so accuracy alone decides"
     sign = -1.0 if facts.better == "higher" else 1.0
+    if frame.empty:
+        frame = cells(data, facts.name, factors)
+        if frame.empty:
+            return "no cell has an answer"
+        best = frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
+        limit = practical_of(facts, frame)
+        named = listing([clean(best[name]) for name in factors])
+        text = f"use {named}: {quantity(best['mean'], facts.unit)}{_over_fewer(data, facts)}"
+        near = int((abs(frame["mean"] - best["mean"]) <= limit).sum()) - 1
+        within = f"{limit:.3g}{THIN}{facts.difference_unit}"
+        return f"{text}; {count(near, 'other cell')} within {within} of it" if near else text
     best = frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
     good = frame[frame["within"]]
     # a quarter more time is no reason to give up accuracy
@@ -194,7 +124,8 @@ def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
     cheap = quick.iloc[int((sign * quick["mean"]).to_numpy().argmin())]
     named = listing([clean(cheap[name]) for name in factors])
     text = (
-        f"use {named}: {quantity(cheap['mean'], facts.unit)} in {duration(cheap['seconds'])} a case"
+        f"use {named}: {quantity(cheap['mean'], facts.unit)}{_over_fewer(data, facts)} in "
+        f"{duration(cheap['seconds'])} a case"
     )
     if cheap["cell"] == best["cell"]:
         return f"{text}; {_why_best(cheap, good)}"
@@ -216,9 +147,9 @@ def _why_best(cheap: pd.Series, good: pd.DataFrame) -> str:
         return "no other cell comes within the difference that matters"
     share = float(good["seconds"].min()) / max(float(cheap["seconds"]), 1e-9)
     if share >= 1:
-        return "it is the most accurate cell, and of those within reach the cheapest"
+        return "it is the most accurate cell, and the cheapest of those as good in practice"
     return (
-        "it is the most accurate cell; the cheapest one within reach takes "
+        "it is the most accurate cell; the cheapest of those as good in practice takes "
         f"{percent(share)} of its time"
     )
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from study.harness.record.record import answered_often, cell_names
-from study.reporting.content.text import clean, count, listing, name_of
+from study.reporting.content.text import clean, name_of
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.analysis.anova_table import Effect, Row, SimpleEffect
 from study.statistics.analysis.assumptions import Assumptions
@@ -20,6 +20,18 @@ from study.statistics.analysis.assumptions import Assumptions
 if TYPE_CHECKING:
     import pandas as pd
 
+
+#: what the effects are compared with, by its source
+ERROR_TERMS = {
+    "E0": "independent replicates in the cells",
+    "E1": "measured replicates as blocks",
+    "E2": "measurement noise, by bootstrap through the fit",
+    "E3": "mesh-seed replicates",
+    "E4": "numerical uncertainty",
+    "E5": "pooled high-order interactions (an assumption)",
+    "E6": "Lenth's pseudo standard error",
+    "E7": "none",
+}
 
 _Value = TypeVar("_Value", Effect, SimpleEffect, Row)
 
@@ -173,58 +185,6 @@ def cells(data: ReportData, response: str, factors: Sequence[str] | None = None)
     grouped["cell"] = cell_names(grouped, factors) if len(grouped) else ""
     renamed = grouped.rename(columns={"count": "n"})
     return renamed.sort_values("mean", kind="stable").reset_index(drop=True)
-
-
-@dataclass(frozen=True)
-class Group:
-    """Cells that agree in every block, with the mean of the first; ``members`` are their rows."""
-
-    mean: float
-    members: tuple[Mapping[str, str], ...]
-
-    def __len__(self) -> int:
-        return len(self.members)
-
-
-def groups(data: ReportData, facts: Facts) -> tuple[Group, ...]:
-    """Distinct computations of a response, lowest mean first."""
-    import numpy as np
-
-    frame, factors = cells(data, facts.name), list(data.factors)
-    place = np.array(_places(data, facts, frame))
-    made = []
-    for _, rows in frame.groupby(place, sort=False):
-        levels = rows[factors].astype(str).itertuples(index=False, name=None)
-        members = tuple(dict(zip(factors, level, strict=True)) for level in levels)
-        made.append(Group(float(rows["mean"].iloc[0]), members))
-    return tuple(made)
-
-
-def _places(data: ReportData, facts: Facts, frame: pd.DataFrame) -> list[int]:
-    """Index of the group of every cell; a cell that no group names stands alone."""
-    analyzed = [name for name, levels in data.factors.items() if len(levels) > 1]
-    names = frame[analyzed].astype(str).agg(" ".join, axis=1).tolist() if analyzed else []
-    copies = () if facts.result is None else facts.result.data.copies
-    copy_of = {name: i for i, group in enumerate(copies) for name in group}
-    alone = len(copies)
-    return [copy_of.get(name, alone + i) for i, name in enumerate(names or [""] * len(frame))]
-
-
-def describe(group: Group, data: ReportData) -> str:
-    """Name a group by its levels, or by its first cell where it is no full crossing."""
-    present = {name: {member[name] for member in group.members} for name in data.factors}
-    if math.prod(map(len, present.values())) != len(group):
-        first = ", ".join(clean(level) for level in group.members[0].values())
-        block = clean(data.block) or "block"
-        others = len(group) - 1
-        agree = f"{count(others, 'cell')} that agree{'s' * (others == 1)} with it in every {block}"
-        return f"{first} (and {agree})"
-    return ", ".join(
-        f"any {name_of(name, data.labels)}"
-        if len(present[name]) == len(levels) > 1
-        else listing([clean(level) for level in levels if level in present[name]], "or")
-        for name, levels in data.factors.items()
-    )
 
 
 def grouped_inputs(inputs: Mapping[str, str]) -> dict[str, str]:

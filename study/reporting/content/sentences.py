@@ -19,7 +19,7 @@ from study.reporting.content.effect_words import (
     size,
     sole_setting,
 )
-from study.reporting.content.report_facts import Facts
+from study.reporting.content.report_facts import ERROR_TERMS, Facts
 from study.reporting.content.text import (
     MISSING,
     clean,
@@ -33,7 +33,7 @@ from study.reporting.content.text import (
     term_name,
 )
 from study.reporting.results.study_result import FITTED_CURVE, Failure, ReportData
-from study.statistics.analysis.anova_table import Effect, ErrorTerm
+from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,
@@ -43,16 +43,6 @@ from study.statistics.analysis.simple_effects import (
 
 #: responses that a short answer speaks of one by one
 MOST_RESPONSES = 3
-_SOURCES = {
-    "E0": "independent replicates in the cells",
-    "E1": "measured replicates as blocks",
-    "E2": "measurement noise, by bootstrap through the fit",
-    "E3": "mesh-seed replicates",
-    "E4": "numerical uncertainty",
-    "E5": "pooled high-order interactions (an assumption)",
-    "E6": "Lenth's pseudo standard error",
-    "E7": "none",
-}
 
 
 def answer(
@@ -60,14 +50,19 @@ def answer(
 ) -> tuple[str, ...]:
     """Sentences that answer the study's question: what matters, what does not, so what.
 
-    The short ones speak of three responses, and leave the missing goal to the recommendation.
+    The short ones speak of three responses, and leave what to use to the recommendation.
     """
     analyzed = [facts for facts in all_facts if facts.terms]
     if not analyzed:
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
         if data.surfaces:
-            return tuple(surface_content.surface_answer(one, data) for one in data.surfaces)
+            # of one surface there is room to say all
+            in_short = is_short and len(data.surfaces) > 1
+            return tuple(
+                surface_content.surface_answer(one, data, is_short=in_short)
+                for one in data.surfaces
+            )
         if data.is_table and (notes := [note for facts in all_facts for note in facts.warnings]):
             return tuple(sentence(clean(note)) for note in notes)
         return ("No response could be analyzed; the reasons stand below.",)
@@ -75,7 +70,6 @@ def answer(
     rest = count(len(analyzed) - len(named), "more response")
     first = [*(verdicts_of(data, facts) for facts in named), *left_out(data, all_facts)]
     has_size = any(facts.has_size for facts in analyzed)
-    has_goal = any(facts.better for facts in analyzed)
     parts = (
         *(first if is_short else [" ".join(filter(None, first))]),
         f"The figure below shows the effects on {rest}." if named != analyzed else "",
@@ -83,10 +77,8 @@ def answer(
         without_verdict(all_facts),
         *effect_words.by_condition(data, all_facts),
         _one_not_other(data, all_facts) if has_size else "",
-        recommendation.best_cell(data, all_facts)
-        if has_goal or (has_size and not is_short)
-        else "",
         *effect_words.unknowns(data, all_facts),
+        *(() if is_short else recommendation.recommendations(data, all_facts)),
     )
     return tuple(text for text in parts if text)
 
@@ -308,30 +300,30 @@ def _may_be_chosen_alone(effect: Effect) -> bool:
 
 
 def error_term(facts: Facts, data: ReportData) -> str:
-    """Say where the error of the table comes from and what its p answers."""
+    """Say where the error of the table comes from, what its p answers and how it was made."""
     if facts.result is None:
         return "No error term: the response was not analyzed."
     term = facts.result.error_term
-    what = _SOURCES.get(term.source, term.source)
     reason = f": {term.reason}" if term.reason else ""
-    text = sentence(f"the error term is {term.source}, {what}{reason}")
-    return f"{text} {_question(term, data)}".strip()
-
-
-def _question(term: ErrorTerm, data: ReportData) -> str:
-    """Say what the p-values answer, then how they were made (which comes in parentheses)."""
-    if not term.question:
-        return ""
+    what = f"the error term is {term.source}, {ERROR_TERMS.get(term.source, term.source)}{reason}"
     question = term.question.rstrip(".")
-    if data.block and data.block != "block":
-        block = clean(data.block)
-        question = re.sub(r"\bblocks\b", lambda _: plural_of(block), question)
-        question = re.sub(r"\bblock\b", lambda _: block, question)
-        question = question.replace(f"levels of {block}", plural_of(block))
-    match = re.fullmatch(r"(.*\?)\s*\((.*)\)", question)
-    text = f"{match[1]} {sentence(match[2])}" if match else question
-    end = "" if text[-1] in ".?" else "."
-    return f"The p-values answer one question: {text}{end}"
+    if match := re.fullmatch(r"(.*\?)\s*\((.*)\)", question):
+        question = f"{match[1]} {sentence(match[2])}"
+    if question:
+        end = "" if question[-1] in ".?" else "."
+        start = "The p-values answer one question"
+        if question.startswith("no p: "):
+            start, question = "There are no p-values", question.removeprefix("no p: ")
+        question = f" {start}: {question}{end}"
+    return _named_blocks(f"{sentence(what)}{question}", clean(data.block))
+
+
+def _named_blocks(text: str, block: str) -> str:
+    """Text of the analysis with what the blocks are: phantoms, batches."""
+    if block in ("", "block"):
+        return text
+    many = plural_of(block)
+    return re.sub(r"levels of block|blocks?\b", lambda m: block if m[0] == "block" else many, text)
 
 
 _BY_TERM = (
@@ -386,8 +378,9 @@ def distinct(facts: Facts, data: ReportData) -> str:
         return ""
     differ = f"only {number} differ" if number > 1 else "none differs from another"
     return (
-        f"Of {count(total, 'cell')} {differ}: the others give the same numbers in every "
-        f"{clean(data.block) or 'block'}, so tests of the residuals take one cell of each kind."
+        f"Of {count(total, 'cell')} {differ}: the others give the same numbers"
+        f"{f' in every {clean(data.block)}' if data.block else ''}, so tests of the residuals take "
+        "one cell of each kind."
     )
 
 
@@ -412,20 +405,10 @@ def failures(items: Sequence[Failure], total: int) -> str:
     named = listing([f"{number} {clean(status)}" for status, number in kinds.items()])
     share = percent(len(items) / total) if total else MISSING
     return (
-        f"{count(len(items), 'case')} of {total:,} ({share}) failed: {named}.{_in_common(items)} "
+        f"{count(len(items), 'case')} of {total:,} ({share}) failed: {named}. "
         "Cases that fail are not missing at random, so effects of the factors they share are "
         "uncertain beyond their intervals."
     )
-
-
-def _in_common(items: Sequence[Failure]) -> str:
-    """Levels that all failed cases have, where they have any."""
-    levels = dict(items[0].levels) if len(items) > 1 else {}
-    for item in items:
-        levels = {k: v for k, v in levels.items() if item.levels.get(k) == v}
-    if not levels:
-        return ""
-    return f" All have {listing([clean(level) for level in levels.values()])}."
 
 
 # Warnings of several responses and terms as few sentences.

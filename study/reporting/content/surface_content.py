@@ -17,6 +17,7 @@ from study.reporting.content.blocks import (
 )
 from study.reporting.content.text import (
     MISSING,
+    THIN,
     TIMES,
     between,
     capital,
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from study.reporting.results.study_answers import Confirmed, Inverted, Recommendation
     from study.reporting.results.study_result import ReportData
     from study.statistics.surfaces.quadratic import SurfaceTerm
-    from study.statistics.surfaces.surface_profile import FittedSurface
+    from study.statistics.surfaces.surface_profile import ElementaryEffect, FittedSurface
     from study.statistics.surfaces.surface_result import (
         Sensitivity,
         SurfaceAnalysis,
@@ -142,6 +143,8 @@ def at_labels(one: FittedSurface, data: ReportData) -> str:
 
 def would_change(data: ReportData) -> str:
     """Say what would make the answer surer."""
+    if any(one.screened for one in data.surfaces):
+        return sentence("a surface or a factorial of the factors that change most")
     good = [one.found for one in data.surfaces if one.found is not None]
     parts = []
     poor = [found for found in good if not found.model.q2 >= 0.9]
@@ -216,9 +219,10 @@ def extremes(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         return ()
     lines = []
     for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):
-        value = quantity(extreme.value, clean(one.unit))
+        value = significant(extreme.value)
         if extreme.half_width == extreme.half_width:  # NaN where no run can be left out
             value += f" \N{PLUS-MINUS SIGN} {significant(extreme.half_width, 2)}"
+        value += f"{THIN}{clean(one.unit)}" if one.unit not in ("", "1") else ""
         at = settings(extreme.settings, one, data)
         lines.append(f"The {word} prediction in these ranges is {value} at {at}.")
     return tuple(lines)
@@ -336,6 +340,25 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
     return Table.of(_table_name("sensitivity", one), ranked, columns, tail=1, note=note)
 
 
+def screening(one: FittedSurface, data: ReportData) -> Table | None:
+    """Elementary effects of the factors, the largest mean size first; None of a surface."""
+    unit = clean(one.unit)
+    columns: dict[str, Callable[[ElementaryEffect], str]] = {
+        "factor": lambda e: clean(name_of(e.factor, data.labels)),
+        "effects": lambda e: str(e.effects),
+        "\N{GREEK SMALL LETTER MU}*": lambda e: quantity(e.mu_star, unit),
+        "\N{GREEK SMALL LETTER MU}": lambda e: quantity(e.mu, unit),
+        "\N{GREEK SMALL LETTER SIGMA}": lambda e: quantity(e.sigma, unit),
+    }
+    note = (
+        "Elementary effects: change of the response over the whole range of a factor, by pairs of "
+        "runs that differ in it alone. Mean size, mean and standard deviation. Of a straight line "
+        "without interactions the deviation is 0."
+    )
+    table_of = Table.of(_table_name("screening", one), one.screened, columns, note=note)
+    return table_of if one.screened else None
+
+
 def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
     """Coefficients of a quadratic surface in coded factors; None of an emulator."""
     model = None if one.found is None else one.found.model
@@ -356,9 +379,23 @@ def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
     return Table.of(_table_name("coefficients", one), model.terms, columns, note=note)
 
 
-def surface_answer(one: FittedSurface, data: ReportData) -> str:
-    """Say which numbers drive a response, and how sure that is."""
+#: factors that a short answer names
+_NAMED = 3
+
+
+def surface_answer(one: FittedSurface, data: ReportData, *, is_short: bool = False) -> str:
+    """Say which numbers drive a response, in short the strongest of them; how sure that is."""
     named = sentence(title(one, data)).rstrip(".")
+    if one.screened:
+        sizes = [
+            f"{name_of(e.factor, data.labels)} {quantity(e.mu_star, clean(one.unit))}"
+            for e in one.screened
+        ]
+        return (
+            f"{named}: over its whole range a factor changes it on average by {listing(sizes)}. "
+            "This screens, and is no verdict: leave out what changes little, and run a surface or "
+            "a factorial of the others."
+        )
     if one.found is None:
         return f"{named}: no surface could be fitted. {clean(one.refused)}"
     moved = _ranges(one.found)
@@ -374,7 +411,13 @@ def surface_answer(one: FittedSurface, data: ReportData) -> str:
             f"{quantity(size, clean(one.unit))}"
             for place, (name, size) in enumerate(moved.items())
         ]
-        said = f"over its range, {listing(sizes)}"
+        less = [f"{len(sizes) - _NAMED} more by less"] if is_short and sizes[_NAMED:] else []
+        said = f"over its range, {listing([*sizes[: _NAMED if less else None], *less])}"
+    if is_short:
+        limit = f" (what matters: {one.practical:.3g} {clean(one.unit)})" if one.practical else ""
+        return " ".join(
+            (f"{named}: {said}{limit if moved else ''}.", *uncertainty_answer(one, data))
+        )
     beside = (_judged(one, data), *differences(one, data), accuracy(one))
     parts = (f"{named}: {said}.", *beside, *uncertainty_answer(one, data))
     return " ".join(text for text in parts if text)
@@ -401,7 +444,7 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
     said = []
     for verdict, verb, more in (
         (MATTERS, "matter", ""),
-        (f"{MATTERS}, if confirmed", "matter", ", if the runs that are named confirm it"),
+        (f"{MATTERS}, if confirmed", "matter", ", if the two confirming runs of each agree"),
         (NO_DIFFERENCE, "make", " no practical difference"),
     ):
         if names := by.pop(verdict, []):
@@ -440,6 +483,7 @@ def surface_blocks(
     yield Heading(capital(named), 2, anchor, one.unit)
     if one.found is None:
         yield Sentence(lines[0], kind="missing")
+        yield screening(one, data)
         return
     yield figures.get("shares")
     yield Points(lines)

@@ -149,25 +149,26 @@ MOST = 2000
 CELL = "cell-"
 
 
+def in_order(data: ReportData) -> pd.DataFrame:
+    """Rows of the table in the order of the design, those of a cell in that of the blocks."""
+    orders = {**data.factors, "block": data.blocks}
+    ranks = {
+        name: {label: k for k, label in enumerate(labels)}
+        for name, labels in orders.items()
+        if name in data.table
+    }
+    # a label that is not listed comes last
+    return data.table.sort_values(
+        list(ranks), key=lambda column: column.astype(str).map(ranks[str(column.name)])
+    )
+
+
 def by_cell(data: ReportData) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
     """Levels and rows of every cell, cells in the order of the design, rows in that of blocks."""
     if data.table.empty:  # nothing is computed yet, or what was is lost
         return []
-    groups = [
-        (tuple(str(level) for level in levels), _in_order(group, data.blocks))
-        for levels, group in data.table.groupby(list(data.factors), sort=False)
-    ]
-    return sorted(
-        groups, key=lambda cell: fit_rank(dict(zip(data.factors, cell[0], strict=True)), data)
-    )
-
-
-def _in_order(group: pd.DataFrame, blocks: Sequence[str]) -> pd.DataFrame:
-    if "block" not in group:
-        return group
-    order = {block: k for k, block in enumerate(blocks)}
-    place = group["block"].map(lambda block: order.get(str(block), len(order)))
-    return group.loc[place.sort_values(kind="stable").index]
+    groups = in_order(data).groupby(list(data.factors), sort=False)
+    return [(tuple(str(level) for level in levels), group) for levels, group in groups]
 
 
 def lists_records(data: ReportData) -> bool:
@@ -220,7 +221,7 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
         {
             "response": lambda of: of[0].title,
             "factor": lambda of: term_name(of[1].term, data.labels),
-            "verdict": lambda of: told(of[1]),
+            "verdict": lambda of: told(of[1]) if of[1].is_main else of[1].strength,
             "largest difference": lambda of: size(of[1], of[0]),
             f"{level(data.alpha)} interval".replace(THIN, " "): lambda of: size_interval(
                 of[1], of[0]
@@ -265,71 +266,90 @@ def _surface_verdicts(data: ReportData) -> Iterator[dict[str, object]]:
         }
 
 
-def anova(facts: Facts, data: ReportData) -> Table:
-    """Return the ANOVA table of the effects; error strata stand in :func:`strata`."""
-    effects = [row for row in facts.rows if is_effect(row, list(data.factors))]
-    tested = any(row.f is not None for row in effects)
+def anova(facts: Facts, data: ReportData, name: str = "") -> Table:
+    """Source, DF, SS, MS, F, p for every term, the error and the total.
+
+    A table has Minitab's five digits and all its error strata; the effects of a study, of which
+    there may be as many strata, have the degrees of freedom of their errors beside their own.
+    """
+    table = None if facts.result is None else facts.result.anova
+    digits = 5 if data.is_table else 3
+    rows = [r for r in facts.rows if data.is_table or is_effect(r, [*data.factors])
+            or ":" not in r.term]  # fmt: skip
+    names = {**data.labels, "block": data.labels.get("block", data.block or "block")}
+    how = "Seq" if table and table.type == "I" else "Adj"
+    columns: dict[str, Callable[[Row], str]] = {
+        "source": lambda row: "error" if row.term == "residual" else term_name(row.term, names),
+        "DF": lambda row: (
+            f"{row.df:g}"
+            if data.is_table or row.df_error is None
+            else f"{row.df:g}, {row.df_error:g}"
+        ),
+        f"{how} SS": lambda row: significant(row.ss, digits),
+        f"{how} MS": lambda row: "" if row.ms is None else significant(row.ms, digits),
+        "F": lambda row: "" if row.f is None else f_value(row.f),
+        "p": lambda row: "" if row.p is None else p_value(row.p),
+    }
+    if not data.is_table and all(row.p is None for row in rows):
+        del columns["F"], columns["p"]
+    elif facts.result and facts.result.variation.lenth:
+        columns["p (Lenth)"] = columns.pop("p")
+    if any(row.p_gg is not None for row in rows):
+        columns["GG epsilon"] = lambda row: "" if row.p_gg is None else _fixed(row.epsilon_gg, 3)
+        columns["p corrected"] = lambda row: "" if row.p_gg is None else p_value(row.p_gg)
+    strata = data.is_table and len({row.error for row in rows if row.error}) > 1
+    if strata:
+        columns["tested against"] = lambda row: term_name(row.error or "", names)
+    note = " ".join(_anova_notes(facts, data))
+    made = Table.of(name or f"{facts.name}-anova", rows, columns, tail=int(strata), note=note)
+    made = replace(made, raw=tuple(map(plain, facts.rows)))
+    if table is None or table.ss_total is None:
+        return made
+    sums = significant(table.ss_total, digits)
+    total = ("total", f"{table.df_total}", sums, *[""] * (len(columns) - 3))
+    return replace(made, rows=(*made.rows, total))
+
+
+def _anova_notes(facts: Facts, data: ReportData) -> Iterator[str]:
+    """Say what a reader may stumble over: a huge F, a test that was not made."""
+    effects, block = _effects_of(facts, data), clean(data.block)
+    if any((row.f or 0) > 1e4 for row in effects):
+        where = f"in every {block}" if block else "in every run"
+        yield (
+            f"F > 10,000: the effect is nearly the same {where}, so the error that it is compared "
+            "with is nearly zero; read the size of the effect, not its F."
+        )
+    if any(not row.df for row in effects):
+        yield "DF 0: not estimable from the cells that have a response."
+    if block and any(row.f for row in effects) and any(row.f is None and row.df for row in effects):
+        yield (
+            f"Without F: the effect is the same in every {block} to the tolerance of the solver, "
+            "so there is nothing to test it against."
+        )
+
+
+def _effects_of(facts: Facts, data: ReportData) -> list[Row]:
+    return [row for row in facts.rows if is_effect(row, list(data.factors))]
+
+
+SIZES = "Sizes of the effects as shares of the variation"
+
+
+def sizes(facts: Facts, data: ReportData) -> Table:
+    """Effects as shares of the variation."""
+    effects = _effects_of(facts, data)
     columns: dict[str, Callable[[Row], str]] = {
         "term": lambda row: term_name(row.term, data.labels),
-        "df": lambda row: (
-            f"{row.df:g}" if row.df_error is None else f"{row.df:g}, {row.df_error:g}"
-        ),
     }
-    if tested:
-        columns |= {"F": lambda row: f_value(row.f), "p": lambda row: p_value(row.p)}
-        if any(row.epsilon_gg is not None for row in effects):
-            columns["GG epsilon"] = lambda row: _fixed(row.epsilon_gg)
-            columns["p corrected"] = lambda row: p_value(row.p_deciding)
+    if any(row.f is not None for row in effects):
         columns["omega squared"] = lambda row: _fixed(row.omega_sq, 3)
         columns["partial eta squared"] = lambda row: (
             _fixed(row.partial_eta_sq, 3)
             + (f" ({interval(*row.partial_eta_sq_ci95)})" if row.partial_eta_sq_ci95 else "")
         )
-    else:
-        columns["sum of squares"] = lambda row: significant(row.ss)
-        if facts.result and facts.result.variation.lenth:
-            columns["p (Lenth)"] = lambda row: p_value(row.p)
     columns["share"] = lambda row: share(row.share) if row.df else MISSING
-    note = " ".join(_anova_notes(effects, data, tested))
-    made = Table.of(f"{facts.name}-anova", effects, columns, note=note)
-    return replace(made, raw=tuple(map(plain, facts.rows)))
-
-
-def _anova_notes(effects: Sequence[Row], data: ReportData, tested: bool) -> Iterator[str]:
-    """Say what a reader may stumble over: a huge F, a test that was not made, the share."""
-    block = clean(data.block)
-    if any((row.f or 0) > 1e4 for row in effects):
-        where = f"in every {block}" if block else "in every run"
-        yield (
-            f"F > 10,000: the effect is nearly the same {where}, so the error below the line is "
-            "nearly zero; read the size of the effect, not its F."
-        )
-    if any(not row.df for row in effects):
-        yield "df 0: not estimable from the cells that have a response."
-    if block and tested and any(row.f is None and row.df for row in effects):
-        yield (
-            f"{MISSING}: the effect is the same in every {block} to the tolerance of the solver, "
-            "so there is nothing to test it against."
-        )
-    if data.block:
-        yield f"Share: part of the total sum of squares, the {plural_of(block)} included."
-
-
-def strata(facts: Facts, data: ReportData) -> Table:
-    """Rows of the ANOVA table that are blocks or error."""
-    names = {**data.labels, "block": data.labels.get("block", data.block or "block")}
-    return Table.of(
-        f"{facts.name}-strata",
-        [row for row in facts.rows if not is_effect(row, list(data.factors))],
-        {
-            "stratum": lambda row: term_name(row.term, names),
-            "df": lambda row: f"{row.df:g}",
-            "sum of squares": lambda row: significant(row.ss),
-            "mean square": lambda row: significant(row.ms),
-            "share": lambda row: share(row.share),
-        },
-        raw=plain,
-    )
+    note = f"Share: part of the total sum of squares, the {plural_of(data.block)} included."
+    return Table.of(f"{facts.name}-sizes", effects, columns, note=note if data.block else "")
 
 
 def _fixed(value: float | None, decimals: int = 2) -> str:

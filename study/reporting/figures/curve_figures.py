@@ -221,9 +221,6 @@ MOST_COLUMNS = 4
 #: factor. Otherwise each panel shows shares of its own largest measured force: on an axis that
 #: reaches 10 times higher, residuals of some percent could not be seen.
 COMPARABLE = 3.0
-#: Two measurements are one if their forces differ by less than this share of the largest force.
-#: Both are interpolated from the same points, so that only round-off is left between them.
-SAME_FORCE = 1e-6
 
 COLUMNS = (
     "block", "panel", "line", "displacement_mm", "measured_N", "predicted_N", "scatter_N",
@@ -343,29 +340,6 @@ def _samples(pair: CurvePair, line: str, panel: str) -> list[tuple[str | float, 
     return [(*key, *map(float, values)) for values in columns]
 
 
-def measurements(rows: pd.DataFrame) -> tuple[pd.DataFrame, ...]:
-    """Measurements of one panel, longest first; none that repeats the beginning of another."""
-    lines = [line for _, line in rows.groupby("line", sort=False)]
-    lines.sort(key=lambda line: -float(line["displacement_mm"].max()))
-    longest: list[pd.DataFrame] = []
-    for line in lines:
-        if not any(_repeats(line, longer) for longer in longest):
-            longest.append(line)
-    return tuple(longest)
-
-
-def _repeats(line: pd.DataFrame, longer: pd.DataFrame) -> bool:
-    """Whether a measurement agrees with the beginning of a longer one, up to its sampling."""
-    d, force = longer["displacement_mm"].to_numpy(), longer["measured_N"].to_numpy()
-    if np.array_equal(line["displacement_mm"].to_numpy(), d):
-        return bool(np.allclose(line["measured_N"], force, rtol=0, atol=SAME_FORCE * force.max()))
-    between = np.interp(line["displacement_mm"], d, force)
-    # a longer curve is sampled more coarsely: a chord leaves a curve by its second difference / 8
-    bend = float(np.abs(np.diff(force, 2)).max(initial=0.0))
-    scatter = max(bend, SAME_FORCE * float(force.max()))
-    return bool(np.all(np.abs(line["measured_N"] - between) <= scatter))
-
-
 # Small multiples of curves: force above, residual below, on axes that can be compared.
 
 #: Longest title of a panel in characters; titles that are alike when cut are numbered.
@@ -452,15 +426,13 @@ def panel_titles(panels: CurvePanels, width_in: float) -> tuple[str, ...]:
 def _plot_panel(force: Axes, residual: Axes, rows: pd.DataFrame, levels: Sequence[str]) -> None:
     """Draw measurements with the scatter of their repeats, and a line for each prediction."""
     residual.axhline(0, color=style.INK, linewidth=0.6)
-    for number, line in enumerate(measurements(rows)):
-        d, measured, s = (line[name] for name in ("displacement_mm", "measured_N", "scatter_N"))
+    names = ["displacement_mm", "measured_N", "scatter_N"]
+    for _, line in rows.round(dict.fromkeys(names, 9)).drop_duplicates(names).groupby("line"):
+        d, measured, s = (line[name] for name in names)
         if s.notna().all():
             force.fill_between(d, measured - s, measured + s, color=SCATTER, linewidth=0)
             residual.fill_between(d, -s, s, color=SCATTER, alpha=0.6, linewidth=0)
-        force.plot(
-            d.iloc[::2], measured.iloc[::2], "o", color=style.INK, markersize=1.9,
-            markerfacecolor="#ffffff" if number else style.INK, markeredgewidth=0.5,
-        )  # fmt: skip
+        force.plot(d.iloc[::2], measured.iloc[::2], "o", color=style.INK, markersize=1.9)
     for index, name in enumerate(levels):
         line = rows[rows["line"] == name]
         d, look = line["displacement_mm"], _look_of(index)

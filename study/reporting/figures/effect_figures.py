@@ -18,7 +18,7 @@ from study.reporting.content.effect_words import (
     size_interval,
     sole_setting,
 )
-from study.reporting.content.report_facts import Facts, cells, comparable, describe, groups
+from study.reporting.content.report_facts import Facts, cells, comparable
 from study.reporting.content.text import clean, level, name_of, quantity, significant, term_name
 from study.reporting.figures import axes as style
 from study.reporting.results.study_result import ReportData
@@ -53,86 +53,52 @@ def grand_mean(data: ReportData, facts: Facts) -> float:
 
 
 def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
-    """Draw the main effects on one shared axis, grand mean and practical band behind."""
+    """Draw the main effects, a panel a factor, grand mean and practical band behind."""
     center = grand_mean(data, facts)
     practical = next((e.practical for e in facts.effects if e.practical is not None), None)
-    figure, ax = style.one_panel(3.5)
-    if practical is not None:
-        low, high = center - practical / 2, center + practical / 2
-        if facts.ratio:
-            low, high = center / practical**0.5, center * practical**0.5
-        ax.axhspan(low, high, color=style.BAND, zorder=0)
-    ax.axhline(center, color=style.MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
-    style.at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=style.MUTED)
-    placed = _connect_levels(ax, frame)
-    for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
+    factors = list(frame.groupby("factor", sort=False))
+    figure = style.canvas(3.5)
+    levels = [len(group) for _, group in factors]
+    axes = figure.subplots(1, len(factors), squeeze=False, sharey=True, width_ratios=levels)[0]
+    for index, (ax, (factor, group)) in enumerate(zip(axes, factors, strict=True)):
+        if practical is not None:
+            low, high = center - practical / 2, center + practical / 2
+            if facts.ratio:
+                low, high = center / practical**0.5, center * practical**0.5
+            ax.axhspan(low, high, color=style.BAND, zorder=0)
+        ax.axhline(center, color=style.MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
         means = group["mean"].tolist()
-        for place, mean, sign in zip(group["place"], means, _sides(means), strict=True):
-            va = "bottom" if sign > 0 else "top"
-            style.note(ax, significant(mean), (place, mean), (0, 6 * sign), ha="center", va=va)
-        name = clean(name_of(str(factor), data.labels), 30)
-        bold = {"fontweight": "bold", "color": style.word_color_of(index), "fontsize": 8.5}
-        style.above(ax, name, float(group["place"].mean()), **bold)
-    names = [style.wrap(level, 12, 40) for level in frame["level"]]
-    many = len(names) > 13
-    small, side = 7.5 if len(names) < 9 else 7, "right" if many else "center"
-    ax.set_xticks(placed["place"], names, rotation=45 if many else 0, ha=side, fontsize=small)
-    ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
-    ax.margins(y=0.2)
-    ax.set(xlabel="", ylabel=style.labeled(facts.title, facts.unit))
-    ax.tick_params(axis="x", length=0)
+        ax.plot(range(len(means)), means, marker="o", color=style.color_of(index), markersize=5.5)
+        around = [*means[1:2], *means, *means[-2:-1]] if means[1:] else means * 3
+        for place, mean in enumerate(means):
+            # on the side of the point that no line meets
+            is_above = 2 * mean >= around[place] + around[place + 2]
+            look = {"ha": "center", "va": "bottom" if is_above else "top"}
+            style.note(ax, significant(mean), (place, mean), (0, 6 if is_above else -6), **look)
+        names = [style.wrap(level, 12, 40) for level in group["level"]]
+        ax.set_xticks(range(len(names)), names, fontsize=7.5)
+        ax.set_xlim(-0.5, len(names) - 0.5)
+        ax.set_title(style.wrap(name_of(str(factor), data.labels), 9 * len(names), 30))
+    style.at_right(axes[-1], f"grand mean {quantity(center, facts.unit)}", center, style.MUTED)
+    axes[0].margins(y=0.15)
+    axes[0].set_ylabel(style.labeled(facts.title, facts.unit))
     return figure
 
 
-def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
-    """Draw a line a factor through its level means; return them with their places."""
-    import seaborn as sns
-
-    factors = frame.groupby("factor", sort=False)
-    # levels are 1 apart, and half a step more parts the factors
-    placed = frame.assign(place=np.arange(len(frame)) + 0.5 * factors.ngroup())
-    colors = [style.color_of(index) for index in range(factors.ngroups)]
-    sns.pointplot(
-        placed, x="place", y="mean", hue="factor", palette=colors, markersize=5.5, ax=ax, **_JOINED
-    )
-    return placed
-
-
-def _sides(means: Sequence[float]) -> list[int]:
-    """Side of each point on which its number meets no line: 1 above, -1 below."""
-    values = np.asarray(means, dtype=float)
-    left = np.r_[values[1:2], values[:-1]]
-    right = np.r_[values[1:], values[-2:-1]]
-    return [1 if v >= (a + b) / 2 else -1 for v, a, b in zip(values, left, right, strict=True)]
-
-
 def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
-    """Every observation of each distinct computation with its rank, best first."""
-    ranked = groups(data, facts)
-    if facts.better == "higher":
-        ranked = ranked[::-1]
-    factors = list(data.factors)
-    complete = comparable(data, facts.name)
-    levels = complete[factors].astype(str).agg(tuple, axis=1)
-    columns = [*factors, *(["block"] if "block" in complete else [])]
-    parts = []
-    for rank, group in enumerate(ranked[:most]):
-        first = group.members[0]
-        rows = complete[levels == tuple(first[name] for name in factors)]
-        parts.append(
-            rows[columns].assign(
-                label=describe(group, data),
-                copies=len(group),
-                value=rows[facts.name],
-                cell_mean=group.mean,
-                rank=rank,
-            )
-        )
-    return pd.concat(parts, ignore_index=True)
+    """Every observation of the best cells with the rank of its cell, best first."""
+    factors, rows = list(data.factors), comparable(data, facts.name)
+    ranked = cells(data, facts.name)[:: -1 if facts.better == "higher" else 1].head(most)
+    levels = ranked[factors].itertuples(index=False)
+    names = [" \N{MIDDLE DOT} ".join(map(clean, cell)) for cell in levels]
+    ranked = ranked[factors].assign(label=names, cell_mean=ranked["mean"], rank=range(len(ranked)))
+    rows = rows[[*factors, *(["block"] if "block" in rows else [])]].assign(value=rows[facts.name])
+    every = rows.astype(dict.fromkeys(factors, str)).merge(ranked, on=factors)
+    return every.sort_values("rank", kind="stable", ignore_index=True)
 
 
 def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
-    """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
+    """Draw cells as rows: individual points, mean on top, thin lines pairing the blocks."""
     count = int(frame["rank"].max()) + 1
     figure, ax = style.one_panel(0.8 + 0.24 * count)
     best = float(frame["cell_mean"].iloc[0])
@@ -153,7 +119,7 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
 
 
 def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
-    """Draw a row of points a computation, its mean on top and the lines of the blocks behind."""
+    """Draw a row of points a cell, its mean on top and the lines of the blocks behind."""
     import seaborn as sns
 
     if "block" in frame and 0 < frame["block"].nunique() <= 40:

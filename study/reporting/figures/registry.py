@@ -18,6 +18,7 @@ from study.reporting.content.effect_words import normality_phrase, size
 from study.reporting.content.recommendation import cost_front
 from study.reporting.content.report_facts import Facts, practical_of
 from study.reporting.content.report_facts import cells as report_cells
+from study.reporting.content.tables import in_order
 from study.reporting.content.text import (
     THIN,
     clean,
@@ -89,17 +90,11 @@ def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
     low, high = significant(float(means_of.min())), quantity(float(means_of.max()), facts.unit)
     kind = "geometric cell means" if facts.ratio else "cell means"
     text = f"{kind} (diamonds) run from {low} to {high}; each dot is one {unit}"
-    if "block" in frame:
+    if "block" in frame and frame["block"].notna().any():
         spread = frame.groupby("block")["value"].mean()
         text += (
             f", joined across cells by a thin line; {unit} means run from "
             f"{significant(float(spread.min()))} to {quantity(float(spread.max()), facts.unit)}"
-        )
-    copies = int(shown["copies"].sum())
-    if copies > len(shown):
-        text += (
-            f"; {count(len(shown), 'row')} for {copies} cells, since cells that agree in every "
-            f"{unit} are one computation"
         )
     return sentence(text)
 
@@ -396,14 +391,10 @@ def of_recordings(frame: pd.DataFrame) -> Figure:
 
 def _failed_cases(data: ReportData) -> pd.DataFrame:
     """Cell, block and status of every case, in the order of the design."""
-    factors = list(data.factors)
-    frame = data.table[[*factors, "status"]].astype(str)
-    block = data.table["block"].astype(str) if "block" in data.table else "all"
-    frame = frame.assign(block=block, cell=frame[factors].agg(" \N{MIDDLE DOT} ".join, axis=1))
-    orders = {**data.factors, "block": data.blocks}
-    ranks = {name: {label: k for k, label in enumerate(labels)} for name, labels in orders.items()}
-    # a label that is not listed comes last
-    return frame.sort_values(list(ranks), key=lambda column: column.map(ranks[str(column.name)]))
+    factors, table = list(data.factors), in_order(data)
+    frame = table[[*factors, "status"]].astype(str)
+    block = table["block"].astype(str) if "block" in table else "all"
+    return frame.assign(block=block, cell=frame[factors].agg(" \N{MIDDLE DOT} ".join, axis=1))
 
 
 def _failures(data: ReportData) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.typing import HashableList
 
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, count, name_of, p_value, sentence, term_name
@@ -236,12 +237,9 @@ def thinned(points: pd.DataFrame, seed: int) -> pd.DataFrame:
     """At most ``MOST_POINTS`` rows in their order: the largest residuals and a random sample."""
     if len(points) <= MOST_POINTS:
         return points
-    size = points["residual"].abs().to_numpy()
-    largest = np.argpartition(size, -LARGEST_KEPT)[-LARGEST_KEPT:]
-    others = np.setdiff1d(np.arange(len(points)), largest)
-    rng = np.random.default_rng(seed)
-    sample = rng.choice(others, MOST_POINTS - LARGEST_KEPT, replace=False)
-    return points.iloc[np.sort(np.concatenate([largest, sample]))]
+    largest = points["residual"].abs().nlargest(LARGEST_KEPT).index
+    others = points.drop(largest).sample(MOST_POINTS - LARGEST_KEPT, random_state=seed)
+    return points.loc[largest.union(others.index)]
 
 
 def drawn_words(points: pd.DataFrame) -> str:
@@ -257,22 +255,26 @@ def drawn_words(points: pd.DataFrame) -> str:
 def draw_residuals(
     points: pd.DataFrame, facts: Facts, data: ReportData, *, ordered: bool = False
 ) -> Canvas:
-    """Draw four views of the residuals; rows of a table have an order, runs have none."""
-    figure = style.canvas(5.7)
-    (normal, fits), (histogram, last) = figure.subplots(2, 2)
+    """Draw views of the residuals; rows of a table have an order, runs have none."""
+    rows: list[HashableList[str]]
+    rows = [["normal", "fits"], ["histogram", "order"], ["factors", "factors"]]
+    if not ordered:
+        rows = [["normal", "fits"], ["histogram", "factors"]]
+    figure = style.canvas(2.85 * len(rows))
+    panels = figure.subplot_mosaic(rows)
     shown, label = thinned(points, data.seed), style.labeled("residual", facts.scale)
-    _probability(normal, shown, points, facts, data.seed, label)
-    _against(fits, shown["fitted"], shown["residual"])
+    _probability(panels["normal"], shown, points, facts, data.seed, label)
+    _against(panels["fits"], shown["fitted"], shown["residual"])
     where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
-    fits.set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
-    _histogram(histogram, points["residual"].to_numpy(float), label)
+    panels["fits"].set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
+    _histogram(panels["histogram"], points["residual"].to_numpy(float), label)
+    _against_factors(panels["factors"], shown, data, label)
     if ordered:
+        last = panels["order"]
         _against(last, shown["row"], shown["residual"])
         if len(shown) <= MOST_JOINED:
             last.lines[-1].set(linestyle="-", linewidth=0.7)
         last.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
-    else:
-        _against_factors(last, shown, data, label)
     return figure
 
 
@@ -309,13 +311,6 @@ def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
     look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
     sns.histplot(x=values, bins=bins, alpha=1, ax=ax, **look)
     ax.set(title="histogram", xlabel=label, ylabel="rows")
-
-
-def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
-    """Draw the residuals at every level of every factor, side by side."""
-    figure, ax = style.one_panel(3.2)
-    _against_factors(ax, thinned(points, data.seed), data, style.labeled("residual", facts.scale))
-    return figure
 
 
 def influence_caption(points: pd.DataFrame, limit: float | None) -> str:

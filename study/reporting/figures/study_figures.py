@@ -151,25 +151,24 @@ def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None
 
 
 def draw_failures(frame: pd.DataFrame) -> Canvas:
-    """Draw cells against blocks, a mark where a case failed."""
-    statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
-    rows = list(dict.fromkeys(frame["cell"]))
-    columns = list(dict.fromkeys(frame["block"]))
+    """Draw cells against blocks, a large mark where a case failed."""
+    import seaborn as sns
+
+    statuses = sorted(set(frame["status"]) - {"converged"})
+    rows, columns = (list(dict.fromkeys(frame[name])) for name in ("cell", "block"))
     figure, ax = style.one_panel(0.9 + 0.2 * len(rows))
-    for index, status in enumerate(statuses):
-        some = frame[frame["status"] == status]
-        marker, color, big = style.MARKERS[(index + 1) % 7], style.color_of(index), 7
-        if status == "converged":
-            marker, color, big = ".", "#c4cad1", 4
-        x, y = some["block"].map(columns.index), some["cell"].map(rows.index)
-        shown = clean(status, 24)
-        ax.plot(x, y, marker, color=color, markersize=big, linestyle="none", label=shown)
+    sns.scatterplot(
+        x=frame["block"].map(columns.index), y=frame["cell"].map(rows.index),
+        hue=frame["status"], style=frame["status"], size=frame["status"],
+        palette={"converged": "#c4cad1"} | dict(zip(statuses, style.WORDS[1:] * 9, strict=False)),
+        markers={"converged": "."} | dict(zip(statuses, style.MARKERS * 9, strict=False)),
+        sizes={"converged": 16, **dict.fromkeys(statuses, 49)}, linewidth=0, ax=ax,
+    )  # fmt: skip
     ax.set_xticks(range(len(columns)), [style.wrap(c, 10, 20) for c in columns], fontsize=7.5)
     style.name_rows(ax, range(len(rows)), [style.wrap(r, 80, 70) for r in rows])
-    ax.set_ylim(len(rows) - 0.5, -0.5)
-    ax.set_xlim(-0.5, len(columns) - 0.5)
+    ax.set(xlabel="", ylabel="", ylim=(len(rows) - 0.5, -0.5), xlim=(-0.5, len(columns) - 0.5))
     ax.tick_params(length=0)
-    figure.legend(loc="outside upper left", ncols=6)
+    sns.move_legend(ax, "lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, title="")
     return figure
 
 

@@ -20,7 +20,7 @@ import pandas as pd
 from study import __version__ as package_version
 from study.ground.bounded_file import sha256_of
 from study.ground.errors import Fault, InputError
-from study.reporting.content import analysis_content, methods, sentences, tables
+from study.reporting.content import analysis_content, methods, tables
 from study.reporting.content.blocks import (
     Block,
     Definition,
@@ -28,7 +28,6 @@ from study.reporting.content.blocks import (
     Figure,
     Folded,
     Heading,
-    Points,
     Sentence,
     titled,
 )
@@ -37,7 +36,7 @@ from study.reporting.content.report_facts import Facts, facts
 from study.reporting.content.text import capital, clean, count, sentence, slug
 from study.reporting.figures.axes import Plot, made
 from study.reporting.output import study_page, write
-from study.reporting.output.page import Page, Pages, page_names, replace_file
+from study.reporting.output.page import Pages, replace_file
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.analysis.post_hoc import (
     coefficient_table,
@@ -79,14 +78,7 @@ def prepare(
 
     (item,) = facts(data)
     figures = _figures(analysis, data, item, rows)
-    lines = sentences.answer(data, (item,))
-    effects, name = registry.overview(data, (item,)), capital(item.title)
-    first = study_page.first_page(data, (item,), stem, name, effects, rows="rows.csv")
-    warnings = [sentence(clean(text)) for text in dict.fromkeys((*data.warnings, *analysis.notes))]
     blocks: list[Block | None] = [
-        study_page.EFFECTS,
-        *map(Sentence, lines),
-        tables.verdicts((item,), data),
         *_data(analysis, data, item),
         *study_page.error_terms(data, (item,)),
     ]
@@ -99,25 +91,10 @@ def prepare(
             Heading("Assumptions", 2, "assumptions"),
             analysis_content.checks(analysis),
             figures.get("spread"),
-            *study_page.IF_VIOLATED,
         ]
-    if warnings:
-        blocks += [Heading("Warnings", 2, "warnings"), Points(warnings)]
-    blocks += [
-        *study_page.methods_to_paste(methods.paragraph(data, (item,))),
-        *study_page.provenance(replace(data, data_notes=()), ()),
-        *study_page.GLOSSARY,
-    ]
-    second = Page(
-        title=f"{item.title}, {data.name}: details",
-        kicker=first.kicker,
-        name=name,
-        question=data.question,
-        blocks=blocks,
-        back=page_names(stem)[0],
-        about=data.name,
-    )
-    return Pages(first, second)
+    warnings = [sentence(clean(text)) for text in dict.fromkeys((*data.warnings, *analysis.notes))]
+    shown, name = (registry.overview(data, (item,)), None), capital(item.title)
+    return study_page.two_pages(data, (item,), stem, name, shown, blocks, warnings, rows="rows.csv")
 
 
 def _data(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterator[Block]:
@@ -136,10 +113,9 @@ def _data(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterator[B
 def _variance(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterator[Block | None]:
     title = f"Analysis of variance, type {analysis.anova.type}"
     yield Heading(title, 2, "anova", short="Analysis of variance")
-    yield analysis_content.analysis_of_variance(analysis)
+    yield tables.anova(item, data, "anova")
     yield analysis_content.model_summary(analysis)
-    sizes = "Sizes of the effects as shares of the variation"
-    yield Folded(sizes, (tables.anova(item, data),))
+    yield Folded(tables.SIZES, (tables.sizes(item, data),))
     fitted = coefficient_table(analysis)
     if isinstance(fitted, str):
         yield Heading("Coefficients")
@@ -151,7 +127,7 @@ def _variance(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterat
 
 def _means(data: ReportData, item: Facts, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
     yield Heading("Means and effects", 2, "means")
-    yield analysis_content.judged(item, data)
+    yield analysis_content.open_effects(item, data)
     yield from study_page.drawn(figures, "contrasts", "means", "interactions")
     yield from titled(analysis_content.means(item, data))
     yield from titled(analysis_content.simple_effects(item, data))
@@ -174,7 +150,7 @@ def _residuals(
     analysis: AnalysisResult, data: ReportData, figures: Mapping[str, Figure]
 ) -> Iterator[Block | None]:
     yield Heading("Residuals", 2, "residuals")
-    shown = list(study_page.drawn(figures, "four-in-one", "against-factors", "influence"))
+    shown = list(study_page.drawn(figures, "four-in-one", "influence"))
     if shown and any(row.p_gg is not None for row in analysis.anova.rows):
         yield Sentence(
             f"Residuals of cells and {clean(data.block)} added. No p of this page rests on them: "
@@ -217,15 +193,7 @@ def _figures(
             lambda frame: sentence(
                 f"{count(len(frame), 'residual')}; {normality_phrase(item, data.alpha)}. The order "
                 "is that of the rows in the file: the run order only if they were written down as "
-                f"they were run{residual_figures.drawn_words(frame)}"
-            ),
-        ),
-        "against-factors": (
-            "Residuals versus factors",
-            lambda: points[[*data.factors, "residual"]],
-            lambda frame: residual_figures.draw_against_factors(frame, item, data),
-            lambda frame: sentence(
-                "a level whose residuals scatter more has the larger variance"
+                "they were run. A level whose residuals scatter more has the larger variance"
                 f"{residual_figures.drawn_words(frame)}"
             ),
         ),

@@ -207,9 +207,11 @@ def _subscripts(text: str) -> Markup:
 
 
 def _cell(text: str, column: str) -> Markup:
-    """Cell of a table; a verdict has its color and its sign."""
+    """Cell of a table; a verdict and the outcome of a check have their color and their sign."""
     from markupsafe import Markup
 
+    if column == "outcome":
+        return Markup('<span class="outcome {}">{}</span>').format(slug(text), text)
     if column != "verdict" or text not in VERDICTS:
         return _subscripts(text)
     return Markup('<span class="verdict {}">{}</span>').format(slug(text), text)

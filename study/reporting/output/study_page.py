@@ -21,8 +21,6 @@ from study.reporting.content import (
 from study.reporting.content.blocks import (
     Block,
     Card,
-    CheckGroup,
-    Checks,
     Definition,
     Definitions,
     Figure,
@@ -47,17 +45,10 @@ from study.reporting.content.text import (
 )
 from study.reporting.figures.axes import made
 from study.reporting.output.page import Page, Pages, page_names
-from study.reporting.results.study_result import FITTED_CURVE, ReportData
+from study.reporting.results.study_result import FITTED_CURVE, Check, ReportData
 
 if TYPE_CHECKING:
     from study.harness.execution.local import Worker
-
-EFFECTS = Heading("Effects in full", 2, "answer")
-IF_VIOLATED = (
-    Heading("What happens if they are violated"),
-    Definitions.of(effect_words.WHAT_IF),
-)
-GLOSSARY = (Heading("Glossary", 2, "glossary"), Definitions.of(methods.TERMS.items()))
 
 _VERSION = "version of "
 
@@ -89,36 +80,22 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
         middle += [Sentence(sentence(text), kind="note") for text in notes]
     middle += [block for part in parts for block in _response(data, *part)]
     of_all = figures()
-    stem = slug(data.name)
+    blocks = [
+        *_study(data, all_facts),
+        *_checks(data, all_facts, of_all),
+        *error_terms(data, all_facts if parts else ()),
+        *middle,
+        *_expected(data, all_facts),
+        *_beside(data),
+        *_assumptions(parts),
+        *_specimens(data, of_all),
+        *_failures(data, of_all),
+        *_cost(data, parts),
+    ]
     curves = of_all.get("few-curves", of_all.get("curves"))
-    first = first_page(data, all_facts, stem, data.name, effects, curves)
-    second = Page(
-        title=f"{data.name}: details",
-        kicker=first.kicker,
-        name=data.name,
-        question=data.question,
-        blocks=[
-            *_effects(data, all_facts, f"{stem}-data"),
-            *_study(data, all_facts),
-            *_checks(data, all_facts, of_all),
-            *error_terms(data, all_facts if parts else ()),
-            *middle,
-            *_expected(data, all_facts),
-            *_beside(data),
-            *_assumptions(parts),
-            *_specimens(data, of_all),
-            *_failures(data, of_all),
-            *_cost(data, parts),
-            *methods_to_paste(methods.paragraph(data, all_facts)),
-            *provenance(data, _warnings(data, all_facts)),
-            *GLOSSARY,
-        ],
-        files=f"{stem}-data",
-        back=page_names(stem)[0],
-        about=data.name,
-        flag=first.flag,
-    )
-    return Pages(first, second)
+    warnings = _warnings(data, all_facts)
+    shown = effects, curves
+    return two_pages(data, all_facts, slug(data.name), data.name, shown, blocks, warnings)
 
 
 def anchor_of(item: Facts) -> str:
@@ -126,16 +103,21 @@ def anchor_of(item: Facts) -> str:
     return f"r-{slug(item.name)}"
 
 
-def first_page(
+def two_pages(
     data: ReportData,
     all_facts: Sequence[Facts],
     stem: str,
     name: str,
-    effects: Figure | None,
-    curves: Figure | None = None,
+    figures: tuple[Figure | None, Figure | None],
+    details: Iterable[Block | None],
+    warnings: Sequence[str],
     rows: str = "cases.csv",
-) -> Page:
-    """Question, answer, effects, checks, curves, what to do."""
+) -> Pages:
+    """Question, answer, effects, checks, curves, what to do; then all effects and the details.
+
+    ``figures`` are those of the effects and of the curves.
+    """
+    effects, curves = figures
     answer = in_few((*sentences.answer(data, all_facts, is_short=True), *_held(data)))
     advice = what_to_do(data, all_facts)
     would_change = recommendation.would_change(data, all_facts)
@@ -147,12 +129,14 @@ def first_page(
     if curves is not None:
         blocks += [Heading("Measured and predicted", 2, "curves"), curves]
     title = "Recommendation" if advice else "What would change this"
+    if data.surfaces and advice:
+        title = "Smallest and largest predictions"
     blocks += [Heading(title, 2, "recommendation"), *map(Sentence, advice)]
     blocks.append(Sentence(would_change, "What would change this." if advice else ""))
     kicker = "Analysis of a table" if data.is_table else "Study report"
     files, more = f"{stem}-data", "All tables, figures, checks and methods"
     links = {"effects": "table-verdicts.csv", "every row": rows, "all statistics": "numbers.json"}
-    return Page(
+    first = Page(
         title=f"{name}: {kicker.lower()}",
         kicker=kicker,
         name=name,
@@ -166,6 +150,24 @@ def first_page(
             _linked(f"Data: {', '.join(links)}.", links, files),
         ),
     )
+    second = replace(
+        first,
+        title=f"{name}: details" if name == data.name else f"{name}, {data.name}: details",
+        blocks=[
+            *_effects(data, all_facts, files, rows),
+            *details,
+            Heading("Methods, to paste", 2, "methods", short="Methods"),
+            Sentence(methods.paragraph(data, all_facts), kind="quote"),
+            *_provenance(data, warnings),
+            Heading("Glossary", 2, "glossary"),
+            Definitions.of(methods.TERMS.items()),
+        ],
+        back=page_names(stem)[0],
+        about=data.name,
+        unfinished="",
+        footer=(),
+    )
+    return Pages(first, second)
 
 
 # The first page in words: an answer of few sentences, a line for every check, what to do.
@@ -187,22 +189,22 @@ def in_few(lines: Iterable[str]) -> tuple[str, ...]:
     return tuple(shown)
 
 
-def report_card(checks: Checks, data: ReportData) -> Card:
+def report_card(checks: Iterable[Check], data: ReportData) -> Card:
     """Return one line a check, the worst first, and one for the notes of the second page."""
-    lines = [_card_line(group) for group in checks.groups]
+    lines = [_card_line(group) for group in analysis_content.by_name(checks)]
     if data.warnings or data.data_notes:
         notes = count(len(data.warnings) + len(data.data_notes), "note")
         lines.append(("note", "Notes", f"{notes} on the data and the run, on the second page."))
     return Card(lines)
 
 
-def _card_line(group: CheckGroup) -> tuple[str, str, str]:
-    worst = [check for check in group.items if check.outcome == group.outcome]
+def _card_line(group: Sequence[Check]) -> tuple[str, str, str]:
+    worst = [check for check in group if check.outcome == group[0].outcome]
     meaning = worst[0].consequence or worst[0].finding
     named = listing([check.of for check in worst if check.of])
-    if named and len(worst) < len(group.items):
+    if named and len(worst) < len(group):
         meaning = f"{named}: {meaning}"
-    return group.outcome, sentence(group.name).rstrip("."), sentence(meaning)
+    return group[0].outcome, sentence(group[0].name).rstrip("."), sentence(meaning)
 
 
 def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
@@ -213,18 +215,13 @@ def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
             for one in data.surfaces[: sentences.MOST_RESPONSES]
         }
         return tuple(
-            sentence(f"{name}: {' '.join(ends)}")
+            sentence(f"{name}. {' '.join(ends)}")
             for name, one in where.items()
             if (ends := surface_content.extremes(one, data))
         )
     if data.is_table:
         return ()
-    lines = tuple(
-        recommendation.recommendation(data, facts)
-        for facts in all_facts
-        if facts.terms and facts.better and data.table[facts.name].notna().any()
-    )
-    if lines:
+    if lines := recommendation.recommendations(data, all_facts):
         return lines
     if not any(facts.terms for facts in all_facts):
         return ("Nothing can be recommended, because no response could be analyzed.",)
@@ -245,15 +242,17 @@ def _held(data: ReportData) -> tuple[str, ...]:
     return comparison_content.summary(data.beside, data.labels)[:1] if data.beside else ()
 
 
-def _effects(data: ReportData, all_facts: Sequence[Facts], files: str) -> Iterator[Block]:
-    yield EFFECTS
+def _effects(
+    data: ReportData, all_facts: Sequence[Facts], files: str, rows: str
+) -> Iterator[Block]:
+    yield Heading("Effects in full", 2, "answer")
     yield from map(Sentence, (*sentences.answer(data, all_facts), *_held(data)))
     table = tables.verdicts(all_facts, data)
-    anchors = {item.title: anchor_of(item) for item in all_facts}
-    yield replace(table, links=tuple(anchors[row[0]] for row in table.rows))
+    anchors = {item.title: anchor_of(item) for item in all_facts if not data.is_table}
+    yield replace(table, links=tuple(anchors.get(row[0], "") for row in table.rows))
     if table.rows:
-        links = {"these numbers as CSV": "table-verdicts.csv", "cases.csv": "cases.csv"}
-        words = "these numbers as CSV; every case they come from: cases.csv"
+        links = {"these numbers as CSV": "table-verdicts.csv", rows: rows}
+        words = f"these numbers as CSV; every case they come from: {rows}"
         if data.curves:
             links |= {"curves.csv.gz": "curves.csv.gz"}
             words += "; every point of every curve: curves.csv.gz"
@@ -276,6 +275,7 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
     computed = f"{present:,} of {count(data.planned, 'cell')} computed"
     if present >= data.planned:
         computed = count(present, "cell")
+    inputs = grouped_inputs(data.inputs)
     yield Heading("Study", 2, "study")
     yield Definitions([
         Definition("Factors", [
@@ -286,8 +286,10 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
         Definition("Cases", [Sentence(f"{computed}, {len(data.table):,} cases")]),
         Definition("Responses", [Sentence(note(f), f.title) for f in all_facts]),
         Definition("Measurements", [Sentence(" ".join(measured))]),
-        *(Definition(key, [Sentence(text)]) for key, text in grouped_inputs(data.inputs).items()),
-        *(Definition(key, [Sentence(text)], "assumed") for key, text in data.assumed.items()),
+        *(Definition(key, [Sentence(text)], "assumed" * (key in data.assumed))
+          for key, text in inputs.items()),
+        *(Definition(key, [Sentence(text)], "assumed")
+          for key, text in data.assumed.items() if key not in inputs),
         *([Definition("Excluded", [Sentence(f"{what}: {why}") for what, why in data.exclusions])]
           if data.exclusions else []),
     ])  # fmt: skip
@@ -333,7 +335,7 @@ def _checks(
     data: ReportData, all_facts: Sequence[Facts], figures: Mapping[str, Figure]
 ) -> Iterator[Block | None]:
     yield Heading("Checks", 2, "checks")
-    yield analysis_content.all_checks(data, all_facts)
+    yield analysis_content.check_table(analysis_content.all_checks(data, all_facts), "checks")
     if data.is_table:
         return
     yield Heading("Numerical credibility", 2, "numerics")
@@ -361,7 +363,7 @@ def _checks(
         yield tables.validation(data.validation, data.block)
     if data.controls:
         yield Heading("Controls")
-        yield Checks.of(data.controls)
+        yield analysis_content.check_table(data.controls, "controls")
 
 
 def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
@@ -387,14 +389,12 @@ def _response(
     if item.result is None or not item.terms:
         yield Sentence(f"Not analyzed. {' '.join(item.warnings)}", kind="missing")
         return
-    yield analysis_content.judged(item, data)
+    yield analysis_content.open_effects(item, data)
     yield from titled(analysis_content.contrasts(item), analysis_content.ASKED)
     yield from drawn(figures, "contrasts")
     title = f"Analysis of variance, type {item.result.anova.type}"
     yield from titled(tables.anova(item, data), title)
-    strata = tables.strata(item, data)
-    if strata.rows:
-        yield Folded("Blocks and error strata", (strata,))
+    yield Folded(tables.SIZES, (tables.sizes(item, data),))
     yield from drawn(figures, "means", "interactions", "cells")
     if not data.is_table and tables.lists_records(data):
         yield Sentence(
@@ -433,15 +433,18 @@ def _beside(data: ReportData) -> Iterator[Block]:
 def _assumptions(
     parts: Sequence[tuple[Facts, Mapping[str, Figure]]],
 ) -> Iterator[Block | None]:
-    if not parts:
-        return
-    yield Heading("Assumptions", 2, "assumptions")
+    blocks: list[Block] = []
     for item, figures in parts:
         if item.result is not None and item.terms:
-            yield Heading(capital(item.title))
-            yield analysis_content.checks(item.result, f"tests of assumptions {item.name}")
-            yield from drawn(figures, "residuals", "spread")
-    yield from IF_VIOLATED
+            table = analysis_content.checks(item.result, f"tests of assumptions {item.name}")
+            shown: list[Block] = [
+                *([table] if table else []),
+                *drawn(figures, "residuals", "spread"),
+            ]
+            blocks += [Heading(capital(item.title)), *shown] if shown else []
+    if blocks:
+        yield Heading("Assumptions", 2, "assumptions")
+        yield from blocks
 
 
 def _specimens(data: ReportData, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
@@ -506,15 +509,7 @@ def _cost(data: ReportData, parts: Sequence[tuple[Facts, Mapping[str, Figure]]])
         yield from weighed or [Sentence(none)]
 
 
-def methods_to_paste(paragraph: str) -> tuple[Block, ...]:
-    """Methods as a quotation."""
-    return (
-        Heading("Methods, to paste", 2, "methods", short="Methods"),
-        Sentence(paragraph, kind="quote"),
-    )
-
-
-def provenance(data: ReportData, warnings: Sequence[str]) -> Iterator[Block]:
+def _provenance(data: ReportData, warnings: Sequence[str]) -> Iterator[Block]:
     """Say what makes the report again, with which programs, in which time, and what to mind."""
     versions = [
         f"{clean(key).removeprefix(_VERSION)} {clean(value)}"

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import functools
 import gzip
 import hashlib
-import io
 import itertools
 import json
 import math
@@ -358,34 +356,27 @@ def safe_cell(value: object) -> object:
 
 
 def of_frame(frame: pd.DataFrame) -> str:
-    """CSV text of a data frame, without its index."""
-    columns = [_cells(frame.iloc[:, k]) for k in range(frame.shape[1])]
-    return _text(list(frame.columns), zip(*columns, strict=True))
+    """CSV text of a data frame, without its index: quotes where needed, one newline a row."""
+    columns = [
+        column.where(np.isfinite(column))
+        if column.dtype.kind == "f"
+        else column
+        if column.dtype.kind in "iub"
+        else column.astype(object).map(safe_cell)
+        for _, column in frame.items()
+    ]
+    import pandas as pd
 
-
-def _cells(column: pd.Series[float]) -> Sequence[object]:
-    """Cells of a column as :func:`safe_cell` makes them, numbers all at once."""
-    kind = column.dtype.kind if isinstance(column.dtype, np.dtype) else ""
-    if kind == "f":
-        return [value if math.isfinite(value) else "" for value in column.tolist()]
-    if kind in "iub" and kind:
-        return column.tolist()
-    values = column.astype(object).where(column.notna(), None)
-    return [safe_cell(value) for value in values.tolist()]
+    safe = pd.concat(columns, axis=1) if columns else frame
+    heads = [str(safe_cell(name)) for name in frame.columns]
+    return safe.to_csv(index=False, header=heads, lineterminator="\n")
 
 
 def of_rows(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
-    """CSV text: comma, quotes where needed, one newline a row."""
-    return _text(columns, ([safe_cell(cell) for cell in row] for row in rows))
+    """CSV text of rows of cells."""
+    import pandas as pd
 
-
-def _text(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
-    """CSV text of cells that are safe."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow([safe_cell(column) for column in columns])
-    writer.writerows(rows)
-    return buffer.getvalue()
+    return of_frame(pd.DataFrame(list(map(list, rows)), columns=list(columns), dtype=object))
 
 
 # What a report was made from, so that one that would be the same again is not made again.

@@ -14,9 +14,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.anova_table import (
-    AnalysisSensitivity,
     Anova,
-    BoxCoxResult,
     Effect,
     ErrorTerm,
     ModelSummary,
@@ -331,8 +329,6 @@ class AnalysisOutcome:
     replicates: str = "runs"
     structure: Structure = field(default_factory=Structure)
     summary: ModelSummary | None = None
-    robustness: AnalysisSensitivity | None = None
-    box_cox: BoxCoxResult | None = None
 
     def warn(self, *messages: str) -> AnalysisOutcome:
         """Copy with more warnings."""

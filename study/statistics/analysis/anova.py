@@ -32,7 +32,6 @@ from study.statistics.analysis.analysis_result import (
 )
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.assumptions import (
-    add_robustness,
     assumptions_of,
     is_representative,
 )
@@ -425,7 +424,7 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
         quick = replace(request, simulated=False)
         again = (lambda rows: _found(rows, quick).effects, refound)
         out = replace(out, effects=without_each(table, *request.layout.block, out.effects, again))
-    result = assemble(add_robustness(out))
+    result = assemble(out)
     if not out.data.missing:
         return result
 
@@ -461,10 +460,13 @@ def _with_nested(
     """Analysis of the other factors against the nested one, and of that one against the rows."""
     factors = tuple(f for f in request.factors if f != inner)
     upper = replace(request, factors=factors, layout=replace(request.layout, unit=inner))
+    # one that meets several levels of a third factor is a block of these, not a repeat of its cell
+    upper, _ = _of_units(table, upper)
+    crosses = upper.layout.unit is None
     terms = tuple(t for t in terms_of(request.factors) if inner not in t or outer in t)
     within = replace(request, model=[list(t) for t in terms], sums="auto")
     rows = _found(table, within)
-    result = _with_units(table, upper, inner)
+    result = _complete(table, upper) if crosses else _with_units(table, upper, inner)
     tested = {row.term: row for row in result.anova.rows}
     error = f"{outer}:{inner}"
     listed = []
@@ -474,8 +476,10 @@ def _with_nested(
             listed.append(row)
         else:
             listed.append(
-                replace(row, f=above.f, p=above.p, error=error, df_error=above.df_error,
-                        omega_sq=None, partial_eta_sq=above.partial_eta_sq,
+                replace(row, f=above.f, p=above.p, df_error=above.df_error,
+                        error=f"{outer}:{above.error}" if crosses else error,
+                        epsilon_gg=above.epsilon_gg, p_gg=above.p_gg, omega_sq=None,
+                        partial_eta_sq=above.partial_eta_sq,
                         partial_eta_sq_ci95=above.partial_eta_sq_ci95)
             )  # fmt: skip
     note = (

@@ -46,20 +46,16 @@ from study.statistics.analysis.normality import (
 from study.statistics.analysis.strata import OwnTests, own_tests
 from study.statistics.analysis.sums_of_squares import (
     Factored,
-    TermSum,
     TwoWayFit,
     factor,
     fitted,
     influential,
-    least_squares,
     term_row,
     term_sums,
 )
 from study.statistics.analysis.unreplicated import non_additivity, ulp_floor
 
 if TYPE_CHECKING:
-    from statsmodels.regression.linear_model import OLSResults
-
     from study.statistics.analysis.anova_table import Influential
     from study.statistics.analysis.normality import NormalityResult
     from study.statistics.analysis.sums_of_squares import SphericityResult
@@ -111,15 +107,19 @@ class Assumptions:
 
 def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
     """Run the tests of what an analysis assumes; its warnings come with theirs."""
+    robustness, power = _robustness(out)
+    if power is not None and not np.isfinite(power.ci95).all():
+        out = out.warn(
+            "Box-Cox: the interval of the exponent is open: the response varies too little beside "
+            "its mean to exclude even the largest exponents that a double can hold"
+        )
     if out.crossed is not None and out.replicates != "noise":
         tests, warnings = _by_contrast(out, out.crossed)
         warnings = (*out.warnings, *warnings)
     else:
         out, tests = _of_residuals(out)
         warnings = out.warnings
-    tests = replace(
-        tests, sphericity=out.sphericity, robustness=out.robustness, box_cox=out.box_cox
-    )
+    tests = replace(tests, sphericity=out.sphericity, robustness=robustness, box_cox=power)
     if out.fit is not None and out.fit.df_residual > 0:
         tests = replace(
             tests,
@@ -273,31 +273,37 @@ def _of_residuals(out: AnalysisOutcome) -> tuple[AnalysisOutcome, Assumptions]:
 
 
 def hc3(fit: Factored) -> dict[str, WaldTest]:
-    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts."""
-    if fit.df_residual < 1 or float(fit.leverage.max()) > 1 - 1e-10:
-        return {
-            term_name(t): WaldTest(term_name(t), None, None, None, "a row has leverage one")
-            for t in fit.matrix.terms[1:]
-        }
-    robust = least_squares(fit, "HC3")
-    return {term_name(s.term): _wald(robust, s, fit.df_residual) for s in term_sums(fit, "III")}
+    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts.
 
-
-def _wald(robust: OLSResults, term: TermSum, df_residual: int) -> WaldTest:
-    """F test that the coefficients of the fit are zero along the directions of one term."""
+    The fit goes to statsmodels on its orthonormal columns, with the response less its reference
+    value: the pseudo-inverse of such columns is their transpose, so nothing is factored again.
+    """
+    from statsmodels.regression.linear_model import OLS, OLSResults
     from statsmodels.tools.sm_exceptions import ValueWarning
 
-    name = term_name(term.term)
-    if term.df < term.nominal_df:
-        return WaldTest(name, None, None, None, "not estimable")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ValueWarning)
-        test = robust.f_test(term.basis.T)
-    if test.df_num < term.df:
-        # statsmodels would go on with fewer constraints, which is the test of another hypothesis
-        return WaldTest(name, None, None, None, "cells without spread: a singular covariance")
-    df = (float(term.df), float(df_residual))
-    return WaldTest(name, float(test.fvalue), df, float(test.pvalue))
+    model = OLS(fit.q @ fit.z + fit.residual, fit.q, hasconst=False)
+    model.pinv_wexog, model.df_model, model.df_resid = fit.q.T, fit.rank, fit.df_residual
+    robust = None
+    if fit.df_residual > 0 and float(fit.leverage.max()) <= 1 - 1e-10:
+        robust = OLSResults(model, fit.z, np.eye(fit.rank), cov_type="HC3", use_t=True)
+    tests = {}
+    for s in term_sums(fit, "III"):
+        name = term_name(s.term)
+        if robust is None or s.df < s.nominal_df:
+            reason = "a row has leverage one" if robust is None else "not estimable"
+            tests[name] = WaldTest(name, None, None, None, reason)
+            continue
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ValueWarning)
+            test = robust.f_test(s.basis.T)
+        if test.df_num < s.df:
+            # statsmodels would go on with fewer constraints, the test of another hypothesis
+            reason = "cells without spread: a singular covariance"
+            tests[name] = WaldTest(name, None, None, None, reason)
+        else:
+            df = (float(s.df), float(fit.df_residual))
+            tests[name] = WaldTest(name, float(test.fvalue), df, float(test.pvalue))
+    return tests
 
 
 def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
@@ -380,29 +386,21 @@ def _ordinary(fit: Factored) -> dict[str, float | None]:
 _MOST_CELLS = 600
 
 
-def add_robustness(out: AnalysisOutcome) -> AnalysisOutcome:
-    """Outcome with Box-Cox and the table of defensible analyses, where there is an error."""
+def _robustness(out: AnalysisOutcome) -> tuple[AnalysisSensitivity | None, BoxCoxResult | None]:
+    """Table of defensible analyses and Box and Cox's exponent, where there is an error."""
     if out.fit is None or out.plots is not None or out.data.also:
-        return out
+        return None, None
     if out.crossed is not None:
-        return replace(out, robustness=_blocked(out, out.crossed))
+        return _blocked(out, out.crossed), None
     if out.data.block is not None or out.replicates != "runs" or out.error.source != "E0":
-        return out
-    if np.unique(out.data.cell).size > _MOST_CELLS or out.fit.rss <= 0:
-        return out
-    if not isinstance(out.fit, Factored):
-        return out
+        return None, None
+    many = np.unique(out.data.cell).size > _MOST_CELLS
+    if many or out.fit.rss <= 0 or not isinstance(out.fit, Factored):
+        return None, None
     fit = out.fit if not out.request.scale.is_log else fitted(out.fit, out.data.y)
     table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
-    if out.data.y.min() <= 0:
-        return replace(out, robustness=table)
-    power = box_cox(out.data.y, out.fit.matrix.columns)
-    if not np.isfinite(power.ci95).all():
-        out = out.warn(
-            "Box-Cox: the interval of the exponent is open: the response varies too little beside "
-            "its mean to exclude even the largest exponents that a double can hold"
-        )
-    return replace(out, robustness=table, box_cox=power)
+    power = box_cox(out.data.y, out.fit.matrix.columns) if out.data.y.min() > 0 else None
+    return table, power
 
 
 def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:

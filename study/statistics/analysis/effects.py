@@ -267,10 +267,15 @@ def with_pooled_error(
     return estimate
 
 
-def by_components(share: Array, variance: Array, free: Array) -> tuple[Array, Array]:
+def by_components(
+    share: Array, variance: Array, free: Array, *, cautious: bool = False
+) -> tuple[Array, Array]:
     """Find standard errors of combinations of independent sources, and Satterthwaite's df.
 
-    The error is infinite where a source that counts has an infinite variance or none does.
+    The error is infinite where a source that counts has an infinite variance or none does. With
+    ``cautious`` a source of one degree of freedom, whose variance may be small by chance, leaves
+    no more df than the sum of the shares over its own: simulated, 10 and 2 rows, the two with 3.3
+    times the scatter: false claims .085 without, .05 with it.
 
     Shapes: share (m, k); variance, free (k,); returns (m,).
     """
@@ -278,6 +283,9 @@ def by_components(share: Array, variance: Array, free: Array) -> tuple[Array, Ar
         part = np.where(share == 0, 0.0, share * variance)
         square = part.sum(axis=1)
         df = square**2 / np.sum(part**2 / free, axis=1)
+        if cautious:
+            least = np.max(share, axis=1, where=free <= 1, initial=0.0)
+            df = np.minimum(df, share.sum(axis=1) / least)
     finite = np.isfinite(square) & np.isfinite(df)
     return np.where(finite, np.sqrt(square), np.inf), np.where(finite, df, 1.0)
 
@@ -289,6 +297,8 @@ def cell_welch(
     alpha: float,
     reading: float,
     rows_alike: Ints | None = None,
+    *,
+    cautious: bool = True,
 ) -> Sample:
     """Estimate combinations with a variance of its own in each cell (Welch, Satterthwaite).
 
@@ -309,7 +319,7 @@ def cell_welch(
         weight[np.abs(weight) < 1e-12 * np.abs(weight).max(initial=0.0)] = 0.0
         return np.asarray((weight**2 * count) @ member)
 
-    return with_sources(fit, shares, variance, variances[1], alpha, ranges=True)
+    return with_sources(fit, shares, variance, variances[1], alpha, ranges=True, cautious=cautious)
 
 
 def with_sources(
@@ -320,6 +330,7 @@ def with_sources(
     alpha: float,
     *,
     ranges: bool = False,
+    cautious: bool = False,
 ) -> Sample:
     """Estimate combinations whose variance is a sum over sources, with Satterthwaite's df.
 
@@ -333,7 +344,7 @@ def with_sources(
     def estimate(differences: Differences) -> Estimates:
         rows = differences.rows
         value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
-        error, df = by_components(shares(rows @ fit.inverse), variance, free)
+        error, df = by_components(shares(rows @ fit.inverse), variance, free, cautious=cautious)
         wide = t_quantile(alpha / (2 * max(len(value), 1)), df)
         if ranges:
             wide = games_howell_multiplier(differences, df, alpha)

@@ -240,7 +240,7 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
         rows.append(row)
     rows.append(Row("residual", fit.df_residual, fit.rss))
     variances = own_variances(out.y, cell)
-    sample = cell_welch(fit, cell, variances, out.request.alpha, 0.0)
+    sample = cell_welch(fit, cell, variances, out.request.alpha, 0.0, cautious=False)
     rivals, notes = rivals_of_rows(out, fit, fit.rss, fit.df_residual, sample)
     simple = judge_factors(out, data.layout, fit, sample, rivals)
     estimates = [

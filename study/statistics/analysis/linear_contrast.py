@@ -186,7 +186,8 @@ def _of_cells(
         # each cell's share of the variance of the difference
         shares = np.concatenate([1 / (n * len(c) ** 2) for c, n in cells])
         members = np.concatenate([c for c, _ in cells])
-        error, free = by_components(shares[None], variances[0][members], variances[1][members])
+        variance, df_of_cell = (part[members] for part in variances)
+        error, free = by_components(shares[None], variance, df_of_cell, cautious=True)
         welch = float(error[0]), float(free[0])
     return _Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
 

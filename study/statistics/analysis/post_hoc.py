@@ -187,22 +187,30 @@ def dunnett_of_model(
     return compared.as_ratios() if effect.is_ratio else compared
 
 
-def dunnett(groups: Mapping[str, Array], reference: str, alpha: float, seed: int) -> Comparisons:
-    """Compare groups of rows with one of them, with the variance pooled within all."""
-    values = {name: groups[name] for name in (reference, *groups)}
-    n = np.array([float(v.size) for v in values.values()])
-    df = float(n.sum() - n.size)
+def dunnett(
+    levels: Mapping[str, Sequence[Array]], reference: str, alpha: float, seed: int
+) -> Comparisons:
+    """Compare levels with one of them, each the mean of its cells, by the pooled variance."""
+    cells = {name: levels[name] for name in (reference, *levels)}
+    every = [cell for of_level in cells.values() for cell in of_level]
+    df = float(sum(cell.size - 1 for cell in every))
     if df < 1:
-        rule = "needs two rows or more at some level: nothing scatters"
+        rule = "needs two rows or more in some cell: nothing scatters"
         raise InputError(Fault("--reference", rule, "add rows, or leave it out"))
-    shift = float(groups[reference][0])
-    means = np.array([float(np.mean(v - shift)) for v in values.values()])
-    square = sum(float(np.sum((v - v.mean()) ** 2)) for v in values.values()) / df
-    share = 1 / n[1:] + 1 / n[0]
+    if len({len(of_level) for of_level in cells.values()}) > 1:
+        rule = "compares levels that stand in the same cells, and some cells are empty"
+        raise InputError(Fault("--reference", rule, "analyze the complete part of the table"))
+    shift = float(every[0][0])
+    means = np.array([np.mean([np.mean(c - shift) for c in level]) for level in cells.values()])
+    square = sum(float(np.sum((cell - cell.mean()) ** 2)) for cell in every) / df
+    part = np.array(
+        [np.sum([1 / c.size for c in level]) / len(level) ** 2 for level in cells.values()]
+    )
+    share = part[1:] + part[0]
     root = np.sqrt(share)
-    correlation = np.diag(1 / n[1:] / share) + np.outer(1 / root, 1 / root) / n[0]
+    correlation = np.diag(part[1:] / share) + np.outer(1 / root, 1 / root) * part[0]
     error = root * math.sqrt(square)
-    return _dunnett(tuple(values), means[1:] - means[0], error, correlation, df, alpha, seed)
+    return _dunnett(tuple(cells), means[1:] - means[0], error, correlation, df, alpha, seed)
 
 
 def _dunnett(
@@ -471,8 +479,10 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
         blocks = [np.arange(len(means))]
         return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
     if analysis.request.error != "welch":
-        groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
-        return dunnett(groups, reference, alpha, seed)
+        of_levels: dict[str, list[Array]] = {}
+        for (name, _), replicates in rows.groupby([factor, "cell"], sort=False)["response"]:
+            of_levels.setdefault(str(name), []).append(replicates.to_numpy())
+        return dunnett(of_levels, reference, alpha, seed)
     cells = [np.asarray(at) for at in rows.groupby("cell", sort=False).indices.values()]
     level, y = rows[factor].astype(str).to_numpy(), rows["response"].to_numpy()
     share = np.zeros(len(rows))

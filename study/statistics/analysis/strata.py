@@ -158,7 +158,8 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
         rss, ms = s.fit.rss, s.fit.rss / s.df if s.df else None
         tested = [t for t in sums[s.name] if place.get(t.term) is s]
         rows += [term_row(t, s.df, rss, whole.tss, s.name) for t in tested]
-        rows.append(Row(s.name, s.df, rss, ms))
+        if s.df or s.fit.rank:  # a block that is itself one whole plot holds none
+            rows.append(Row(s.name, s.df, rss, ms))
     lost = [term_name(term) for term in out.terms if term not in place]
     rows += [Row(name, 0, 0.0) for name in lost]
     out = out.warn(*(f"{name}: is in no stratum whole; no test" for name in lost))
@@ -296,7 +297,7 @@ def own_tests(
     total = float(np.sum((shifted - shifted.mean()) ** 2))
     tests = OwnTests({}, [], {}, [], total)
     wanted = {frozenset(term): term for term in terms}
-    mean = TermSum((), 1, 0.0, np.full((n, 1), 1 / np.sqrt(n)), 1)
+    mean = TermSum(np.full((n, 1), 1 / np.sqrt(n)), 1)
     inner = [replace(s, basis=cells.q @ s.basis) for s in term_sums(cells, kind)]
     for s in (mean, *inner):
         values = s.basis.T @ shifted

@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,12 +22,11 @@ from study.statistics.analysis.linear_model import (
     Factorization,
     ModelMatrix,
     Term,
+    TermSpace,
     factorize,
+    nested_in,
     term_name,
 )
-
-if TYPE_CHECKING:
-    from statsmodels.regression.linear_model import OLSResults
 
 
 @dataclass(frozen=True)
@@ -51,15 +49,16 @@ class Factored(Factorization):
 
 
 @dataclass(frozen=True)
-class TermSum:
-    """Sum of squares of one term, the space it lives in, and what is lost to aliasing."""
+class TermSum(TermSpace):
+    """Sum of squares of one term in its space."""
 
-    term: Term
-    df: int
-    ss: float
-    basis: Array
-    nominal_df: int
-    aliases: tuple[str, ...] = ()
+    term: Term = ()
+    ss: float = 0.0
+
+    @property
+    def df(self) -> int:
+        """Degrees of freedom."""
+        return int(self.basis.shape[1])
 
 
 def factor(matrix: ModelMatrix, y: Array) -> Factored:
@@ -102,12 +101,13 @@ def fitted(model: Factorization, y: Array) -> Factored:
 
 def term_sums(fit: Factored, kind: str) -> list[TermSum]:
     """Sum of squares of every term but the intercept."""
-    sums = []
-    for i in range(1, len(fit.matrix.terms)):
+    sums, nested = [], set(nested_in(fit.matrix.terms[1:]))
+    for i, term in enumerate(fit.matrix.terms[1:], 1):
         space = fit.space(i, kind)
-        df, part = space.basis.shape[1], space.basis.T @ fit.z
-        sums.append(TermSum(fit.matrix.terms[i], df, float(part @ part), space.basis,
-                            space.nominal_df, space.aliases))  # fmt: skip
+        part = space.basis.T @ fit.z
+        # parents may hold different numbers of a nested factor's levels: none of them is lost
+        nominal = (part.size if nested & set(term) else 0) or space.nominal_df
+        sums.append(TermSum(space.basis, nominal, space.aliases, term, float(part @ part)))
     return sums
 
 
@@ -512,21 +512,6 @@ def influence(fit: Factored | TwoWayFit) -> Influence:
         variance = fit.rss / np.float64(fit.df_residual)
         cook = fit.residual**2 / variance * fit.leverage / left**2 / fit.rank
         return Influence(fit.leverage, cook, fit.residual / left)
-
-
-def least_squares(fit: Factored, cov_type: str = "nonrobust") -> OLSResults:
-    """Fit on its orthonormal columns, with the response less its reference value.
-
-    The values of NIST's SmLs09 are 1e12 with a spread of 0.1: with the shift the largest Cook's
-    distance has 14.9 digits, without it statsmodels leaves 0.5. The pseudo-inverse of
-    orthonormal columns is their transpose, so nothing is factored again.
-    """
-    from statsmodels.regression.linear_model import OLS, OLSResults
-
-    model = OLS(fit.q @ fit.z + fit.residual, fit.q, hasconst=False)
-    model.pinv_wexog = fit.q.T
-    model.df_model, model.df_resid = fit.rank, fit.df_residual
-    return OLSResults(model, fit.z, np.eye(fit.rank), cov_type=cov_type, use_t=True)
 
 
 def influential(fit: Factored | TwoWayFit) -> Influential | None:

@@ -363,11 +363,8 @@ def grid_convergence(
     elif behaviour == "oscillatory":
         u = max(u, float(np.ptp(f)) / 2)
     carried = (high - low) / 2 <= RESOLVED_ORDER
-    gci: tuple[float | None, float | None] = (None, None)
-    ratio: float | None = None
-    if limit is not None:
-        gci, ratio = _indices(h, f, used, factor, u)
     ordered = limit is not None
+    gci_fine, gci_coarse, ratio = _indices(h, f, used, factor, u) if ordered else (None,) * 3
     verdict = _verdict(behaviour, f, u)
     if behaviour == "monotone":
         verdict = _monotone_verdict((low, order, high), formal_order, factor, limited, consistent)
@@ -378,13 +375,13 @@ def grid_convergence(
         observed_order=order if behaviour == "monotone" and carried else None,
         formal_order=formal_order,
         extrapolated=limit,
-        gci_fine=gci[0],
+        gci_fine=gci_fine,
         factor_of_safety=factor if ordered else None,
         u_num=u,
         asymptotic_ratio=ratio,
         verdict=verdict,
         order_used=used if ordered else None,
-        gci_coarse=gci[1],
+        gci_coarse=gci_coarse,
         order_interval=(low, high) if math.isfinite(high) and high > low else None,
         warnings=tuple(_warnings(h, float(f[0]), limit)),
     )  # fmt: skip
@@ -392,19 +389,17 @@ def grid_convergence(
 
 def _indices(
     h: Array, f: Array, used: float, factor: float, u: float
-) -> tuple[tuple[float | None, float | None], float | None]:
+) -> tuple[float | None, float | None, float | None]:
     """GCI of the finest and of the next mesh, and their ratio over that of the sizes."""
     fine = u / abs(float(f[0])) if f[0] else None
     if h.size == 2 or not f[1]:
-        return (fine, None), None
+        return fine, None, None
     by_fine, by_coarse = (
         abs(f[i + 1] - f[i]) / ((h[i + 1] / h[i]) ** used - 1) / abs(f[i]) if f[i] else math.inf
         for i in (0, 1)
     )
-    coarse = factor * float(by_coarse)
-    if not f[0]:
-        return (None, coarse), None
-    return (fine, coarse), float(by_coarse / ((h[1] / h[0]) ** used * by_fine))
+    ratio = float(by_coarse / ((h[1] / h[0]) ** used * by_fine)) if f[0] else None
+    return fine, factor * float(by_coarse), ratio
 
 
 def _fitted(
@@ -561,68 +556,47 @@ class NumericalUncertainty:
 # Comparison of a simulated with a measured curve: E and its uncertainty (ASME V&V 20-2009).
 
 
-@dataclass(frozen=True)
-class ValidationComparison:
-    """E with its parts along a curve; arrays have one entry a displacement, forces in N."""
-
-    #: shape (n,); curve and E = S - D.
-    displacement_mm: Array
-    simulated_N: Array
-    measured_N: Array
-    error_N: Array
-    #: shape (n,); standard uncertainties; zero where one is not known.
-    u_num_N: Array
-    u_input_N: Array
-    u_data_N: Array
-    u_val_N: Array
-    #: Which of numerics, inputs and data are not known at all.
-    unknown: tuple[str, ...] = ()
-
-    @property
-    def outside(self) -> float:
-        """Part of the curve where |E| exceeds u_val."""
-        return float(np.mean(np.abs(self.error_N) > self.u_val_N))
-
-    @property
-    def verdict(self) -> str:
-        """What the end of the curve says of the model."""
-        e, u = float(self.error_N[-1]), float(self.u_val_N[-1])
-        if u == 0:
-            return "no uncertainty is known, so E cannot be judged"
-        lacking = f" ({', '.join(self.unknown)} not known)" if self.unknown else ""
-        if abs(e) > u:
-            return f"the model is off by E = {e:.3g} N +- {u:.2g} N at the end{lacking}"
-        return f"|E| = {abs(e):.2g} N is within u_val = {u:.2g} N at the end{lacking}"
-
-    def to_json(self) -> dict[str, object]:
-        """JSON document with the verdict."""
-        return {**plain(self), "outside": self.outside, "verdict": self.verdict}
+#: columns of a comparison, in the document of a result
+KEYS = "displacement_mm simulated_N measured_N error_N u_num_N u_input_N u_data_N u_val_N"
 
 
 def compare(
-    displacement_mm: ArrayLike,
-    simulated_N: ArrayLike,  # noqa: N803
-    measured_N: ArrayLike,  # noqa: N803
-    u_num_N: ArrayLike | None = None,  # noqa: N803
-    u_input_N: ArrayLike | None = None,  # noqa: N803
-    u_data_N: ArrayLike | None = None,  # noqa: N803
-) -> ValidationComparison:
-    """E +- u_val along a curve.
+    displacement_mm: Array,
+    simulated_N: Array,  # noqa: N803
+    measured_N: Array,  # noqa: N803
+    u: Mapping[str, Array | None],
+) -> dict[str, object]:
+    """Document of E = S - D with u_val along a curve, and what its end says of the model.
 
-    Shapes: displacement_mm (n,); simulated_N, measured_N (n,); u_num_N, u_input_N, u_data_N (n,).
+    ``u`` are the standard uncertainties of numerics, inputs and data, N; None where one is not
+    known, and counts as zero.
+
+    Shapes: displacement_mm, simulated_N, measured_N (n,).
 
     Examples
     --------
-    >>> found = compare([1.0, 2.0], [1.0, 2.1], [1.0, 2.0], 0.03, 0.0, 0.04)
-    >>> found.error_N.round(3).tolist(), found.u_val_N.round(3).tolist(), found.outside
-    ([0.0, 0.1], [0.05, 0.05], 0.5)
+    >>> d, s = np.array([1.0, 2.0]), np.array([1.0, 2.1])
+    >>> u = {"numerics": np.array([0.03, 0.03]), "inputs": None, "data": np.array([0.04, 0.04])}
+    >>> found = compare(d, s, d, u)
+    >>> found["u_val_N"], found["outside"], found["unknown"]
+    ([0.05, 0.05], 0.5, ['inputs'])
     """
-    d, s, m = (np.atleast_1d(np.asarray(v, float)) for v in (displacement_mm, simulated_N,
-                                                            measured_N))  # fmt: skip
-    parts = {"numerics": u_num_N, "inputs": u_input_N, "data": u_data_N}
-    uncertainties = [np.broadcast_to(np.asarray(0.0 if v is None else v, float), d.shape)
-             for v in parts.values()]  # fmt: skip
-    total = np.sqrt(sum(u**2 for u in uncertainties))
-    unknown = tuple(name for name, v in parts.items() if v is None)
-    num, inputs, data = uncertainties
-    return ValidationComparison(d, s, m, s - m, num, inputs, data, np.asarray(total), unknown)
+    zero, error = np.zeros(displacement_mm.shape), simulated_N - measured_N
+    parts = {name: zero if part is None else part for name, part in u.items()}
+    num, inputs, data = (parts[name] for name in ("numerics", "inputs", "data"))
+    total = np.sqrt(num**2 + inputs**2 + data**2)
+    unknown = [name for name, part in u.items() if part is None]
+    e, end = float(error[-1]), float(total[-1])
+    lacking = f" ({', '.join(unknown)} not known)" if unknown else ""
+    if end == 0:
+        verdict = "no uncertainty is known, so E cannot be judged"
+    elif abs(e) > end:
+        verdict = f"the model is off by E = {e:.3g} N +- {end:.2g} N at the end{lacking}"
+    else:
+        verdict = f"|E| = {abs(e):.2g} N is within u_val = {end:.2g} N at the end{lacking}"
+    columns = (displacement_mm, simulated_N, measured_N, error, num, inputs, data, total)
+    outside = float(np.mean(np.abs(error) > total))
+    return {
+        **{name: c.tolist() for name, c in zip(KEYS.split(), columns, strict=True)},
+        "unknown": unknown, "outside": outside, "verdict": verdict,
+    }  # fmt: skip

@@ -29,8 +29,10 @@ from study.statistics.surfaces.emulator import (
 from study.statistics.surfaces.quadratic import QuadraticSurface, fit_quadratic
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_profile import (
+    SCREENS,
     FittedSurface,
     LevelDifference,
+    elementary_effects,
     level_difference,
 )
 from study.statistics.surfaces.surface_result import analysis_of
@@ -244,6 +246,10 @@ def surfaces_at(
             if not isinstance(runs, Runs):
                 raise runs
             fitted_here = replace(fitted_here, practical=difference_of(practical, runs.response))
+            if surface == "morris":
+                screened = elementary_effects(runs)
+                each.append(replace(fitted_here, refused=SCREENS, screened=screened))
+                continue
             model = fitted(runs, surface) if together is None else together[k]
             made = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
             each.append(replace(fitted_here, found=made))

@@ -22,7 +22,7 @@ from study.statistics.surfaces.emulator import (
     fit_emulator,
 )
 from study.statistics.surfaces.quadratic import QuadraticSurface
-from study.statistics.surfaces.surface_factors import Runs, box_points
+from study.statistics.surfaces.surface_factors import SAME_SETTING, Runs, box_points
 from study.statistics.surfaces.surface_result import SurfaceAnalysis, SurfacePrediction
 
 if TYPE_CHECKING:
@@ -204,6 +204,38 @@ def level_difference(
     return LevelDifference(*names, float(change.mean()), low, high, bound, verdict)
 
 
+# Elementary effects, which screen factors by trajectories of runs (Morris 1991, Technometrics 33,
+# 161-174; mu* by Campolongo, Cariboni and Saltelli 2007, Environ. Model. Softw. 22, 1509-1518).
+
+SCREENS = "its runs are trajectories, which screen the factors: no surface and no verdict"
+
+
+@dataclass(frozen=True)
+class ElementaryEffect:
+    """Changes of the response over the whole range of a factor, by runs one after the other."""
+
+    factor: str
+    effects: int
+    #: Mean, mean size and standard deviation, in the response's unit; None of too few.
+    mu: float | None
+    mu_star: float | None
+    sigma: float | None
+
+
+def elementary_effects(runs: Runs) -> tuple[ElementaryEffect, ...]:
+    """Summarize the elementary effects of every factor, the largest mean size first."""
+    steps, screened = np.diff(runs.coded, axis=0) / 2, []
+    moves = np.abs(steps) > SAME_SETTING
+    for name, step, moved in zip(runs.names, steps.T, moves.T, strict=True):
+        pair = moved & (moves.sum(axis=1) == 1)
+        effect = np.diff(runs.response)[pair] / step[pair]
+        mu = float(effect.mean()) if effect.size else None
+        size = float(np.abs(effect).mean()) if effect.size else None
+        sigma = float(effect.std(ddof=1)) if effect.size > 1 else None
+        screened.append(ElementaryEffect(name, int(effect.size), mu, size, sigma))
+    return tuple(sorted(screened, key=lambda e: -(e.mu_star or 0.0)))
+
+
 # A surface over the numeric factors of a study, for one response.
 
 
@@ -232,6 +264,8 @@ class FittedSurface(Keyed):
     inputs: Mapping[str, str] = field(default_factory=dict)
     #: From the surfaces at the first levels of the other factors, one factor at a time.
     differences: tuple[LevelDifference, ...] = ()
+    #: In place of a surface where the runs are trajectories of Morris.
+    screened: tuple[ElementaryEffect, ...] = ()
 
     @property
     def verdicts(self) -> list[dict[str, object]]:
@@ -264,7 +298,9 @@ class FittedSurface(Keyed):
     def keyed(self) -> dict[str, object]:
         """Give what stands under every key: the response, where the others are, the surface."""
         if self.found is None:
-            return super().keyed() | {"surface": None, "sensitivity": [], "refused": self.refused}
+            screened = {"screened": [vars(e) for e in self.screened]} if self.screened else {}
+            none: dict[str, object] = {"surface": None, "sensitivity": [], "refused": self.refused}
+            return super().keyed() | none | screened
         told = super().keyed() | self.found.keyed()
         if self.labels:
             told["differences"] = self.differences

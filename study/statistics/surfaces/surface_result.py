@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +26,7 @@ from study.statistics.surfaces.emulator import (
     jansen,
     sobol_indices,
 )
+from study.statistics.surfaces.input_distribution import InputDistribution
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes, never_run
 
@@ -203,20 +203,6 @@ OWN_SAMPLE = 11
 Model = QuadraticSurface | Emulator | BlockedEmulator
 
 
-class Spread(Protocol):
-    """Distribution of an input, inside the range that was run."""
-
-    @property
-    def outside(self) -> float:
-        """Probability that is cut off."""
-
-    def quantile(self, shares: Array) -> Array:
-        """Values below which such shares lie, in the unit of the input."""
-
-    def halved(self) -> Spread:
-        """Give the same with half the spread."""
-
-
 @dataclass(frozen=True)
 class Told:
     """A number of the response's distribution, and what the surface may err in it."""
@@ -264,7 +250,10 @@ class Propagated(Keyed):
 
 
 def propagate(
-    found: SurfaceAnalysis, inputs: Mapping[str, Spread], fixed: Mapping[str, float], seed: int = 0
+    found: SurfaceAnalysis,
+    inputs: Mapping[str, InputDistribution],
+    fixed: Mapping[str, float],
+    seed: int = 0,
 ) -> Propagated:
     """Carry the distributions of inputs through a surface."""
     from scipy.stats import qmc
@@ -301,7 +290,7 @@ class _Inputs:
     """Uncertain and fixed inputs of a surface."""
 
     runs: Runs
-    spreads: Mapping[str, Spread]
+    spreads: Mapping[str, InputDistribution]
     fixed: Mapping[str, float]
 
     def coded(self, shares: Array) -> Array:

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TypeGuard, TypeVar
 
 from study.ground.bounded_file import NotRegularError, UnreadableError, read_regular
-from study.ground.errors import Fault, InputError, UnitError, nearest
-from study.mechanics.setup.declaration import (
+from study.ground.declaration import (
     Bad,
     Key,
     choice,
@@ -21,6 +20,7 @@ from study.mechanics.setup.declaration import (
     values_of,
     written_keys,
 )
+from study.ground.errors import Fault, InputError, UnitError, nearest
 
 Kind = TypeVar("Kind")
 Value = TypeVar("Value")

@@ -1,4 +1,4 @@
-"""Meshes of one size that differ by a seed: same body, sound elements, honest noise."""
+"""Meshes that a process makes once, and those that differ by a seed: same body, honest noise."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.mesh.perturbation import _KEPT, _volumes
+from study.mechanics.mesh.mesher import _KEPT, _LEAST_SHARE, _volumes, build_mesh, regular_mesh
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Surface
-from study.mechanics.setup.setup import Problem
+from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
-from tests.fem.problems import GEL, compression
+from tests.fem.problems import GEL, YEOH, compression
 from tests.fem.surfaces import cylinder, sphere, write
 
 TESTS = {
@@ -61,7 +60,7 @@ def test_nodes_move_the_body_stays_and_the_elements_stay_sound(
             on = regular.points[:, axis] == level
             assert np.array_equal(on, moved.points[:, axis] == level)
     ratio = _volumes(moved, moved.points) / _volumes(regular, regular.points)
-    assert ratio.min() >= _KEPT
+    assert ratio.min() >= _LEAST_SHARE
     # straight triangles and tetrahedra fill the body exactly; rounding of a sum
     if shape == "simplex":
         assert volume(moved) == pytest.approx(volume(regular), rel=1e-12)
@@ -125,3 +124,37 @@ def test_the_scatter_falls_with_the_element_size(order: str) -> None:
     assert fine.std(ddof=1) < coarse.std(ddof=1) / 1.5
     # noise around the same answer, not another problem
     assert 1e-5 * coarse.mean() < coarse.std(ddof=1) < 0.005 * coarse.mean()
+
+
+NEEDLE = Problem(
+    Cylinder(25.0, 50.0), Test("indentation", 1.0, indenter=Cone(30.0, 1.0)), GEL,
+    Model("axisymmetric", "quadratic", mesh="coarse"),
+)  # fmt: skip
+
+
+def test_a_material_or_the_number_of_steps_asks_for_no_new_mesh() -> None:
+    made = build_mesh(NEEDLE.setup)
+    assert build_mesh(replace(NEEDLE, material=YEOH).setup) is made
+    assert build_mesh(replace(NEEDLE, test=replace(NEEDLE.test, steps=3)).setup) is made
+
+
+def test_whatever_shapes_a_mesh_asks_for_another() -> None:
+    made = build_mesh(NEEDLE.setup)
+    deeper = replace(NEEDLE, test=replace(NEEDLE.test, displacement_mm=2.0))
+    finer = replace(NEEDLE, model=replace(NEEDLE.model, mesh="medium"))
+    seeded = replace(NEEDLE, model=replace(NEEDLE.model, mesh_seed=3))
+    names = {build_mesh(one.setup).digest() for one in (NEEDLE, deeper, finer, seeded)}
+    assert len(names) == 4
+    assert build_mesh(NEEDLE.setup).digest() == made.digest()
+
+
+def test_only_a_few_are_kept_and_none_can_be_changed() -> None:
+    made = build_mesh(NEEDLE.setup)
+    with pytest.raises(ValueError, match="read-only"):
+        made.points += 1.0
+    for depth in np.linspace(0.5, 0.9, 2 * _KEPT):
+        build_mesh(replace(NEEDLE, test=replace(NEEDLE.test, displacement_mm=float(depth))).setup)
+    assert regular_mesh.cache_info().currsize == _KEPT
+    again = build_mesh(NEEDLE.setup)
+    assert again is not made
+    assert again.digest() == made.digest()

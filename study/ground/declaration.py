@@ -18,7 +18,8 @@ from numbers import Real
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, TypeVar, dataclass_transform
 
-from pydantic import AliasGenerator, ConfigDict, Field, GetCoreSchemaHandler, PlainValidator
+from pydantic import AliasGenerator, ConfigDict, GetCoreSchemaHandler, PlainValidator
+from pydantic import Field as Field
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic.fields import FieldInfo
 
