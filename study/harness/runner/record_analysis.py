@@ -236,7 +236,7 @@ def without_gaps(
     factors: Sequence[str],
     block: str | None,
     model: Model,
-    meshes: tuple[str, list[str]] | None = None,
+    meshes: tuple[str | None, Sequence[str]] = (None, ()),
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Rows without the levels of which half of the cells or more have no answer.
 
@@ -254,7 +254,8 @@ def without_gaps(
         complete = complete[answered_often(complete, factors, block, table[block].nunique())]
     answered = {tuple(map(str, row)) for row in complete[list(factors)].to_numpy()}
     terms = [[factors.index(name) for name in term] for term in terms_of(factors, model)]
-    fine = None if meshes is None else (factors.index(meshes[0]), meshes[1][-1])
+    mesh, order = meshes
+    fine = None if mesh is None or not order else (factors.index(mesh), order[-1])
     notes = []
     while (worst := _worst(designed, answered, terms, fine)) is not None:
         place, level = worst
@@ -601,9 +602,9 @@ def numerical_bound(
     if not rows:
         return None
     cells = [(dict(one.levels), one.cell.problem.discretization) for one in design.treatments]
-    mesh, meshes = mesh_levels(design, records) or (None, [])
+    mesh, meshes = mesh_levels(design, records)
     names = [f.name for f in design.factors]
-    if mesh is not None and set(meshes) <= set(table[mesh].astype(str)):
+    if mesh is not None and meshes and set(meshes) <= set(table[mesh].astype(str)):
         names.remove(mesh)
         series = _own_series(rows, table, response, transform, names, mesh, meshes)
         finest = {mesh: meshes[-1]}
@@ -689,21 +690,22 @@ def u_of_steps(records: Sequence[Record], response: str, transform: str) -> floa
     return max(shares) * _geometric_mean(records, response) if any(shares) else 0.0
 
 
-def mesh_levels(design: Design, records: Sequence[Record]) -> tuple[str, list[str]] | None:
-    """Factor whose levels are meshes, from coarse to fine; None without, or with no one order."""
+def mesh_levels(design: Design, records: Sequence[Record]) -> tuple[str | None, list[str]]:
+    """Factor whose levels are meshes, and these from coarse to fine; none where no order is one."""
     names = (*MESH_FACTORS, design.converge.key)
     factors = [f.name for f in design.factors if f.name in names and len(f.levels) > 1]
-    meshes = _ordered(design, records, factors[0]) if len(factors) == 1 else None
-    return None if meshes is None else (factors[0], meshes)
+    if len(factors) != 1:
+        return None, []
+    return factors[0], _ordered(design, records, factors[0])
 
 
-def _ordered(design: Design, records: Sequence[Record], mesh: str) -> list[str] | None:
-    """Meshes from coarse to fine; None where that order differs between columns."""
+def _ordered(design: Design, records: Sequence[Record], mesh: str) -> list[str]:
+    """Meshes from coarse to fine; none where that order differs between columns."""
     if mesh == design.converge.key:
         sizes = {t.levels[mesh]: t.cell.problem.parameters[mesh.partition(".")[2]]
                  for t in design.treatments}  # fmt: skip
         ordered = sorted(sizes, key=lambda label: -float(sizes[label]))
-        return ordered if len(ordered) >= _NEEDED else None
+        return ordered if len(ordered) >= _NEEDED else []
     columns: dict[tuple[tuple[str, str], ...], dict[str, float]] = {}
     for record in records:
         size = record.mesh.get("mesh_size_mm")
@@ -716,7 +718,7 @@ def _ordered(design: Design, records: Sequence[Record], mesh: str) -> list[str] 
         for sizes in columns.values()
         if len(sizes) == longest
     }
-    return list(orders.pop()) if len(orders) == 1 and longest >= _NEEDED else None
+    return list(orders.pop()) if len(orders) == 1 and longest >= _NEEDED else []
 
 
 def _geometric_mean(records: Sequence[Record], response: str) -> float:
