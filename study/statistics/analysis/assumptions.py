@@ -180,7 +180,7 @@ def _by_contrast(out: AnalysisOutcome, table: Crossed) -> tuple[Assumptions, tup
         of_worst,
         p_exact=tested.p,
         decision=f"normality {decision}: the smallest of {len(tested.rows)} "
-        f"contrasts over {tested.blocks} blocks, {worst.term}, p times their number {tested.p:.3g}",
+        f"contrasts over {tested.blocks} blocks, {worst.term}, adjusted p {tested.p:.3g}",
     )
     return replace(unequal, normality=summary, normality_rows=tested.rows), tuple(warnings)
 

@@ -340,12 +340,13 @@ class RowTest:
 
 @dataclass(frozen=True)
 class RowNormality:
-    """Tests of all contrasts; the smallest p times their number decides."""
+    """Tests of all contrasts; the smallest p decides, adjusted for their number."""
 
     #: One for each contrast that varies.
     rows: tuple[RowTest, ...]
     blocks: int
-    #: Bonferroni's p of all rows together; None where there is no test.
+    #: Probability of a p as small as the smallest among so many independent ones (Sidak 1967, J.
+    #: Am. Stat. Assoc. 62, 626); None where there is no test.
     p: float | None
     #: Whether normality is rejected; the rows of small ``p_holm`` are those to look at.
     rejected: bool
@@ -414,7 +415,7 @@ def row_normality(
     null = _null(blocks, seed)
     p = (1 + np.searchsorted(null, rj, side="right")) / (null.size + 1)
     adjusted = holm(p)
-    together = min(1.0, float(p.min()) * p.size)
+    together = -math.expm1(p.size * math.log1p(-float(p.min()))) if p.min() < 1 else 1.0
     tests = tuple(
         RowTest(term, index, float(r), float(raw), float(both))
         for (term, index), r, raw, both in zip(names, rj, p, adjusted, strict=True)
