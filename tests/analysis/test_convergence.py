@@ -112,6 +112,8 @@ def test_factor_of_safety_and_limits(meshes, p, formal, factor, used, verdict) -
     if factor is not None:
         assert (result.factor_of_safety, result.order_used) == pytest.approx((factor, used))
     assert verdict in result.verdict
+    # an order that is neither the observed nor the formal one is said
+    assert (f"by order {used}" in result.verdict) == (used not in (None, p, formal))
     assert ("asymptotic" in result.verdict) == ("asymptotic" in verdict)
 
 

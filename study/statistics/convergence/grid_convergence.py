@@ -368,6 +368,8 @@ def grid_convergence(
     verdict = _verdict(behaviour, f, u)
     if behaviour == "monotone":
         verdict = _monotone_verdict((low, order, high), formal_order, factor, limited, consistent)
+        if f"{used:.3g}" not in (f"{order:.3g}", f"{formal_order or math.nan:.3g}"):
+            verdict += f"; bound and GCI by order {used:.3g}"
     elif behaviour == "two meshes":
         verdict = f"two meshes: order assumed, {used:.3g}, factor {factor:g}"
     return ConvergenceResult(
