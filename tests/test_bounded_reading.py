@@ -57,7 +57,6 @@ EXCEPTIONS = {
         "study/cli/study_commands.py",
         "json.loads",
     ): "a record that was read and written again in memory",
-    ("study/harness/execution/supervisor.py", "json.loads"): "text of this very process",
     ("study/harness/execution/local.py", "open"): "a pool of processes",
     **{
         (

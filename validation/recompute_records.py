@@ -82,10 +82,12 @@ def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any,
     from study.harness.runner.provenance import located_cell
 
     places = () if data is None else (data.resolve(),)
-    return {
-        _name(case.levels, case.block, origin.mesh_seed): located_cell(case.cell, places).document()
-        for case, origin in seeded(cases(design, blocks), design)
-    }
+    configs: dict[Any, Config] = {}
+    for case, origin in seeded(cases(design, blocks), design):
+        cell = located_cell(case.cell, places)
+        config = cell.document() | {"measurements": getattr(cell.problem, "measurements", None)}
+        configs[_name(case.levels, case.block, origin.mesh_seed)] = config
+    return configs
 
 
 def _name(levels: Mapping[str, str], block: str | None, mesh_seed: int | None) -> Any:

@@ -9,8 +9,9 @@ import numpy as np
 from study.ground.curve import Curve
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.material.homogeneous import response
 from study.mechanics.material.material import Material
-from tests.material.modes import uniaxial, uniaxial_gradient
+from tests.material.modes import uniaxial
 
 AREA_MM2 = np.pi * 25.0**2
 HEIGHT_MM = 30.0
@@ -46,7 +47,7 @@ def fitted(model, names, strain, stress_kPa, start):
 
     def predict(values):
         material = Material(model, dict(zip(names, values, strict=True)), incompressible=True)
-        gradient = uniaxial_gradient(material, 1 - strain)
+        gradient = response(material, "uniaxial", 1 - strain).gradient
         return [
             Curve(
                 d,

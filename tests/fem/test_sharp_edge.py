@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from study.mechanics.contact.collocation import contact_points
-from study.mechanics.contact.contact import Plate
+from study.mechanics.contact.contact import Plane
 from study.mechanics.element.function_space import discretize
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
@@ -82,7 +82,7 @@ def test_the_closed_disc_touches_and_no_point_of_it_is_left_out(order: str, shap
     under = on_top[space.nodes[on_top, 0] <= 1.0]
     if order == "quadratic":  # a uniform pressure does not load the node on the axis
         under = under[space.nodes[under, 0] > 0]
-    assert isinstance(face.surface, Plate)
+    assert isinstance(face.surface, Plane)
     assert sorted(face.nodes[:, 0]) == sorted(under)
     assert space.nodes[face.nodes].max() == 1.0
     assert (space.nodes[beside.nodes][:, :, 0].max(axis=1) > 1.0).all()

@@ -97,7 +97,7 @@ def test_cases_of_a_cell_share_the_fit_of_its_first_specimen(work: Work) -> None
         cell = [job for job in work.jobs if job.group == group]
         anchors = {job.anchor.key for job in cell if job.anchor is not None}
         assert anchors == {cell[0].directions[0].fit_key}
-        assert all(anchors <= set(job.needs) for job in cell)
+        assert all(anchors <= {fit.key for fit in job.fits} for job in cell)
 
 
 @pytest.mark.parametrize(("order", "shared"), [("linear", False), ("quadratic", True)])

@@ -125,7 +125,7 @@ def test_a_fit_to_several_tests_costs_what_its_tests_do() -> None:
     ]
     problems = [CellProblem.of({**shared, **one}) for one in tests]
     cells = [Cell(problem, "auto") for problem in problems]
-    slipping = problems[0].loaded(interface="frictionless")
+    slipping = problems[0].loaded(interface="frictionless", base="frictionless")
     both = together(cells[0], [*problems, slipping])
     assert [one.method for one in both.tests] == ["inverse-fem", "inverse-fem", "closed-form"]
     alone, costs = [fit_problem(cell) for cell in cells], Costs()

@@ -409,7 +409,8 @@ def _drift_of_one(fit: Fit, recording: _Recording) -> str:
     *shift, drift_N = np.linalg.lstsq(both, -series.residual, rcond=None)[0]  # noqa: N806
     (free,) = np.nonzero(np.isfinite(fit.standard_error))
     moved = np.abs(np.array(shift) / scale)
-    beyond = 2 * moved / np.diff(fit.ci95[free], axis=1)[:, 0]
+    # exact data have no interval, and no drift
+    beyond = 2 * moved / np.maximum(np.diff(fit.ci95[free], axis=1)[:, 0], 1e-300)
     share = abs(float(drift_N)) / float(np.abs(recording.rows.force_N).max())
     if p >= _CLEAR or share < _DRIFTS or not beyond.max() > 1:
         return ""
