@@ -76,6 +76,9 @@ def test_a_report_opens_from_the_page(tab: Browser, server: StudyServer) -> None
     until(tab, "location.pathname === '/reports/small/small.html'")
     until(tab, "document.readyState === 'complete'")
     assert tab.ask("document.querySelector('h1').textContent") == "small"
+    tab.ask("document.querySelector('a[href$=\"small-details.html\"]').click();0")
+    until(tab, "location.pathname === '/reports/small/small-details.html'")
+    until(tab, "document.readyState === 'complete'")
     # its own script runs under the policy of the server: heads of tables became buttons
     assert tab.ask("document.querySelectorAll('thead button').length") > 0
     assert tab.complaints() == []
