@@ -31,6 +31,26 @@ def test_warm_start_changes_nothing() -> None:
     assert sum(warm.newton_iterations) < sum(cold.newton_iterations)
 
 
+def test_a_warm_start_holds_the_points_that_the_earlier_solve_held() -> None:
+    """The folded side of a bonded solid has a point that never settles and is held though it pulls.
+
+    Released in the later solve, it changed sides for 20 iterations.
+    """
+    material = Material("mooney-rivlin", {"C10": 3.24e-3, "C01": 2.91e-3}, poisson_ratio=0.4995)
+    problem = compression(
+        Cylinder(25, 30), 12.0, material=material, steps=2,
+        space="3d", element_order="quadratic", mesh_size_mm=5.5,
+    )  # fmt: skip
+    base = solve(problem)
+    assert base.warm is not None
+    system, state = base.warm.system, base.warm.steps[-1].state
+    assert any(held.any() for held in system.held_against_wish(state))
+    moved = replace(problem, material=material.with_constants(np.array([3.228e-3, 2.92e-3])))
+    cold, warm = (solve(moved, gradients=False, warm=start) for start in (None, base))
+    assert max(warm.newton_iterations) <= 2
+    np.testing.assert_allclose(warm.curve.force_N, cold.curve.force_N, rtol=1e-9)
+
+
 def test_stiffness_is_the_slope_of_the_curve() -> None:
     problem = compression(Cylinder(25, 30), 0.6, material=MATERIALS[1], steps=12, mesh="coarse")
     curve = solve(problem).curve

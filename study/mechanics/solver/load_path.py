@@ -481,7 +481,11 @@ class LoadPath:
         return self._sound(replace(last, displacement_mm=displacement, x=x), self.J, _EXTRAPOLATED)
 
     def _from_warm(self, target: float) -> NewtonResult | None:
-        """Start from the same step of an earlier solve, moved along its sensitivities."""
+        """Start from the same step of an earlier solve, moved along its sensitivities.
+
+        Points that the earlier solve held closed although they pull stay held, as they were when
+        it was differentiated: released, they change sides to and fro once more.
+        """
         near = [d for d in self._warm_steps if abs(d - target) < 1e-9 * self.system.mesh.height_mm]
         if self.warm is None or self.system.sticks or not near:
             return None
@@ -495,14 +499,15 @@ class LoadPath:
             multipliers = [
                 m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)
             ]
-        touching = zip(self.system.contact, multipliers, strict=True)
-        pressed = tuple(points.admissible(m) for points, m in touching)
+        held = self.system.held_against_wish(step.state)
+        each = zip(self.system.contact, multipliers, held, strict=True)
+        pressed = tuple(np.where(pull, m, points.admissible(m)) for points, m, pull in each)
         J = self.system.volume_ratios(step.state.x)
         guess = self._sound(State(target, x, pressed), J, _MOVED)
         if guess is None:
             return None
         quick = replace(self.options.newton, max_iterations=8, max_switching=8)
-        result = solve_step(self.system, guess, quick)
+        result = solve_step(self.system, guess, quick, held=held)
         return result if result.converged and _near(result, J) else None
 
     def _sound(self, guess: State, J: Array, share: float) -> State | None:

@@ -88,15 +88,23 @@ class NewtonResult:
 
 
 def solve_step(
-    system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
+    system: System,
+    guess: State,
+    settings: NewtonSettings,
+    *,
+    lifted_from: State | None = None,
+    held: tuple[Flags, ...] = (),
 ) -> NewtonResult:
-    """Equilibrium at ``guess.displacement_mm`` by full steps."""
+    """Equilibrium at ``guess.displacement_mm`` by full steps.
+
+    ``held`` are contact points that are held closed from the first iteration on.
+    """
     state, lift = lifted_from or guess, np.zeros(0)
     if lifted_from is not None:  # the prescribed increment that the first solve has to spread
         lift = system.prescribed(guess.displacement_mm) - system.prescribed(state.displacement_mm)
     residuals: list[float] = []
     J = system.volume_ratios(state.x)
-    switches, free = Switches(system), system.pattern.free
+    switches, free = Switches(system, held), system.pattern.free
     for iteration in itertools.count():
         state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
         assembly = system.assemble(state)
@@ -241,10 +249,11 @@ class Switches:
     that never settles is held closed; a step counts only if such points hardly pull.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, held: tuple[Flags, ...] = ()) -> None:
         self._system = system
         self._last: list[Flags] = []
-        self._count = [np.zeros(points.size, dtype=int) for points in system.contact]
+        restless = held or [np.zeros(points.size, dtype=bool) for points in system.contact]
+        self._count = [_RESTLESS * flags.astype(int) for flags in restless]
         self._iteration = 0
         #: whether the last decision moved a point to the other side
         self.changing = False
@@ -256,7 +265,7 @@ class Switches:
         """
         if not self._system.contact:
             return state
-        chosen, self.changing = [], False
+        chosen = list[Flags]()
         for number, touch in enumerate(self._system.touching(state)):
             side = touch.wanted.copy()
             if self._last:
@@ -267,9 +276,9 @@ class Switches:
                         most = int(np.argmax(np.where(changed, np.abs(touch.urge), -1.0)))
                         side[most] = not before[most]
                 self._count[number] += side != before
-                side |= self._count[number] >= _RESTLESS
-                self.changing |= bool((side != before).any())
-            chosen.append(side)
+            chosen.append(side | (self._count[number] >= _RESTLESS))
+        pairs = zip(chosen, self._last, strict=False)  # before the first decision there is none
+        self.changing = any((side != before).any() for side, before in pairs)
         self._last, self._iteration = chosen, self._iteration + 1
         return replace(state, closed=tuple(chosen))
 

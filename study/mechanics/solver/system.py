@@ -277,6 +277,11 @@ class System:
         )
         return [p.evaluate(met, m, closed, state.glue) for p, met, m, closed in each]
 
+    def held_against_wish(self, state: State) -> tuple[Flags, ...]:
+        """Contact points that are closed in a state although each of them would open."""
+        each = zip(self.touching(state), state.closed, strict=True)
+        return tuple(closed & ~touch.wanted for touch, closed in each)
+
     def _meetings(self, state: State) -> list[Meeting]:
         """Where the contact points are, found once for the decision and for the forces."""
         met = self.latest.meetings
