@@ -82,9 +82,14 @@ def test_bonded_compression_with_elements(tmp_path: Path) -> None:
     assert document["minima"][0]["parameters"]["mu1"] == pytest.approx(14.0, rel=0.1)
 
 
-#: Known shortfall: between bonded plates the eighth of fifty draws of an exponent of -15 ends at 24
-#: and does not name the other minimum.
-SHORT_OF_FIFTY = {("bonded", -15.0): 49}
+@pytest.mark.parametrize("draw", [3, 44])
+def test_minima_are_compared_by_the_interpolation_of_their_ends(tmp_path: Path, draw: int) -> None:
+    """Of draw 3 the true minimum was too far by interpolation, of draw 44 it ended at a kink."""
+    d, force = true_curve(tmp_path, "bonded", 14.0, -15.0)
+    noise = np.random.default_rng(21).normal(size=(draw + 1, d.size))[draw]
+    assert is_right(
+        calibrated(tmp_path, "bonded", d, force + 0.01 * force.max() * noise), 14.0, -15.0
+    )
 
 
 @pytest.mark.slow
@@ -92,8 +97,7 @@ SHORT_OF_FIFTY = {("bonded", -15.0): 49}
 @pytest.mark.parametrize("interface", ["frictionless", "bonded"])
 @pytest.mark.parametrize("alpha", [-6.0, 4.0, -15.0, 10.6])
 def test_all_of_fifty_draws(tmp_path: Path, interface: str, alpha: float) -> None:
-    expected = SHORT_OF_FIFTY.get((interface, alpha), 50)
-    assert draws(tmp_path, interface, alpha, 50) >= expected
+    assert draws(tmp_path, interface, alpha, 50) == 50
 
 
 def test_minima_that_cannot_be_told_apart_are_named(tmp_path: Path) -> None:

@@ -432,8 +432,12 @@ _LOOKED_OF_SEVERAL = 3
 _SIMULATED = 10
 #: sum of squares of a start on a cheaper mesh over that of the fit, from which it ends there
 _HOPELESS_START = 2.0
+#: sum of squares over the least one, up to which interpolation may hide which minimum is the least
+_NEAR_LEAST = 2.0
 #: relative difference of constants from which two minima are two
 _APART = 0.02
+#: the same where each is judged by another interpolation, which moves it along its valley
+_IN_ANOTHER_VALLEY = 0.1
 #: difference of AICc up to which two minima cannot be told apart (Burnham and Anderson 2002, 2.6)
 OPEN = 6.0
 
@@ -454,16 +458,55 @@ def least_minimum(
     for look in _looked_for(parts, start, search):
         if not search.checkpoint.limits.is_late:
             candidates.append(_from_look(parts, look, search, tried[0], fit_from))
-    usable = [candidate for candidate in candidates if candidate.fit.converged]
-    chosen = min(usable, key=lambda candidate: candidate.fit.rss) if usable else candidates[0]
-    others = [candidate for candidate in candidates if candidate is not chosen]
-    fruitless = chosen.fruitless + sum(candidate.evaluations for candidate in others)
+    evaluations = sum(candidate.evaluations for candidate in candidates)
+    minima = sorted((c for c in candidates if _is_minimum(c.fit)), key=lambda c: c.fit.rss)
+    if any(part.method == "inverse-fem" for part in parts) and not search.checkpoint.limits.is_late:
+        minima, more = _judged_at_their_ends(minima, fit_from)
+        evaluations += more
+    chosen = minima[0] if minima else candidates[0]
     rivals: list[Staged] = []
-    for candidate in sorted(others, key=lambda staged: staged.fit.rss):
-        apart = all(_differ(candidate.fit.values, other.fit.values) for other in (chosen, *rivals))
-        if candidate.fit.converged and apart and candidate.fit.aicc - chosen.fit.aicc < OPEN:
-            rivals.append(candidate)
+    for minimum in minima[1:]:
+        apart = all(_differ(minimum.fit.values, other.fit.values) for other in (chosen, *rivals))
+        if apart and minimum.fit.aicc - chosen.fit.aicc < OPEN:
+            rivals.append(minimum)
+    fruitless = evaluations - (chosen.evaluations - chosen.fruitless)
     return replace(chosen, fruitless=fruitless), tuple(rivals)
+
+
+def _is_minimum(fitted: Fit) -> bool:
+    """Whether a search ended at a minimum; one at a kink may be the least as well."""
+    return fitted.converged or fitted.status is Status.at_kink
+
+
+def _judged_at_their_ends(
+    minima: Sequence[Staged], fit_from: Callable[[Array], Staged]
+) -> tuple[list[Staged], int]:
+    """Fit again from the end of each minimum that may be the least, where there are several.
+
+    A simulated curve is interpolated between its load steps relative to the first one of its
+    search. Searches that began at other constants judge by other models, and their sums of squares
+    at equal constants differ by up to a fifth; a search from its own end has the tangents of its
+    answer. One that had a cheaper stage began near its end already. Minima come and go in
+    ascending order of their sums of squares; the calls of the model are counted.
+    """
+    close: list[Staged] = []
+    far: list[Staged] = []
+    for minimum in minima:
+        if minimum.fit.rss > _NEAR_LEAST * minima[0].fit.rss:
+            far.append(minimum)
+        elif all(_differ(minimum.fit.values, c.fit.values, _IN_ANOTHER_VALLEY) for c in close):
+            close.append(minimum)
+    if len(close) < 2:
+        return list(minima), 0
+    judged, evaluations = far, 0
+    for minimum in close:
+        judged.append(minimum)
+        if minimum.rough is None and _differ(minimum.fit.history[0].x, minimum.fit.values):
+            again = fit_from(minimum.fit.values)
+            evaluations += again.evaluations
+            if _is_minimum(again.fit):
+                judged[-1] = replace(minimum, fit=again.fit, models=again.models)
+    return sorted(judged, key=lambda staged: staged.fit.rss), evaluations
 
 
 def named_open(fitted: Fit, rivals: Sequence[Staged]) -> Fit:
@@ -482,8 +525,8 @@ def named_open(fitted: Fit, rivals: Sequence[Staged]) -> Fit:
     return replace(fitted, identifiable=False, reason=reason)
 
 
-def _differ(first: Array, other: Array) -> bool:
-    return bool(np.any(np.abs(first - other) > _APART * np.maximum(np.abs(first), np.abs(other))))
+def _differ(first: Array, other: Array, share: float = _APART) -> bool:
+    return bool(np.any(np.abs(first - other) > share * np.maximum(np.abs(first), np.abs(other))))
 
 
 def _from_look(
@@ -503,7 +546,7 @@ def _from_look(
         rough = begun_stage("look", cheap, starts, aside)
         is_hopeless = rough.fit.rss > _HOPELESS_START * first.rough.rss
         is_same = first.fit.converged and not _differ(rough.fit.values, first.rough.values)
-        if not rough.fit.converged or is_hopeless or is_same:
+        if not _is_minimum(rough.fit) or is_hopeless or is_same:
             return replace(rough, fit=replace(rough.fit, status=Status.stopped))
         start = rough.fit.values
     return fit_from(start)
