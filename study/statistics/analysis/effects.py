@@ -583,20 +583,23 @@ def _of_settings(simple: SimpleEffects, scale: Scale) -> Judgement:
 def _of_components(estimate: TermEstimate, half: Array | None, scale: Scale) -> Judgement:
     """Verdict of the pure components of a term, over all pairs of levels."""
     k = len(estimate.levels)
-    wide = np.zeros((k, k)) if half is None else half
+    top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
+    # all pairs of many levels would take longer than the study: the largest bound serves
+    is_common = scale.bound is None or k > MOST_LEVELS
     first, second = np.triu_indices(k, 1)
+    if half is None and is_common:  # no pair says more than the two farthest apart
+        first, second = np.array([top]), np.array([bottom])
     d = estimate.component[first] - estimate.component[second]
     u = np.zeros(d.size)
     if scale.bound is not None:
-        # all pairs of many levels would take longer than the study: the largest bound serves
-        pairs = list(zip(first.tolist(), second.tolist(), strict=True))
-        if k > MOST_LEVELS:
-            pairs = [(int(np.argmax(estimate.component)), int(np.argmin(estimate.component)))]
+        pairs = [(top, bottom)]
+        if not is_common:
+            pairs = list(zip(first.tolist(), second.tolist(), strict=True))
         bounds = [scale.between(estimate, i, j) for i, j in pairs]
         # nothing bounds the numerical error of a quantity that diverges
         u = np.array([math.inf if v is None else v for v in bounds])
         u = u if u.size == d.size else np.full(d.size, u.max(initial=0.0))
-    w = wide[first, second]
+    w = np.zeros(d.size) if half is None else half[first, second]
     return judge_all(d - w, d + w, scale.practical or 0.0, u)
 
 
