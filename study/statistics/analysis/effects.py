@@ -205,7 +205,7 @@ def estimable_differences(fit: Factored, differences: Differences) -> Flags:
     """Whether each difference can be estimated: all can where every setting can, shape (m,)."""
     if fit.estimable(differences.settings).all():
         return np.ones(len(differences.first), dtype=bool)
-    return differences.each(fit.estimable)
+    return differences.each(lambda rows: fit.estimable(rows).astype(float)) > 0
 
 
 def over_groups(
@@ -228,7 +228,7 @@ def over_groups(
         if reading:
             roots = replace(differences, settings=differences.settings @ fit.inverse)
             error = np.maximum(error, reading * roots.lengths())
-        estimable = np.isfinite(value).all(axis=1)
+        estimable = np.asarray(np.isfinite(value).all(axis=1))
         wide = np.zeros(len(value))
         if estimable.any():
             wide[estimable] = block_multiplier(value[estimable], alpha, seed, groups, df[estimable])

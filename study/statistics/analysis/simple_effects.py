@@ -145,7 +145,7 @@ class Differences:
 
     @property
     def _are_few(self) -> bool:
-        return len(self.first) * self.settings.shape[1] <= AT_ONCE
+        return bool(len(self.first) * self.settings.shape[1] <= AT_ONCE)
 
     def each(self, answer: Callable[[Array], Array]) -> Array:
         """Answers of each row by itself, shape (m, ...), from as many rows as memory may hold."""
