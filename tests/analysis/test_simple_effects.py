@@ -14,6 +14,7 @@ from scipy.stats import t as student
 from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.reporting.content.effect_words import told
+from study.statistics.analysis import simple_effects as simple_effects_module
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import (
     block_multiplier,
@@ -241,3 +242,34 @@ def test_a_table_says_that_only_single_settings_matter():
     assert told(found) == "matters at some settings"
     all_of_it = anova(table, "response", ["a", "b"], block="block", practical=1.0).effects[0]
     assert (all_of_it.verdict, told(all_of_it)) == (MATTERS, MATTERS)
+
+
+@pytest.mark.parametrize("k", [3, 40])
+def test_differences_in_pieces_are_those_of_all_rows(monkeypatch, k):
+    """Many pairs of settings never stand in memory at once; the answers are the same."""
+    random = np.random.default_rng(k)
+    settings = random.normal(size=(k, 6))
+    settings[1] = settings[0] + 1e-9 * settings[1]  # so near that products of settings cancel
+    first, second = np.triu_indices(k, 1)
+    pairs, by = simple_effects_module.Differences(settings, first, second), random.normal(size=6)
+    at_once = pairs.rows @ by, pairs.lengths(), pairs.rows**2
+    monkeypatch.setattr(simple_effects_module, "AT_ONCE", 13)
+    in_pieces = pairs.times(by), pairs.lengths(), pairs.each(np.square)
+    for whole, pieced in zip(at_once, in_pieces, strict=True):
+        np.testing.assert_allclose(pieced, whole, rtol=2e-13, atol=2e-15)
+
+
+def test_an_analysis_in_pieces_says_what_one_at_once_says(monkeypatch):
+    """Three factors with replicates: pooled and unequal scatter, with and without pieces."""
+    random = np.random.default_rng(5)
+    table = pd.DataFrame([(a, b, c) for a in range(3) for b in range(4) for c in range(2)] * 3,
+                         columns=["a", "b", "c"])  # fmt: skip
+    table["y"] = 3.0 * table.a + table.b * table.c + random.normal(size=len(table))
+    for error in ("auto", "welch"):
+        whole = anova(table, "y", ["a", "b", "c"], practical=1.0, error=error)
+        with monkeypatch.context() as patch:
+            patch.setattr(simple_effects_module, "AT_ONCE", 100)
+            pieced = anova(table, "y", ["a", "b", "c"], practical=1.0, error=error)
+        for one, other in zip(whole.effects, pieced.effects, strict=True):
+            assert (one.term, one.verdict, one.why) == (other.term, other.verdict, other.why)
+            np.testing.assert_allclose(one.ci95, other.ci95, rtol=1e-12)

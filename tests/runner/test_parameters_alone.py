@@ -1,9 +1,12 @@
 """Studies of parameters alone: a stranger's program or function, end to end through the verbs."""
 
 import itertools
+import json
 import math
 import os
 import re
+import subprocess
+import sys
 import tomllib
 
 import numpy as np
@@ -565,3 +568,41 @@ def test_listed_cells_take_settings_of_ranges(tmp_path):
         design["design"]["treatments"][0]["parameters.d"] = wrong
         with pytest.raises(errors.InputError, match="design.treatments"):
             api.load_design(design)
+
+
+LARGEST = """
+import itertools, json, resource, study
+
+def of(case):
+    p = case.parameters
+    last_digits = int(7919 * p.a + 104729 * p.b + 1299709 * p.c + 15485863 * p.d) % 1009
+    return {"y": 10 * p.a + 2 * (p.c - 4.5) * (p.d - 4.5) + 1e-5 * last_digits}
+
+DESIGN = {
+    "study": {"name": "largest", "question": "Which factor matters?"},
+    "parameters": dict.fromkeys("abcd", 1.0),
+    "factors": {f"parameters.{name}": [float(i) for i in range(1, 9)] for name in "abcd"},
+    "response": [{"name": "y", "unit": "mm", "practical": "1 mm"}],
+}
+result = study.run(DESIGN, forward=of, version="1").analyses[0].result
+peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+effects = {e.term.replace("parameters.", ""): e for e in result.effects}
+print(json.dumps([peak_mb, {t: [e.verdict, e.of_components, e.range] for t, e in effects.items()}]))
+"""
+
+
+@pytest.mark.slow
+def test_the_largest_factorial_is_analyzed_in_a_bounded_memory(tmp_path):
+    """4 factors of 8 levels, 4,096 cells without repeats: pairs of cells once took 256 GiB."""
+    run = subprocess.run([sys.executable, "-c", LARGEST], cwd=tmp_path, check=True,
+                         capture_output=True, text=True)  # fmt: skip
+    peak_mb, effects = json.loads(run.stdout.splitlines()[-1])
+    assert peak_mb < 1500
+    verdicts = {term: verdict for term, (verdict, _, _) in effects.items() if ":" not in term}
+    assert verdicts == {"a": "matters", "b": "no practical difference"} | dict.fromkeys(
+        "cd", "matters"
+    )
+    assert effects["a"][2] == pytest.approx(70.0, abs=0.01)
+    matter = {t for t, (_, pure, _) in effects.items() if ":" in t and pure == "matters"}
+    assert matter == {"c:d"}
+    assert effects["c:d"][2] == pytest.approx(49.0, abs=0.01)

@@ -9,7 +9,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Flags, Ints
 from study.statistics.analysis.anova_table import Effect, PairDifference, SimpleEffect
 from study.statistics.analysis.comparisons import (
     block_multiplier,
@@ -136,8 +136,6 @@ def sampled_estimate(
     levels, component_rows, mean_rows = term_rows(layout, fit, term)
     component_rows = over_complete_settings(layout, fit, term, component_rows)
     k = len(levels)
-    first, second = np.triu_indices(k, 1)
-    pairs = sample(Differences(component_rows, first, second))
     zero = np.zeros((1, mean_rows.shape[1]))
     each = np.arange(1, 2 * k + 1)
     alone = sample(
@@ -147,11 +145,15 @@ def sampled_estimate(
     if np.isnan(component).any():
         component = np.full(k, np.nan)
     half = mean_half = None
-    if pairs.error is not None and alone.error is not None:
-        wide = pairs.error * (pairs.simultaneous if critical is None else critical)
-        half = np.zeros((k, k))
-        half[first, second] = half[second, first] = wide
+    if alone.error is not None:
         mean_half = (alone.error * alone.single)[k:]
+    if mean_half is not None and not np.isnan(component).any():
+        first, second = np.triu_indices(k, 1)
+        pairs = sample(Differences(component_rows, first, second))
+        if pairs.error is not None:
+            half = np.zeros((k, k))
+            wide = pairs.error * (pairs.simultaneous if critical is None else critical)
+            half[first, second] = half[second, first] = wide
     return TermEstimate(
         term, levels, component, mean, half, mean_half, p, settings_of(layout, term)
     )
@@ -199,6 +201,13 @@ def own_critical(k: int, df_term: int, blocks: int, alpha: float) -> float:
 # What is known of combinations of coefficients: over blocks, with a pooled error, or exactly.
 
 
+def estimable_differences(fit: Factored, differences: Differences) -> Flags:
+    """Whether each difference can be estimated: all can where every setting can, shape (m,)."""
+    if fit.estimable(differences.settings).all():
+        return np.ones(len(differences.first), dtype=bool)
+    return differences.each(lambda rows: fit.estimable(rows).astype(float)) > 0
+
+
 def over_groups(
     fit: Factored,
     added: Array,
@@ -213,12 +222,13 @@ def over_groups(
     """
 
     def estimate(differences: Differences) -> Estimates:
-        rows = differences.rows
-        value = np.where(fit.estimable(rows)[:, None], rows @ added, np.nan)
+        estimable = estimable_differences(fit, differences)
+        value = np.where(estimable[:, None], differences.times(added), np.nan)
         error, df = group_errors(value, groups)
         if reading:
-            error = np.maximum(error, reading * np.linalg.norm(rows @ fit.inverse, axis=1))
-        estimable = np.isfinite(value).all(axis=1)
+            roots = replace(differences, settings=differences.settings @ fit.inverse)
+            error = np.maximum(error, reading * roots.lengths())
+        estimable = np.asarray(np.isfinite(value).all(axis=1))
         wide = np.zeros(len(value))
         if estimable.any():
             wide[estimable] = block_multiplier(value[estimable], alpha, seed, groups, df[estimable])
@@ -249,14 +259,13 @@ def with_pooled_error(
     inverse = fit.inverse
 
     def estimate(differences: Differences) -> Estimates:
-        rows = differences.rows
-        value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
+        estimable = estimable_differences(fit, differences)
+        value = np.where(estimable, differences.times(coefficients), np.nan)
         if df <= 0 or rss <= 0:
             return Estimates(value, None)
         estimable = np.isfinite(value)
         roots = differences.settings @ inverse
-        square = differences.of(roots)
-        length = np.sqrt(np.einsum("ij,ij->i", square, square))
+        length = replace(differences, settings=roots).lengths()
         some = Differences(roots, differences.first[estimable], differences.second[estimable])
         wide = (
             pooled_multiplier(some, length[estimable], df, alpha, seed) if estimable.any() else 0.0
@@ -342,9 +351,14 @@ def with_sources(
     coefficients = fit.coefficients()
 
     def estimate(differences: Differences) -> Estimates:
-        rows = differences.rows
-        value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
-        error, df = by_components(shares(rows @ fit.inverse), variance, free, cautious=cautious)
+        estimable = estimable_differences(fit, differences)
+        value = np.where(estimable, differences.times(coefficients), np.nan)
+
+        def scatter(rows: Array) -> Array:
+            parts = by_components(shares(rows @ fit.inverse), variance, free, cautious=cautious)
+            return np.stack(parts, axis=1)
+
+        error, df = differences.each(scatter).T.copy()
         wide = t_quantile(alpha / (2 * max(len(value), 1)), df)
         if ranges:
             wide = games_howell_multiplier(differences, df, alpha)
@@ -387,9 +401,10 @@ def with_pseudo_error(
     pse = float(pseudo_standard_error(values))
 
     def estimate(differences: Differences) -> Estimates:
-        weight = (differences.rows @ fit.inverse) @ (fit.q.T @ contrasts)
+        along = fit.q.T @ contrasts
+        weight = differences.each(lambda rows: (rows @ fit.inverse) @ along)
         length = np.linalg.norm(weight, axis=1)
-        estimable = fit.estimable(differences.rows) & (length > 0)
+        estimable = estimable_differences(fit, differences) & (length > 0)
         single, largest = np.full(len(weight), np.inf), np.zeros(PSEUDO_DRAWS)
         z = np.random.default_rng(seed or 0).standard_normal((PSEUDO_DRAWS, len(values)))
         null = pseudo_standard_error(z)
@@ -568,20 +583,23 @@ def _of_settings(simple: SimpleEffects, scale: Scale) -> Judgement:
 def _of_components(estimate: TermEstimate, half: Array | None, scale: Scale) -> Judgement:
     """Verdict of the pure components of a term, over all pairs of levels."""
     k = len(estimate.levels)
-    wide = np.zeros((k, k)) if half is None else half
+    top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
+    # all pairs of many levels would take longer than the study: the largest bound serves
+    is_common = scale.bound is None or k > MOST_LEVELS
     first, second = np.triu_indices(k, 1)
+    if half is None and is_common:  # no pair says more than the two farthest apart
+        first, second = np.array([top]), np.array([bottom])
     d = estimate.component[first] - estimate.component[second]
     u = np.zeros(d.size)
     if scale.bound is not None:
-        # all pairs of many levels would take longer than the study: the largest bound serves
-        pairs = list(zip(first.tolist(), second.tolist(), strict=True))
-        if k > MOST_LEVELS:
-            pairs = [(int(np.argmax(estimate.component)), int(np.argmin(estimate.component)))]
+        pairs = [(top, bottom)]
+        if not is_common:
+            pairs = list(zip(first.tolist(), second.tolist(), strict=True))
         bounds = [scale.between(estimate, i, j) for i, j in pairs]
         # nothing bounds the numerical error of a quantity that diverges
         u = np.array([math.inf if v is None else v for v in bounds])
         u = u if u.size == d.size else np.full(d.size, u.max(initial=0.0))
-    w = wide[first, second]
+    w = np.zeros(d.size) if half is None else half[first, second]
     return judge_all(d - w, d + w, scale.practical or 0.0, u)
 
 

@@ -403,7 +403,10 @@ class Factorization:
         """Directions of a term where nothing is aliased, without factoring all columns again."""
         columns = self.matrix.blocks[i]
         if kind == "I" or self._is_block_diagonal:
-            return np.eye(self.rank)[:, columns]
+            # no view of an identity, which would keep all of it for every term
+            basis = np.zeros((self.rank, columns.stop - columns.start))
+            basis[columns] = np.eye(basis.shape[1])
+            return basis
         if kind == "III":
             # R^-1 R = 1: these rows of the inverse are orthogonal to the columns of all others
             rows = self.inverse[columns] * self.scale[columns, None]

@@ -133,12 +133,62 @@ class Differences:
 
     @property
     def rows(self) -> Array:
-        """Combinations of the coefficients, shape (m, p)."""
+        """Combinations of the coefficients, shape (m, p); 256 GiB where 4,096 settings are paired.
+
+        Where there may be many pairs, :meth:`each`, :meth:`times` and :meth:`lengths` serve.
+        """
         return self.of(self.settings)
 
     def of(self, values: Array) -> Array:
         """Differences of values of the settings, shape (k, ...)."""
         return np.asarray(values[self.first] - values[self.second])
+
+    @property
+    def _are_few(self) -> bool:
+        return bool(len(self.first) * self.settings.shape[1] <= AT_ONCE)
+
+    def each(self, answer: Callable[[Array], Array]) -> Array:
+        """Answers of each row by itself, shape (m, ...), from as many rows as memory may hold."""
+        step = max(1, AT_ONCE // max(self.settings.shape[1], 1))
+        ends = range(step, len(self.first), step)
+        sides = zip(np.split(self.first, ends), np.split(self.second, ends), strict=True)
+        return np.concatenate(
+            [answer(self.settings[first] - self.settings[second]) for first, second in sides]
+        )
+
+    def times(self, by: Array) -> Array:
+        """Rows times a vector, or a matrix of few columns, shape (m, ...)."""
+        return self.rows @ by if self._are_few else self.of(self.settings @ by)
+
+    def lengths(self) -> Array:
+        """Euclidean lengths of the rows, shape (m,).
+
+        Of many pairs they come from the products of the settings, and from the rows themselves
+        where two settings are so near that their products cancel.
+        """
+        if self._are_few:
+            return _lengths(self.rows)
+        product = self.settings @ self.settings.T
+        square = np.diagonal(product)
+        both = square[self.first] + square[self.second]
+        length = both - 2 * product[self.first, self.second]
+        near = length < _CANCELS * both
+        np.sqrt(length, out=length, where=~near)
+        if near.any():
+            pairs = Differences(self.settings, self.first[near], self.second[near])
+            length[near] = pairs.each(_lengths)
+        return length
+
+
+#: Numbers of rows of differences that are held at once: 32 MB.
+AT_ONCE = 1 << 22
+#: Share of the squared lengths of two settings below which that of their difference is not had
+#: from products: above it the length has a relative error of 1e-13 at most.
+_CANCELS = 1e-3
+
+
+def _lengths(rows: Array) -> Array:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
 
 
 #: What is known of linear combinations of the coefficients of the model.
