@@ -87,10 +87,13 @@ def server(demo: Path) -> Iterator[StudyServer]:
 
 
 @pytest.fixture(scope="module")
-def pages(demo: Path, html: str, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def pages(
+    demo: Path, both: tuple[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> list[Path]:
     """Every kind of page: studies, a table, a series, surfaces and instruments."""
     folder = tmp_path_factory.mktemp("pages")
-    (folder / "report.html").write_text(html, "utf-8")
+    for name, text in zip(("report", "report-details"), both, strict=True):
+        (folder / f"{name}.html").write_text(text, "utf-8")
     rows = [(b, m, 1 + 0.1 * b + (m == "stiff") + 0.01 * k) for b in (1, 2, 3)
             for k, m in enumerate(("soft", "stiff"))]  # fmt: skip
     table = pd.DataFrame(rows, columns=["specimen", "material", "force"])
@@ -106,7 +109,7 @@ def pages(demo: Path, html: str, tmp_path_factory: pytest.TempPathFactory) -> li
     api.export(folder / "problem.toml", out=folder / "law")
     api.require(folder / "plates.toml", jobs=1, out=folder / "sensors")
     made = [*demo.glob("reports/*/*.html"), *sorted(folder.rglob("*.html"))]
-    assert len(made) == 11
+    assert len(made) == 12
     return made
 
 
