@@ -263,11 +263,12 @@ def _checks(study: StudyResult) -> Iterator[Check]:
 
 def _names_of_fits(study: StudyResult) -> dict[str, str]:
     """Levels, block and specimen of each fit by its key."""
-    entering = calibration_factors(study.design)
+    entering, spec = calibration_factors(study.design), study.design.measurements
+    kind = f"{spec.block} " if spec is not None and spec.block else ""
     return {
         fit["key"]: ", ".join(
             [*(level for name, level in record.levels.items() if name in entering)]
-            + ([record.block] if record.block else [])
+            + ([f"{kind}{record.block}"] if record.block else [])
             + ([f"specimen {specimen}"] if specimen != "all" else [])
         )
         for record in reversed(study.plain)
