@@ -193,5 +193,5 @@ def test_a_study_says_which_of_its_fits_do_not_describe(tmp_path):
     (check,) = [one for one in _checks(ran) if one.name == "fits describe their data"]
     assert "4 do not" in check.finding
     # the card names the fit: energy, range, block and specimen
-    assert re.search(r"of [a-z-]+, (large|small), mix M1, specimen A, ", check.finding), check.finding
+    assert re.search(r"of [a-z-]+, (large|small), mix M1, specimen A, ", check.finding)
     assert check.consequence.startswith("use no constant of 4 fits that missed the data, such as ")
