@@ -356,6 +356,11 @@ def test_rows_without_scatter_within_are_refused() -> None:
     y = np.random.default_rng(1).normal(size=6)[code]
     with pytest.raises(SingularError):
         fit_restricted(np.full((18, 1), 18**-0.5), y, [code])
+    # here the fit ends, and the profile of the scatter over blocks meets no scatter within
+    blocks = ["B0", "B1", "B2", "B2", "B3"]
+    table = pd.DataFrame({"d": list("abbac"), "block": blocks, "y": [0.0, 0, 10, 10, 10]})
+    with pytest.raises(InputError, match="no scatter is left within"):
+        study.mixed_model(table, "y", ["d"], block="block", random=["block"])
 
 
 def test_a_covariate_within_blocks_has_the_slope_of_least_squares() -> None:

@@ -233,6 +233,12 @@ def test_words_of_other_languages_are_names_of_parameters(tmp_path, name):
     assert api.plan(tmp_path / "d.toml").cases["total"] == 4
 
 
+def test_values_in_an_unknown_unit_are_refused_beside_what_needs_them():
+    text = PROGRAM.replace('peak = "mm"', 'peak = "a,b"')
+    with pytest.raises(errors.InputError, match=r"forward\.values\.names: is an unknown unit"):
+        loads(HEAD + text + FACTORS + DECLARED).treatments  # noqa: B018
+
+
 def test_a_file_that_goes_along_is_never_read_as_the_answer():
     text = PROGRAM.replace('"input.txt" = "input.txt.j2"', '"out.json" = "old.json"')
     with pytest.raises(errors.InputError, match=r"out\.json, which is also read"):

@@ -318,9 +318,10 @@ class ForwardModel:
         given = {target for target, _ in map(target_and_source, self.files or ())}
         read = {"" if self.curve is None else self.curve.file}
         if self.values is not None:
-            read |= {self.values.file, *(file for *_, file, _ in self.values.names or ())}
+            names = self.values.names or ()
+            read |= {self.values.file, *(file for *_, file, _ in names)}
             if self.model == "command" and not self.values.file:
-                bare = [key for key, _, pattern, *_ in self.values.names or () if not pattern]
+                bare = [key for key, _, pattern, *_ in names if not pattern]
                 if bare:
                     rule = f"is missing: nothing says where {bare[0]} stands"
                     mend = 'write file = "out.json", or a pattern of the log'

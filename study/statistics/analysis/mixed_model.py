@@ -8,7 +8,8 @@ standard deviations those of the profile of the restricted likelihood.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -207,11 +208,12 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         deterministic=False,
         specimens=len(data.layout.levels[blocks[0]]) if blocks else None,
     )
-    names = [term_name(term) for term in sources]
+    with _determined(sources):
+        scatter = components(fit, [*map(term_name, sources), WITHIN], alpha)
     few = not sources and data.y.size <= _MOST_ROWS
     rivals = [_unequal_rows(cells, data.y - shift)] if few else []
     return MixedModel(
-        components(fit, [*names, WITHIN], alpha),
+        scatter,
         tuple(MixedTerm(term_name(t), int(s.df), s.f, s.df_error, s.p) for t, s in tests.items()),
         fit.deviance,
         data.y.size,
@@ -283,8 +285,15 @@ def fit_sources(data: Data, fixed: Factored, sources: Sequence[Term]) -> Restric
         rule = f"{crossed:,} levels of random factors cross each other, at most {MOST_CROSSED:,}"
         raise InputError(Fault("random", rule, "name fewer random factors, or average first"))
     y = data.y - float(data.y.mean())
-    try:
+    with _determined(sources):
         return fit_restricted(fixed.q, y, codes)
+
+
+@contextmanager
+def _determined(sources: Sequence[Term]) -> Iterator[None]:
+    """Name the random factor whose scatter the rows do not determine."""
+    try:
+        yield
     except SingularError as error:
         names = [*map(term_name, sources), WITHIN]
         if error.which == len(sources):

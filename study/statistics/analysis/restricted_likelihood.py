@@ -56,7 +56,7 @@ _AT_ONCE = 5_000_000
 _UNINFORMED = 1e-9
 
 
-class SingularError(RefusedError):
+class SingularError(ValueError):
     """The rows do not determine the variances; ``which`` is the index of a random factor."""
 
     def __init__(self, which: int) -> None:
