@@ -357,8 +357,8 @@ def test_rows_without_scatter_within_are_refused() -> None:
     with pytest.raises(SingularError):
         fit_restricted(np.full((18, 1), 18**-0.5), y, [code])
     # here the fit ends, and the profile of the scatter over blocks meets no scatter within
-    blocks = ["B0", "B1", "B2", "B2", "B3"]
-    table = pd.DataFrame({"d": list("abbac"), "block": blocks, "y": [0.0, 0, 10, 10, 10]})
+    levels, blocks = ["0.5", "2.9", "2.9", "0.5", "0"], ["B0", "B1", "B2", "B2", "B3"]
+    table = pd.DataFrame({"d": levels, "block": blocks, "y": [0.0, 0, 10, 10, 10]})
     with pytest.raises(InputError, match="no scatter is left within"):
         study.mixed_model(table, "y", ["d"], block="block", random=["block"])
 
