@@ -275,7 +275,9 @@ def _served(
 
 def wrong(code: int, out: str, err: str, served: bool = False) -> Iterator[str]:
     """Say what is wrong with an answer; of exit code 1 the answer itself may be the sentence."""
-    if code not in CODES and not (served and code == 130):
+    # a run that can write no further ends as one that was interrupted (README)
+    stopped = served or ("could not be written" in err and "To resume:" in err)
+    if code not in CODES and not (stopped and code == 130):
         yield f"exit code {code} is documented nowhere"
     if code and len((err if code > 1 else out + err).split()) < 3:
         yield f"exit code {code} without a sentence"
