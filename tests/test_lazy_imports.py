@@ -34,23 +34,6 @@ def test_import_is_light(module: str) -> None:
     assert run.stdout.split() == []
 
 
-def test_an_analysis_without_p_loads_no_statsmodels() -> None:
-    """It takes a few tenths of a second, and only influence, PRESS, HC3 and Holm need it."""
-    code = """
-import sys
-import pandas as pd
-from study.statistics.analysis.anova import anova
-# three contrasts are too few for Lenth's p, so there is no p that Holm would adjust
-table = pd.DataFrame([(a, b) for a in "xy" for b in "pq"], columns=list("ab"))
-found = anova(table.assign(y=[1.0, 4, 2, 8]), "y", list("ab"), exact=False)
-assert found.error_term.source == "E7"
-print(*sorted(name for name in sys.modules if name == "statsmodels"))
-"""
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    assert run.stdout.split() == []
-
-
 #: all distributions of scipy take 0.6 s of every verb; the rest is loaded where it is called
 LATE = ("scipy.stats", "scipy.optimize", "scipy.spatial", "statsmodels", "matplotlib", "gmsh")
 

@@ -207,13 +207,9 @@ def analyze_summary(
         raise InputError(faults)
     limit = threshold(practical)
     groups = GroupMoments(tuple(" ".join(row) for row in labels), n, mean, sd**2)
-    anova, welch = (
-        dict(zip(("f", "df", "df_error", "p"), test, strict=True))
-        for test in (groups.one_way(), groups.welch())
-    )
     return SummaryAnalysis(
-        groups, anova, welch, groups.pairs(alpha, equal=True),
-        groups.pairs(alpha, equal=False),
+        groups, groups.one_way(equal=True), groups.one_way(equal=False),
+        groups.pairs(alpha, equal=True), groups.pairs(alpha, equal=False),
         None if limit is None else limit.on_scale(float(n @ mean / n.sum()), "none"),
     )  # fmt: skip
 

@@ -163,18 +163,18 @@ def test_groups_of_which_only_moments_are_known_compare_as_their_rows() -> None:
     n, mean, variance = (np.array([f(v) for v in values]) for f in (
         np.size, np.mean, lambda v: v.var(ddof=1)))  # fmt: skip
     moments = GroupMoments(tuple(GROUPS), n, mean, variance)
-    assert moments.one_way()[0] == pytest.approx(f_oneway(*values).statistic, rel=1e-10)
-    assert moments.one_way()[3] == pytest.approx(f_oneway(*values).pvalue, rel=1e-10)
+    theirs = f_oneway(*values)
+    pooled, welch = moments.one_way(equal=True), moments.one_way(equal=False)
+    assert (pooled["f"], pooled["p"]) == pytest.approx((theirs.statistic, theirs.pvalue), rel=1e-10)
     table = pd.DataFrame({"a": np.repeat(list(GROUPS), [v.size for v in values]),
                           "y": np.concatenate(values)})  # fmt: skip
     asked = anova(table, "y", ["a"], error="welch", exact=False)
-    f, k, df, p = moments.welch()
     row = asked.anova.row("a")
-    assert (row.f, row.df, row.df_error, row.p) == pytest.approx((f, k, df, p), rel=1e-8)
+    assert (row.f, row.df, row.df_error, row.p) == pytest.approx(tuple(welch.values()), rel=1e-8)
     # the intervals of the analysis are those of Games and Howell
-    theirs = {(x.first, x.second): x for x in moments.pairs(0.05, equal=False).pairs}
+    by_levels = {(x.first, x.second): x for x in moments.pairs(0.05, equal=False).pairs}
     for pair in asked.effect("a").pairs:
-        other = theirs[pair.first, pair.second]
+        other = by_levels[pair.first, pair.second]
         assert (pair.lower, pair.upper) == pytest.approx((other.lower, other.upper), rel=1e-8)
     for equal in (True, False):
         own = tukey_hsd(*values, equal_var=equal)

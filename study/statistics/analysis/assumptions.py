@@ -273,19 +273,12 @@ def _of_residuals(out: AnalysisOutcome) -> tuple[AnalysisOutcome, Assumptions]:
 
 
 def hc3(fit: Factored) -> dict[str, WaldTest]:
-    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts.
-
-    The fit goes to statsmodels on its orthonormal columns, with the response less its reference
-    value: the pseudo-inverse of such columns is their transpose, so nothing is factored again.
-    """
-    from statsmodels.regression.linear_model import OLS, OLSResults
+    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts."""
     from statsmodels.tools.sm_exceptions import ValueWarning
 
-    model = OLS(fit.q @ fit.z + fit.residual, fit.q, hasconst=False)
-    model.pinv_wexog, model.df_model, model.df_resid = fit.q.T, fit.rank, fit.df_residual
     robust = None
     if fit.df_residual > 0 and float(fit.leverage.max()) <= 1 - 1e-10:
-        robust = OLSResults(model, fit.z, np.eye(fit.rank), cov_type="HC3", use_t=True)
+        robust = fit.ols.get_robustcov_results("HC3", use_t=True)
     tests = {}
     for s in term_sums(fit, "III"):
         name = term_name(s.term)

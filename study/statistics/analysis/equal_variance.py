@@ -199,40 +199,27 @@ def levene(
             fewest = max(1_000, SIMULATED_VALUES // total)
             simulations = simulations or min(SIMULATIONS, fewest)
     sizes = np.array([v.size for v in named.values()])
-    w = float(_levene_statistic([v - v[0] for v in named.values()], center))
+    w, p = map(float, _levene([v - v[0] for v in named.values()], center))
     df = (len(named) - 1, int(sizes.sum()) - len(named))
     if not math.isfinite(w):
         reason = "every deviation within each group is equal"
         return _inapplicable(reason, approximate=approximate)
-    from scipy.special import fdtrc
-
     p_mc = None
     if simulations:
         drawn = _normal_draws(sizes, simulations, seed)
         if design is not None:
             drawn = design.draws(simulations, seed)
-        p_mc = _monte_carlo_p(np.concatenate([_levene_statistic(d, center) for d in drawn]), w)
-    return SpreadTest(w, df, float(fdtrc(*df, w)), True, "", center, p_mc, approximate)
+        p_mc = _monte_carlo_p(np.concatenate([_levene(d, center)[0] for d in drawn]), w)
+    return SpreadTest(w, df, p, True, "", center, p_mc, approximate)
 
 
-def _levene_statistic(groups: Sequence[Array], center: str) -> Array:
-    """W of groups that hold one sample along the last axis."""
-    middle = np.median if center == "median" else np.mean
-    n = np.array([g.shape[-1] for g in groups], dtype=float)
-    means = np.empty((*groups[0].shape[:-1], n.size))
-    squares = np.empty_like(means)
-    for size in np.unique(n):
-        alike = np.flatnonzero(n == size)
-        values = np.stack([groups[i] for i in alike.tolist()], axis=-2)
-        deviations = np.abs(values - middle(values, axis=-1, keepdims=True))
-        means[..., alike] = deviations.mean(axis=-1)
-        squares[..., alike] = ((deviations - means[..., alike, None]) ** 2).sum(axis=-1)
-    grand = (means * n).sum(axis=-1) / n.sum()
-    between = (n * (means - grand[..., None]) ** 2).sum(axis=-1)
-    within = squares.sum(axis=-1)
+def _levene(groups: Sequence[Array], center: str) -> tuple[Array, Array]:
+    """W and p of groups that hold one sample along the last axis."""
+    from scipy.stats import levene as of_samples
+
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = (n.sum() - n.size) / (n.size - 1) * between / within
-    return np.asarray(ratio)
+        test = of_samples(*groups, center=center, axis=-1)
+    return test.statistic, test.pvalue
 
 
 def _normal_draws(sizes: Ints, count: int, seed: int) -> Iterator[list[Array]]:

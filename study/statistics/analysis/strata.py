@@ -69,6 +69,7 @@ from study.statistics.analysis.sums_of_squares import (
     alias_warnings,
     epsilon_gg,
     factor,
+    fitted,
     row_of_test,
     sphericity,
     term_row,
@@ -243,10 +244,7 @@ def _strata(
         # what rounding leaves of a column that has no part here must not look like a direction
         x[:, np.linalg.norm(x, axis=0) < ALIAS_TOLERANCE] = 0.0
         q = span(x)
-        z = q.T @ y
-        residual = y - q @ z
-        rss, tss = float(residual @ residual), float(y @ y)
-        fit = Factored(matrix, q, q.T @ x, scale, z, q @ z, residual, rss, tss, 0.0)
+        fit = fitted(Factorization(matrix, q, q.T @ x, scale), y, 0.0)
         directions = n - earlier.shape[1] if basis is None else basis.shape[1]
         strata.append(Stratum(name, basis, fit, directions - fit.rank))
     return factor(matrix, out.y), strata
@@ -481,7 +479,7 @@ def _effects(
     fewest, several = min(map(len, groups)), len(groups) > 1
     seed = None if several and fewest < LEAST_OWN else request.interval_seed
 
-    def fitted(terms: Sequence[Term]) -> tuple[Factored, Array]:
+    def with_parts(terms: Sequence[Term]) -> tuple[Factored, Array]:
         if not several:
             fit = cell_fit(table, terms)
             return fit, per_block(fit, table.y)
@@ -490,7 +488,7 @@ def _effects(
         each = (fit.inverse @ fit.q.T) * (y - fit.shift)
         return fit, each.reshape(len(each), -1, b).sum(axis=1)
 
-    fit, added = fitted(out.structure.asked or out.terms)
+    fit, added = with_parts(out.structure.asked or out.terms)
     sample = over_groups(fit, added, groups, request.alpha, seed)
     own_errors = over_groups(fit, added, groups, request.alpha, None)
     notes: list[str] = []
@@ -500,7 +498,7 @@ def _effects(
     else:
         rivals = rivals_over_groups(out, fit, added, groups, sample, table.y)
         if (full := every_term(out, layout)) is not None:
-            whole, parts = fitted(full)
+            whole, parts = with_parts(full)
             at = partial(over_groups, whole, parts, groups, seed=seed)
             if several:
                 more, notes = rival_of_every_term(out, whole, at)

@@ -1,8 +1,8 @@
 """Sums of squares of Types I, II and III from one orthogonal factorization.
 
 The response is shifted by its first value (exact for close doubles, Sterbenz's lemma), the
-model is factored once (:mod:`study.statistics.analysis.linear_model`). Certified against the
-NIST StRD sets.
+model is factored once (:mod:`study.statistics.analysis.linear_model`) and fitted by statsmodels.
+Certified against the NIST StRD sets.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,20 +29,42 @@ from study.statistics.analysis.linear_model import (
     term_name,
 )
 
+if TYPE_CHECKING:
+    from statsmodels.regression.linear_model import OLSResults
+
 
 @dataclass(frozen=True)
 class Factored(Factorization):
-    """A least-squares fit on the orthogonal factorization of its model."""
+    """A least-squares fit by statsmodels on the orthonormal columns of a model."""
 
-    #: shape (r,); ``q.T @ (y - shift)``.
-    z: Array
-    #: shape (n,); fit and residual in the units of y.
-    fitted: Array
-    residual: Array
-    #: Residual and corrected total sums of squares.
-    rss: float
-    tss: float
+    #: Of the response less ``shift``; the parameters are its coordinates along ``q``.
+    ols: OLSResults
     shift: float
+
+    @cached_property
+    def z(self) -> Array:
+        """Coordinates of the response along ``q``, shape (r,)."""
+        return np.asarray(self.ols.params)
+
+    @cached_property
+    def residual(self) -> Array:
+        """Residual in the units of the response, shape (n,)."""
+        return np.asarray(self.ols.resid)
+
+    @property
+    def fitted(self) -> Array:
+        """Fit in the units of the response, shape (n,)."""
+        return np.asarray(self.ols.model.endog - self.residual + self.shift)
+
+    @property
+    def rss(self) -> float:
+        """Residual sum of squares."""
+        return float(self.ols.ssr)
+
+    @property
+    def tss(self) -> float:
+        """Corrected total sum of squares."""
+        return float(self.ols.centered_tss)
 
     def coefficients(self) -> Array:
         """Minimum-norm coefficients of the shifted response, shape (p,)."""
@@ -69,33 +92,22 @@ def factor(matrix: ModelMatrix, y: Array) -> Factored:
     return fitted(factorize(matrix), y)
 
 
-def fitted(model: Factorization, y: Array) -> Factored:
-    """Fit a response with a model that is factored already.
+def fitted(model: Factorization, y: Array, shift: float | None = None) -> Factored:
+    """Fit a response, less its first value or ``shift``, with a model that is factored already.
+
+    Of orthonormal columns the transpose is the pseudo-inverse. ``OLS.fit`` would take a singular
+    value decomposition of them: 3.6 s of 1,000,000 rows and 12 columns, this 0.1 s.
 
     Shapes: y (n,).
     """
-    q = model.q
-    shift = float(y[0])
-    shifted = y - shift
-    z = q.T @ shifted
-    # a second projection removes what rounding left of the model in the residual
-    residual = shifted - q @ z
-    correction = q.T @ residual
-    residual = residual - q @ correction
-    z = z + correction
-    centered = shifted - shifted.mean()
+    from statsmodels.regression.linear_model import OLS, OLSResults
+
+    shift = float(y[0]) if shift is None else shift
+    ols = OLS(y - shift, model.q, hasconst=True)
+    ols.pinv_wexog, ols.rank = model.q.T, model.rank
+    results = OLSResults(ols, model.q.T @ ols.endog, np.eye(model.rank))
     return Factored(
-        model.matrix,
-        q,
-        model.r,
-        model.scale,
-        z,
-        y - residual,
-        residual,
-        float(residual @ residual),
-        float(centered @ centered),
-        shift,
-        spaces=model.spaces,
+        model.matrix, model.q, model.r, model.scale, results, shift, spaces=model.spaces
     )
 
 
@@ -508,6 +520,9 @@ def influence(fit: Factored | TwoWayFit) -> Influence:
     """
     # a row of leverage one, or a saturated fit, has 0 / 0 here
     with np.errstate(divide="ignore", invalid="ignore"):
+        if isinstance(fit, Factored):
+            rows = fit.ols.get_influence()
+            return Influence(rows.hat_matrix_diag, rows.cooks_distance[0], rows.resid_press)
         left = 1 - fit.leverage
         variance = fit.rss / np.float64(fit.df_residual)
         cook = fit.residual**2 / variance * fit.leverage / left**2 / fit.rank
@@ -536,14 +551,13 @@ def summary_of(fit: Factored) -> ModelSummary | None:
     R-sq(pred) is 1 - PRESS / total (Allen 1974); it needs every row to be predictable from
     the others.
     """
-    df, n = fit.df_residual, fit.q.shape[0]
-    if df == 0 or fit.tss <= 0:
+    if fit.df_residual == 0 or fit.tss <= 0:
         return None
     predictable = float(fit.leverage.max()) < 1 - 1e-10
     press = float(np.sum(influence(fit).press ** 2)) if predictable else None
     return ModelSummary(
-        float(np.sqrt(fit.rss / df)),
-        1 - fit.rss / fit.tss,
-        1 - fit.rss / df / (fit.tss / (n - 1)),
+        float(np.sqrt(fit.ols.mse_resid)),
+        float(fit.ols.rsquared),
+        float(fit.ols.rsquared_adj),
         None if press is None else 1 - press / fit.tss,
     )
