@@ -131,3 +131,12 @@ def test_studentized_range_against_scipy() -> None:
     for k, df in [(3, 2), (4, 24), (9, 180)]:
         theirs = studentized_range.ppf(0.95, k, df)
         assert studentized_range_quantile(0.95, k, df) == pytest.approx(theirs, rel=1e-9)
+
+
+def test_residuals_that_rounding_alone_tells_apart_are_ties() -> None:
+    """Readings of whole numbers leave equal residuals, whatever the last digits of a fit are."""
+    readings = np.round(np.random.default_rng(1).normal(0, 2, 20))
+    noise = np.random.default_rng(2).normal(0, 1e-15, 20)
+    assert ryan_joiner(readings + noise, exact=False).rj == pytest.approx(
+        ryan_joiner(readings, exact=False).rj, rel=1e-12
+    )

@@ -22,7 +22,7 @@ from study.statistics.analysis.comparisons import (
 from study.statistics.analysis.data import prepare
 from study.statistics.analysis.equal_variance import fligner as fligner_killeen
 from study.statistics.analysis.linear_model import model_matrix, terms_of
-from study.statistics.analysis.post_hoc import dunnett
+from study.statistics.analysis.post_hoc import against_reference
 from study.statistics.analysis.power import power_of
 from study.statistics.analysis.sums_of_squares import factor, influence
 from tests.cli.small import study
@@ -46,7 +46,8 @@ def fitted(table: pd.DataFrame):
 
 def test_dunnett_as_scipy() -> None:
     """Both p are integrals by random numbers: scipy's to some 1e-3 of them, ours of 200,000."""
-    found = dunnett({name: [np.asarray(v)] for name, v in GROUPS.items()}, "a", 0.05, 1)
+    table = pd.DataFrame([(name, v) for name, values in GROUPS.items() for v in values])
+    _, found = against_reference(anova(table.set_axis(["t", "y"], axis=1), "y", ["t"]), "a")
     theirs = scipy_dunnett(GROUPS["b"], GROUPS["c"], control=GROUPS["a"], random_state=1)
     interval = theirs.confidence_interval(0.95)
     assert [p.p for p in found.pairs] == pytest.approx(theirs.pvalue, abs=0.003)

@@ -322,7 +322,10 @@ class AnalysisOutcome:
     anova: Anova = field(default_factory=lambda: Anova("II", ()))
     effects: tuple[Effect, ...] = ()
     sphericity: dict[str, SphericityResult] = field(default_factory=dict)
+    #: Whose residuals are judged; cells and blocks where strata have errors of their own.
     fit: Factored | TwoWayFit | None = None
+    #: Of the terms to all rows, where least squares estimates them.
+    model: Factored | None = None
     lenth: LenthResult | None = None
     crossed: Crossed | None = None
     plots: Ints | None = None

@@ -15,12 +15,13 @@ from study.statistics.analysis.anova_table import (
 )
 from study.statistics.analysis.assumptions import Assumptions
 from study.statistics.analysis.data import Crossed, Structure
+from study.statistics.analysis.linear_model import CellLayout
 from study.statistics.analysis.power import PowerRow
+from study.statistics.analysis.sums_of_squares import Factored
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.ground.arrays import Array
     from study.statistics.analysis.analysis_request import AnalysisRequest
     from study.statistics.analysis.anova_table import NestedUnits
     from study.statistics.analysis.linear_contrast import Contrast
@@ -69,8 +70,9 @@ class DataSummary:
     representatives: tuple[str, ...]
     #: Cells that agree in every block.
     copies: tuple[tuple[str, ...], ...]
-    #: shape (n, p); columns of the fit.
-    model_matrix: Array | None = None
+    #: Levels of the factors and blocks in each row, and the fit of the terms to them.
+    layout: CellLayout | None = None
+    model: Factored | None = None
     #: What missing responses could do to the conclusion.
     bounds: tuple[FailureBound, ...] = ()
     #: What taking rows on one unit as independent would have claimed.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array, one_thread
+from study.ground.arrays import one_thread
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.tabular import names_of
 from study.statistics.analysis import error_ledger, failures, repeats
@@ -79,7 +79,6 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
     """Check assumptions and freeze the result."""
     assumptions, warnings = assumptions_of(out)
     out = replace(out, warnings=warnings).warn(*_inestimable(out.effects))
-    fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
     groups_of = out.copies.groups
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
         out = out.warn(
@@ -100,12 +99,12 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
             _power(out),
         ),
         assumptions,
-        _summary_of_data(out, None if fit is None else fit.columns),
+        _summary_of_data(out),
         tuple(dict.fromkeys(out.warnings)),
     )
 
 
-def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSummary:
+def _summary_of_data(out: AnalysisOutcome) -> DataSummary:
     names = out.data.cell_names()
     return DataSummary(
         int(out.data.y.size),
@@ -115,7 +114,8 @@ def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSu
         _residual_frame(out),
         tuple(names[c] for c in out.copies.representatives),
         tuple(tuple(names[c] for c in g) for g in out.copies.groups if len(g) > 1),
-        model_matrix,
+        out.data.layout,
+        out.model,
         crossed=out.crossed,
         structure=out.structure,
     )

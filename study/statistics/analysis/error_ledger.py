@@ -212,6 +212,7 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         anova=Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
         effects=tuple(effects),
         fit=fit if df else None,
+        model=fit if df else None,
         lenth=lenth,
         summary=summary_of(fit) if df else None,
     )
@@ -259,6 +260,7 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
         anova=Anova("III", with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
         effects=tuple(size(e, out.scale, simple) for e in estimates),
         fit=fit,
+        model=fit,
         summary=summary_of(fit),
     )
 

@@ -26,6 +26,8 @@ _MAX_SIMULATIONS = 100_000
 _MAX_NUMBERS = 3e7
 _MAX_NUMBERS_OF_MANY = 5e6
 _MANY_VALUES = 1000
+#: decimals of the range to which values that agree are ties
+_TIED = 10
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,9 @@ def statistic(values: ArrayLike) -> float:
     from scipy.stats import rankdata
 
     x = np.asarray(values, dtype=float)
-    scores, x = _scores(rankdata(x), x.size), x - x[0]
+    x = x - x[0]
+    # residuals of rounded readings are equal but for the rounding of the fit, and are ties
+    scores = _scores(rankdata(np.round(x / np.ptp(x), _TIED)), x.size)
     scores, x = scores - scores.mean(), x - x.mean()
     return min(1.0, float(x @ scores) / math.sqrt(float(x @ x) * float(scores @ scores)))
 

@@ -29,20 +29,21 @@ from study.statistics.analysis.data import Crossed
 from study.statistics.analysis.effects import (
     Scale,
     group_errors,
+    over_complete_settings,
     own_critical,
     pooled_critical,
+    term_rows,
 )
 from study.statistics.analysis.incomplete_blocks import mixed_cells
 from study.statistics.analysis.linear_contrast import Cells, possible_contrasts
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Term,
-    factorize_columns,
     model_matrix,
     nested_in,
     terms_of,
 )
-from study.statistics.analysis.sums_of_squares import fitted
+from study.statistics.analysis.sums_of_squares import Factored
 
 if TYPE_CHECKING:
     from study.statistics.analysis.analysis_result import AnalysisResult
@@ -91,31 +92,28 @@ def coefficient_table(analysis: AnalysisResult) -> tuple[Coefficient, ...] | str
     if len(names) > MOST_COEFFICIENTS:
         return f"{len(names)} coefficients are more than anyone reads"
     block = analysis.data.block
-    if analysis.data.model_matrix is not None and all(":" not in str(error) for error in tested):
-        return _pooled(analysis, names)
+    model = analysis.data.model
+    if model is not None and isinstance(analysis.error_term.df, float):
+        return _pooled(model, analysis.anova.row("residual"), names)
     crossed = analysis.data.crossed
     if crossed is not None and all(str(error).startswith(f"{block}:") for error in tested):
         return _own(crossed, terms, names)
     return "the strata of the table have different errors"
 
 
-def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> tuple[Coefficient, ...] | str:
-    matrix, residual = analysis.data.model_matrix, analysis.anova.row("residual")
-    if matrix is None or not residual.ms:
+def _pooled(fit: Factored, residual: Row, names: tuple[str, ...]) -> tuple[Coefficient, ...] | str:
+    if not residual.ms:
         return "nothing is left over to estimate an error from"
-    y = analysis.data.residuals["response"].to_numpy(float)
-    y = np.log(y) if analysis.request.scale.is_log else y
-    fit = fitted(factorize_columns(matrix), y)
     if not fit.is_full:
         return "some terms are aliased with others"
-    beta = fit.coefficients()
+    beta, columns = fit.coefficients(), fit.columns
     beta[0] += fit.shift
     spread = np.diag(fit.unscaled_covariance)
     # blocks stand between the constant and the factors, and are no coefficients of interest
-    of_factors = np.r_[0, matrix.shape[1] - len(names) + 1 : matrix.shape[1]]
+    of_factors = np.r_[0, columns.shape[1] - len(names) + 1 : columns.shape[1]]
     error = np.sqrt(spread * residual.ms)
     # variance over that without the other columns (Marquardt 1970)
-    inflation = spread * np.sum((matrix - matrix.mean(axis=0)) ** 2, axis=0)
+    inflation = spread * np.sum((columns - columns.mean(axis=0)) ** 2, axis=0)
     return _table(names, beta[of_factors], error[of_factors], residual.df, inflation[of_factors])
 
 
@@ -158,59 +156,29 @@ SAMPLES = 200_000
 CHUNK = 50_000
 
 
-def dunnett_of_model(
-    effect: Effect, reference: str, df: float, alpha: float, seed: int
+def _of_model(
+    layout: CellLayout, fit: Factored, analysis: AnalysisResult, factor: str, reference: str
 ) -> Comparisons:
-    """Compare the level means of a factor with one of them.
+    """Compare the level means of a factor with one of them, by the error of the fitted model.
 
-    The differences are those of the model, so other factors and blocks are taken out of the
-    error; their correlations follow from the standard errors of all pairs. The distribution of
-    the largest absolute t is simulated.
+    Other factors and blocks are taken out of the error; the distribution of the largest absolute t
+    is simulated.
     """
-    others = [level for level in effect.levels if level != reference]
-    pairs_by_levels = {frozenset((p.first, p.second)): p for p in effect.pairs}
-    critical = pooled_critical(len(effect.levels), len(effect.levels) - 1, df, True, alpha)
-    sizes = {key: _distances(pair, effect.is_ratio) for key, pair in pairs_by_levels.items()}
-    error = {key: half / critical for key, (_, half) in sizes.items()}
-    of_reference = [(name, pairs_by_levels[frozenset((name, reference))]) for name in others]
-    means = np.array([sizes[frozenset((name, reference))][0] * (1 if pair.first == name else -1)
-                      for name, pair in of_reference])  # fmt: skip
-    standard_error = np.array([error[frozenset((name, reference))] for name in others])
-    # correlations of the differences from the reference: 2 cov = var + var - var of the pair
-    between = np.array([[error.get(frozenset(pair), 0.0) for pair in product([name], others)]
-                        for name in others])  # fmt: skip
-    variance = standard_error**2
-    correlation = variance[:, None] + variance - between**2
-    correlation /= 2 * np.outer(standard_error, standard_error)
-    names = (reference, *others)
-    compared = _dunnett(names, means, standard_error, correlation, df, alpha, seed)
-    return compared.as_ratios() if effect.is_ratio else compared
-
-
-def dunnett(
-    levels: Mapping[str, Sequence[Array]], reference: str, alpha: float, seed: int
-) -> Comparisons:
-    """Compare levels with one of them, each the mean of its cells, by the pooled variance."""
-    cells = {name: levels[name] for name in (reference, *levels)}
-    every = [cell for of_level in cells.values() for cell in of_level]
-    df = float(sum(cell.size - 1 for cell in every))
-    if df < 1:
-        rule = "needs two rows or more in some cell: nothing scatters"
-        raise InputError(Fault("--reference", rule, "add rows, or leave it out"))
-    if len({len(of_level) for of_level in cells.values()}) > 1:
+    names, rows, _ = term_rows(layout, fit, (factor,))
+    rows = over_complete_settings(layout, fit, (factor,), rows)
+    at, error = names.index(reference), analysis.anova.row("residual")
+    differences = np.delete(rows, at, axis=0) - rows[at]
+    if not fit.estimable(differences).all():
         rule = "compares levels that stand in the same cells, and some cells are empty"
         raise InputError(Fault("--reference", rule, "analyze the complete part of the table"))
-    shift = float(every[0][0])
-    means = np.array([np.mean([np.mean(c - shift) for c in level]) for level in cells.values()])
-    square = sum(float(np.sum((cell - cell.mean()) ** 2)) for cell in every) / df
-    part = np.array(
-        [np.sum([1 / c.size for c in level]) / len(level) ** 2 for level in cells.values()]
+    along = differences @ fit.inverse
+    root = np.linalg.norm(along, axis=1)
+    ordered = (reference, *(name for name in names if name != reference))
+    correlation = along @ along.T / np.outer(root, root)
+    standard_error, request = root * math.sqrt(error.ms or 0.0), analysis.request
+    return _dunnett(
+        ordered, along @ fit.z, standard_error, correlation, error.df, request.alpha, request.seed
     )
-    share = part[1:] + part[0]
-    root = np.sqrt(share)
-    correlation = np.diag(part[1:] / share) + np.outer(1 / root, 1 / root) * part[0]
-    error = root * math.sqrt(square)
-    return _dunnett(tuple(cells), means[1:] - means[0], error, correlation, df, alpha, seed)
 
 
 def _dunnett(
@@ -456,11 +424,12 @@ def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Compar
         mend = f"write {holding[0]}={level_name}" if holding else nearest(level_name, every)
         raise InputError(Fault("--reference", f"{level_name!r} {rule}", mend))
     factor = holding[0]
-    effect, row = analysis.effect(factor), analysis.anova.row(factor)
-    alpha, seed = analysis.request.alpha, analysis.request.seed
-    if row.error == "residual" and row.df_error and effect.pairs:
-        return factor, dunnett_of_model(effect, level_name, row.df_error, alpha, seed)
-    compared = _of_rows(analysis, factor, level_name)
+    row = analysis.anova.row(factor)
+    model, layout = analysis.data.model, analysis.data.layout
+    if row.error == "residual" and model is not None and layout is not None:
+        compared = _of_model(layout, model, analysis, factor, level_name)
+    else:
+        compared = _of_rows(analysis, factor, level_name)
     return factor, compared.as_ratios() if analysis.request.scale.is_log else compared
 
 
@@ -479,10 +448,8 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
         blocks = [np.arange(len(means))]
         return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
     if analysis.request.error != "welch":
-        of_levels: dict[str, list[Array]] = {}
-        for (name, _), replicates in rows.groupby([factor, "cell"], sort=False)["response"]:
-            of_levels.setdefault(str(name), []).append(replicates.to_numpy())
-        return dunnett(of_levels, reference, alpha, seed)
+        rule = "needs two rows or more in some cell: nothing scatters"
+        raise InputError(Fault("--reference", rule, "add rows, or leave it out"))
     cells = [np.asarray(at) for at in rows.groupby("cell", sort=False).indices.values()]
     level, y = rows[factor].astype(str).to_numpy(), rows["response"].to_numpy()
     share = np.zeros(len(rows))
