@@ -13,8 +13,20 @@ from scipy.special import fdtri, stdtr, stdtrit
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
-from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
-from study.statistics.analysis.sums_of_squares import FRatioTest, extra_sum, over_blocks
+from study.statistics.analysis.linear_model import (
+    Factorization,
+    ModelMatrix,
+    complement,
+    factorize_columns,
+)
+from study.statistics.analysis.linear_model import factorize as factorize_matrix
+from study.statistics.analysis.sums_of_squares import (
+    FRatioTest,
+    extra_sum,
+    fitted,
+    influence,
+    over_blocks,
+)
 from study.statistics.surfaces.emulator import EffectRange, effect_ranges
 from study.statistics.surfaces.surface_factors import Runs, box_points, change_together
 
@@ -91,8 +103,7 @@ class QuadraticPolynomial:
 
 # Least squares by QR, with the terms that the runs cannot tell apart, and leave-one-out errors.
 
-#: a column that keeps less than this part of its length beside those before it is their alias:
-#: rounding leaves about 1e-15, and a design that is nearly aliased keeps a few hundredths
+#: coefficient of an alias below which it is none of a term that is kept
 ALIASED = 1e-8
 #: a run with a leverage above this decides its own prediction and cannot be left out
 SATURATED = 1.0 - 1e-9
@@ -114,10 +125,6 @@ class ModelColumns:
         """Coefficients, shape (p,) or (p, m), of responses of shape (n,) or (n, m)."""
         return np.asarray(self.model.inverse @ (self.model.q.T @ response))
 
-    def residuals(self, response: Array) -> Array:
-        """Responses without what the model says of them, in the same shape."""
-        return response - self.model.projected(response)
-
     def complement(self) -> Array:
         """Orthonormal columns, shape (n, n - p), of all that the model leaves open."""
         full = np.linalg.qr(self.model.q, mode="complete")[0]
@@ -131,19 +138,12 @@ class ModelColumns:
 
 def factorize(terms: Sequence[Term], coded: Array) -> ModelColumns:
     """Keep, in their order, the terms that the settings can tell. Shapes: coded (n, k)."""
-    kept: list[Term] = []
-    basis = np.empty((len(coded), 0))
-    left_out: list[Term] = []
-    for term in terms:
-        column = term.column(coded)
-        rest = column - basis @ (basis.T @ column)
-        rest -= basis @ (basis.T @ rest)  # twice is enough (Kahan, Parlett)
-        length = float(np.linalg.norm(rest))
-        if length <= ALIASED * max(float(np.linalg.norm(column)), 1.0):
-            left_out.append(term)
-            continue
-        kept.append(term)
-        basis = np.column_stack([basis, rest / length])
+    alone = tuple(slice(i, i + 1) for i in range(len(terms)))
+    numbered = tuple((str(i),) for i in range(len(terms)))
+    whole = factorize_matrix(ModelMatrix(model_matrix(terms, coded), numbered, alone))
+    adds = [i == 0 or whole.space(i, "I").basis.size > 0 for i in range(len(terms))]
+    kept = [term for term, more in zip(terms, adds, strict=True) if more]
+    left_out = [term for term, more in zip(terms, adds, strict=True) if not more]
     columns = ModelColumns(tuple(kept), (), factorize_columns(model_matrix(kept, coded)))
     aliases = []
     for term in left_out:
@@ -169,12 +169,11 @@ class LeaveOneOut:
 
 def leave_one_out(columns: ModelColumns, response: Array) -> LeaveOneOut | None:
     """Leave-one-out errors e/(1 - h) of a response of shape (n,); None if none can be told."""
-    leverage = columns.model.leverage
-    free = leverage < SATURATED
+    of_rows = influence(fitted(columns.model, response))
+    free = of_rows.leverage < SATURATED
     if not free.any():
         return None
-    every = np.full(response.shape, np.nan)
-    every[free] = columns.residuals(response)[free] / (1.0 - leverage[free])
+    every = np.where(free, of_rows.press, np.nan)
     errors = every[free]
     spread = float(((response[free] - response.mean()) ** 2).sum())
     q2 = 1.0 - float((errors**2).sum()) / spread if spread > 0 else float("nan")
@@ -202,7 +201,7 @@ def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FRatioTe
     counts = np.bincount(which)
     means = np.bincount(which, weights=response) / counts
     pure = float(((response - means[which]) ** 2).sum())
-    residual = float((columns.residuals(response) ** 2).sum())
+    residual = fitted(columns.model, response).rss
     df, df_pure = counts.size - columns.model.rank, response.size - counts.size
     return extra_sum(residual - pure, df, pure, df_pure)
 
@@ -603,9 +602,11 @@ def _surface(
     point = stationary_point(polynomial) if squares == polynomial.k else None
     covariance, df = of_blocks or (None, response.size - columns.model.rank)
     if of_blocks is None and df > 0:
-        residual = float((columns.residuals(response) ** 2).sum())
         # misfit below rounding moves nothing: what scatters least stands for it
-        residual = max(residual, df * (ROUNDING * float(np.abs(response).max())) ** 2)
+        residual = max(
+            fitted(columns.model, response).rss,
+            df * (ROUNDING * float(np.abs(response).max())) ** 2,
+        )
         covariance = columns.model.unscaled_covariance[:count, :count] * residual / df
         point = _with_region(point, level_by_residual(polynomial, covariance, df))
     terms = [
