@@ -1,54 +1,41 @@
-"""The noncentral F where scipy gives no number, against the mixture that defines it."""
+"""The upper tail of the noncentral F, against the mixture that defines it."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import ncfdtr
 from scipy.stats import beta, poisson
 
-from study.ground import noncentral_f
-from study.ground.noncentral_f import noncentral_f_cdf
+from study.ground.noncentral_f import noncentral_f_sf
 from study.statistics.analysis.power import detectable, power_of
 
-#: degrees of freedom and noncentralities at which scipy 1.17 gives NaN, and the critical F
-NOT_A_NUMBER = [
+#: degrees of freedom, noncentralities and F; of the last three scipy 1.17 has no distribution
+#: function
+NUMBERS = [
+    (3, 20, 2000.0, 600.0),
+    (2, 6, 30.0, 9.0),
     (1, 9, 1791.2844546220022, 5.117355029199227),
     (4, 8246790, 4983.900474288909, 504.71420776710215),
     (53, 9281, 2749.5976375497007, 11.033582476021024),
 ]
 
 
-@pytest.mark.parametrize(("df1", "df2", "noncentrality", "f"), NOT_A_NUMBER)
-def test_where_the_series_fails_the_mixture_answers(
+@pytest.mark.parametrize(("df1", "df2", "noncentrality", "f"), NUMBERS)
+def test_the_upper_tail_is_that_of_the_mixture(
     df1: int, df2: int, noncentrality: float, f: float
 ) -> None:
     j = np.arange(10_000)
-    terms = beta.cdf(df1 * f / (df1 * f + df2), df1 / 2 + j, df2 / 2)
+    terms = beta.sf(df1 * f / (df1 * f + df2), df1 / 2 + j, df2 / 2)
     expected = float(poisson.pmf(j, noncentrality / 2) @ terms)
-    assert noncentral_f_cdf(df1, df2, noncentrality, f) == pytest.approx(expected, rel=1e-9)
+    assert noncentral_f_sf(df1, df2, noncentrality, f) == pytest.approx(expected, rel=1e-9)
 
 
-def test_both_ways_agree_where_both_have_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, pairs = np.random.default_rng(4), []
-    monkeypatch.setattr(noncentral_f, "_SERIES", -1.0)
-    for _ in range(200):
-        df1, df2 = int(rng.integers(1, 60)), int(10 ** rng.uniform(0, 7))
-        noncentrality = 10 ** rng.uniform(2.5, 4)
-        f = abs(rng.normal(1, 1)) * (1 + noncentrality / df1)
-        pairs.append((ncfdtr(df1, df2, noncentrality, f), (df1, df2, noncentrality, f)))
-    known = [(value, where) for value, where in pairs if np.isfinite(value)]
-    assert len(known) > 190
-    for value, where in known:
-        assert noncentral_f_cdf(*where) == pytest.approx(value, abs=2e-11)
-
-
-@pytest.mark.parametrize("noncentrality", [1e7, 1e12, 1e20])
+@pytest.mark.parametrize("noncentrality", [1e7, 9.9e8, 1.1e9, 1e12, 1e20])
 def test_a_huge_noncentrality_leaves_the_denominator_alone(noncentrality: float) -> None:
-    """With two degrees of freedom the denominator is exponential: P(F <= f) = exp(-lambda/f)."""
+    """With two degrees of freedom the denominator is exponential: P(F > f) = 1 - exp(-lambda/f)."""
     for ratio in (0.1, 1.0, 3.0):
-        p = noncentral_f_cdf(1, 2, noncentrality, noncentrality / ratio)
-        assert p == pytest.approx(np.exp(-ratio), abs=10 / noncentrality + 1e-6)
+        p = noncentral_f_sf(1, 2, noncentrality, noncentrality / ratio)
+        assert p == pytest.approx(1 - np.exp(-ratio), abs=10 / noncentrality + 1e-6)
 
 
 @pytest.mark.parametrize("n", [10, 2500, 1_000_000])

@@ -18,7 +18,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
-from study.ground.noncentral_f import noncentral_f_cdf
+from study.ground.noncentral_f import noncentral_f_sf
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.fit_influence import recorded_rows
 from study.mechanics.calibration.residual_function import MeasuredCurve
@@ -653,4 +653,4 @@ def _power(noncentrality: float, df: int, df_error: float) -> float:
     if noncentrality <= 0:
         return WALD_ALPHA
     limit = float(fdtri(df, df_error, 1 - WALD_ALPHA))
-    return 1 - noncentral_f_cdf(df, df_error, min(noncentrality, _LARGE), limit)
+    return noncentral_f_sf(df, df_error, min(noncentrality, _LARGE), limit)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.ground.errors import Fault, InputError
-from study.ground.noncentral_f import noncentral_f_cdf
+from study.ground.noncentral_f import noncentral_f_sf
 from study.statistics.analysis.anova_table import Row
 from study.statistics.analysis.comparisons import scale_rule
 
@@ -85,7 +85,7 @@ def power_of(noncentrality: float, df: tuple[int, int], alpha: float) -> float:
 
     if noncentrality == 0:
         return alpha
-    return 1 - noncentral_f_cdf(*df, noncentrality, float(fdtri(*df, 1 - alpha)))
+    return noncentral_f_sf(*df, noncentrality, float(fdtri(*df, 1 - alpha)))
 
 
 # -------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import numpy as np
 
 from study.ground.arrays import Array, Ints
 from study.ground.canonical import Keyed
-from study.ground.noncentral_f import noncentral_f_cdf
+from study.ground.noncentral_f import noncentral_f_sf
 from study.statistics.analysis.anova_table import Influential, ModelSummary, Row
 from study.statistics.analysis.linear_model import (
     Factorization,
@@ -255,7 +255,7 @@ def _noncentrality(f: float, df1: float, df2: float, q: float) -> float | None:
     from scipy.optimize import brentq
 
     def gap(value: float) -> float:
-        return noncentral_f_cdf(df1, df2, value, f) - q
+        return 1 - noncentral_f_sf(df1, df2, value, f) - q
 
     if gap(1e-9) <= 0:
         return 0.0
