@@ -56,6 +56,7 @@ STATISTICS = (
     "study/statistics/surfaces/",
     "study/laboratory/registration/",
     "study/laboratory/tracker/",
+    "study/ground/noncentral_f.py",
 )
 #: what any room may ask it for: points that fill a space evenly
 POINTS = "scipy.stats.qmc"

@@ -17,7 +17,6 @@ from study.statistics.analysis.anova_table import (
     Anova,
     Effect,
     ErrorTerm,
-    ModelSummary,
 )
 from study.statistics.analysis.data import Crossed, Data, Structure
 from study.statistics.analysis.effects import MOST_LEVELS, Scale
@@ -331,7 +330,6 @@ class AnalysisOutcome:
     plots: Ints | None = None
     replicates: str = "runs"
     structure: Structure = field(default_factory=Structure)
-    summary: ModelSummary | None = None
 
     def warn(self, *messages: str) -> AnalysisOutcome:
         """Copy with more warnings."""

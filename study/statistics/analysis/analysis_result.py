@@ -15,7 +15,6 @@ from study.statistics.analysis.anova_table import (
 )
 from study.statistics.analysis.assumptions import Assumptions
 from study.statistics.analysis.data import Crossed, Structure
-from study.statistics.analysis.linear_model import CellLayout
 from study.statistics.analysis.power import PowerRow
 from study.statistics.analysis.sums_of_squares import Factored
 
@@ -70,8 +69,7 @@ class DataSummary:
     representatives: tuple[str, ...]
     #: Cells that agree in every block.
     copies: tuple[tuple[str, ...], ...]
-    #: Levels of the factors and blocks in each row, and the fit of the terms to them.
-    layout: CellLayout | None = None
+    #: Fit of the terms to all rows, where least squares estimates them.
     model: Factored | None = None
     #: What missing responses could do to the conclusion.
     bounds: tuple[FailureBound, ...] = ()

@@ -58,7 +58,7 @@ from study.statistics.analysis.linear_model import (
 from study.statistics.analysis.power import PowerRow, planned
 from study.statistics.analysis.simple_effects import without_each
 from study.statistics.analysis.strata import Plots, own, split_plot, whole_plots
-from study.statistics.analysis.sums_of_squares import influence
+from study.statistics.analysis.sums_of_squares import influence, summary_of
 from study.statistics.analysis.unreplicated import (
     copies_of,
     functional_shares,
@@ -86,11 +86,12 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
             "others agree in every block); checks of the residuals use one of each"
         )
     practical = out.scale.practical
+    summary = None if out.model is None or out.plots is not None else summary_of(out.model)
     return AnalysisResult(
         out.request,
         out.error,
         out.anova,
-        Variation(_shares(out), out.lenth, out.summary),
+        Variation(_shares(out), out.lenth, summary),
         with_holm(out.effects),
         Detection(
             None if practical is None else out.scale.back(practical),
@@ -114,7 +115,6 @@ def _summary_of_data(out: AnalysisOutcome) -> DataSummary:
         _residual_frame(out),
         tuple(names[c] for c in out.copies.representatives),
         tuple(tuple(names[c] for c in g) for g in out.copies.groups if len(g) > 1),
-        out.data.layout,
         out.model,
         crossed=out.crossed,
         structure=out.structure,

@@ -44,7 +44,6 @@ from study.statistics.analysis.sums_of_squares import (
     TwoWayFit,
     alias_warnings,
     factor,
-    summary_of,
     term_row,
     term_sums,
     two_way,
@@ -214,7 +213,6 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         fit=fit if df else None,
         model=fit if df else None,
         lenth=lenth,
-        summary=summary_of(fit) if df else None,
     )
 
 
@@ -261,7 +259,6 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
         effects=tuple(size(e, out.scale, simple) for e in estimates),
         fit=fit,
         model=fit,
-        summary=summary_of(fit),
     )
 
 

@@ -60,6 +60,8 @@ class ModelMatrix:
     #: Terms in order; the intercept is ``()``.
     terms: tuple[Term, ...]
     blocks: tuple[slice, ...]
+    #: Of the rows; None of columns without factors.
+    layout: CellLayout | None = None
 
     def of(self, term: Term) -> slice:
         """Columns of one term."""
@@ -214,7 +216,7 @@ def model_matrix(
     parts = [_term_columns(layout, term, present) for term in order]
     edges = np.cumsum([0, *(part.shape[1] for part in parts)])
     blocks = tuple(slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True))
-    return ModelMatrix(np.hstack(parts), tuple(order), blocks)
+    return ModelMatrix(np.hstack(parts), tuple(order), blocks, layout)
 
 
 def nested_in(terms: Sequence[Term]) -> dict[str, tuple[str, ...]]:

@@ -39,10 +39,10 @@ from study.statistics.analysis.linear_contrast import Cells, possible_contrasts
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Term,
-    model_matrix,
     nested_in,
     terms_of,
 )
+from study.statistics.analysis.strata import cell_fit
 from study.statistics.analysis.sums_of_squares import Factored
 
 if TYPE_CHECKING:
@@ -121,14 +121,11 @@ def _own(
     table: Crossed, terms: tuple[Term, ...], names: tuple[str, ...]
 ) -> tuple[Coefficient, ...] | str:
     """Mean of the blocks' own coefficients, and its standard error."""
-    values = table.y
-    matrix = model_matrix(table.layout, terms).columns
-    if np.linalg.matrix_rank(matrix) < matrix.shape[1]:
+    fit = cell_fit(table, terms)
+    if not fit.is_full:
         return "some terms are aliased with others"
-    shift = float(values[0, 0])
-    beta = np.linalg.lstsq(matrix, values - shift, rcond=None)[0]
-    beta[0] += shift
-    blocks = values.shape[1]
+    beta, blocks = fit.inverse @ (fit.q.T @ (table.y - fit.shift)), table.y.shape[1]
+    beta[0] += fit.shift
     error = beta.std(axis=1, ddof=1) / np.sqrt(blocks)
     return _table(names, beta.mean(axis=1), error, blocks - 1.0, None)
 
@@ -321,7 +318,9 @@ def _adjusted(
     else:
         return "", None
     method = TWO_LEVELS if k == 2 else method
-    size, half = _distances(pair, effect.is_ratio)
+    size, half = pair.difference, (pair.upper - pair.lower) / 2
+    if effect.is_ratio:  # on the scale of the analysis
+        size, half = math.log(pair.difference), math.log(pair.upper / pair.lower) / 2
     if not (math.isfinite(half) and half > 0):
         return method, None
     t = abs(size) / half * critical
@@ -331,13 +330,6 @@ def _adjusted(
         rest = df + 2 - k
         return method, float(fdtrc(k - 1, rest, t * t * rest / ((k - 1) * df)))
     return method, min(1.0, pairs * two_sided(t, df))
-
-
-def _distances(pair: PairDifference, is_ratio: bool) -> tuple[float, float]:
-    """Return a difference and the half-width of its interval on the scale of the analysis."""
-    if is_ratio:
-        return math.log(pair.difference), math.log(pair.upper / pair.lower) / 2
-    return pair.difference, (pair.upper - pair.lower) / 2
 
 
 def two_sided(t: float, df: float) -> float:
@@ -425,9 +417,9 @@ def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Compar
         raise InputError(Fault("--reference", f"{level_name!r} {rule}", mend))
     factor = holding[0]
     row = analysis.anova.row(factor)
-    model, layout = analysis.data.model, analysis.data.layout
-    if row.error == "residual" and model is not None and layout is not None:
-        compared = _of_model(layout, model, analysis, factor, level_name)
+    model = analysis.data.model
+    if row.error == "residual" and model is not None and model.matrix.layout is not None:
+        compared = _of_model(model.matrix.layout, model, analysis, factor, level_name)
     else:
         compared = _of_rows(analysis, factor, level_name)
     return factor, compared.as_ratios() if analysis.request.scale.is_log else compared

@@ -13,13 +13,7 @@ from scipy.special import fdtri, stdtr, stdtrit
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
-from study.statistics.analysis.linear_model import (
-    Factorization,
-    ModelMatrix,
-    complement,
-    factorize_columns,
-)
-from study.statistics.analysis.linear_model import factorize as factorize_matrix
+from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
 from study.statistics.analysis.sums_of_squares import (
     FRatioTest,
     extra_sum,
@@ -103,7 +97,8 @@ class QuadraticPolynomial:
 
 # Least squares by QR, with the terms that the runs cannot tell apart, and leave-one-out errors.
 
-#: coefficient of an alias below which it is none of a term that is kept
+#: share of the largest singular value below which a column adds nothing to those before it, and
+#: coefficient below which a term is no part of an alias
 ALIASED = 1e-8
 #: a run with a leverage above this decides its own prediction and cannot be left out
 SATURATED = 1.0 - 1e-9
@@ -138,12 +133,11 @@ class ModelColumns:
 
 def factorize(terms: Sequence[Term], coded: Array) -> ModelColumns:
     """Keep, in their order, the terms that the settings can tell. Shapes: coded (n, k)."""
-    alone = tuple(slice(i, i + 1) for i in range(len(terms)))
-    numbered = tuple((str(i),) for i in range(len(terms)))
-    whole = factorize_matrix(ModelMatrix(model_matrix(terms, coded), numbered, alone))
-    adds = [i == 0 or whole.space(i, "I").basis.size > 0 for i in range(len(terms))]
-    kept = [term for term, more in zip(terms, adds, strict=True) if more]
-    left_out = [term for term, more in zip(terms, adds, strict=True) if not more]
+    kept: list[Term] = []
+    left_out: list[Term] = []
+    for term in terms:
+        rank = np.linalg.matrix_rank(model_matrix([*kept, term], coded), rtol=ALIASED)
+        (kept if rank > len(kept) else left_out).append(term)
     columns = ModelColumns(tuple(kept), (), factorize_columns(model_matrix(kept, coded)))
     aliases = []
     for term in left_out:
