@@ -22,7 +22,7 @@ from study.statistics.analysis.comparisons import (
 from study.statistics.analysis.data import prepare
 from study.statistics.analysis.equal_variance import fligner as fligner_killeen
 from study.statistics.analysis.linear_model import model_matrix, terms_of
-from study.statistics.analysis.post_hoc import against_reference
+from study.statistics.analysis.post_hoc import against_reference, coefficient_table
 from study.statistics.analysis.power import power_of
 from study.statistics.analysis.sums_of_squares import factor, influence
 from tests.cli.small import study
@@ -100,11 +100,25 @@ def test_power_of_many_levels_against_statsmodels(levels: int, n: int, blocked: 
     assert power_of(n * 1.3**2 / 2, (df1, df2), 0.05) == pytest.approx(theirs, rel=1e-10)
 
 
-def test_press_is_the_error_at_a_row_left_out(table: pd.DataFrame) -> None:
-    _, fit = fitted(table)
-    y, cell = table["y"].to_numpy(), (table["a"] + table["b"]).to_numpy()
-    left_out = [y[i] - np.delete(y, i)[np.delete(cell, i) == cell[i]].mean() for i in range(y.size)]
-    assert influence(fit).press == pytest.approx(left_out, rel=1e-10)
+def test_a_row_that_is_fitted_exactly_has_no_distance(table: pd.DataFrame) -> None:
+    """Leverage one leaves 0 / 0, of which rounding made distances of .03, 1.09 and more."""
+    _, fit = fitted(table.drop(index=range(3)))
+    of_rows = influence(fit)
+    assert of_rows.leverage[0] == pytest.approx(1.0)
+    assert np.flatnonzero(np.isnan(of_rows.cook)).tolist() == [0]
+
+
+def test_within_whole_plots_a_reference_is_that_of_their_stratum() -> None:
+    """It rests on the plots that have both levels; differences of all rows mix the plots in."""
+    rng = np.random.default_rng(3)
+    rows = [(f"{a}{s}", a, b) for a in "xyz" for s in range(6) for b in "pq"]
+    frame = pd.DataFrame(rows, columns=["plot", "a", "b"]).drop(index=[5, 9, 20])
+    frame["y"] = rng.normal(size=len(frame)) + 5 * frame["plot"].str[1].astype(float)
+    made = anova(frame, "y", ["a", "b"], block="plot", model=1, error="pooled", exact=False)
+    (pair,) = against_reference(made, "b=p")[1].pairs
+    both = frame[frame.groupby("plot")["b"].transform("size") == 2]
+    by_plot = both.pivot_table("y", "plot", "b")
+    assert pair.difference == pytest.approx((by_plot["q"] - by_plot["p"]).mean())
 
 
 def test_hc3_says_so_when_cells_have_no_spread(table: pd.DataFrame) -> None:
@@ -236,3 +250,19 @@ def test_welch_says_what_the_rows_of_a_cell_are() -> None:
     assert set(pooled.notes) & set(seeds.notes)
     with pytest.raises(InputError, match="resamples of one curve"):
         anova(rows, "y", ["a"], error="welch", replicates="noise")
+
+
+def test_a_nested_factor_leaves_the_comparison_to_its_means() -> None:
+    """As scipy's Dunnett of the means of the batches, and no coefficients of two errors."""
+    rng = np.random.default_rng(5)
+    rows = [
+        (f"l{i}", f"l{i}b{j}", rng.normal() + i) for i in range(3) for j in range(4) for _ in "ab"
+    ]
+    frame = pd.DataFrame(rows, columns=["lab", "batch", "y"])
+    made = anova(frame, "y", ["lab", "batch"], exact=False)
+    means = frame.groupby(["lab", "batch"])["y"].mean().groupby("lab")
+    groups = [group.to_numpy() for _, group in means]
+    theirs = scipy_dunnett(*groups[1:], control=groups[0], random_state=1)
+    found = against_reference(made, "lab=l0")[1]
+    assert [p.p for p in found.pairs] == pytest.approx(theirs.pvalue, abs=0.003)
+    assert coefficient_table(made) == "the strata of the table have different errors"

@@ -323,7 +323,7 @@ class AnalysisOutcome:
     sphericity: dict[str, SphericityResult] = field(default_factory=dict)
     #: Whose residuals are judged; cells and blocks where strata have errors of their own.
     fit: Factored | TwoWayFit | None = None
-    #: Of the terms to all rows, where least squares estimates them.
+    #: Of the terms by least squares: to all rows, or to what they are within whole plots.
     model: Factored | None = None
     lenth: LenthResult | None = None
     crossed: Crossed | None = None

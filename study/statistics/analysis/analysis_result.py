@@ -69,7 +69,7 @@ class DataSummary:
     representatives: tuple[str, ...]
     #: Cells that agree in every block.
     copies: tuple[tuple[str, ...], ...]
-    #: Fit of the terms to all rows, where least squares estimates them.
+    #: Fit of the terms by least squares: to all rows, or to what they are within whole plots.
     model: Factored | None = None
     #: What missing responses could do to the conclusion.
     bounds: tuple[FailureBound, ...] = ()

@@ -45,6 +45,7 @@ from study.statistics.analysis.normality import (
 )
 from study.statistics.analysis.strata import OwnTests, own_tests
 from study.statistics.analysis.sums_of_squares import (
+    EXACT,
     Factored,
     TwoWayFit,
     factor,
@@ -277,7 +278,7 @@ def hc3(fit: Factored) -> dict[str, WaldTest]:
     from statsmodels.tools.sm_exceptions import ValueWarning
 
     robust = None
-    if fit.df_residual > 0 and float(fit.leverage.max()) <= 1 - 1e-10:
+    if fit.df_residual > 0 and float(fit.leverage.max()) <= EXACT:
         robust = fit.ols.get_robustcov_results("HC3", use_t=True)
     tests = {}
     for s in term_sums(fit, "III"):

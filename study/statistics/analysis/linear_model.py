@@ -60,8 +60,8 @@ class ModelMatrix:
     #: Terms in order; the intercept is ``()``.
     terms: tuple[Term, ...]
     blocks: tuple[slice, ...]
-    #: Of the rows; None of columns without factors.
-    layout: CellLayout | None = None
+    #: Levels of the rows; none of columns without factors.
+    layout: CellLayout = field(default_factory=lambda: CellLayout({}, {}))
 
     def of(self, term: Term) -> slice:
         """Columns of one term."""

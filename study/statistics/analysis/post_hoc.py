@@ -43,7 +43,7 @@ from study.statistics.analysis.linear_model import (
     terms_of,
 )
 from study.statistics.analysis.strata import cell_fit
-from study.statistics.analysis.sums_of_squares import Factored
+from study.statistics.analysis.sums_of_squares import EXACT, Factored
 
 if TYPE_CHECKING:
     from study.statistics.analysis.analysis_result import AnalysisResult
@@ -93,7 +93,8 @@ def coefficient_table(analysis: AnalysisResult) -> tuple[Coefficient, ...] | str
         return f"{len(names)} coefficients are more than anyone reads"
     block = analysis.data.block
     model = analysis.data.model
-    if model is not None and isinstance(analysis.error_term.df, float):
+    one_error = analysis.variation.summary is not None and all(":" not in str(e) for e in tested)
+    if model is not None and one_error:
         return _pooled(model, analysis.anova.row("residual"), names)
     crossed = analysis.data.crossed
     if crossed is not None and all(str(error).startswith(f"{block}:") for error in tested):
@@ -154,16 +155,16 @@ CHUNK = 50_000
 
 
 def _of_model(
-    layout: CellLayout, fit: Factored, analysis: AnalysisResult, factor: str, reference: str
+    fit: Factored, ms: float, df: float, analysis: AnalysisResult, factor: str, reference: str
 ) -> Comparisons:
     """Compare the level means of a factor with one of them, by the error of the fitted model.
 
     Other factors and blocks are taken out of the error; the distribution of the largest absolute t
     is simulated.
     """
+    layout, request = fit.matrix.layout, analysis.request
     names, rows, _ = term_rows(layout, fit, (factor,))
-    rows = over_complete_settings(layout, fit, (factor,), rows)
-    at, error = names.index(reference), analysis.anova.row("residual")
+    rows, at = over_complete_settings(layout, fit, (factor,), rows), names.index(reference)
     differences = np.delete(rows, at, axis=0) - rows[at]
     if not fit.estimable(differences).all():
         rule = "compares levels that stand in the same cells, and some cells are empty"
@@ -172,9 +173,9 @@ def _of_model(
     root = np.linalg.norm(along, axis=1)
     ordered = (reference, *(name for name in names if name != reference))
     correlation = along @ along.T / np.outer(root, root)
-    standard_error, request = root * math.sqrt(error.ms or 0.0), analysis.request
+    standard_error = root * math.sqrt(ms)
     return _dunnett(
-        ordered, along @ fit.z, standard_error, correlation, error.df, request.alpha, request.seed
+        ordered, along @ fit.z, standard_error, correlation, df, request.alpha, request.seed
     )
 
 
@@ -346,8 +347,6 @@ def two_sided(t: float, df: float) -> float:
 LARGE_RESIDUAL = 2.0
 #: Leverage above this many times the average is listed, as in Minitab.
 LARGE_LEVERAGE = 3.0
-#: A row of this leverage is fitted exactly, and nothing of it can be predicted from the others.
-EXACT = 1 - 1e-10
 
 
 def diagnosed_rows(analysis: AnalysisResult) -> pd.DataFrame | None:
@@ -418,8 +417,9 @@ def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Compar
     factor = holding[0]
     row = analysis.anova.row(factor)
     model = analysis.data.model
-    if row.error == "residual" and model is not None and model.matrix.layout is not None:
-        compared = _of_model(model.matrix.layout, model, analysis, factor, level_name)
+    if row.error == "residual" and model is not None:
+        error = analysis.anova.row("residual")
+        compared = _of_model(model, error.ms or 0.0, error.df, analysis, factor, level_name)
     else:
         compared = _of_rows(analysis, factor, level_name)
     return factor, compared.as_ratios() if analysis.request.scale.is_log else compared
@@ -440,6 +440,10 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
         blocks = [np.arange(len(means))]
         return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
     if analysis.request.error != "welch":
+        model = analysis.data.model
+        if model is not None and model.df_residual:  # of the means of a nested factor's levels
+            ms = float(model.ols.mse_resid)
+            return _of_model(model, ms, model.df_residual, analysis, factor, reference)
         rule = "needs two rows or more in some cell: nothing scatters"
         raise InputError(Fault("--reference", rule, "add rows, or leave it out"))
     cells = [np.asarray(at) for at in rows.groupby("cell", sort=False).indices.values()]

@@ -190,7 +190,7 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
         anova=Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss),
         effects=tuple(effects),
         fit=error_ledger.within_fit(data, out.y, plots=plots.code),
-        model=whole,
+        model=strata[-1].fit,
         plots=plots.code,
     )
 

@@ -504,6 +504,10 @@ def over_blocks(values: Array, least: float = 0.0) -> FRatioTest | None:
 # What single rows do to a fit: leverage, Cook distance, PRESS.
 
 
+#: A row of this leverage is fitted exactly: nothing tells what it would be without itself.
+EXACT = 1 - 1e-10
+
+
 @dataclass(frozen=True)
 class Influence:
     """Leverage, Cook's distance and PRESS residual of every row."""
@@ -522,7 +526,8 @@ def influence(fit: Factored | TwoWayFit) -> Influence:
     with np.errstate(divide="ignore", invalid="ignore"):
         if isinstance(fit, Factored):
             rows = fit.ols.get_influence()
-            return Influence(rows.hat_matrix_diag, rows.cooks_distance[0], rows.resid_press)
+            leverage, cook = rows.hat_matrix_diag, rows.cooks_distance[0]
+            return Influence(leverage, np.where(leverage < EXACT, cook, np.nan), rows.resid_press)
         left = 1 - fit.leverage
         variance = fit.rss / np.float64(fit.df_residual)
         cook = fit.residual**2 / variance * fit.leverage / left**2 / fit.rank
@@ -536,7 +541,7 @@ def influential(fit: Factored | TwoWayFit) -> Influential | None:
     if fit.df_residual < 1 or fit.rss <= 0:
         return None
     of_rows = influence(fit)
-    judged = np.isfinite(of_rows.cook) & (of_rows.leverage < 1 - 1e-10)
+    judged = np.isfinite(of_rows.cook) & (of_rows.leverage < EXACT)
     limit = float(fdtri(fit.rank, fit.df_residual, 0.5))
     rows = np.flatnonzero(judged & (np.where(judged, of_rows.cook, 0.0) > limit))
     largest = float(of_rows.cook[judged].max()) if judged.any() else None
@@ -553,7 +558,7 @@ def summary_of(fit: Factored) -> ModelSummary | None:
     """
     if fit.df_residual == 0 or fit.tss <= 0:
         return None
-    predictable = float(fit.leverage.max()) < 1 - 1e-10
+    predictable = float(fit.leverage.max()) < EXACT
     press = float(np.sum(influence(fit).press ** 2)) if predictable else None
     return ModelSummary(
         float(np.sqrt(fit.ols.mse_resid)),
