@@ -7,11 +7,11 @@ The declarations of a problem's tables stand in ``setup``, those of measured fil
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Literal
 
 from study.ground import units
+from study.ground.contrast import Threshold
 from study.ground.declaration import (
     AsWritten,
     Bad,
@@ -374,15 +374,6 @@ class Analysis:
     contrasts: Annotated[tuple[str, ...], Reads(texts("contrasts", "stiff - soft"))] = ()
 
 
-@dataclass(frozen=True)
-class Practical:
-    """Smallest difference that matters: in ``unit``, or in percent of the mean."""
-
-    value: float
-    unit: str
-    relative: bool
-
-
 @section
 class ResponseSpec:
     """One ``[[response]]``: ``practical`` in its unit, a force or stiffness at ``displacement``."""
@@ -390,7 +381,7 @@ class ResponseSpec:
     name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
     displacement: Length | None = None
     #: Smallest difference that matters, in its unit or as a share: "0.05 N", "2 pp", "5 % of mean".
-    practical: Annotated[Practical | None, as_written()] = None
+    practical: Annotated[Threshold | None, as_written()] = None
     #: Scale on which it is analyzed.
     transform: Annotated[str, Reads(choice("none", "log"))] = "none"
     #: Of a value that a Python function returns, or a program that says none.
