@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.api.folders import calibration_root, demo_design
+from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibrate_tests import calibrate as run_calibration
 from study.harness.calibration.calibration_bound import numerical_bound, with_numerical
@@ -371,14 +372,13 @@ def indentation_modulus(
     config = load_calibration(source, (*overrides, ASKED))
     root = calibration_root(config, source, data)
     tests: list[IndentationTest] = []
-    faults: list[Fault] = []
+    faults = Faults()
     for number, test in enumerate(config.tests):
         try:
             tests.append(indentation_test(test, config.asked, f"tests[{number}]"))
         except InputError as error:
             faults += error.faults
-    if faults:
-        raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
+    faults.refuse(str(source))
     found = [modulus_of(one, root, number) for number, one in enumerate(tests)]
     notes = tuple(dict.fromkeys(note for _, own in found for note in own))
     moduli = tuple(one for one, _ in found)

@@ -167,8 +167,7 @@ def load_tracking(path: str | Path) -> TrackingFile:
     file = read_table(TrackingFile, tables, "", faults)
     if not faults:
         faults.extend(_across(file))
-    if faults:
-        raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
+    faults.refuse(source)
     return file
 
 
