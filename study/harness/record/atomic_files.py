@@ -227,11 +227,11 @@ _AS_IT_LIES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 def exclusive(folder: Path) -> Iterator[None]:
     """Hold the lock of a results folder, or say who holds it."""
     path = folder / LOCK_NAME
-    try:
-        handle = _opened(path, os.O_RDWR | os.O_CREAT)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
-    try:
+    with contextlib.ExitStack() as held:
+        try:
+            handle = held.enter_context(_opened(path, os.O_RDWR | os.O_CREAT))
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
         try:
             taken = _take(handle)
         except OSError as error:
@@ -248,17 +248,18 @@ def exclusive(folder: Path) -> Iterator[None]:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         _write(handle, dict(zip(_OWNER, (os.getpid(), socket.gethostname(), now), strict=True)))
         yield
-    finally:
-        os.close(handle)  # releases the lock
 
 
-def _opened(path: Path, flags: int) -> int:
-    """Open the lock file, and nothing else in its place: to open a pipe may take forever."""
+@contextmanager
+def _opened(path: Path, flags: int) -> Iterator[int]:
+    """Context with the lock file open, and nothing else in its place; its end frees the lock."""
     handle = os.open(path, flags | _AS_IT_LIES, 0o644)
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
+    try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError("it is no file; remove it")
+        yield handle
+    finally:
         os.close(handle)
-        raise OSError("it is no file; remove it")
-    return handle
 
 
 def _take(handle: int) -> bool:
@@ -275,30 +276,18 @@ def _take(handle: int) -> bool:
 def holder(folder: Path) -> dict[str, object] | None:
     """Read what the runner at work in a folder says of itself; None where there is none."""
     path = folder / LOCK_NAME
-    try:
-        # NFS locks for those alone who may write
-        handle = _opened(path, os.O_RDWR if os.access(path, os.W_OK) else os.O_RDONLY)
-    except OSError:
-        return None
-    try:
+    # NFS locks for those alone who may write
+    flags = os.O_RDWR if os.access(path, os.W_OK) else os.O_RDONLY
+    with contextlib.suppress(OSError), _opened(path, flags) as handle:
         return None if _take(handle) else _read(handle)
-    except OSError:
-        return None
-    finally:
-        os.close(handle)
+    return None
 
 
 def sign(folder: Path, progress: Mapping[str, object]) -> None:
-    """Add progress to what the owner of the lock says of itself."""
-    try:
-        handle = _opened(folder / LOCK_NAME, os.O_RDWR)
-    except OSError:
-        return  # nobody depends on it
-    try:
+    """Add progress to what the owner of the lock says of itself, on which nobody depends."""
+    with contextlib.suppress(OSError), _opened(folder / LOCK_NAME, os.O_RDWR) as handle:
         owner = {name: value for name, value in _read(handle).items() if name in _OWNER}
         _write(handle, owner | dict(progress))
-    finally:
-        os.close(handle)
 
 
 def _read(handle: int) -> dict[str, object]:
@@ -314,9 +303,8 @@ def _read(handle: int) -> dict[str, object]:
 def _write(handle: int, facts: Mapping[str, object]) -> None:
     """Replace what the file says in one write: blanks cover what was there before."""
     text = json.dumps(facts).encode().ljust(_LENGTH)
-    try:
+    # on a full disk the lock holds all the same, it only cannot name its owner
+    with contextlib.suppress(OSError):
         os.lseek(handle, _BEGIN, os.SEEK_SET)
         os.write(handle, text)
         os.ftruncate(handle, _BEGIN + len(text))
-    except OSError:
-        return  # a full disk: the lock holds all the same, it only cannot name its owner
