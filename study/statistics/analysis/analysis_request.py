@@ -37,8 +37,6 @@ def threshold(practical: Practical) -> Threshold | None:
     --------
     >>> threshold("10 % of mean")
     Threshold(value=0.1, relative=True)
-    >>> threshold("0.5 pp")
-    Threshold(value=0.5, relative=False)
     """
     if practical is None or isinstance(practical, Threshold):
         return practical
