@@ -15,8 +15,10 @@ import gallery_pictures
 import study
 from study.ground import declaration, units
 from study.harness.design import study_file
+from study.harness.design.forward_section import ForwardModel
 from study.harness.design.layout_kinds import LAYOUTS
-from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.harness.design.material_table import MaterialTable
+from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS
 from study.mechanics.setup.setup import Model
@@ -25,21 +27,21 @@ from study.mechanics.setup.test_kind import Test
 HERE = Path(__file__).parent
 #: Header of a table in a file, and the class that declares its keys.
 TABLES: tuple[tuple[str, type], ...] = (
-    ("[study]", study_file.StudyTable),
     *((f'[specimen] with shape = "{name}"', kind) for name, kind in SPECIMENS.items()),
     ("[test]", Test),
     *((f'indenter with shape = "{name}"', kind) for name, kind in INDENTERS.items()),
     ("[model]", Model),
+    ("[material]", MaterialTable),
     ("[measurements]", MeasurementSpec),
+    ("[markers]", MarkerSpec),
     ("[calibration]", Calibration),
+    ("[forward]", ForwardModel),
     *((f'[design] with kind = "{name}"', kind) for name, kind in LAYOUTS.items()),
-    ("[[response]]", study_file.ResponseSpec),
-    ("[[exclude]]", study_file.Exclusion),
-    ("[analysis]", study_file.Analysis),
-    ("[replicates]", study_file.Replicates),
-    ("[execution]", study_file.Execution),
-    ("[converge]", study_file.Converge),
-    ("[report]", study_file.Report),
+    *(
+        (f"[[{key.written}]]" if key.rows else f"[{key.written}]", key.kind)
+        for key in declaration.keys_of(study_file.DesignFile)
+        if key.kind is not None
+    ),
 )
 
 

@@ -40,7 +40,6 @@ EXCEPTIONS = {
     ("study/harness/design/load.py", "read_text"): "a file of the package",
     ("study/reporting/output/page.py", "read_text"): "a file of the package",
     ("study/ground/compilation.py", "read_bytes"): "sources of the package",
-    ("study/ground/compilation.py", "open"): "the lock of the cache of kernels, which is not read",
     ("study/harness/runner/provenance.py", "read_text"): "sources of the package, and their hash",
     (
         "study/harness/record/atomic_files.py",

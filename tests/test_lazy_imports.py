@@ -23,6 +23,7 @@ HEAVY = (
     "pypardiso",
     "dask",
     "distributed",
+    "filelock",
 )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.api.folders import calibration_root, demo_design
+from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
+from study.ground.tabular import csv_text
 from study.harness.calibration.calibrate_tests import calibrate as run_calibration
 from study.harness.calibration.calibration_bound import numerical_bound, with_numerical
 from study.harness.calibration.calibration_result import CalibrationResult
@@ -371,14 +371,13 @@ def indentation_modulus(
     config = load_calibration(source, (*overrides, ASKED))
     root = calibration_root(config, source, data)
     tests: list[IndentationTest] = []
-    faults: list[Fault] = []
+    faults = Faults()
     for number, test in enumerate(config.tests):
         try:
             tests.append(indentation_test(test, config.asked, f"tests[{number}]"))
         except InputError as error:
             faults += error.faults
-    if faults:
-        raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
+    faults.refuse(str(source))
     found = [modulus_of(one, root, number) for number, one in enumerate(tests)]
     notes = tuple(dict.fromkeys(note for _, own in found for note in own))
     moduli = tuple(one for one, _ in found)
@@ -392,13 +391,10 @@ def save_moduli(found: AnalyticCalibration, folder: Path) -> None:
     """Write the document, and a table with one row a curve. Units: found MPa, kPa."""
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(folder / "analytic.json", text.encode())
-    out = io.StringIO(newline="")
-    writer = csv.writer(out, lineterminator="\n")
-    columns = ("E_kPa", "standard_error_kPa", "low_kPa", "high_kPa", "contact_mm")
-    writer.writerow(["test", "curve", "status", *columns, "rows", "rows_outside"])
-    for test in found.tests:
-        writer.writerows([test.test, *_row(one)] for one in test.curves)
-    write_atomic(folder / "moduli.csv", out.getvalue().encode())
+    moduli = ("E_kPa", "standard_error_kPa", "low_kPa", "high_kPa", "contact_mm")
+    columns = ("test", "curve", "status", *moduli, "rows", "rows_outside")
+    rows = ([test.test, *_row(one)] for test in found.tests for one in test.curves)
+    write_atomic(folder / "moduli.csv", csv_text(columns, rows).encode())
 
 
 def _row(one: CurveModulus) -> list[object]:

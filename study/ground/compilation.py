@@ -8,8 +8,6 @@ whoever can write into it can have his code run.
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import functools
 import hashlib
 import multiprocessing
@@ -17,10 +15,9 @@ import os
 import re
 import stat
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
@@ -93,7 +90,6 @@ _CONSTANTS = re.compile(rb"^from ([\w.]+) import (?:\([^)]*|.*)\b[A-Z][A-Z_]+\b"
 FAST = {"contract", "reassoc", "arcp", "nsz"}
 #: the longest compilation takes 15 s, and four times that on a busy machine
 _PATIENCE_S = 120.0
-_GLANCE_S = 0.02
 #: folder of the whole package, wherever in it this module is
 _PACKAGE = Path(str(sys.modules[__name__.partition(".")[0]].__file__)).resolve().parent
 _CONFIG: Any = numba.config
@@ -121,44 +117,18 @@ def cache_folder() -> Path | None:
 @contextmanager
 def only_process(work: str) -> Iterator[None]:
     """Context in which no other process does the same work on the kernels of this package."""
-    # Each work has a byte of one file, which the operating system locks for a process and frees
-    # when that process ends. Where a folder cannot be written or locked, work is done twice.
-    handle = _lock_file()
-    place = int.from_bytes(hashlib.sha256(work.encode()).digest()[:6], "big")
-    locked = handle is not None and _lock_byte(handle, place)
-    try:
-        yield
-    finally:
-        if locked and handle is not None:
-            fcntl.lockf(handle, fcntl.LOCK_UN, 1, place)
+    # The operating system frees a lock when its process ends. Where a folder cannot be written or
+    # locked, and after the patience for the longest compilation, work is done twice.
+    from filelock import FileLock
 
-
-def _lock_byte(handle: int, place: int) -> bool:
-    """Lock a byte of a file, with patience for the longest compilation; whether that worked."""
-    until = time.monotonic() + _PATIENCE_S
-    while time.monotonic() < until:
-        try:
-            fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
-        except OSError as error:
-            if error.errno not in (errno.EACCES, errno.EAGAIN):
-                return False
-            time.sleep(_GLANCE_S)
-        else:
-            return True
-    return False
-
-
-@functools.cache
-def _lock_file() -> int | None:
-    """Open the file of locks once: a process loses all its locks when it closes one handle."""
     folder = cache_folder()
-    if folder is None:
-        return None
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        return os.open(folder / "compiling.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    except OSError:
-        return None
+    with ExitStack() as held:
+        if folder is not None:
+            with suppress(OSError):
+                folder.mkdir(parents=True, exist_ok=True)
+                name = hashlib.sha256(work.encode()).hexdigest()[:16]
+                held.enter_context(FileLock(folder / f"{name}.lock", timeout=_PATIENCE_S))
+        yield
 
 
 def kernel(**options: Any) -> Callable[[_Function], _Function]:

@@ -1,4 +1,4 @@
-"""Texts that name a difference of two sets of cells.
+"""Differences: which two sets of cells a text compares, and which size of one matters.
 
 ``"material=ogden-1, range=60 % - material=neo-hookean, range=60 %"`` is the mean over all cells
 of the first kind less that of the second; a factor that a side leaves out is averaged over.
@@ -6,8 +6,10 @@ of the first kind less that of the second; a factor that a side leaves out is av
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from study.ground.errors import Fault, InputError, nearest
 
@@ -42,3 +44,23 @@ def _setting(part: str, levels: Mapping[str, Sequence[str]], text: str) -> Setti
             raise InputError(Fault(f"contrast {text!r}", rule, mend))
         chosen[holding[0]] = level
     return chosen
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """Smallest difference that matters: in the response's unit, or a fraction of the mean."""
+
+    value: float
+    relative: bool = False
+
+    def on_scale(self, mean: float, transform: str) -> float:
+        """Half-width of the practical band on the working scale.
+
+        Examples
+        --------
+        >>> round(math.exp(Threshold(0.10, relative=True).on_scale(25.0, "log")), 10)
+        1.1
+        """
+        if transform == "log":
+            return math.log1p(self.value if self.relative else self.value / abs(mean))
+        return self.value * abs(mean) if self.relative else self.value

@@ -389,6 +389,14 @@ def text(value: object) -> str:
     return value.strip()
 
 
+def reason(value: object) -> str:
+    """Read why something is left out, which may not be empty."""
+    why = text(value)
+    if not why:
+        raise Bad("is empty", "say why these cells are left out")
+    return why
+
+
 def name(value: object) -> str:
     """Read a name that may stand in a table, a page or a CSV file."""
     # A leading ``=``, ``+``, ``-`` or ``@`` is a formula for a spreadsheet (CWE-1236), and no

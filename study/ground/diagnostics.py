@@ -23,6 +23,7 @@ from study.ground.declaration import (
 from study.ground.errors import Fault, InputError, UnitError, nearest
 
 Kind = TypeVar("Kind")
+Raw = TypeVar("Raw")
 Value = TypeVar("Value")
 #: a table as it is written
 Table = Mapping[str, object]
@@ -36,6 +37,11 @@ class Faults(list[Fault]):
         fault = Fault(where, rule, mend)
         if fault not in self:
             self.append(fault)
+
+    def refuse(self, source: str) -> None:
+        """Raise the faults together, each with the name of its file, where there are any."""
+        if self:
+            raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in self])
 
 
 def read_table(
@@ -112,9 +118,7 @@ def entries(value: object, path: str, faults: Faults) -> Table:
     return {}
 
 
-def noted(
-    read: Callable[[object], Value], value: object, where: str, faults: Faults
-) -> Value | None:
+def noted(read: Callable[[Raw], Value], value: Raw, where: str, faults: Faults) -> Value | None:
     """Read one value whose rule depends on other tables; None, and a fault, where it breaks it."""
     try:
         return read(value)

@@ -222,6 +222,17 @@ def parse_csv(
     return CsvTable(source, columns, tuple(at[1:]), decimal, "", tuple(notes), padded, declared_by)
 
 
+def csv_text(
+    columns: Sequence[object], rows: Iterable[Sequence[object]], delimiter: str = ","
+) -> str:
+    """Text of a CSV file: a header, and each value of each row as it stands."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n", delimiter=delimiter)
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
 def is_formula(text: str) -> bool:
     """Whether a spreadsheet would run this text as a formula (CWE-1236); numbers are safe."""
     return _FORMULA.match(text.lstrip(" ")) is not None and NUMBER.fullmatch(text.strip()) is None

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 from study import api
+from study.ground.contrast import Threshold
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
-from study.harness.design.study_file import Practical
 from study.harness.design.study_file import ResponseSpec as Response
 from study.harness.record.record import Record, table
 from study.harness.runner.case_series import CaseSeries
@@ -127,7 +127,7 @@ SIZES = {
 }
 TRUE = {"neo-hookean": 9.0, "reduced-polynomial-2": 5.0, "mooney-rivlin": 8.0, "ogden-1": 8.5}
 ORDER = 2.0
-PRACTICAL = Practical(1.0, "pp", False)
+PRACTICAL = Threshold(1.0)
 Levels = Mapping[str, str]
 
 

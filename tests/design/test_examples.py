@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from study.ground.contrast import Threshold
 from study.harness.design import load, overview
 from study.harness.design import spec as cases
 from study.harness.design.spec import Design
-from study.harness.design.study_file import Practical
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.tracker.tracker_recording import load_tracking
 
@@ -33,9 +33,9 @@ def conical() -> Design:
 def test_responses(ecoflex: Design, conical: Design) -> None:
     first, second = ecoflex.responses
     assert (first.name, first.unit, first.transform) == ("relative_rms_force_error", "%", "none")
-    assert first.practical == Practical(0.5, "pp", relative=False)
+    assert first.practical == Threshold(0.5)
     assert (second.name, second.unit, second.transform) == ("mu0", "kPa", "log")
-    assert second.practical == Practical(10.0, "%", relative=True)
+    assert second.practical == Threshold(0.1, relative=True)
     assert conical.responses[1].unit == "N"
 
 

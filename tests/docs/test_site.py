@@ -130,6 +130,8 @@ def test_the_reference_names_every_key_that_a_file_can_have():
     for key in ("specimen.radius", "test.interface", "model.mesh_size", "measurements.zero"):
         assert overlay.may_vary(key)
         assert f"| `{key.split('.')[1]}` |" in text
+    for header in ("[material]", "[markers]", "[forward]", "[[constraint]]", "[virtual]"):
+        assert f"## `{header}`" in text
     values = [line.split(" | ")[2] for line in text.splitlines() if line.startswith("| `")]
     assert not [value for value in values if re.match("must|may|needs|unknown", value)]
     assert '| `shape` |  | `"cylinder"` | `"cylinder"` |' in text

@@ -172,6 +172,8 @@ def test_what_a_runner_notes_is_read_by_others_while_it_runs(tmp_path):
         found = theirs.running() or {}
         assert (found["pid"], found["done"]) == (os.getpid(), 7)
         assert set(found) == {"pid", "host", "since", "done"}
+        # the first byte is the one that Windows locks for readers, too
+        assert json.loads((tmp_path / ".lock").read_bytes()[1:]) == found
     assert theirs.running() is None
     ours.note({"done": 9})
     with theirs.lock():

@@ -35,9 +35,8 @@ def ball(radius: float, n: int = 2000) -> TriangleSurface:
 
 def outward(points: Array, triangles: Array) -> Array:
     """Triangles of a body that holds the origin and is seen from there, turned outward."""
-    corners = points[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = (normal * corners.mean(axis=1)).sum(axis=1) < 0
+    faces = TriangleSurface(points, triangles)
+    inward = (faces.crossed * faces.corners.mean(axis=1)).sum(axis=1) < 0
     turned = triangles.astype(np.int64)
     turned[inward] = turned[inward, ::-1]
     return turned
@@ -48,8 +47,7 @@ def box(width: float, depth: float, height: float) -> TriangleSurface:
     corners = np.array(
         [[x, y, z] for z in (0, height) for y in (0, depth) for x in (0, width)], dtype=float
     )
-    middle = corners.mean(axis=0)
-    triangles = outward(corners - middle, ConvexHull(corners).simplices)
+    triangles = outward(corners - corners.mean(axis=0), ConvexHull(corners).simplices)
     return TriangleSurface(corners, triangles)
 
 

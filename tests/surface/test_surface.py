@@ -13,7 +13,7 @@ from study.mechanics.contact.collocation import touch_mm
 from study.mechanics.contact.contact import pins, rigid_motions
 from study.mechanics.setup.geometry import Brain, Cone, Sphere, Surface
 from study.mechanics.surface.brain import brain_surface
-from study.mechanics.surface.closed_surface import body, first_intersection, volume
+from study.mechanics.surface.closed_surface import Triangles, body, first_intersection
 from tests.fem.surfaces import Shape, box, cylinder, joined, sphere, write
 
 
@@ -81,7 +81,7 @@ def test_a_sound_body_far_from_the_origin_of_its_file_faces_outward(
     found = body(Surface(write(tmp_path / "far.obj", (points + place, triangles))))
     assert found.notes == ()
     assert found.volume_mm3 == pytest.approx(480, rel=1e-6)  # coordinates hold 16 digits
-    assert volume(points + place, triangles[:, ::-1]) == pytest.approx(-480, rel=1e-6)
+    assert Triangles(points + place, triangles[:, ::-1]).volume_mm3 == pytest.approx(-480, rel=1e-6)
     assert found.area_mm2 == pytest.approx(2 * (80 + 60 + 48), rel=1e-6)
 
 
@@ -299,7 +299,7 @@ def test_without_a_groove_it_has_the_volume_of_two_half_ellipsoids() -> None:
     x = np.linspace(-1, 1, 20001)
     widest = ((1 - 0.12 * x) * np.sqrt(1 - x**2)).max()
     expected = np.pi / 6 * 80 * 60 * 50 / widest
-    assert volume(points, triangles) == pytest.approx(expected, rel=2e-3)
+    assert Triangles(points, triangles).volume_mm3 == pytest.approx(expected, rel=2e-3)
 
 
 def test_the_groove_is_as_deep_as_said() -> None:

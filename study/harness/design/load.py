@@ -43,7 +43,7 @@ from study.harness.design.layout_kinds import scheme_from
 from study.harness.design.parameters import (
     Constraint,
     check_names,
-    constraint_of,
+    checked,
     stands_alone,
 )
 from study.harness.design.questions import (
@@ -310,7 +310,7 @@ def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] 
     """Load a design from a text, or from the bytes of a file; see :func:`load`."""
     text, tables, file, faults = _opened(DesignFile, text, source, overrides)
     design = _design(file, tables, faults, source, text)
-    _refuse(faults, source)
+    faults.refuse(source)
     return design
 
 
@@ -344,7 +344,7 @@ def loads_problem(
     ):
         faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
     plausibility.check_stability(problem, faults)
-    _refuse(faults, source)
+    faults.refuse(source)
     return LoadedProblem(problem, file.converge)
 
 
@@ -359,7 +359,7 @@ def loads_calibration(
     """Load a calibration from a text; see :func:`load_calibration`."""
     _, tables, file, faults = _opened(CalibrationFile, text, source, overrides)
     calibration = resolve_calibration(file, tables, file.study.name or default_name(source), faults)
-    _refuse(faults, source)
+    faults.refuse(source)
     return calibration
 
 
@@ -411,12 +411,6 @@ def _opened(
         rule = f"is {declared!r}, and the tables are those of a {looks}"
         raise InputError(Fault(f"{source}: kind", rule, _VERBS[looks]))
     return text, tables, read_table(kind, tables, "", faults), faults
-
-
-def _refuse(faults: Faults, source: str) -> None:
-    """Raise the faults of a file together, each with the file's name."""
-    if faults:
-        raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
 
 
 def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
@@ -562,8 +556,8 @@ def _check_parameters(
 def _constraints(file: DesignFile, tables: Table, faults: Faults) -> tuple[Constraint, ...]:
     """Inequalities of parameters that could be read."""
     read = [
-        noted(partial(constraint_of, why=row.why, config=tables), row.rule, where, faults)
-        for where, row in ((f"constraint[{i}].rule", row) for i, row in enumerate(file.constraint))
+        noted(partial(checked, tables), row, f"constraint[{i}].rule", faults)
+        for i, row in enumerate(file.constraint)
         if is_known(row.rule, row.why)
     ]
     return tuple(constraint for constraint in read if constraint is not None)

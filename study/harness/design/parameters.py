@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import Annotated
 
 from study.ground import units
-from study.ground.declaration import MAX_NAME, Bad, quoted, shown, text
+from study.ground.declaration import MAX_NAME, Bad, Reads, quoted, reason, section, shown, text
 from study.ground.diagnostics import Faults, Table, noted
 from study.ground.errors import UnitError, nearest
 from study.harness.design.forward_model import ForwardCell, Value
@@ -204,18 +205,18 @@ _COMPARISONS: Mapping[type, Callable[[float, float], bool]] = {
 _MOST_NODES = 60
 
 
-@dataclass(frozen=True)
+@section
 class Constraint:
-    """An inequality between parameters, such as ``inner < 0.9 * outer``; cells that break it go."""
+    """One ``[[constraint]]``: an inequality of parameters, and why cells that break it go."""
 
-    text: str
-    why: str
+    rule: Annotated[str, Reads(text, mend='rule = "inner < 0.9 * outer"')]
+    why: Annotated[str, Reads(reason, mend='say why: why = "..."')]
 
     def holds(self, values: Mapping[str, Value]) -> bool:
         """Whether it holds of some values, each in its own unit."""
         if any(name not in values for name in self.names):
             return True  # a value that could not be read is told where it stands
-        compared = _comparison(self.text)
+        compared = _comparison(self.rule)
         sides = [_number(side, values) for side in (compared.left, *compared.comparators)]
         pairs = zip(sides, compared.ops, sides[1:], strict=False)
         return all(_COMPARISONS[type(op)](left, right) for left, op, right in pairs)
@@ -223,7 +224,7 @@ class Constraint:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters that it compares."""
-        identifiers = (n.id for n in ast.walk(_comparison(self.text)) if isinstance(n, ast.Name))
+        identifiers = (n.id for n in ast.walk(_comparison(self.rule)) if isinstance(n, ast.Name))
         return tuple(dict.fromkeys(identifiers))
 
 
@@ -265,15 +266,14 @@ def _number(node: ast.expr, values: Mapping[str, Value]) -> float:
     return _OPERATORS[type(node.op)](_number(node.left, values), right)
 
 
-def constraint_of(rule: object, why: object, config: Table) -> Constraint:
-    """Read a constraint; its names must be parameters of the file whose units agree."""
-    limit = Constraint(text(rule), text(why))
+def checked(config: Table, limit: Constraint) -> Constraint:
+    """Give back a constraint whose names are parameters of the file, with units that agree."""
     table = config.get("parameters")
     named = table if isinstance(table, Mapping) else {}
     for name in limit.names:
         if name not in named:
             raise Bad(f"names {name!r}, which [parameters] does not have", nearest(name, named))
-    compared = _comparison(limit.text)
+    compared = _comparison(limit.rule)
     written = {n: number_and_unit(named[n])[1] for n in limit.names if type(named[n]) is not bool}
     sides = [compared.left, *compared.comparators]
     plain = [written.get(side.id) for side in sides if isinstance(side, ast.Name)]

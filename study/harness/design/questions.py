@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from study.ground import units
+from study.ground.contrast import Threshold
 from study.ground.declaration import (
     AsWritten,
     Bad,
@@ -46,7 +47,6 @@ from study.harness.design.study_file import (
     RESPONSES,
     SIMULATED,
     Analysis,
-    Practical,
     ResponseSpec,
     Terms,
     is_simulated,
@@ -136,27 +136,27 @@ def _name(table: ResponseSpec, where: str, faults: Faults) -> str:
     return name
 
 
-def _practical(unit: str, value: object) -> Practical:
+def _practical(unit: str, value: object) -> Threshold:
     """Read the smallest difference that matters, in the response's unit or "5 % of mean"."""
     example = {"%": "2 pp", "": "0.1"}.get(unit, f"0.05 {unit}")
     mend = f'write, for example, "{example}" or "5 % of mean"'
     if unit == "" and isinstance(value, (int, float)):
-        return Practical(number(0)(value), unit, relative=False)
+        return Threshold(number(0)(value))
     if not isinstance(value, str):
         raise Bad(f"needs a unit, got {shown(value)}", mend)
     amount, written = units.split(value)
     if amount <= 0:
         raise Bad(f"must be positive, got {shown(value)}", mend)
     if written == "% of mean":
-        return Practical(amount, "%", relative=True)
+        return Threshold(amount / 100, relative=True)
     if unit == "%" and written == "pp":
-        return Practical(amount, "pp", relative=False)
+        return Threshold(amount)
     if unit == "%":
         raise Bad(f"is not in percentage points, got {shown(value)}", mend)
     if unit not in _DIMENSION:
-        return Practical(number_in(value, unit), unit, relative=False)
+        return Threshold(number_in(value, unit))
     inside = units.parse(value, _DIMENSION[unit])
-    return Practical(units.to_display(inside, "MPa")[0] if unit == "kPa" else inside, unit, False)
+    return Threshold(units.to_display(inside, "MPa")[0] if unit == "kPa" else inside)
 
 
 # Table ``[uncertainty]``: standard uncertainties of inputs, and distributions over ranges.

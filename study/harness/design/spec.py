@@ -224,7 +224,7 @@ class Design:
             broken = [constraint for constraint in self.constraints if not constraint.holds(values)]
         except Bad as bad:
             raise InputError(Fault("constraint", bad.rule, bad.mend)) from None
-        return f"{broken[0].why} ({broken[0].text})" if broken else None
+        return f"{broken[0].why} ({broken[0].rule})" if broken else None
 
     def _parameters_at(self, levels: Mapping[str, str]) -> Mapping[str, Value]:
         """Values of the parameters of a cell; of faulty ones, told elsewhere, none."""

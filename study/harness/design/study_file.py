@@ -7,11 +7,11 @@ The declarations of a problem's tables stand in ``setup``, those of measured fil
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Literal
 
 from study.ground import units
+from study.ground.contrast import Threshold
 from study.ground.declaration import (
     AsWritten,
     Bad,
@@ -23,6 +23,7 @@ from study.ground.declaration import (
     choice,
     integer,
     number,
+    reason,
     section,
     shown,
     slug,
@@ -33,7 +34,7 @@ from study.ground.diagnostics import flatten
 from study.ground.errors import nearest
 from study.harness.design import overlay
 from study.harness.design.forward_section import value_unit
-from study.harness.design.parameters import is_parameter
+from study.harness.design.parameters import Constraint, is_parameter
 from study.mechanics.material.material import is_constant, unit_shown
 from study.mechanics.setup.calibration_table import Fitting
 from study.mechanics.setup.setup import MESH_LEVELS
@@ -254,13 +255,6 @@ def _weight(value: object) -> str | float:
     )
 
 
-def _reason(value: object) -> str:
-    why = text(value)
-    if not why:
-        raise Bad("is empty", "say why these cells are left out")
-    return why
-
-
 @section
 class StudyTable:
     """Name, question, seed and what is assumed; the name is by default that of the file."""
@@ -374,15 +368,6 @@ class Analysis:
     contrasts: Annotated[tuple[str, ...], Reads(texts("contrasts", "stiff - soft"))] = ()
 
 
-@dataclass(frozen=True)
-class Practical:
-    """Smallest difference that matters: in ``unit``, or in percent of the mean."""
-
-    value: float
-    unit: str
-    relative: bool
-
-
 @section
 class ResponseSpec:
     """One ``[[response]]``: ``practical`` in its unit, a force or stiffness at ``displacement``."""
@@ -390,7 +375,7 @@ class ResponseSpec:
     name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
     displacement: Length | None = None
     #: Smallest difference that matters, in its unit or as a share: "0.05 N", "2 pp", "5 % of mean".
-    practical: Annotated[Practical | None, as_written()] = None
+    practical: Annotated[Threshold | None, as_written()] = None
     #: Scale on which it is analyzed.
     transform: Annotated[str, Reads(choice("none", "log"))] = "none"
     #: Of a value that a Python function returns, or a program that says none.
@@ -401,20 +386,12 @@ class ResponseSpec:
 class Exclusion:
     """One ``[[exclude]]``: labels of levels by factor, and why their cells are left out."""
 
-    why: Annotated[str, Reads(_reason, mend='say why: why = "..."')]
+    why: Annotated[str, Reads(reason, mend='say why: why = "..."')]
     when: Annotated[Mapping[str, tuple[str, ...]], as_written('when = { material = "ogden-1" }')]
 
     def matches(self, levels: Mapping[str, str]) -> bool:
         """Whether a cell is left out: every factor named takes one of its labels."""
         return all(levels[name] in labels for name, labels in self.when.items())
-
-
-@section
-class ConstraintTable:
-    """One ``[[constraint]]``: an inequality of parameters, and why cells that break it go."""
-
-    rule: Annotated[str, Reads(text, mend='rule = "inner < 0.9 * outer"')]
-    why: Annotated[str, Reads(_reason, mend='say why: why = "..."')]
 
 
 @section
@@ -435,9 +412,7 @@ class TestTable:
 _Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
 _Responses = Annotated[tuple[ResponseSpec, ...], Rows(1, MAX_RESPONSES, RESPONSES_MEND)]
 _Exclusions = Annotated[tuple[Exclusion, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
-_Constraints = Annotated[
-    tuple[ConstraintTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[constraint]]")
-]
+_Constraints = Annotated[tuple[Constraint, ...], Rows(0, MAX_EXCLUSIONS, "write [[constraint]]")]
 _Tests = Annotated[
     tuple[TestTable, ...], Rows(1, MAX_TESTS, "write [[tests]]", f"must be 1 to {MAX_TESTS} tables")
 ]

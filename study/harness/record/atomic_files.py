@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import datetime
 import errno
-import fcntl
 import json
 import os
 import socket
@@ -72,8 +71,10 @@ def _sync(path: Path, call: Callable[[int], object]) -> None:
 def _sync_all_of(path: Path) -> bool:
     """Flush the file system that a path lies on with syncfs(2); False where there is none."""
     # Linux tells of a failed write here since 5.8; 64 files take a quarter of the time of fsync.
+    if sys.platform != "linux":
+        return False
     release = os.uname().release.split(".")[:2]
-    if sys.platform != "linux" or [int(part) for part in release if part.isdigit()] < [5, 8]:
+    if [int(part) for part in release if part.isdigit()] < [5, 8]:
         return False
     import ctypes
 
@@ -205,8 +206,9 @@ def _discard(part: Path, system: FileSystem) -> None:
         return  # the disk refuses even this; the next run clears the leftover
 
 
-# One runner per results folder: a lock of the operating system (flock), which dies with its
-# owner. On a network file system it may hold on one machine only.
+# One runner per results folder: a lock of the operating system on an open file (filelock: flock, on
+# Windows LockFileEx), which dies with its owner. NFS carries it to other machines where the server
+# locks files; other network file systems may hold it on one machine only.
 
 LOCK_NAME = ".lock"
 #: times that a lock is tried for, and seconds between them
@@ -215,100 +217,94 @@ _GLANCE_S = 0.01
 #: what the lock file says of its owner, and the bytes that this and its progress take
 _OWNER = ("pid", "host", "since")
 _LENGTH = 512
+#: Windows locks the first byte for reading, too: what the file says begins behind it
+_BEGIN = 1
+#: neither a link is followed nor a pipe waited for, where there are any
+_AS_IT_LIES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
     """Hold the lock of a results folder, or say who holds it."""
     path = folder / LOCK_NAME
-    try:
-        handle = _opened(folder, os.O_RDWR | os.O_CREAT)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
-    try:
+    with contextlib.ExitStack() as held:
         try:
-            _take(handle)
-        except BlockingIOError as error:
-            raise StoreError(_held(folder, path)) from error
+            handle = held.enter_context(_opened(path, os.O_RDWR | os.O_CREAT))
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
+        try:
+            taken = _take(handle)
         except OSError as error:
             raise StoreError(
                 f"{path}: this file system cannot lock files ({error.strerror or error}); keep "
                 "results on a local disk"
             ) from error
+        if not taken:
+            owner = _read(handle)
+            who = "another runner"
+            if owner:
+                who = "pid {} on host {} since {}".format(*(owner.get(key) for key in _OWNER))
+            raise StoreError(f"{folder}: locked by {who}; wait for it or stop it")
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         _write(handle, dict(zip(_OWNER, (os.getpid(), socket.gethostname(), now), strict=True)))
         yield
+
+
+@contextmanager
+def _opened(path: Path, flags: int) -> Iterator[int]:
+    """Context with the lock file open, and nothing else in its place; its end frees the lock."""
+    handle = os.open(path, flags | _AS_IT_LIES, 0o644)
+    try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError("it is no file; remove it")
+        yield handle
     finally:
-        os.close(handle)  # releases the lock
-
-
-def _opened(folder: Path, flags: int) -> int:
-    """Open the lock file, and nothing else in its place: to open a pipe may take forever."""
-    handle = os.open(folder / LOCK_NAME, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
-        raise OSError("it is no file; remove it")
-    return handle
 
 
-def _take(handle: int) -> None:
-    """Take the lock; one who only looks whether it is held has it for some microseconds."""
+def _take(handle: int) -> bool:
+    """Take the lock if it is free; one who only looks whether it is has it for microseconds."""
+    from filelock import lock_descriptor
+
     for _ in range(_GLANCES):
-        with contextlib.suppress(BlockingIOError):
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
+        if lock_descriptor(handle, blocking=False):
+            return True
         time.sleep(_GLANCE_S)
-    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return False
 
 
 def holder(folder: Path) -> dict[str, object] | None:
     """Read what the runner at work in a folder says of itself; None where there is none."""
-    try:
-        handle = _opened(folder, os.O_RDONLY)
-    except OSError:
-        return None
-    try:
-        with contextlib.suppress(BlockingIOError):
-            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            return None
-        content = parse_json(os.read(handle, 4096), LOCK_NAME)
-    except OSError:
-        return None
-    except StoreError:
-        return {}
-    finally:
-        os.close(handle)
-    return content if isinstance(content, dict) else {}
+    path = folder / LOCK_NAME
+    # NFS locks for those alone who may write
+    flags = os.O_RDWR if os.access(path, os.W_OK) else os.O_RDONLY
+    with contextlib.suppress(OSError), _opened(path, flags) as handle:
+        return None if _take(handle) else _read(handle)
+    return None
 
 
 def sign(folder: Path, progress: Mapping[str, object]) -> None:
-    """Add progress to what the owner of the lock says of itself."""
-    owner = {name: value for name, value in (holder(folder) or {}).items() if name in _OWNER}
-    try:
-        handle = _opened(folder, os.O_WRONLY)
-    except OSError:
-        return  # nobody depends on it
-    try:
+    """Add progress to what the owner of the lock says of itself, on which nobody depends."""
+    with contextlib.suppress(OSError), _opened(folder / LOCK_NAME, os.O_RDWR) as handle:
+        owner = {name: value for name, value in _read(handle).items() if name in _OWNER}
         _write(handle, owner | dict(progress))
-    finally:
-        os.close(handle)
+
+
+def _read(handle: int) -> dict[str, object]:
+    """Read what the file says of the owner of the lock; nothing where that is damaged."""
+    try:
+        os.lseek(handle, _BEGIN, os.SEEK_SET)
+        content = parse_json(os.read(handle, 4096), LOCK_NAME)
+    except (OSError, StoreError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def _write(handle: int, facts: Mapping[str, object]) -> None:
     """Replace what the file says in one write: blanks cover what was there before."""
     text = json.dumps(facts).encode().ljust(_LENGTH)
-    try:
-        os.pwrite(handle, text, 0)
-        os.ftruncate(handle, len(text))
-    except OSError:
-        return  # a full disk: the lock holds all the same, it only cannot name its owner
-
-
-def _held(folder: Path, path: Path) -> str:
-    owner = holder(folder)
-    if not owner:
-        return f"{path.parent}: locked by another runner; wait for it or stop it"
-    return (
-        f"{path.parent}: locked by pid {owner.get('pid')} on host {owner.get('host')} since "
-        f"{owner.get('since')}; wait for it or stop it"
-    )
+    # on a full disk the lock holds all the same, it only cannot name its owner
+    with contextlib.suppress(OSError):
+        os.lseek(handle, _BEGIN, os.SEEK_SET)
+        os.write(handle, text)
+        os.ftruncate(handle, _BEGIN + len(text))

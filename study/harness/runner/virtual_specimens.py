@@ -6,8 +6,6 @@ load cell, from a fixed seed, so that the files are always the same.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -21,6 +19,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.tabular import csv_text
 from study.ground.units import parse
 from study.harness.design.cell import CellProblem
 from study.harness.design.spec import Design
@@ -435,11 +434,9 @@ def _csv(spec: MeasurementSpec, tests: Sequence[VirtualTest], groups: Sequence[s
     length = parse(f"1 {units.displacement}", "length")
     newton = parse(f"1 {units.force}", "force")
     sign = -1.0 if spec.sign == "negative" else 1.0
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*groups, columns.displacement, columns.force])
-    for test in tests:
-        labels = [test.groups[name] for name in groups]
-        for d, f in zip(test.displacement_mm, test.force_N, strict=True):
-            writer.writerow([*labels, f"{d / length:.5f}", f"{sign * f / newton:.5f}"])
-    return stream.getvalue()
+    rows = (
+        [*(test.groups[name] for name in groups), f"{d / length:.5f}", f"{sign * f / newton:.5f}"]
+        for test in tests
+        for d, f in zip(test.displacement_mm, test.force_N, strict=True)
+    )
+    return csv_text([*groups, columns.displacement, columns.force], rows)

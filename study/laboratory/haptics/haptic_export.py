@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import re
@@ -23,6 +21,7 @@ from study.ground.arrays import Array
 from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
+from study.ground.tabular import csv_text
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.setup import Problem
@@ -66,14 +65,12 @@ def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
     """Text of every file of a law, by its path in a folder; nothing is written."""
     stem = stem_of(law.name)
     text = json.dumps(law.to_json(), indent=2, allow_nan=False) + "\n"
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     gradients = [f"dF_d{name}" for name in law.gradients]
-    writer.writerow(["displacement_mm", "force_N", "stiffness_N_per_mm", *gradients])
+    header = ["displacement_mm", "force_N", "stiffness_N_per_mm", *gradients]
     columns = [law.displacement_mm, law.force.values, law.force.slopes]
     columns += [table.values for table in law.gradients.values()]
-    writer.writerows([repr(float(v)) for v in row] for row in zip(*columns, strict=True))
-    made = {"json": text, "csv": stream.getvalue()}
+    rows = (list(map(_number, row)) for row in zip(*columns, strict=True))
+    made = {"json": text, "csv": csv_text(header, rows)}
     made |= {  # a Python module without imports, a C header without includes
         suffix: rendered(
             f"force_law.{suffix}.j2", law=law, name=law.name, stem=stem, sentences=law.sentences()

@@ -28,6 +28,7 @@ from study.laboratory.registration.rigid import (
     sandwich,
     turned_about,
 )
+from study.mechanics.surface.closed_surface import Triangles
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -423,30 +424,8 @@ class Closest:
     normal: Array
 
 
-@dataclass(frozen=True)
-class TriangleSurface:
-    """Triangulated surface that can be asked for its closest points."""
-
-    #: shape (n, 3); vertices, mm.
-    points: Array
-    #: shape (m, 3); counterclockwise seen from outside; none without area.
-    triangles: Ints
-
-    @cached_property
-    def corners(self) -> Array:
-        """Corners of every triangle, shape (m, 3, 3)."""
-        return self.points[self.triangles]
-
-    @cached_property
-    def _crossed(self) -> Array:
-        """Normal of every triangle, twice as long as its area, shape (m, 3)."""
-        a, b, c = self.corners[:, 0], self.corners[:, 1], self.corners[:, 2]
-        return np.cross(b - a, c - a)
-
-    @cached_property
-    def normals(self) -> Array:
-        """Unit normal of every triangle, shape (m, 3)."""
-        return _unit(self._crossed)
+class TriangleSurface(Triangles):
+    """Triangulated surface, none of whose triangles is without area, asked for closest points."""
 
     @cached_property
     def vertex_normals(self) -> Array:
@@ -474,11 +453,6 @@ class TriangleSurface:
     def size(self) -> float:
         """Length of the diagonal of the bounding box, mm."""
         return float(np.linalg.norm(np.ptp(self.points[np.unique(self.triangles)], axis=0)))
-
-    @cached_property
-    def areas(self) -> Array:
-        """Area of every triangle, shape (m,), mm^2."""
-        return np.asarray(np.linalg.norm(self._crossed, axis=1) / 2)
 
     @cached_property
     def _classes(self) -> tuple[tuple[Ints, cKDTree, float], ...]:

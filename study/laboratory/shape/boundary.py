@@ -19,7 +19,13 @@ from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from study.mechanics.mesh.structured import MIDDLES
-from study.mechanics.surface.closed_surface import inspect, joined, read_mesh
+from study.mechanics.surface.closed_surface import (
+    Edges,
+    Triangles,
+    inspect,
+    joined,
+    read_mesh,
+)
 
 if TYPE_CHECKING:
     from scipy.interpolate import LinearNDInterpolator
@@ -87,15 +93,12 @@ class Symmetry:
         return "; ".join(parts) or "whole body"
 
 
-@dataclass(frozen=True)
-class BodySurface:
+@dataclass(frozen=True, eq=False)
+class BodySurface(Triangles):
     """Surface of a whole body at rest, with the displacements of its points."""
 
-    #: shape (n, 3); vertices at rest and displacements, mm.
-    points: Array
+    #: shape (n, 3); mm.
     displacement: Array
-    #: shape (m, 3); counterclockwise seen from outside.
-    triangles: Ints
 
 
 def symmetry_of(mesh: DeformedMesh) -> Symmetry:
@@ -235,13 +238,12 @@ def _joined(points: Array, displacement: Array, triangles: Ints) -> BodySurface:
     )
     used, cells = np.unique(cells[count[place.ravel()] == 1], return_inverse=True)
     cells = cells.reshape(-1, 3)
-    edges = np.sort(cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, count = np.unique(edges, axis=0, return_counts=True)
+    count = Edges.of(cells).count
     if (count != 2).any():
         rule = f"its surface does not close: {int((count != 2).sum())} open edges"
         mend = "the mesh must be a whole body, a quarter at x = 0 and y = 0, or a section"
         raise InputError(Fault("simulation", rule, mend))
-    return BodySurface(points[first][used], displacement[first][used], cells)
+    return BodySurface(points[first][used], cells, displacement[first][used])
 
 
 # A simulated body: its surface before and after the deformation, and what moves inside.
@@ -329,7 +331,7 @@ def read_body(path: Path, unit: str) -> SimulatedBody:
         ) from None  # fmt: skip
     scaled = unit_factor(unit, "length") * surface.points
     notes = tuple(note.replace("specimen.file", "simulation") for note in surface.notes)
-    body = BodySurface(scaled, np.zeros_like(scaled), surface.triangles)
+    body = BodySurface(scaled, surface.triangles, np.zeros_like(scaled))
     return SimulatedBody(body, notes=notes)
 
 

@@ -156,7 +156,7 @@ def judge_shape(
     tree = cKDTree(placed)
     spacing = float(np.median(tree.query(placed, k=2)[0][:, 1]))
     centers = surface.corners.mean(axis=1)
-    off = float(np.median(np.abs(surface.closest(placed).distance)))
+    off = float(np.median(np.abs(closest.distance)))
     near = tree.query(centers, k=1)[0] < SEEN_SPACINGS * (spacing + off)
     return ShapeDeviation(
         name=name,

@@ -13,6 +13,7 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.canonical import Keyed
+from study.ground.contrast import Threshold
 from study.ground.errors import Fault, InputError, settled
 from study.ground.tabular import CsvTable, read_csv
 from study.ground.units import unit_factor
@@ -49,7 +50,6 @@ from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
     Blocking,
     ResponseScale,
-    Threshold,
 )
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import analyze

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -29,7 +27,7 @@ from study.ground.declaration import (
 from study.ground.declaration import name as label
 from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import Fault, InputError, nearest
-from study.ground.tabular import CsvTable, read_csv
+from study.ground.tabular import CsvTable, csv_text, read_csv
 from study.ground.units import unit_factor
 from study.harness.record.atomic_files import write_atomic
 from study.laboratory.registration.rigid import check_places
@@ -167,8 +165,7 @@ def load_tracking(path: str | Path) -> TrackingFile:
     file = read_table(TrackingFile, tables, "", faults)
     if not faults:
         faults.extend(_across(file))
-    if faults:
-        raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
+    faults.refuse(source)
     return file
 
 
@@ -418,7 +415,7 @@ def write_recording(declared: TrackingFile, out: Path, errors: Errors | None = N
             normals = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
             radii = _RADIUS_MM + _SCAN_SD_MM * random.standard_normal((_SCANNED, 1))
             cloud = np.asarray(center + radii * normals) / factor
-            texts[file] = _csv(distance.columns, [[f"{v:.6g}" for v in row] for row in cloud])
+            texts[file] = csv_text(distance.columns, [[f"{v:.6g}" for v in row] for row in cloud])
     for name, content in texts.items():
         write_atomic(out / name, content.encode())
     return [out / name for name in texts]
@@ -470,12 +467,4 @@ def _recording(
         row += [f"{sample.commanded_mm / per_mm:g}"] if moved else []
         row += [f"{v / factor:.7g}" for v in sample.places_mm.ravel()]
         rows.append([v.replace(".", mark) for v in row])
-    return _csv(columns, rows, ";" if mark == "," else ",")
-
-
-def _csv(columns: Sequence[str], rows: Sequence[Sequence[str]], delimiter: str = ",") -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n", delimiter=delimiter)
-    writer.writerow(columns)
-    writer.writerows(rows)
-    return stream.getvalue()
+    return csv_text(columns, rows, ";" if mark == "," else ",")

@@ -20,7 +20,7 @@ from study.mechanics.mesh.structured import CORNER_FRACTION, GROWTH
 from study.mechanics.setup.geometry import Flat, Indenter
 from study.mechanics.setup.setup import Model, Space, mesh_level
 from study.mechanics.setup.test_kind import AroundContact
-from study.mechanics.surface.closed_surface import Body, area
+from study.mechanics.surface.closed_surface import Body, Triangles
 
 #: elements across the contact radius, and across the radius of a rounded tip or edge
 _PER_CONTACT = 7.0
@@ -322,7 +322,7 @@ def expected_cubes(found: Body, size_mm: float, plates: tuple[float, ...]) -> fl
     height = found.height_mm
     z = np.unique(np.concatenate([np.abs(p - _away(height)) for p in (0.0, height)]))
     high = float(np.trapezoid(1 / _spacing(_from_plates(z, plates), size_mm), z))
-    reach = 2 * found.volume_mm3 / area(found.points, _side(found))
+    reach = 2 * found.volume_mm3 / Triangles(found.points, _side(found)).area_mm2
     s = _away(reach)
     wide = float(np.trapezoid(2 / reach * (1 - s / reach) / _spacing(s, size_mm), s))
     return found.volume_mm3 / height * wide * high / size_mm / _told(found, size_mm) ** 3

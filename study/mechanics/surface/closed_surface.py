@@ -36,15 +36,6 @@ _FLAT = 1e-7
 
 
 @dataclass(frozen=True)
-class Inspected:
-    """A surface without faults: points merged, triangles turned outward, what was done."""
-
-    points: Array
-    triangles: Ints
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class Edges:
     """Edges of triangles, each once."""
 
@@ -78,25 +69,54 @@ class Edges:
         return cls(ends, count, sides // 3, ends[count == 2], agree)
 
 
-def volume(points: Array, triangles: Ints) -> float:
-    """Volume enclosed by triangles that face outward; negative where they face inward."""
-    # Shapes: points, triangles (n, 3).
-    corners = points[triangles]
-    # from the middle: about a far origin the sum is of products that cancel to their last digits
-    corners = corners - corners.mean(axis=(0, 1))
-    a, b, c = corners.swapaxes(0, 1)
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """Triangles between points, and what is measured of them."""
+
+    #: shape (n, 3); vertices in mm.
+    points: Array
+    #: shape (m, 3); counterclockwise seen from outside.
+    triangles: Ints
+
+    @functools.cached_property
+    def corners(self) -> Array:
+        """Corners of every triangle, shape (m, 3, 3)."""
+        return self.points[self.triangles]
+
+    @functools.cached_property
+    def crossed(self) -> Array:
+        """Normal of every triangle, twice as long as its area, shape (m, 3)."""
+        a, b, c = self.corners.swapaxes(0, 1)
+        return np.asarray(np.cross(b - a, c - a))
+
+    @functools.cached_property
+    def areas(self) -> Array:
+        """Area of every triangle, shape (m,), mm^2."""
+        return np.asarray(np.linalg.norm(self.crossed, axis=1) / 2)
+
+    @functools.cached_property
+    def normals(self) -> Array:
+        """Unit normal of every triangle, shape (m, 3)."""
+        return self.crossed / np.maximum(2 * self.areas, 1e-300)[:, None]
+
+    @functools.cached_property
+    def area_mm2(self) -> float:
+        """Area of all triangles."""
+        return float(self.areas.sum())
+
+    @functools.cached_property
+    def volume_mm3(self) -> float:
+        """Volume enclosed; negative where the triangles face inward."""
+        # from the middle: about a far origin products cancel to their last digits
+        a, b, c = (self.corners - self.corners.mean(axis=(0, 1))).swapaxes(0, 1)
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
-def area(points: Array, triangles: Ints) -> float:
-    """Total area of triangles. Shapes: points, triangles (n, 3)."""
-    return float(np.linalg.norm(_twice_areas(points, triangles), axis=1).sum() / 2)
+@dataclass(frozen=True, eq=False)
+class Inspected(Triangles):
+    """A surface without faults: points merged, triangles turned outward, what was done."""
 
-
-def _twice_areas(points: Array, triangles: Ints) -> Array:
-    """Return the normals of triangles, twice as long as their areas, shape (m, 3)."""
-    a, b, c = points[triangles].swapaxes(0, 1)
-    return np.asarray(np.cross(b - a, c - a))
+    notes: tuple[str, ...] = ()
 
 
 def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
@@ -110,11 +130,10 @@ def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
         rule = rule if bad.any() else "has coordinates beyond 1e15"
         raise InputError(Fault(where, rule, "save the surface again"))
     points, triangles = _merged(points, triangles)
-    corners = points[triangles]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    extent = float(np.ptp(points, axis=0).max())
-    twice = np.linalg.norm(_twice_areas(points, triangles), axis=1)
-    flat = np.asarray(twice <= _FLAT * extent * np.maximum(sides, 1e-300))
+    surface, extent = Triangles(points, triangles), float(np.ptp(points, axis=0).max())
+    along = surface.corners - np.roll(surface.corners, 1, axis=1)
+    sides = np.linalg.norm(along, axis=2).max(axis=1)
+    flat = np.asarray(2 * surface.areas <= _FLAT * extent * np.maximum(sides, 1e-300))
     if flat.any():
         first = int(np.flatnonzero(flat)[0])
         rule = f"{int(flat.sum())} triangles have no area (first: triangle {first + 1}, near "
@@ -235,7 +254,7 @@ def _outward(points: Array, triangles: Ints, edges: Edges) -> tuple[Ints, tuple[
     against = labels[:m] != labels[0]
     turned = triangles.copy()
     turned[against] = turned[against, ::-1]
-    if volume(points, turned) < 0:
+    if Triangles(points, turned).volume_mm3 < 0:
         turned, against = turned[:, ::-1].copy(), ~against
     number = int(against.sum())
     if not number:
@@ -399,13 +418,9 @@ def _turn(u: Array, v: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Body(Triangles):
     """A checked surface that stands on z = 0 below its plate."""
 
-    #: shape (n, 3); vertices in mm.
-    points: Array
-    #: shape (m, 3); counterclockwise seen from outside.
-    triangles: Ints
     #: shape (m,); triangles that lie in the upper and in the lower plate.
     top: NDArray[np.bool_]
     base: NDArray[np.bool_]
@@ -419,16 +434,6 @@ class Body:
         """Height of the highest point."""
         return float(self.points[:, 2].max())
 
-    @functools.cached_property
-    def volume_mm3(self) -> float:
-        """Volume enclosed."""
-        return volume(self.points, self.triangles)
-
-    @functools.cached_property
-    def area_mm2(self) -> float:
-        """Area of all triangles."""
-        return area(self.points, self.triangles)
-
     @property
     def half_width_mm(self) -> float:
         """Distance from the loading axis to the nearest side of the bounding box."""
@@ -438,7 +443,7 @@ class Body:
     @functools.cached_property
     def axis_height_mm(self) -> float:
         """Height of the highest point on the loading axis; 0 where it misses the body."""
-        a, b, c = (self.points[self.triangles[:, k]] for k in range(3))
+        a, b, c = self.corners.swapaxes(0, 1)
         shares = np.column_stack([_turn(b, c), _turn(c, a), _turn(a, b)])
         twice = shares.sum(axis=1)
         hit = (twice > 0) & (shares >= 0).all(axis=1)  # those that face up
@@ -453,22 +458,19 @@ class Body:
         Half the sum of length times angle over all edges (Steiner 1840) that are bent by less
         than ``sharp`` (rad): 4 pi R of a ball, 0 of a box.
         """
-        normal = _twice_areas(self.points, self.triangles)
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
-        a, b, c = self.triangles.T
-        sides = np.sort(np.concatenate([[a, b], [b, c], [c, a]], axis=1), axis=0)
-        first, second = np.lexsort(sides).reshape(-1, 2).T  # closed: every edge has two triangles
-        ends = self.points[sides[:, first]]
-        faces = len(self.triangles)
-        between = (normal[first % faces] * normal[second % faces]).sum(axis=1)
+        edges = Edges.of(self.triangles)  # closed: every edge has two triangles
+        order = np.lexsort(edges.shared.T)
+        first, second = edges.pairs[order].T
+        between = (self.normals[first] * self.normals[second]).sum(axis=1)
         angle = np.arccos(np.clip(between, -1, 1))
-        bent = np.linalg.norm(ends[0] - ends[1], axis=1) * angle
+        ends = self.points[edges.shared[order]]
+        bent = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) * angle
         return float(bent[angle < sharp].sum() / 2)
 
     def plate_area_mm2(self, which: str) -> float:
         """Area that lies in the plate above (``"top"``) or below (``"base"``)."""
-        chosen = self.triangles[self.top if which == "top" else self.base]
-        return float(np.abs(_twice_areas(self.points, chosen)[:, 2]).sum() / 2)
+        chosen = self.crossed[self.top if which == "top" else self.base]
+        return float(np.abs(chosen[:, 2]).sum() / 2)
 
     def touches(self, which: str) -> bool:
         """Whether a face lies in a plate: more than a thousandth of the cross-section."""
@@ -565,9 +567,8 @@ def _flattened(
     points: Array, triangles: Ints, height: float, tolerance: float
 ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Put the corners of all faces that touch a plate exactly into it."""
-    normal = _twice_areas(points, triangles)
-    level = normal[:, 2] / np.linalg.norm(normal, axis=1)
-    z = points[triangles][:, :, 2]
+    surface = Triangles(points, triangles)
+    level, z = surface.normals[:, 2], surface.corners[:, :, 2]
     top = (z > height - tolerance).all(axis=1) & (level > _LEVEL)
     base = (z < tolerance).all(axis=1) & (level < -_LEVEL)
     out = points.copy()

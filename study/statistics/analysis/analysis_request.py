@@ -7,11 +7,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Protocol, TypedDict
+from typing import TypedDict
 
 import numpy as np
 
 from study.ground.arrays import Array, Ints
+from study.ground.contrast import Threshold
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.anova_table import (
     Anova,
@@ -25,69 +26,20 @@ from study.statistics.analysis.sums_of_squares import Factored, SphericityResult
 from study.statistics.analysis.unreplicated import CopyGroups, LenthResult
 from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds, bound_of
 
-
-class PracticalDifference(Protocol):
-    """Smallest difference that matters, as a study file declares it."""
-
-    @property
-    def value(self) -> float:
-        """In ``unit``."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """Unit of the value; it holds ``%`` for a share of the mean in percent."""
-        ...
-
-    @property
-    def relative(self) -> bool:
-        """Whether the value is a share of the mean."""
-        ...
-
-
 _TEXT = re.compile(r"^\s*(?P<value>\d+(\.\d*)?([eE][+-]?\d+)?|\.\d+)\s*(?P<unit>[^\d\s].*?)?\s*$")
 
 
-@dataclass(frozen=True)
-class Threshold:
-    """A practical difference: absolute in the response's unit, or a fraction of the mean."""
-
-    value: float
-    relative: bool = False
-
-    def on_scale(self, mean: float, transform: str) -> float:
-        """Half-width of the practical band on the working scale.
-
-        Examples
-        --------
-        >>> round(math.exp(Threshold(0.10, relative=True).on_scale(25.0, "log")), 10)
-        1.1
-        """
-        if transform == "log":
-            return math.log1p(self.value if self.relative else self.value / abs(mean))
-        return self.value * abs(mean) if self.relative else self.value
-
-
 def threshold(practical: Practical) -> Threshold | None:
-    """Read a practical difference: a number, text, or as a study file declares it.
+    """Read a practical difference: a number or a text.
 
     Examples
     --------
     >>> threshold("10 % of mean")
     Threshold(value=0.1, relative=True)
-    >>> threshold("0.5 pp")
-    Threshold(value=0.5, relative=False)
     """
     if practical is None or isinstance(practical, Threshold):
         return practical
-    if isinstance(practical, str):
-        difference = _parse(practical)
-    elif isinstance(practical, int | float):
-        difference = Threshold(float(practical))
-    else:
-        relative, value = bool(practical.relative), float(practical.value)
-        percent = relative and "%" in practical.unit
-        difference = Threshold(value / 100 if percent else value, relative)
+    difference = _parse(practical) if isinstance(practical, str) else Threshold(float(practical))
     if not (math.isfinite(difference.value) and difference.value > 0):
         raise InputError(Fault("practical", f"must be a positive difference, got {practical!r}"))
     return difference
@@ -110,7 +62,7 @@ def _parse(text: str) -> Threshold:
 
 
 #: Smallest difference that matters, as it may be given; a number is in the unit of the response.
-Practical = Threshold | PracticalDifference | str | float | None
+Practical = Threshold | str | float | None
 #: Numerical uncertainty as it may be given: of all differences, of single terms, of any contrast.
 NumericalUncertainty = float | Mapping[str, float | None] | NumericalBound | None
 
