@@ -60,6 +60,8 @@ def draw_values(frame: pd.DataFrame) -> Canvas:
     """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
     figure, axes = style.panels(len(groups), COLUMNS, 2.1)
+    if engine := figure.get_layout_engine():
+        engine.set(wspace=0.05)  # type: ignore[call-arg]
     several = len(set(frame["quantity"])) > 1
     for ax, (_, part) in zip(axes, groups, strict=True):
         _value_panel(ax, part)
@@ -95,7 +97,7 @@ def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
         0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
         color=style.MUTED,
     )  # fmt: skip
-    ax.set_xlim(left=0)
+    ax.set_xlim(0, 1.06 * h.max())
     ax.margins(y=0.15)
 
 
