@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from study import analyze
-from tests.reporting.example import words_of
+from tests.reporting.example import faults_of, words_of
 
 
 def halves() -> pd.DataFrame:
@@ -34,7 +34,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_rows_that_no_block_was_to_hold_are_not_missing(folder: Path) -> None:
+    pages = [path.read_text("utf-8") for path in sorted(folder.glob("*.html"))]
+    assert [faults_of(page) for page in pages] == [[], []]
     first = words_of((folder / "table-yield.html").read_text("utf-8"))
+    assert len(first.split()) <= 700
     assert "Unfinished study" not in first
     assert "How does yield depend on A, B and C?" in first
 

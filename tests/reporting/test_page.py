@@ -20,7 +20,14 @@ from study.reporting.output.page import Pages, policy_hash, printed, table_scrip
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
 from study.statistics.analysis.simple_effects import MATTERS
-from tests.reporting.example import FACTORS, build, undrawn, with_failures, words_of
+from tests.reporting.example import (
+    FACTORS,
+    build,
+    faults_of,
+    undrawn,
+    with_failures,
+    words_of,
+)
 
 FIRST = ["answer", "effects", "card", "curves", "recommendation"]
 SECTIONS = (
@@ -116,7 +123,7 @@ def test_sections_stand_in_the_order_of_the_design(first: str, second: str):
 def test_page_is_self_contained_and_small(both: tuple[str, str], which: int):
     html = both[which]
     page = parsed(html)
-    assert len(page.ids) == len(set(page.ids))
+    assert faults_of(html) == []
     assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
     assert (f"#{tables.CELL}1" in page.links) is bool(which)
     assert not page.tags & {"link", "img", "iframe", "object", "embed", "image"}
@@ -129,6 +136,16 @@ def test_page_is_self_contained_and_small(both: tuple[str, str], which: int):
     addresses = set(re.findall(r"https?://[^\s\"'<]+", html))
     assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
     assert len(html.encode()) < 3_000_000
+
+
+def test_faults_of_a_page_are_found(first: str):
+    mended = (
+        ("</section>", ""), ('<html lang="en">', "<html>"), ("<h2>", "<h4>"), ("</h2>", "</h4>"),
+        ("<header>", '<header><img src="//far.org/a.png">'), ("<p ", '<p id="card" '),
+        (' aria-label="Drawing', ' title="Drawing'), ("<h1>", "<h1></h1><h1>"),
+    )  # fmt: skip
+    for before, after in mended:
+        assert faults_of(first.replace(before, after)), before
 
 
 def test_no_number_is_longer_than_a_reader_can_use(html: str):
