@@ -53,7 +53,16 @@ def _titles(cells: Sequence[Document]) -> list[str]:
         for key in dict.fromkeys(key for labels in levels for key in labels)
         if key != "response" and len({labels.get(key) for labels in levels}) > 1
     ]
-    return [" / ".join(labels[key] for key in differ if key in labels) for labels in levels]
+    cells_named = {tuple(labels.get(key) for key in differ) for labels in levels}
+    # of a sample of ranges all levels differ: one that is a name and tells all cells apart is best
+    enough = [
+        key
+        for key in differ
+        if len({labels.get(key) for labels in levels}) == len(cells_named)
+        and not any(labels.get(key, "0")[:1].isdigit() for labels in levels)
+    ]
+    shown = enough[:1] or differ
+    return [" / ".join(labels[key] for key in shown if key in labels) for labels in levels]
 
 
 def draw_values(frame: pd.DataFrame) -> Canvas:
