@@ -214,14 +214,16 @@ def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
             surface_content.title(one, data): one
             for one in data.surfaces[: sentences.MOST_RESPONSES]
         }
-        lines = [
-            sentence(f"{name}. {' '.join(ends)}")
-            for name, one in where.items()
-            if (ends := surface_content.extremes(one, data))
-        ]
-        if more := len(data.surfaces) - len(where):
-            lines.append(f"The second page has those of {count(more, 'more surface')}.")
-        return tuple(lines)
+        more = len(data.surfaces) - len(where)
+        rest = [f"The second page has those of {count(more, 'more surface')}."] if more else []
+        return (
+            *(
+                sentence(f"{name}. {' '.join(ends)}")
+                for name, one in where.items()
+                if (ends := surface_content.extremes(one, data))
+            ),
+            *rest,
+        )
     if data.is_table:
         return ()
     if lines := recommendation.recommendations(data, all_facts):
