@@ -382,17 +382,17 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
     return Table("cells", columns, tuple(rows), len(factors), raw=tuple(raw))
 
 
-def _meshes_of(item: NumericalUncertainty, data: ReportData) -> str:
-    """Which meshes were solved, and the block: the levels of the cell stand in its row."""
-    cell, _, meshes = item.note.partition("; ")
-    parts = [part for part in cell.split(" / ") if part not in item.levels.values()]
-    named = [block_name(part, data) if part in data.blocks else clean(part) for part in parts]
-    return "; ".join(filter(None, (" / ".join(named), clean(meshes))))
-
-
 def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
     """Numerical uncertainty of each kind of discretization."""
     names = list(dict.fromkeys(name for item in items for name in item.levels))
+
+    def meshes_of(item: NumericalUncertainty) -> str:
+        # the levels of the cell stand in its row already
+        cell, _, meshes = item.note.partition("; ")
+        parts = [part for part in cell.split(" / ") if part not in item.levels.values()]
+        named = [block_name(part, data) if part in data.blocks else clean(part) for part in parts]
+        return "; ".join(filter(None, (" / ".join(named), clean(meshes))))
+
     columns: dict[str, Callable[[NumericalUncertainty], str]] = {
         name_of(name, data.labels): lambda item, name=name: clean(item.levels.get(name, MISSING))  # type: ignore[misc]
         for name in names
@@ -402,7 +402,7 @@ def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
         "value": lambda item: quantity(item.value, item.unit),
         "u_num": lambda item: quantity(item.u_num, "pp" if item.unit == "%" else item.unit, 2),
         "behavior": lambda item: clean(item.behaviour) or MISSING,
-        "how": lambda item: _meshes_of(item, data),
+        "how": meshes_of,
     }
     stored = ("response", "value", "u_num", "unit", "behaviour", "note")
     return Table.of(
