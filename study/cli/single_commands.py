@@ -181,7 +181,7 @@ def inspect(
     sheet: Annotated[str, typer.Option(help="Sheet of a workbook that has several.")] = "",
     as_json: Json = False,
 ) -> None:
-    """Show what a recorded file holds, and the table [measurements] that reads it."""
+    r"""Show what a recorded file holds, and the table \[measurements] that reads it."""
     from study import api
 
     output.show(api.inspect(file, sheet=sheet), as_json, inspection_blocks)

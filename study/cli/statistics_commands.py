@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.comparisons import LevelPair, SummaryAnalysis
+    from study.statistics.analysis.power import PlannedVerdicts
     from study.statistics.surfaces.surface_fitting import Surface as SurfaceKind
 
 
@@ -553,21 +554,19 @@ def _power(answer: Power) -> Iterator[Block]:
             f"{detection.response}: {matters} matters; between specimens a difference scatters by "
             f"{sd} ({detection.source}){numerics}"
         )
-        yield Table.of(
-            "",
-            detection.rows,
-            {
-                "specimens": lambda row: (
-                    f"{row.blocks}{' (measured)' if row.blocks == answer.blocks else ''}"
-                ),
-                "shows that none matters": lambda row: (
-                    f"{100 * row.equal.no_practical_difference:.0f} %"
-                ),
-                "shows that one matters": lambda row: f"{100 * row.double.matters:.0f} %",
-                "cases": lambda row: str(row.cases),
-                "time": lambda row: "" if row.seconds is None else output.seconds(row.seconds),
-            },
-        )
+        columns: dict[str, Callable[[PlannedVerdicts], str]] = {
+            "specimens": lambda row: (
+                f"{row.blocks}{' (measured)' if row.blocks == answer.blocks else ''}"
+            ),
+            "shows that none matters": lambda row: (
+                f"{100 * row.equal.no_practical_difference:.0f} %"
+            ),
+            "shows that one matters": lambda row: f"{100 * row.double.matters:.0f} %",
+            "cases": lambda row: str(row.cases),
+        }
+        if any(row.seconds is not None for row in detection.rows):
+            columns["time"] = lambda row: output.seconds(row.seconds or 0.0)
+        yield Table.of("", detection.rows, columns)
         enough = [
             f"{100 * share:.0f} %: {'no number up to 200' if n is None else f'{n} specimens'}"
             for share, n in detection.enough

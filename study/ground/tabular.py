@@ -523,7 +523,8 @@ def _check_names(
         faults.append(Fault("response", f"{response!r} cannot also be a factor or the block"))
     for name in blocks:
         if name in factors or list(blocks).count(name) > 1:
-            faults.append(Fault("block", f"{name!r} cannot also be a factor or another block"))
+            rule = f"{name!r} cannot also be a factor or another block"
+            faults.append(Fault("block", rule, "leave it out of the factors, or of the formula"))
     if faults:
         raise InputError(faults)
 

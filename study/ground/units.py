@@ -295,3 +295,16 @@ def listed(names: str | Sequence[str] | None) -> list[str]:
     """Names without the blanks around them, of a sequence or of a text with commas."""
     each = names.split(",") if isinstance(names, str) else names or ()
     return [name.strip() for name in each if name.strip()]
+
+
+def written_p(p: float) -> str:
+    """Write a p-value: three decimals, no leading zero, bounds at the ends."""
+    if p < 0.0005:
+        return "< .001"
+    return "> .999" if p >= 0.9995 else f"{p:.3f}"[1:]
+
+
+def p_phrase(p: float) -> str:
+    """``p = .032`` or ``p < .001`` for a sentence."""
+    text = written_p(p)
+    return f"p {text}" if text[0] in "<>" else f"p = {text}"

@@ -59,7 +59,7 @@ def test_terminal_page_and_json_have_every_combination(inside: Path) -> None:
     assert "Force with material ogden is 2.4" in shown.out
     assert shown.err.count("1 run without a response left out") == 1
     page = both_pages(inside / "page" / "runs.html")
-    assert "How does force depend on material, tip, depth?" in page
+    assert "How does force depend on material, tip and depth?" in page
     assert "Force with material ogden is 2.4" in page
     found = json.loads(study(*asked, "--json").out)["surfaces"]
     assert [one["at"]["material"] for one in found] == ["neo-hookean", "ogden"]

@@ -37,6 +37,7 @@ def verbs() -> set[str]:
 def test_help_names_every_verb_and_readers_that_leave_early_are_no_error(home: Path) -> None:
     shown = success("--help").out
     assert all(verb in shown for verb in verbs())
+    assert "the table [measurements] that reads it" in success("inspect", "--help").out
     assert success("--version").out == f"study {package.__version__}\n"
     command = " ".join(f"'{part}'" for part in PROGRAM) + " plan small.toml --data data | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from html import unescape
+from html.parser import HTMLParser
 from itertools import product
 
 import numpy as np
@@ -278,3 +279,53 @@ def words_of(page: str) -> str:
     """Text of a page without its style, script and drawings."""
     read = re.sub(r"<(style|script|svg)\b.*?</\1>", " ", page, flags=re.S)
     return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", read)))
+
+
+#: elements without an end
+_VOID = {"meta", "link", "br", "hr", "img", "input", "wbr"}
+
+
+class _Faults(HTMLParser):
+    """What a browser would mend in silence, and what a reader who does not see would miss."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.levels: list[int] = []
+        self.ids: list[str] = []
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        have = dict(attrs)
+        if tag not in _VOID:
+            self.open.append(tag)
+        if re.fullmatch("h[1-6]", tag):
+            self.levels.append(int(tag[1]))
+        if have.get("role") in ("region", "group") and not have.get("aria-label"):
+            self.found.append(f"{tag} without a name")
+        if tag == "html" and not have.get("lang"):
+            self.found.append("no language")
+        if tag == "img" and "alt" not in have:
+            self.found.append("picture without words")
+        if tag == "th" and "scope" not in have:
+            self.found.append("head of a table without scope")
+        if "id" in have:
+            self.ids.append(str(have["id"]))
+        for name in ("href", "src", "xlink:href"):
+            if re.match(r"(https?:)?//", have.get(name) or ""):
+                self.found.append(f"request of {have[name]}")
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self.open or self.open.pop() != tag:
+            self.found.append(f"</{tag}> ends nothing")
+
+
+def faults_of(page: str) -> list[str]:
+    """Elements that are not closed, names used twice, headings that skip a level, requests."""
+    seen = _Faults()
+    seen.feed(page)
+    steps = zip([0, *seen.levels], seen.levels, strict=False)
+    skipped = [f"h{then} below h{now}" for now, then in steps if then > now + 1]
+    twice = [f"two of {name}" for name in set(seen.ids) if seen.ids.count(name) > 1]
+    titles = [] if seen.levels.count(1) == 1 else [f"{seen.levels.count(1)} titles"]
+    return [*seen.found, *(f"{tag} is left open" for tag in seen.open), *skipped, *twice, *titles]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,12 @@ from study.reporting.output.convergence_page import (
     sources_tables,
     write_convergence,
 )
-from study.statistics.convergence.grid_convergence import compare, grid_convergence
+from study.reporting.results.study_result import ReportData
+from study.statistics.convergence.grid_convergence import (
+    NumericalUncertainty,
+    compare,
+    grid_convergence,
+)
 
 
 def cell(order: float, label: str = "quadratic / mixed", error: float = 0.05) -> dict[str, Any]:
@@ -136,3 +142,22 @@ def test_parts_of_a_value_are_percentages() -> None:
     assert table.rows[0][0] == "RMS force"
     (both,) = sources_tables([cell(2.0) | {"sources": sources}] * 2)
     assert both.columns[0] == "cell"
+
+
+def test_series_of_a_sample_are_named_by_the_level_that_tells_them_apart() -> None:
+    sampled = [
+        cell(1.2) | {"levels": {"C10": f"{k}.5 kPa", "interface": name}}
+        for k, name in enumerate(("bonded", "frictionless"))
+    ]
+    assert convergence.value_points(sampled)["panel"].unique().tolist() == [
+        "bonded", "frictionless",
+    ]  # fmt: skip
+    crossed = [cell(1.2) | {"levels": {"m": m, "i": i}} for m in "ab" for i in "xy"]
+    assert convergence.value_points(crossed)["panel"].unique().tolist()[0] == "a / x"
+
+
+def test_a_row_does_not_repeat_its_levels_beside_its_meshes(data: ReportData) -> None:
+    levels, how = {"material": "neo-hookean"}, "neo-hookean / 7; 3 meshes of ratio 1.5"
+    known = NumericalUncertainty(levels, "mu0", 20.4, 0.1, "kPa", "monotone", how)
+    table = tables.numerical([known], replace(data, block="batch", blocks=("7",)))
+    assert table.rows[0][-1] == "batch 7; 3 meshes of ratio 1.5"

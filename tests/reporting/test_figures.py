@@ -177,7 +177,7 @@ def test_no_two_panels_have_the_same_title(data: ReportData):
     )
     factors = {"range": names, "material": both.factors["material"]}
     found = curve_figures.curve_panels(replace(both, curves=pairs, factors=factors))
-    assert len(set(curve_figures.panel_titles(found, 2.0))) == 2
+    assert len(set(curve_figures.panel_titles(found, 2.0, both))) == 2
 
 
 def test_mathematics_in_a_name_stays_text():

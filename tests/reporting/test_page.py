@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from study import analyze
 from study.reporting.content import analysis_content, sentences, tables
 from study.reporting.content.blocks import Figure
 from study.reporting.content.report_facts import cells, comparable, facts
@@ -20,7 +23,14 @@ from study.reporting.output.page import Pages, policy_hash, printed, table_scrip
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
 from study.statistics.analysis.simple_effects import MATTERS
-from tests.reporting.example import FACTORS, build, undrawn, with_failures, words_of
+from tests.reporting.example import (
+    FACTORS,
+    build,
+    faults_of,
+    undrawn,
+    with_failures,
+    words_of,
+)
 
 FIRST = ["answer", "effects", "card", "curves", "recommendation"]
 SECTIONS = (
@@ -116,7 +126,7 @@ def test_sections_stand_in_the_order_of_the_design(first: str, second: str):
 def test_page_is_self_contained_and_small(both: tuple[str, str], which: int):
     html = both[which]
     page = parsed(html)
-    assert len(page.ids) == len(set(page.ids))
+    assert faults_of(html) == []
     assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
     assert (f"#{tables.CELL}1" in page.links) is bool(which)
     assert not page.tags & {"link", "img", "iframe", "object", "embed", "image"}
@@ -129,6 +139,16 @@ def test_page_is_self_contained_and_small(both: tuple[str, str], which: int):
     addresses = set(re.findall(r"https?://[^\s\"'<]+", html))
     assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
     assert len(html.encode()) < 3_000_000
+
+
+def test_faults_of_a_page_are_found(first: str):
+    mended = (
+        ("</section>", ""), ('<html lang="en">', "<html>"), ("<h2>", "<h4>"), ("</h2>", "</h4>"),
+        ("<header>", '<header><img src="//far.org/a.png">'), ("<p ", '<p id="card" '),
+        (' aria-label="Drawing', ' title="Drawing'), ("<h1>", "<h1></h1><h1>"),
+    )  # fmt: skip
+    for before, after in mended:
+        assert faults_of(first.replace(before, after)), before
 
 
 def test_no_number_is_longer_than_a_reader_can_use(html: str):
@@ -368,3 +388,70 @@ def test_hostile_names_are_shown_and_never_run(data: ReportData, evil: str, draw
     shown = re.sub("[\x00\u202e]", "\ufffd", evil)
     assert shown in "".join(seen.text)
     assert "Figure missing" not in page
+
+
+# Tables whose blocks do not hold every cell, and tables that leave doubts.
+
+
+def halves() -> pd.DataFrame:
+    """A 2 x 2 x 2 factorial in six blocks of four, as field trials lay it: A x B x C is lost."""
+    rng = np.random.default_rng(8)
+    rows = [
+        (f"b{plot}", a, b, c, 50 + 6 * a - 4 * c + rng.normal(0, 2))
+        for plot in range(6)
+        for a, b, c in product((0, 1), repeat=3)
+        if (a + b + c) % 2 == plot % 2
+    ]
+    return pd.DataFrame(rows, columns=["field", "A", "B", "C", "yield"])
+
+
+@pytest.fixture(scope="module")
+def incomplete(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("halves")
+    result = analyze(halves(), "yield", ["A", "B", "C"], block="field", practical="2")
+    result.report(made)
+    return made
+
+
+def test_rows_that_no_block_was_to_hold_are_not_missing(incomplete: Path) -> None:
+    pages = [path.read_text("utf-8") for path in sorted(incomplete.glob("*.html"))]
+    assert [faults_of(page) for page in pages] == [[], []]
+    first = words_of((incomplete / "table-yield.html").read_text("utf-8"))
+    assert len(first.split()) <= 700
+    assert "Unfinished study" not in first
+    assert "How does yield depend on A, B and C?" in first
+
+
+def test_every_figure_is_drawn_from_blocks_that_hold_half_of_the_cells(incomplete: Path) -> None:
+    page = (incomplete / "table-yield-details.html").read_text("utf-8")
+    assert "Figure missing" not in page
+    means = pd.read_csv(incomplete / "table-yield-data" / "figure-yield-means.csv")
+    assert (means["low"] < means["mean"]).all()
+    assert (means["mean"] < means["high"]).all()
+    rows = pd.read_csv(incomplete / "table-yield-data" / "figure-yield-cells.csv")
+    assert len(rows) == 24
+
+
+def test_the_methods_name_the_model_that_was_fitted(incomplete: Path) -> None:
+    text = words_of((incomplete / "table-yield-details.html").read_text("utf-8"))
+    methods = text.partition("Methods, to paste")[2].partition("Provenance")[0]
+    assert "mixed model by REML (Kenward and Roger)" in methods
+    assert "gave 8 cells, not all of them in each of 6 fields" in methods
+    assert "Greenhouse" not in methods
+    assert "No p of this page rests on them" not in text
+
+
+def test_pairs_without_a_test_have_no_column_for_it(incomplete: Path) -> None:
+    page = (incomplete / "table-yield-details.html").read_text("utf-8")
+    pairs = words_of(page.partition('id="pairs"')[2].partition('id="residuals"')[0])
+    assert "Intervals hold for all pairs of a factor together." in pairs
+    assert "adjusted p" not in pairs
+
+
+def test_more_rows_would_narrow_what_a_table_leaves_open(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    table = pd.DataFrame({"wool": list("AB") * 6, "breaks": rng.normal(30, 5, 12)})
+    analyze(table, "breaks", ["wool"], practical="2").report(tmp_path)
+    page = words_of((tmp_path / "table-breaks.html").read_text("utf-8"))
+    assert "these data cannot show whether wool matters" in page
+    assert "More rows would narrow the interval of wool." in page

@@ -13,6 +13,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
+from study.ground.units import p_phrase
 from study.harness.calibration.calibrate_tests import calibrate
 from study.harness.calibration.calibration_result import CalibrationResult, parameters
 from study.harness.calibration.measured_tests import in_order, parts_of, read_tests
@@ -176,7 +177,7 @@ class ModelComparison:
         test, seen = self.test, f"mu0 spreads over {100 * self.mu0_spread:.3g} %"
         f = test.statistic / test.df
         at = ", slopes at the common constants" if self.form == "score" else ""
-        wald = f"F({test.df}, {test.df_error:.4g}) = {f:.4g}, p = {test.p:.3g}{at}"
+        wald = f"F({test.df}, {test.df_error:.4g}) = {f:.4g}, {p_phrase(test.p)}{at}"
         off = f"moduli of {self.least} that are {100 * self.difference:.3g} % off"
         chance = f"{off} would be seen with a power of {self.power[self.least]:.3g}"
         says = {

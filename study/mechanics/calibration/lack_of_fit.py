@@ -19,6 +19,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.noncentral_f import noncentral_f_sf
+from study.ground.units import p_phrase
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.fit_influence import recorded_rows
 from study.mechanics.calibration.residual_function import MeasuredCurve
@@ -242,7 +243,7 @@ def adequacy(
     findings += [finding for recording in recordings for finding in _of_rows(recording, robust)]
     findings += _of_trend(fit, groups)
     if lack is not None and max(lack.p_independent, lack.p_dependent) < _CLEAR:
-        why = f"repeats scatter less than the model misses them (p = {lack.p_dependent:.2g})"
+        why = f"repeats scatter less than the model misses them ({p_phrase(lack.p_dependent)})"
         findings.append((1, f"{why}: take an energy with more constants", ()))
     if not findings:
         return Adequacy("describes")
@@ -357,7 +358,7 @@ def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding
         grade = 2 if p < _CLEARER and share > _TREND else 1
         why = (
             f"{label}: the residuals follow a line of {100 * share:.2g} % of the RMS force that is "
-            f"neither noise nor drift (p = {p:.1g}): take another energy, or a shorter range"
+            f"neither noise nor drift ({p_phrase(p)}): take another energy, or a shorter range"
         )
         out.append((grade, why, ()))
     drifts = [] if out else [_drift_of_one(fit, recording) for recording in alone]
@@ -418,7 +419,7 @@ def _drift_of_one(fit: Fit, recording: _Recording) -> str:
     by = 100 * moved[most] / abs(fit.values[free[most]])
     return (
         f"{recording.label}: the residuals are those of a force that drifts by {100 * share:.2g} % "
-        f"of its largest value (p = {p:.1g}), which moves {fit.names[free[most]]} by {by:.2g} %, "
+        f"of its largest value ({p_phrase(p)}), which moves {fit.names[free[most]]} by {by:.2g} %, "
         "beyond its interval: compare the load cell's readings before and after the test, or take "
         "another energy"
     )

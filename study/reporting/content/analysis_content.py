@@ -254,22 +254,23 @@ def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportDa
     """All pairs of levels with simultaneous interval and adjusted p."""
     if not pairs:
         return None
+    columns: dict[str, Callable[[PairwiseDifference], str]] = {
+        "factor": lambda pair: term_name(pair.factor, data.labels),
+        "levels": lambda pair: _levels(pair.first, pair.second, facts),
+        _what(facts): lambda pair: significant(pair.difference),
+        f"simultaneous {level(data.alpha)} interval": lambda pair: interval(pair.lower, pair.upper),
+    }
+    is_tested = any(pair.p is not None for pair in pairs)
+    if is_tested:
+        columns |= {"adjusted p": lambda pair: p_value(pair.p), "method": lambda pair: pair.method}
     return Table.of(
         "pairwise comparisons",
         pairs,
-        {
-            "factor": lambda pair: term_name(pair.factor, data.labels),
-            "levels": lambda pair: _levels(pair.first, pair.second, facts),
-            _what(facts): lambda pair: significant(pair.difference),
-            f"simultaneous {level(data.alpha)} interval": lambda pair: interval(
-                pair.lower, pair.upper
-            ),
-            "adjusted p": lambda pair: p_value(pair.p),
-            "method": lambda pair: pair.method,
-        },
+        columns,
         left=2,
-        tail=1,
-        note="Interval and p hold for all pairs of a factor together.",
+        tail=int(is_tested),
+        note=f"{'Interval and p' if is_tested else 'Intervals'} hold for all pairs of a factor "
+        "together.",
         grouped=True,
         raw=plain,
     ).first()

@@ -212,7 +212,7 @@ def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportDat
         by_verdict.setdefault(verdict, []).append(f"{clean(label)} ({size})")
     parts = [f"{_SAID[verdict]} at {listing(levels)}" for verdict, levels in by_verdict.items()]
     name, by = term_name(effect.term, data.labels), name_of(condition, data.labels)
-    return sentence(f"{name} by {by}, for the {facts.title}: {'; '.join(parts)}")
+    return sentence(f"{name} by {by}, for {facts.noun}: {'; '.join(parts)}")
 
 
 def apart(difference: float, effect: Effect) -> float:
@@ -243,7 +243,7 @@ def unknowns(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
 
 def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]]) -> str:
     large = [
-        f"the {facts.title} by {shown_difference(effect.range, effect, facts)}"
+        f"{facts.noun} by {shown_difference(effect.range, effect, facts)}"
         for facts, effect in effects
         if effect.verdict == MATTERS and effect.range is not None
     ]
@@ -274,7 +274,7 @@ def open_verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     if effect.verdict == NOT_RESOLVED:
         return sentence(
             f"{name}: not resolved by the mesh; {'on average ' * effect.depends_on_settings}the "
-            f"largest difference in the {facts.title} is {numbers}"
+            f"largest difference in {facts.noun} is {numbers}"
             f"{_unresolved(effect, facts, labels)}"
         )
     limit = practical(effect, facts)
@@ -284,7 +284,7 @@ def open_verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
         there = setting(least, labels)
         worst = f"; the largest single one is {simple(least, effect, facts)}, {there}"
     return sentence(
-        f"{name}: these data cannot show whether it matters for the {facts.title}; the largest "
+        f"{name}: these data cannot show whether it matters for {facts.noun}; the largest "
         f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}{worst}"
     )
 

@@ -51,7 +51,9 @@ def _design(data: ReportData) -> str:
     )
     blocks = ""
     if data.blocks:
-        blocks = f", each in {count(len(data.blocks), clean(data.block) or 'block')}"
+        is_whole = len(data.table) >= data.planned * len(data.blocks)
+        whole = "each in" if is_whole or not data.is_table else "not all of them in each of"
+        blocks = f", {whole} {count(len(data.blocks), clean(data.block) or 'block')}"
     if data.scheme:
         cells = count(data.planned, "cell")
         return sentence(f"{clean(data.scheme)}; the factors {named} gave {cells}{blocks}")
@@ -139,9 +141,12 @@ def _statistics(facts: Facts, data: ReportData) -> str:
     is_welch_box = "Welch-Box" in facts.result.error_term.reason
     corrected = "Welch-Box over groups" if is_welch_box else "Greenhouse-Geisser corrected"
     scale = ", analyzed on the logarithm with effects as ratios," if facts.ratio else ""
+    block = clean(data.block) or "block"
     how = {
-        "E1": f"each effect was tested against its own interaction with the "
-        f"{clean(data.block) or 'block'} ({corrected})"
+        "E1": f"effects were tested in a mixed model by REML (Kenward and Roger), in which each "
+        f"{block} and its interactions or whole plots are random"
+        if facts.is_mixed
+        else f"each effect was tested against its own interaction with the {block} ({corrected})"
         if any(row.epsilon_gg is not None for row in facts.rows)
         else "the interactions with the blocks were pooled as error",
         "E0": "the pooled variance of independent replicates was the error",

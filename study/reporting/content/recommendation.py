@@ -180,11 +180,11 @@ def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
         gap = f"less than {gap[2:]}" if gap.startswith("< ") else f"at most {gap}"
         return sentence(
             f"{name}: {clean(cheap)} is enough, for it differs from {clean(dear)} by {gap} "
-            f"in the {facts.title} and {cost}"
+            f"in {facts.noun} and {cost}"
         )
     weight = "which matters" if effect.verdict == MATTERS else "which may matter or not"
     return sentence(
-        f"{name}: to use {clean(cheap)} instead of {clean(dear)} moves the {facts.title} by up to "
+        f"{name}: to use {clean(cheap)} instead of {clean(dear)} moves {facts.noun} by up to "
         f"{gap} ({level(facts.alpha)} interval {size_interval(effect, facts)}), {weight}; "
         f"it {cost}"
     )
@@ -206,10 +206,10 @@ def would_change(data: ReportData, all_facts: Sequence[Facts]) -> str:
 
 def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """More units, or finer meshes: each where it is the cause of a doubt."""
-    parts, unit = [], clean(data.block) if data.block else "replicate"
-    unstated = [facts.title for facts in all_facts if facts.effects and not facts.has_size]
+    parts, unit = [], clean(data.block) or ("row" if data.is_table else "replicate")
+    unstated = [facts.noun for facts in all_facts if facts.effects and not facts.has_size]
     if unstated:
-        parts.append(f"the smallest difference that matters, stated for the {listing(unstated)}")
+        parts.append(f"the smallest difference that matters, stated for {listing(unstated)}")
     effects = [e for facts in all_facts if facts.has_size for e in facts.effects]
     alone = _names([e for e in effects if e.why == ONE_SPECIMEN], data)
     if alone:
@@ -218,7 +218,7 @@ def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     open_ones = [e for e in effects if e.verdict == CANNOT_TELL and e.why != ONE_SPECIMEN]
     doubts = _names(open_ones, data)
     # the same computation gives the same answer: nothing is gained from it again
-    if doubts and (data.imported or (data.is_measured and data.blocks)):
+    if doubts and (data.imported or data.is_table or (data.is_measured and data.blocks)):
         several = "s" if len(doubts) > 1 else ""
         parts.append(
             f"more {plural_of(unit)} would narrow the interval{several} of {listing(doubts)}"

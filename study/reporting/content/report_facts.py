@@ -52,6 +52,8 @@ class Facts(ResponseAnalysis):
     warnings: tuple[str, ...] = ()
     #: What the blocks are: phantom, batch.
     block: str = "block"
+    #: Whether it is a column of a table.
+    is_table: bool = False
 
     @property
     def assumptions(self) -> Assumptions:
@@ -62,6 +64,16 @@ class Facts(ResponseAnalysis):
     def rows(self) -> tuple[Row, ...]:
         """Rows of the ANOVA table; what is not finite is None."""
         return () if self.result is None else tuple(map(_finite, self.result.anova.rows))
+
+    @property
+    def noun(self) -> str:
+        """Title inside a sentence: a column of a table is a name, all else has its article."""
+        return self.title if self.is_table else f"the {self.title}"
+
+    @property
+    def is_mixed(self) -> bool:
+        """Whether effects were tested in a mixed model by REML, as some blocks lack cells."""
+        return any(row.error == "REML" for row in self.rows)
 
     @property
     def alpha(self) -> float:
@@ -110,7 +122,9 @@ def facts(data: ReportData) -> tuple[Facts, ...]:
 
 def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
     title, unit = response.title or name_of(response.name, data.labels), clean(response.unit)
-    shown = Facts(**vars(response) | {"title": clean(title), "unit": unit})
+    shown = Facts(
+        **vars(response) | {"title": clean(title), "unit": unit, "is_table": data.is_table}
+    )
     if (result := response.result) is None:
         return replace(shown, warnings=(response.refused,) if response.refused else ())
     terms = tuple(_as_designed(effect, data.factors) for effect in result.effects)
@@ -160,7 +174,9 @@ def comparable(data: ReportData, response: str) -> pd.DataFrame:
     if not data.blocks or "block" not in complete or complete.empty:
         return complete
     factors = list(data.factors)
-    complete = complete[answered_often(complete, factors, "block", complete["block"].nunique())]
+    often = answered_often(complete, factors, "block", complete["block"].nunique())
+    if not data.is_table and often.any():  # an analysis of a table leaves out none
+        complete = complete[often]
     cell = cell_names(complete, factors)
     per_block = cell.groupby(complete["block"].astype(str)).nunique()
     whole = per_block.index[per_block == cell.nunique()]
@@ -185,6 +201,11 @@ def cells(data: ReportData, response: str, factors: Sequence[str] | None = None)
     grouped["cell"] = cell_names(grouped, factors) if len(grouped) else ""
     renamed = grouped.rename(columns={"count": "n"})
     return renamed.sort_values("mean", kind="stable").reset_index(drop=True)
+
+
+def block_name(block: str, data: ReportData) -> str:
+    """Name of a block; a number alone is preceded by what it numbers."""
+    return clean(f"{data.block} {block}" if data.block and block[:1].isdigit() else block)
 
 
 def grouped_inputs(inputs: Mapping[str, str]) -> dict[str, str]:

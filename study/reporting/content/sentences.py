@@ -76,8 +76,8 @@ def answer(
         without_size(data, all_facts),
         without_verdict(all_facts),
         *effect_words.by_condition(data, all_facts),
-        _one_not_other(data, all_facts) if has_size else "",
         *effect_words.unknowns(data, all_facts),
+        _one_not_other(data, all_facts) if has_size else "",
         *(() if is_short else recommendation.recommendations(data, all_facts)),
     )
     return tuple(text for text in parts if text)
@@ -99,19 +99,17 @@ def _all_failed(items: Sequence[Failure]) -> tuple[str, ...]:
 
 def without_verdict(all_facts: Sequence[Facts]) -> str:
     """Say which responses could not be analyzed."""
-    titles = [facts.title for facts in all_facts if not facts.terms]
-    if not titles:
-        return ""
-    return f"There is no verdict on the {listing(titles)}: the checks say why."
+    nouns = [facts.noun for facts in all_facts if not facts.terms]
+    return f"There is no verdict on {listing(nouns)}: the checks say why." if nouns else ""
 
 
 def without_size(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Say of which responses no smallest difference that matters was given, and how to give it."""
     judged = [facts for facts in all_facts if facts.effects]
-    titles = [facts.title for facts in judged if not facts.has_size]
-    if not titles:
+    nouns = [facts.noun for facts in judged if not facts.has_size]
+    if not nouns:
         return ""
-    here = "" if len(titles) == len(judged) else f" for the {listing(titles)}"
+    here = "" if len(nouns) == len(judged) else f" for {listing(nouns)}"
     elsewhere = data.is_table or bool(data.imported)
     mend = "with --practical" if elsewhere else 'as practical = ".." in its [[response]]'
     return (
@@ -136,8 +134,7 @@ def tested(data: ReportData, facts: Facts) -> str:
     if rest:
         parts.append(f"none is shown of {listing(rest, 'or')}")
     adjusted = f"at {facts.alpha:g}, adjusted by Holm for {count(len(terms), 'term')}"
-    title = facts.title if data.is_table else f"the {facts.title}"
-    return sentence(f"for {title}, {'; '.join(parts)} ({adjusted})")
+    return sentence(f"for {facts.noun}, {'; '.join(parts)} ({adjusted})")
 
 
 def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
@@ -189,8 +186,7 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
         return ""
     fitted = facts.scored_on == FITTED_CURVE
     sample = " (of the curves that were fitted: a fit is no prediction)" if fitted else ""
-    title = facts.title if data.is_table else f"the {facts.title}"
-    return sentence(f"for {title}{sample}, " + "; ".join(parts))
+    return sentence(f"for {facts.noun}{sample}, " + "; ".join(parts))
 
 
 def _label(effect: Effect, data: ReportData) -> str:
@@ -238,13 +234,15 @@ def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
         return interactions(data, all_facts)
     # two claims say more than a claim and a doubt
     (where, unseen), (name, seen) = min(contrasts, key=lambda c: c[0][1].verdict != NO_DIFFERENCE)
-    changed = f"the {titles[name].title} by {change(seen, titles[name])}"
-    choice, other = f"the choice of {name_of(seen.term, data.labels)}", titles[where].title
+    changed = f"{titles[name].noun} by {change(seen, titles[name])}"
+    choice, other = f"the choice of {name_of(seen.term, data.labels)}", titles[where].noun
     if unseen.verdict == NO_DIFFERENCE:
         return sentence(
-            f"{choice} makes no practical difference to the {other}, yet it changes {changed}"
+            f"{choice} makes no practical difference to {other}, yet it changes {changed}"
         )
-    return sentence(f"{choice} changes {changed}; whether it changes the {other} is not shown")
+    return sentence(
+        f"{choice} changes {changed}; these data cannot show whether it changes {other}"
+    )
 
 
 def interactions(data: ReportData, all_facts: Sequence[Facts]) -> str:
@@ -259,7 +257,7 @@ def interactions(data: ReportData, all_facts: Sequence[Facts]) -> str:
         return _no_interaction(data, all_facts)
     facts, effect = max(strong, key=lambda item: _magnitude(item[1]))
     return sentence(
-        f"the factors do not act alone: in the {facts.title}, "
+        f"the factors do not act alone: in {facts.noun}, "
         f"{term_name(effect.term, data.labels)} differ by {size(effect, facts)} from what each "
         "does on average"
     )
@@ -387,7 +385,7 @@ def distinct(facts: Facts, data: ReportData) -> str:
 def partial(data: ReportData) -> str:
     """Say how much of a study is done, for the top of its page; empty where all of it is."""
     planned = data.planned * max(len(data.blocks), 1)
-    if len(data.table) >= planned:
+    if data.is_table or data.imported or len(data.table) >= planned:  # these rows are all there are
         return ""
     return (
         f"{len(data.table):,} of {count(planned, 'case')} have ended. Everything below holds for "

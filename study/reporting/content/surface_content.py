@@ -221,7 +221,7 @@ def extremes(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
     for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):
         value = significant(extreme.value)
         if extreme.half_width == extreme.half_width:  # NaN where no run can be left out
-            value += f" \N{PLUS-MINUS SIGN} {significant(extreme.half_width, 2)}"
+            value += f"{THIN}\N{PLUS-MINUS SIGN}{THIN}{significant(extreme.half_width, 2)}"
         value += f"{THIN}{clean(one.unit)}" if one.unit not in ("", "1") else ""
         at = settings(extreme.settings, one, data)
         lines.append(f"The {word} prediction in these ranges is {value} at {at}.")
@@ -270,7 +270,7 @@ def differences(one: FittedSurface, data: ReportData) -> Iterator[str]:
             f"{clean(told.level)} is {quantity(abs(told.mean), unit)} {word} than with "
             f"{clean(told.other)} on average over the ranges, and between "
             f"{significant(ends[0])} and {quantity(ends[1], unit)} {word} at 95 % of the settings "
-            f"(each \N{PLUS-MINUS SIGN} {significant(told.bound, 2)}){limit}"
+            f"(each \N{PLUS-MINUS SIGN}{THIN}{significant(told.bound, 2)}){limit}"
         )
 
 

@@ -11,7 +11,7 @@ from study.reporting.content import sentences
 from study.reporting.content.blocks import Document, Table
 from study.reporting.content.effect_words import numerical as u_num_of
 from study.reporting.content.effect_words import practical, size, size_interval, told
-from study.reporting.content.report_facts import Facts, cells, is_effect
+from study.reporting.content.report_facts import Facts, block_name, cells, is_effect
 from study.reporting.content.text import (
     MINUS,
     MISSING,
@@ -385,6 +385,14 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
 def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
     """Numerical uncertainty of each kind of discretization."""
     names = list(dict.fromkeys(name for item in items for name in item.levels))
+
+    def meshes_of(item: NumericalUncertainty) -> str:
+        # the levels of the cell stand in its row already
+        cell, _, meshes = item.note.partition("; ")
+        parts = [part for part in cell.split(" / ") if part not in item.levels.values()]
+        named = [block_name(part, data) if part in data.blocks else clean(part) for part in parts]
+        return "; ".join(filter(None, (" / ".join(named), clean(meshes))))
+
     columns: dict[str, Callable[[NumericalUncertainty], str]] = {
         name_of(name, data.labels): lambda item, name=name: clean(item.levels.get(name, MISSING))  # type: ignore[misc]
         for name in names
@@ -394,7 +402,7 @@ def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
         "value": lambda item: quantity(item.value, item.unit),
         "u_num": lambda item: quantity(item.u_num, "pp" if item.unit == "%" else item.unit, 2),
         "behavior": lambda item: clean(item.behaviour) or MISSING,
-        "how": lambda item: clean(item.note),
+        "how": meshes_of,
     }
     stored = ("response", "value", "u_num", "unit", "behaviour", "note")
     return Table.of(

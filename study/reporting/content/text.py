@@ -6,6 +6,8 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 
+from study.ground import units
+
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
 MISSING = "\N{EN DASH}"
@@ -27,22 +29,13 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def p_value(p: float | None) -> str:
-    """Write a p-value: three decimals, no leading zero, bounds at the ends."""
-    if p is None or not math.isfinite(p):
-        return MISSING
-    if p < 0.0005:
-        return "< .001"
-    if p >= 0.9995:
-        return "> .999"
-    return f"{p:.3f}"[1:]
+    """Write a p-value; a dash for none."""
+    return MISSING if p is None or not math.isfinite(p) else units.written_p(p)
 
 
 def p_phrase(p: float | None) -> str:
     """``p = .032`` or ``p < .001`` for a sentence."""
-    text = p_value(p)
-    if text == MISSING:
-        return "no p"
-    return f"p {text}" if text[0] in "<>" else f"p = {text}"
+    return "no p" if p is None or not math.isfinite(p) else units.p_phrase(p)
 
 
 def general(value: float | None, digits: int = 4) -> str:

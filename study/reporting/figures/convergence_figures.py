@@ -53,13 +53,24 @@ def _titles(cells: Sequence[Document]) -> list[str]:
         for key in dict.fromkeys(key for labels in levels for key in labels)
         if key != "response" and len({labels.get(key) for labels in levels}) > 1
     ]
-    return [" / ".join(labels[key] for key in differ if key in labels) for labels in levels]
+    cells_named = {tuple(labels.get(key) for key in differ) for labels in levels}
+    # of a sample of ranges all levels differ: one that is a name and tells all cells apart is best
+    enough = [
+        key
+        for key in differ
+        if len({labels.get(key) for labels in levels}) == len(cells_named)
+        and not any(labels.get(key, "0")[:1].isdigit() for labels in levels)
+    ]
+    shown = enough[:1] or differ
+    return [" / ".join(labels[key] for key in shown if key in labels) for labels in levels]
 
 
 def draw_values(frame: pd.DataFrame) -> Canvas:
     """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
     figure, axes = style.panels(len(groups), COLUMNS, 2.1)
+    if engine := figure.get_layout_engine():
+        engine.set(wspace=0.05)  # type: ignore[call-arg]
     several = len(set(frame["quantity"])) > 1
     for ax, (_, part) in zip(axes, groups, strict=True):
         _value_panel(ax, part)
@@ -95,7 +106,7 @@ def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
         0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
         color=style.MUTED,
     )  # fmt: skip
-    ax.set_xlim(left=0)
+    ax.set_xlim(0, 1.06 * h.max())
     ax.margins(y=0.15)
 
 

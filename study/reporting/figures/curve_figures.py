@@ -17,6 +17,7 @@ from matplotlib.patches import Patch
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
+from study.reporting.content.report_facts import block_name
 from study.reporting.content.text import THIN, clean, quantity
 from study.reporting.figures import axes as style
 from study.reporting.results.study_result import CurvePair, ReportData
@@ -362,7 +363,7 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
     number, levels = len(panels.panels), len(data.factors[panels.panel]) if panels.panel else 1
     columns = min(max(levels, (4 // levels) * levels), number)
     rows = -(-number // columns)
-    titles = panel_titles(panels, style.WIDTH_IN / columns)
+    titles = panel_titles(panels, style.WIDTH_IN / columns, data)
     handles = _handles(panels, data)
     title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
     top_in = 0.05 + 1.3 * LINE_IN * -(-len(handles) // NAMES_IN_ROW)
@@ -407,10 +408,11 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
     return figure
 
 
-def panel_titles(panels: CurvePanels, width_in: float) -> tuple[str, ...]:
+def panel_titles(panels: CurvePanels, width_in: float, data: ReportData) -> tuple[str, ...]:
     """Title of every panel, wrapped to its width; no two are the same words."""
     width = max(int(width_in / CHARACTER_IN) - 4, 8)
-    parts = [[clean(part, LONGEST_TITLE) for part in panel if part] for panel in panels.panels]
+    named = [(block_name(block, data), level) for block, level in panels.panels]
+    parts = [[clean(part, LONGEST_TITLE) for part in panel if part] for panel in named]
     joined = [" \N{MIDDLE DOT} ".join(words) for words in parts]
     if len(set(joined)) < len(joined):
         joined = [f"{number}: {words}" for number, words in enumerate(joined, 1)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import repeat
 
 import numpy as np
 import pandas as pd
@@ -35,15 +36,19 @@ _JOINED = {
 
 
 def level_means(facts: Facts) -> pd.DataFrame:
-    """Mean of every level of every factor."""
-    return pd.DataFrame(
-        [
-            {"factor": effect.term, "level": level, "mean": mean}
-            for effect in facts.effects
-            for level, mean in zip(effect.levels, effect.mean, strict=False)
-        ],
-        columns=["factor", "level", "mean"],
-    ).astype({"mean": float})
+    """Mean of every level of every factor, with its interval where there is one."""
+    rows = [
+        (effect.term, level, mean, *ends)
+        for effect in facts.effects
+        for level, mean, ends in zip(
+            effect.levels,
+            effect.mean,
+            effect.mean_ci95 or repeat((None, None)),
+            strict=False,
+        )
+    ]
+    frame = pd.DataFrame(rows, columns=["factor", "level", "mean", "low", "high"])
+    return frame.astype({"mean": float, "low": float, "high": float})
 
 
 def grand_mean(data: ReportData, facts: Facts) -> float:
@@ -67,14 +72,15 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
                 low, high = center / practical**0.5, center * practical**0.5
             ax.axhspan(low, high, color=style.BAND, zorder=0)
         ax.axhline(center, color=style.MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
-        means = group["mean"].tolist()
-        ax.plot(range(len(means)), means, marker="o", color=style.color_of(index), markersize=5.5)
+        means, color = group["mean"].tolist(), style.color_of(index)
+        ax.plot(range(len(means)), means, marker="o", color=color, markersize=5.5)
+        ax.vlines(range(len(means)), group["low"], group["high"], colors=color, linewidth=1.1)
         around = [*means[1:2], *means, *means[-2:-1]] if means[1:] else means * 3
         for place, mean in enumerate(means):
             # on the side of the point that no line meets
             is_above = 2 * mean >= around[place] + around[place + 2]
-            look = {"ha": "center", "va": "bottom" if is_above else "top"}
-            style.note(ax, significant(mean), (place, mean), (0, 6 if is_above else -6), **look)
+            look = {"ha": "left", "va": "bottom" if is_above else "top"}
+            style.note(ax, significant(mean), (place, mean), (3, 4 if is_above else -4), **look)
         names = [style.wrap(level, 12, 40) for level in group["level"]]
         ax.set_xticks(range(len(names)), names, fontsize=7.5)
         ax.set_xlim(-0.5, len(names) - 0.5)

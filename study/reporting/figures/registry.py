@@ -16,7 +16,7 @@ from study.reporting.content import sentences
 from study.reporting.content.blocks import Figure
 from study.reporting.content.effect_words import normality_phrase, size
 from study.reporting.content.recommendation import cost_front
-from study.reporting.content.report_facts import Facts, practical_of
+from study.reporting.content.report_facts import Facts, block_name, practical_of
 from study.reporting.content.report_facts import cells as report_cells
 from study.reporting.content.tables import in_order
 from study.reporting.content.text import (
@@ -24,6 +24,7 @@ from study.reporting.content.text import (
     clean,
     count,
     duration,
+    level,
     listing,
     name_of,
     p_phrase,
@@ -61,9 +62,14 @@ def means(facts: Facts, data: ReportData) -> str:
         if row.term in data.factors and row.share is not None and row.df
     ]
     text = listing([f"{name} {share(part)}" for part, name in sorted(shares, reverse=True)])
-    band = "two means inside the shaded band differ by less than what matters"
-    shown = f"share of the total variation: {text}; " if shares else ""
-    return sentence(f"level means on one shared axis; {shown}{band}")
+    has_ends = any(effect.mean_ci95 for effect in facts.effects)
+    ends = f" with {level(facts.alpha)} intervals" if has_ends else ""
+    parts = [f"level means{ends} on one shared axis"]
+    if shares:
+        parts.append(f"share of the total variation: {text}")
+    if facts.has_size:
+        parts.append("two means inside the shaded band differ by less than what matters")
+    return sentence("; ".join(parts))
 
 
 def interactions(facts: Facts, data: ReportData) -> str:
@@ -140,7 +146,7 @@ def curves(panels: CurvePanels, data: ReportData) -> str:
     text = (
         f"force above, predicted minus measured below, over the whole of each measurement; the "
         f"largest residual is {quantity(float(gap.max()), 'N')} ({clean(worst['line'])}, "
-        f"{clean(worst['block'])})"
+        f"{block_name(str(worst['block']), data)})"
     )
     if panels.is_relative:
         text += (
@@ -152,7 +158,8 @@ def curves(panels: CurvePanels, data: ReportData) -> str:
     if held:
         text += f". Shown with {held}"
     if panels.left_out:
-        text += f"; {count(panels.left_out, 'more block')} not shown"
+        unit = clean(data.block) or "block"
+        text += f"; {count(panels.left_out, f'more {unit}')} not shown"
     return sentence(text)
 
 

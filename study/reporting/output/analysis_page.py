@@ -33,7 +33,7 @@ from study.reporting.content.blocks import (
 )
 from study.reporting.content.effect_words import normality_phrase
 from study.reporting.content.report_facts import Facts, facts
-from study.reporting.content.text import capital, clean, count, sentence, slug
+from study.reporting.content.text import clean, count, listing, sentence, slug
 from study.reporting.figures.axes import Plot, made
 from study.reporting.output import study_page, write
 from study.reporting.output.page import Pages, replace_file
@@ -87,13 +87,13 @@ def prepare(
             *_variance(analysis, data, item),
             *_means(data, item, figures),
             *_comparisons(analysis, data, item, reference),
-            *_residuals(analysis, data, figures),
+            *_residuals(analysis, data, item, figures),
             Heading("Assumptions", 2, "assumptions"),
             analysis_content.checks(analysis),
             figures.get("spread"),
         ]
     warnings = [sentence(clean(text)) for text in dict.fromkeys((*data.warnings, *analysis.notes))]
-    shown, name = (registry.overview(data, (item,)), None), capital(item.title)
+    shown, name = (registry.overview(data, (item,)), None), item.title
     return study_page.two_pages(data, (item,), stem, name, shown, blocks, warnings, rows="rows.csv")
 
 
@@ -147,15 +147,17 @@ def _comparisons(
 
 
 def _residuals(
-    analysis: AnalysisResult, data: ReportData, figures: Mapping[str, Figure]
+    analysis: AnalysisResult, data: ReportData, item: Facts, figures: Mapping[str, Figure]
 ) -> Iterator[Block | None]:
     yield Heading("Residuals", 2, "residuals")
     shown = list(study_page.drawn(figures, "four-in-one", "influence"))
-    if shown and any(row.p_gg is not None for row in analysis.anova.rows):
-        yield Sentence(
-            f"Residuals of cells and {clean(data.block)} added. No p of this page rests on them: "
-            "each effect is tested against its own interaction with the blocks."
+    if shown and any(row.p_gg is not None for row in item.rows):
+        source = f"Residuals of cells and {clean(data.block)} added."
+        elsewhere = (
+            " No p of this page rests on them: each effect is tested against its own interaction "
+            "with the blocks."
         )
+        yield Sentence(source if item.is_mixed else source + elsewhere)
     yield from shown
     if not shown:
         yield Sentence("Nothing is left over by the model, so there are no residuals to look at.")
@@ -317,7 +319,7 @@ def analysis_data(analysis: AnalysisResult, source: AnalysisSource | None = None
     data = data_of_table(
         source or AnalysisSource(),
         of_response,
-        f"What does {request.response} depend on: {', '.join(request.factors)}?",
+        f"How does {request.response} depend on {listing(list(request.factors))}?",
         {n: levels.get(n) or tuple(rows[n].astype(str).unique()) for n in request.factors},
         table.assign(**{request.response: rows["response"]}),
         len(analysis.data.cell_means),
@@ -364,7 +366,7 @@ def surface_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> Repor
         ResponseAnalysis(
             runs.name, "", None, practical=fits[0].practical, title=runs.name, refused=SEE_SURFACE
         ),
-        f"How does {runs.name} depend on {', '.join(names)}?",
+        f"How does {runs.name} depend on {listing(names)}?",
         {name: tuple(table[name].unique()) for name in names},
         table,
         sum(len(one.distinct()[0]) for one, _ in good),

@@ -214,10 +214,15 @@ def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
             surface_content.title(one, data): one
             for one in data.surfaces[: sentences.MOST_RESPONSES]
         }
-        return tuple(
-            sentence(f"{name}. {' '.join(ends)}")
-            for name, one in where.items()
-            if (ends := surface_content.extremes(one, data))
+        more = len(data.surfaces) - len(where)
+        rest = [f"The second page has those of {count(more, 'more surface')}."] if more else []
+        return (
+            *(
+                sentence(f"{name}. {' '.join(ends)}")
+                for name, one in where.items()
+                if (ends := surface_content.extremes(one, data))
+            ),
+            *rest,
         )
     if data.is_table:
         return ()

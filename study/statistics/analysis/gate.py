@@ -15,6 +15,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from study.ground.arrays import Array, Ints
+from study.ground.units import p_phrase
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.comparisons import t_quantile
 from study.statistics.analysis.effects import (
@@ -344,7 +345,7 @@ def rival_over_blocks(
     else:
         spread = np.sqrt(np.maximum(z.var(axis=1, ddof=1), 1e-300) / b)
         p = min(test.p, df * float(2 * stdtr(b - 1, -np.abs(centre) / spread).min()))
-        note = f"{LACK}: F({df:g}, {df * (b - 1):g}) = {test.f:.4g}, p = {test.p:.2g}"
+        note = f"{LACK}: F({df:g}, {df * (b - 1):g}) = {test.f:.4g}, {p_phrase(test.p)}"
         note += " against the blocks"
     rivals = [Rival(f"{LACK_OF_FIT} ({note})", sample, matrix=whole.matrix)] if p < DOUBT else []
     return rivals, [note]
@@ -359,7 +360,7 @@ def _lack_of_fit_of_rows(
     if df <= 0:
         return 1.0, "", None, whole.matrix
     if (test := extra_sum(fit.rss - whole.rss, df, whole.rss, left)) is not None:
-        note = f"{LACK}: F({df:g}, {left:g}) = {test.f:.4g}, p = {test.p:.2g}"
+        note = f"{LACK}: F({df:g}, {left:g}) = {test.f:.4g}, {p_phrase(test.p)}"
         return test.p, note, with_pooled_error(whole, whole.rss, left, alpha, seed), whole.matrix
     if out.data.block is not None or int(np.bincount(out.data.cell).max()) > 1:
         return 1.0, "", None, whole.matrix
@@ -371,7 +372,7 @@ def _lack_of_fit_of_rows(
     sparse = lenth(contrasts[:, declared:].T @ (out.y - out.y[0]), left_out, seed=out.request.seed)
     p = min(sparse.p) * len(left_out)
     largest = left_out[int(np.argmin(sparse.p))]
-    note = f"of the interactions declared negligible, {largest} stands out: p = {min(1.0, p):.2g}"
+    note = f"of the interactions declared negligible, {largest} stands out: {p_phrase(min(1.0, p))}"
     other = with_pseudo_error(whole, contrasts, alpha, seed, out.y)
     return p, note, other, whole.matrix
 

@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.units import p_phrase
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
@@ -157,9 +158,8 @@ def _rivals(
         every = np.hstack(bases)
         test = whole.fit.test(every)
         p = min(test.p, *(len(bases) * its_own.test(basis)[1] for basis in bases))
-        note = (
-            f"{LACK}: F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}, p = {test.p:.2g} by REML"
-        )
+        ratio = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}"
+        note = f"{LACK}: {ratio}, {p_phrase(test.p)} by REML"
         notes.append(note)
         if p < DOUBT:
             rivals.append(Rival(f"{LACK_OF_FIT} ({note})", whole.sample, matrix=whole.factors))

@@ -13,6 +13,7 @@ from scipy import linalg
 
 from study.ground.arrays import Array, one_thread
 from study.ground.errors import Fault, InputError
+from study.ground.units import p_phrase
 from study.statistics.analysis.comparisons import holm
 from study.statistics.analysis.linear_model import CellLayout, Term, balanced, span, term_name
 
@@ -215,7 +216,7 @@ def _not_applicable(x: Array, matrix: Array | None) -> str:
 def _decision(p_text: str, p_exact: float | None, alpha: float) -> str:
     if p_exact is not None:
         rejected = p_exact < alpha
-        how = f"exact p = {p_exact:.3g}"
+        how = f"exact {p_phrase(p_exact)}"
     else:
         rejected = p_text.startswith("<") or (not p_text.startswith(">") and float(p_text) < alpha)
         how = f"p {p_text}"
