@@ -89,6 +89,12 @@ LACK = "lack of fit of the declared model"
 LACK_OF_FIT = "the declared model leaves out interactions that the data do not rule out"
 UNSURE_LIMIT = "the mean, of which the practical difference is a share, is not known well enough"
 NO_SCATTER = "the difference is the same in every block to the last digit: no scatter to judge by"
+#: chance of rows that agree below which a cell is taken to be without scatter
+_STILL = 1e-4
+STILL = (
+    "the rows of a cell are the same to the last digit where others scatter: there is no scatter "
+    "to judge it by"
+)
 
 
 @dataclass(frozen=True)
@@ -405,6 +411,8 @@ def _rivals_of_cells(
     if counts.max() < 2:
         return []
     rivals = []
+    if out.replicates == "runs" and _still(out.y, index, counts, reading):
+        rivals.append(refusal(STILL))
     if variances := doubted_variances(out.y, index):
         rivals.append(Rival(UNEQUAL, cell_welch(fit, index, variances, out.request.alpha, reading)))
     if counts.max() >= FEWEST_FOR_SHAPE and fit.q.shape[0] * fit.matrix.columns.shape[1] < 2e6:
@@ -413,6 +421,21 @@ def _rivals_of_cells(
             added = (fit.inverse @ fit.q.T) * (out.y - fit.shift)
             rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, out.y))
     return rivals
+
+
+def _still(y: Array, cell: Ints, counts: Ints, reading: float) -> bool:
+    """Whether the rows of a cell agree, which the scatter of the others and rounding exclude."""
+    shifted = y - y[0]
+    residual = shifted - (np.bincount(cell, shifted) / counts)[cell]
+    away = np.bincount(cell, np.abs(residual))
+    still = away <= 16 * counts * float(np.spacing(np.abs(y).max()))
+    free = float(np.sum(counts[~still] - 1))
+    if not free or not still.any():
+        return False
+    sd = math.sqrt(float(np.sum(residual[~still[cell]] ** 2)) / free)
+    # two normal readings agree with the step times the integral of the squared density
+    chance = min(1.0, math.sqrt(12 / math.pi) * reading / (2 * sd))
+    return bool(counts.size * chance ** float(counts[still].max() - 1) < _STILL)
 
 
 def _with_scatter(sample: Sample, largest: float) -> Sample:
