@@ -598,3 +598,31 @@ def test_a_cell_without_scatter_beside_others_judges_nothing() -> None:
     found = anova(table, "y", ["a"], practical=0.5, exact=False).effect("a")
     assert found.verdict == CANNOT_TELL
     assert "no scatter" in found.why
+
+
+def test_a_block_that_changes_with_a_factor_is_refused_with_the_words_to_type() -> None:
+    table = pd.DataFrame({"a": np.repeat(list("xyz"), 4), "b": np.tile([0, 1], 6)})
+    table["day"] = table["a"].map({"x": "mon", "y": "tue", "z": "wed"})
+    table["y"] = np.random.default_rng(20).normal(size=12)
+    with pytest.raises(RefusedError, match="day changes with a: .* the others alone .--factors b"):
+        anova(table, "y", ["a", "b"], block="day", exact=False)
+
+
+def test_plants_laboratories_and_batches_are_tested_each_against_the_next() -> None:
+    """R: aov(y ~ plant + Error(lab/batch)) of these rows."""
+    table = crossed(plant=3, lab=2, batch=3, row=2)
+    y = [3, 5, 1, 2, 8, 7, 4, 4, 6, 9, 2, 3, 7, 6, 5, 9, 1, 4, 2, 2, 6, 3, 8, 8, 5, 4, 9, 7, 3, 1]
+    table["y"] = [*y, 6, 7, 2, 5, 4, 8]
+    for inner, outer in (("lab", "plant"), ("batch", "lab")):
+        table[inner] = table[outer].astype(str) + "." + table[inner].astype(str)
+    found = anova(table, "y", ["batch", "plant", "lab"], exact=False)
+    assert found.notes[-1].startswith("lab lies within plant and batch lies within lab")
+    rows = {row.error: row for row in found.anova.rows if row.f is not None}
+    of_r = {
+        "plant:lab": (2.227272727272726, 3, 0.2552995981678279),
+        "plant:lab:batch": (0.04313725490196084, 12, 0.9874799723252182),
+        "residual": (5.930232558139528, 18, 0.0004112289565596549),
+    }
+    for error, expected in of_r.items():
+        row = rows[error]
+        assert (row.f, row.df_error, row.p) == pytest.approx(expected, rel=1e-9)

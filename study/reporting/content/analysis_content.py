@@ -404,10 +404,12 @@ def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
     """Means, largest differences with their verdicts, and the telling simple effects."""
     yield replace(means(item, data), grouped=False)
     yield replace(tables.verdicts((item,), data), name="Effects", grouped=False)
+    reasons: dict[str, list[str]] = {}
     for e in item.effects:
         # without a threshold nothing can be told, which is said once for all
         if e.verdict in REFUSALS and e.practical is not None:
-            yield Verbatim(f"{e.term}: {e.verdict} ({e.why})")
+            reasons.setdefault(f"{e.verdict} ({e.why})", []).append(e.term)
+    yield from (Verbatim(f"{', '.join(terms)}: {why}") for why, terms in reasons.items())
     # of every factor that interacts the largest simple effect, and that which decides its verdict
     telling = [(e, dict.fromkeys((e.largest_simple, e.deciding_simple))) for e in item.terms]
     terms = tuple(replace(e, simple_effects=tuple(filter(None, few))) for e, few in telling)

@@ -377,7 +377,8 @@ def _lack_of_fit_of_rows(
     sparse = lenth(contrasts[:, declared:].T @ (out.y - out.y[0]), left_out, seed=out.request.seed)
     p = min(sparse.p) * len(left_out)
     largest = left_out[int(np.argmin(sparse.p))]
-    note = f"of the interactions declared negligible, {largest} stands out: p = {min(1.0, p):.2g}"
+    seen = "stands out" if p < DOUBT else "is the largest and does not stand out"
+    note = f"of the interactions declared negligible, {largest} {seen}: p = {min(1.0, p):.2g}"
     other = with_pseudo_error(whole, contrasts, alpha, seed, out.y)
     return p, note, other, whole.matrix
 
