@@ -46,7 +46,9 @@ class PracticalDifference(Protocol):
         ...
 
 
-_TEXT = re.compile(r"^\s*(?P<value>\d+(\.\d*)?([eE][+-]?\d+)?|\.\d+)\s*(?P<unit>[^\d\s].*?)?\s*$")
+_TEXT = re.compile(
+    r"^\s*(?P<value>(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,+-].*?)?\s*$"
+)
 
 
 @dataclass(frozen=True)
@@ -76,8 +78,8 @@ def threshold(practical: Practical) -> Threshold | None:
     --------
     >>> threshold("10 % of mean")
     Threshold(value=0.1, relative=True)
-    >>> threshold("0.5 pp")
-    Threshold(value=0.5, relative=False)
+    >>> threshold(".5e-3 pp")
+    Threshold(value=0.0005, relative=False)
     """
     if practical is None or isinstance(practical, Threshold):
         return practical

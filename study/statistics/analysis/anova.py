@@ -596,9 +596,9 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
         )
     structure = structure_of(data)
     if structure.empty_cells:
-        structure, terms = _with_empty_cells(data, request, structure, terms)
-        if structure.undecided:
-            data = replace(data, warnings=(*data.warnings, structure.undecided))
+        structure, terms, note = _with_empty_cells(data, request, structure, terms)
+        if note:
+            data = replace(data, warnings=(*data.warnings, note))
     tol = request.scale.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
@@ -614,16 +614,16 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
 
 def _with_empty_cells(
     data: Data, request: AnalysisRequest, structure: Structure, terms: tuple[Term, ...]
-) -> tuple[Structure, tuple[Term, ...]]:
+) -> tuple[Structure, tuple[Term, ...], str]:
     """Structure without the cells that the model does not need, and the terms that are told apart.
 
-    Terms that add nothing to those before them are left out, and named with their aliases.
+    Terms that add nothing to those before them are left out; a note names them with their aliases.
     """
     cells = np.unique(data.cell, return_index=True)[1]
     model = factorize(model_matrix(data.layout.take(cells), terms))
     ordered = request.model == "full" or isinstance(request.model, int)
     if model.is_full or nested_in(terms):
-        return replace(structure, empty_cells=0), terms
+        return replace(structure, empty_cells=0), terms, ""
     spaces = {t: model.space(i, "I") for i, t in enumerate(model.matrix.terms) if t}
     told_apart = tuple(t for t, space in spaces.items() if space.basis.shape[1])
     reduced = factorize(model_matrix(data.layout.take(cells), told_apart))
@@ -631,7 +631,7 @@ def _with_empty_cells(
     if is_fraction and len(told_apart) < len(terms):
         structure = replace(structure, empty_cells=0)
     if len(told_apart) == len(terms) or not ordered or not request.any_type:
-        return structure, terms
+        return structure, terms, ""
     lost = [
         term_name(t)
         + (f" (= {space.aliases[0]})" if space.aliases and space.nominal_df == 1 else "")
@@ -641,11 +641,12 @@ def _with_empty_cells(
     listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
     order = request.lower_order
     smaller = f"--model {order}, or the terms" if order else "--model with the terms"
-    reason = (
+    reason = f"these runs cannot tell its effect from interactions that may be there ({smaller})"
+    note = (
         f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
-        f"which are negligible to have the others judged ({smaller})"
+        f"which are negligible to have all factors judged ({smaller})"
     )
-    return replace(structure, undecided=reason, asked=terms), told_apart
+    return replace(structure, undecided=reason, asked=terms), told_apart, note
 
 
 def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:

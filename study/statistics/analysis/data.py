@@ -290,7 +290,7 @@ class Structure:
     empty_cells: int = 0
     #: Factors with one level in every block.
     constant_in_blocks: tuple[str, ...] = ()
-    #: Which terms were left out because the runs cannot tell them from others; empty if none.
+    #: Why factors are not judged whose terms the runs cannot tell from others; empty if none.
     undecided: str = ""
     #: Terms of the model with those; empty where none was left out.
     asked: tuple[Term, ...] = ()
