@@ -90,7 +90,7 @@ def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
     ]
     if not numbers:
         return []
-    listed = " and ".join(map(repr, numbers))
+    listed = ", ".join(map(repr, numbers))
     return [
         f"the levels of {listed} are numbers, and are taken as labels: --numeric "
         f"{','.join(numbers)} asks for a surface over them"

@@ -641,7 +641,10 @@ def _with_empty_cells(
     listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
     order = request.lower_order
     smaller = f"--model {order}, or the terms" if order else "--model with the terms"
-    reason = f"these runs cannot tell its effect from interactions that may be there ({smaller})"
+    reason = (
+        "these runs cannot tell effects from interactions that may be there; declare which are "
+        f"negligible ({smaller})"
+    )
     note = (
         f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
         f"which are negligible to have all factors judged ({smaller})"

@@ -58,9 +58,9 @@ FEWEST_FOR_SHAPE = 5
 ONE_SIGN = 0.4
 #: multiple of the largest value seen beyond which no mean is looked for: draws of one block alone,
 #: and logarithms of values that are all but zero, scatter without bound. Simulated: lognormal
-#: differences (sigma 1.2), 5 blocks, 2 and 4 levels, false claims .040 to .057 (at 2: .037 to .057,
-#: at 1.5 up to .089); of normal ones .92 of the claims stand where it is hardest, four levels in five
-#: blocks (at 2: .89)
+#: differences (sigma 1.2), 5 blocks, 2 and 4 levels, false claims .040 to .057 (at 2: .037 to
+#: .057, at 1.5 up to .089); of normal ones .92 of the claims stand where it is hardest, four levels
+#: in five blocks (at 2: .89)
 _FARTHEST = 1.8
 #: share of the largest response below which a difference is rounding
 _ROUNDING = 1e-12
