@@ -391,7 +391,6 @@ def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Bloc
         yield checks(analysis, "Assumptions")
         yield from _further_checks(analysis)
         yield robustness(analysis, data)
-        yield _bounds(analysis)
         yield _detectable(analysis)
     if analysis.data.nested is not None:
         yield _by_units(analysis.data.nested)
@@ -438,22 +437,6 @@ def _further_checks(analysis: AnalysisResult) -> Iterator[Verbatim]:
         low, high = tests.box_cox.ci95
         exponent = tests.box_cox.exponent
         yield Verbatim(f"Box-Cox exponent {exponent:.2f} (95 % {low:.2f} to {high:.2f})")
-
-
-def _bounds(analysis: AnalysisResult) -> Table:
-    return Table.of(
-        "Largest differences, whatever the missing responses are",
-        analysis.data.bounds,
-        {
-            "Term": lambda b: b.term,
-            "lowest": lambda b: significant(b.low, 4),
-            "highest": lambda b: significant(b.high, 4),
-            "p from": lambda b: p_value(None if b.p is None else b.p[0]),
-            "p to": lambda b: p_value(None if b.p is None else b.p[1]),
-            "verdicts": lambda b: ", ".join(b.verdicts),
-            "holds": lambda b: "yes" if b.holds else "no",
-        },
-    )
 
 
 def _detectable(analysis: AnalysisResult) -> Table | None:
