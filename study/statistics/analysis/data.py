@@ -341,7 +341,7 @@ def resolution(y: Array, decimals: Array | None = None) -> float:
     if math.isinf(most):
         return 0.0
     step = int(np.gcd.reduce(np.round(y * 10.0**most).astype(np.int64)))
-    return step * 10.0**-most
+    return step * math.pow(10.0, -most)
 
 
 def _step_of_readings(data: Data) -> float:
@@ -443,7 +443,7 @@ def _copied_within(data: Data, part: float) -> str:
     total = np.diff(np.append(breaks, n)).astype(float)
     elsewhere = float(np.sum(total * (total - 1)) / 2 - ties.sum())
     between = n * (n - 1) / 2 - float(pairs.sum())
-    step = resolution(data.y) or 16 * float(np.spacing(np.abs(data.y).max()))
+    step = _least_step(data.y)
     wide = np.maximum(_NEARBY, 1.5 * step / np.where(varies, spread, np.inf))
     density = _density(y[clusters], index, counts, wide, spread) / np.maximum(pairs, 1)
     chance = (step + 2 * apart) / np.where(varies, spread, np.inf)
@@ -471,12 +471,12 @@ def _density(y: Array, cell: Ints, counts: Ints, wide: Array, spread: Array) -> 
     Shapes: y, cell, counts (clusters,), sorted by cell and value; wide, spread (cells,).
     """
     start = np.searchsorted(cell, np.arange(spread.size))
-    place = (y - y[np.minimum(start, y.size - 1)][cell]) / spread[cell]
-    place = 3e6 * cell + np.minimum(place, 1e6)
+    above = (y - y[np.minimum(start, y.size - 1)][cell]) / spread[cell]
+    place = 3e6 * cell + np.minimum(above, 1e6)
     rows = np.append(0, np.cumsum(counts))
     to = np.searchsorted(place, place + wide[cell], side="right")
     within = counts * (rows[to] - rows[1:])
-    return np.bincount(cell, within.astype(float), minlength=spread.size)
+    return np.bincount(cell, within, minlength=spread.size).astype(float)
 
 
 def _spreads(cell: Ints, y: Array) -> Array:
@@ -496,9 +496,13 @@ def _spreads(cell: Ints, y: Array) -> Array:
     return 1.4826 * medians(away[np.lexsort((away, cell))])
 
 
-def _tie(y: Array, sd: float, apart: float = 0.0) -> float:
+def _least_step(y: Array) -> float:
+    """Step of the readings, that of doubles where none shows."""
+    return resolution(y) or 16 * float(np.spacing(np.abs(y).max()))
+
+
+def chance_of_tie(step: float, sd: float) -> float:
     """Chance that two normal readings agree: step times the integral of the squared density."""
-    step = (resolution(y) or 16 * float(np.spacing(np.abs(y).max()))) + 2 * apart
     return min(1.0, step / (2 * math.sqrt(math.pi) * sd)) if sd > 0 else 1.0
 
 
@@ -519,6 +523,7 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:
         own = centred - np.nanmean(centred, axis=1, keepdims=True)
     sd, interaction = (float(np.sqrt(np.nanmean(part**2))) for part in (centred, own))
     chance = blocks * (blocks - 1) / 2
+    step = _least_step(data.y)
     twins = []
     for i, j in combinations(range(blocks), 2):
         apart = np.abs(table[i] - table[j])
@@ -527,9 +532,9 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:
             continue
         farthest = float(np.nanmax(apart))
         if farthest == 0:
-            rare = (3 * _tie(data.y, sd)) ** both
+            rare = (3 * chance_of_tie(step, sd)) ** both
         elif farthest <= _FARTHEST * interaction:
-            rare = (3 * _tie(data.y, interaction, farthest)) ** (both - 1)
+            rare = (3 * chance_of_tie(step + 2 * farthest, interaction)) ** (both - 1)
         else:
             continue
         if chance * rare < _CHANCE:

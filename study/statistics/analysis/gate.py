@@ -17,6 +17,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.comparisons import t_quantile
+from study.statistics.analysis.data import chance_of_tie
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
@@ -435,8 +436,7 @@ def _still(y: Array, cell: Ints, counts: Ints, reading: float) -> bool:
     if not free or not still.any():
         return False
     sd = math.sqrt(float(np.sum(residual[~still[cell]] ** 2)) / free)
-    # two normal readings agree with the step times the integral of the squared density
-    chance = min(1.0, math.sqrt(12 / math.pi) * reading / (2 * sd))
+    chance = chance_of_tie(math.sqrt(12) * reading, sd)
     return bool(counts.size * chance ** float(counts[still].max() - 1) < _STILL)
 
 
