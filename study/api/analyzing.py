@@ -85,16 +85,11 @@ def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
     numbers = [
         name
         for name, its_labels in labels.items()
-        if len(its_labels) >= FEWEST_NUMBERS
-        and all(NUMBER.fullmatch(label) for label in its_labels)
+        if len(its_labels) >= FEWEST_NUMBERS and all(map(NUMBER.fullmatch, its_labels))
     ]
-    if not numbers:
-        return []
-    listed = ", ".join(map(repr, numbers))
-    return [
-        f"the levels of {listed} are numbers, and are taken as labels: --numeric "
-        f"{','.join(numbers)} asks for a surface over them"
-    ]
+    text = f"the levels of {', '.join(map(repr, numbers))} are numbers, and are taken as labels: "
+    text += f"--numeric {','.join(numbers)} asks for a surface over them"
+    return [text] if numbers else []
 
 
 def analyze(
