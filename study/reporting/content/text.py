@@ -99,7 +99,7 @@ def _fixed(value: float, decimals: int) -> str:
 
 
 def decimals_that_count(step: float | None) -> int | None:
-    """Decimals that a thousandth of what matters can be read at; None: unknown, or past counting."""
+    """Decimals that a thousandth of what matters can be read at; None: unknown, or too many."""
     if step is None or not math.isfinite(step) or step <= 0:
         return None
     decimals = max(math.floor(-math.log10(step / 1000) + 1e-9), 0)

@@ -330,13 +330,7 @@ def _decimals(y: Array) -> Array:
 
 
 def resolution(y: Array, decimals: Array | None = None) -> float:
-    """Largest step of which all values are multiples; 0 for values with ten decimals or more.
-
-    Examples
-    --------
-    >>> resolution(np.array([1.25, 2.0, 7.75])), resolution(np.array([math.pi, 1.0]))
-    (0.25, 0.0)
-    """
+    """Largest step of which all values are multiples; 0 for values with ten decimals or more."""
     most = float(np.max(_decimals(y) if decimals is None else decimals, initial=0.0))
     if math.isinf(most):
         return 0.0
