@@ -80,15 +80,16 @@ FEWEST_NUMBERS = 3
 
 
 def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
-    """Sentences about columns of labels that look like numbers: they are never taken as such."""
+    """Name columns of labels that look like numbers: they are never taken as such."""
     labels = {name: set(map(str, frame[name].unique())) for name in columns}
-    return [
-        f"the levels of {name!r} are numbers, and are taken as labels: --numeric {name} asks for "
-        "a surface over them"
+    numbers = [
+        name
         for name, its_labels in labels.items()
-        if len(its_labels) >= FEWEST_NUMBERS
-        and all(NUMBER.fullmatch(label) for label in its_labels)
+        if len(its_labels) >= FEWEST_NUMBERS and all(map(NUMBER.fullmatch, its_labels))
     ]
+    text = f"the levels of {', '.join(map(repr, numbers))} are numbers, and are taken as labels: "
+    text += f"--numeric {','.join(numbers)} asks for a surface over them"
+    return [text] if numbers else []
 
 
 def analyze(

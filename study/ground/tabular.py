@@ -437,7 +437,7 @@ def _number_mend(cell: str, decimal: str, declared_by: str) -> str:
         return "a missing value must be left out, with its row"
     if not cell.isascii() or "_" in cell:
         return "only the digits 0 to 9, one decimal mark and an exponent are read"
-    return ""
+    return "write the number alone, or delete the row"
 
 
 # Tidy tables of responses, read strictly: one row a case, one column a factor.

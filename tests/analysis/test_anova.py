@@ -101,6 +101,7 @@ def test_aliased_terms_are_named() -> None:
         ({}, {"model": ["a:z"]}, "'z' is no factor"),
         ({"y": -1.0}, {"transform": "sqrt"}, "must be none or log"),
         ({}, {"practical": "some"}, "cannot read"),
+        ({}, {"practical": "1,5"}, "cannot read"),
     ],
 )
 def test_bad_input(change: dict[str, Any], options: dict[str, Any], match: str) -> None:

@@ -556,3 +556,73 @@ def test_groups_of_blocks_are_held_to_what_blocks_alone_are() -> None:
     same = anova(table, "y", ["g", "v"], block="s", practical=1.0, exact=False)
     assert same.effect("v").verdict == CANNOT_TELL
     assert "no scatter to judge by" in same.effect("v").why
+
+
+def test_rows_around_an_outlier_and_beside_a_volatile_cell_are_no_copies() -> None:
+    """A wrong decimal point, or one cell, makes the scatter of all rows a hundred times larger."""
+    random = np.random.default_rng(17)
+    typed = pd.DataFrame({"a": np.repeat([0, 1], 8), "y": random.normal(2, 0.02, 16).round(3)})
+    typed.loc[5, "y"] *= 10
+    sd = np.repeat([0.01, 0.01, 10.0], 8)
+    volatile = pd.DataFrame({"a": np.repeat([0, 1, 2], 8), "y": sd * random.normal(size=24)})
+    dense = pd.DataFrame({"a": np.repeat([0, 1, 2], 60), "y": random.lognormal(0, 2, 180)})
+    for table in (typed, volatile, dense):
+        refuse_copied_rows(prepare(table, "y", ["a"]))
+
+
+def test_copies_in_one_cell_are_named_with_it() -> None:
+    table = groups(9, (6, 6, 6), (0.3, 0.3, 0.3))
+    table.loc[9:11, "y"] = table.loc[6:8, "y"].to_numpy()
+    with pytest.raises(RefusedError, match="3 of 6 rows repeat another of their cell, as in 1"):
+        anova(table, "y", ["a"], exact=False)
+
+
+def test_readings_of_two_instruments_are_as_coarse_as_both() -> None:
+    """Half of the blocks were read in whole units, whatever the unit of the response is."""
+    table = crossed(s=4, a=2)
+    table["y"] = 7.0 + table["s"] + 2.0 * table["a"]
+    table.loc[4:, "y"] += [0.113, 0.108, -0.094, -0.102]
+    for unit in (1.0, 1e-12):
+        found = anova(
+            table.assign(y=unit * table["y"]), "y", ["a"], block="s", practical=1.75 * unit,
+            exact=False,
+        )  # fmt: skip
+        assert found.effect("a").verdict == CANNOT_TELL
+        assert "coarse" in found.effect("a").why
+
+
+def test_a_cell_without_scatter_beside_others_judges_nothing() -> None:
+    random = np.random.default_rng(10)
+    table = pd.DataFrame({"a": np.repeat([0, 1], 8), "y": 10 + random.normal(0, 0.15, 16).round(3)})
+    table.loc[:7, "y"] = 10.0
+    found = anova(table, "y", ["a"], practical=0.5, exact=False).effect("a")
+    assert found.verdict == CANNOT_TELL
+    assert "no scatter" in found.why
+
+
+def test_a_block_that_changes_with_a_factor_is_refused_with_the_words_to_type() -> None:
+    table = pd.DataFrame({"a": np.repeat(list("xyz"), 4), "b": np.tile([0, 1], 6)})
+    table["day"] = table["a"].map({"x": "mon", "y": "tue", "z": "wed"})
+    table["y"] = np.random.default_rng(20).normal(size=12)
+    with pytest.raises(RefusedError, match="day changes with a: .* the others alone .--factors b"):
+        anova(table, "y", ["a", "b"], block="day", exact=False)
+
+
+def test_plants_laboratories_and_batches_are_tested_each_against_the_next() -> None:
+    """R: aov(y ~ plant + Error(lab/batch)) of these rows."""
+    table = crossed(plant=3, lab=2, batch=3, row=2)
+    y = [3, 5, 1, 2, 8, 7, 4, 4, 6, 9, 2, 3, 7, 6, 5, 9, 1, 4, 2, 2, 6, 3, 8, 8, 5, 4, 9, 7, 3, 1]
+    table["y"] = [*y, 6, 7, 2, 5, 4, 8]
+    for inner, outer in (("lab", "plant"), ("batch", "lab")):
+        table[inner] = table[outer].astype(str) + "." + table[inner].astype(str)
+    found = anova(table, "y", ["batch", "plant", "lab"], exact=False)
+    assert found.notes[-1].startswith("lab lies within plant and batch lies within lab")
+    rows = {row.error: row for row in found.anova.rows if row.f is not None}
+    of_r = {
+        "plant:lab": (2.227272727272726, 3, 0.2552995981678279),
+        "plant:lab:batch": (0.04313725490196084, 12, 0.9874799723252182),
+        "residual": (5.930232558139528, 18, 0.0004112289565596549),
+    }
+    for error, expected in of_r.items():
+        row = rows[error]
+        assert (row.f, row.df_error, row.p) == pytest.approx(expected, rel=1e-9)

@@ -388,23 +388,25 @@ def test_a_covariate_within_blocks_has_the_slope_of_least_squares() -> None:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_intervals_of_variances_cover_what_they_promise() -> None:
-    """Ten blocks, three cells, two rows each, of which four in five are there."""
+@pytest.mark.parametrize(("sizes", "share"), [((10, 3, 2), 0.8), ((6, 1, 5), 1.0), ((5, 3, 2), 1)])
+def test_intervals_of_variances_cover_what_they_promise(
+    sizes: tuple[int, int, int], share: float
+) -> None:
+    """Blocks, cells and rows, of which a share is there; one cell alone is a one-way layout."""
     random = np.random.default_rng(21)
-    data_sets, inside = 200, np.zeros(3)
-    block, cell, _ = (g.ravel() for g in np.meshgrid(range(10), range(3), range(2), indexing="ij"))
-    sd = np.array([1.0, 0.7, 0.5])
+    block, cell, _ = (g.ravel() for g in np.meshgrid(*map(range, sizes), indexing="ij"))
+    codes = [block, sizes[1] * block + cell][: min(sizes[1], 2)]
+    sd = np.array([1.0, 0.7, 0.5])[[*range(len(codes)), 2]]
+    data_sets, inside = 200, np.zeros(sd.size)
     for _ in range(data_sets):
-        keep = random.random(60) >= 0.2
-        b, c = block[keep], cell[keep]
-        y = sd[0] * random.normal(size=10)[b] + sd[1] * random.normal(size=30)[3 * b + c]
-        y += sd[2] * random.normal(size=y.size)
-        x = np.linalg.qr(np.eye(3)[c])[0]
-        codes = [np.unique(k, return_inverse=True)[1] for k in (b, 3 * b + c)]
-        fit = fit_restricted(x, y, codes)
-        for i in range(3):
-            low, high = fit.interval(i, 0.05)
-            inside[i] += low <= sd[i] <= high
+        keep = random.random(block.size) < share
+        here = [code[keep] for code in codes]
+        y = sum(s * random.normal(size=block.size)[c] for s, c in zip(sd[:-1], here, strict=True))
+        y += sd[-1] * random.normal(size=int(keep.sum()))
+        x = np.linalg.qr(np.eye(sizes[1])[cell[keep]])[0]
+        fit = fit_restricted(x, y, [np.unique(c, return_inverse=True)[1] for c in here])
+        low, high = np.array([fit.interval(i, 0.05) for i in range(sd.size)]).T
+        inside += (low <= sd) & (sd <= high)
     error = 2 * np.sqrt(0.05 * 0.95 / data_sets)
     assert np.all(np.abs(inside / data_sets - 0.95) < 0.02 + error), inside / data_sets
 

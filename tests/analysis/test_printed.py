@@ -89,8 +89,8 @@ def test_missing_responses_are_bounded_in_print(
     table = pd.read_csv(DESIGNS / "crossed.csv")
     table.loc[[1, 5], "y"] = np.nan
     table.to_csv(path, index=False)
-    out, err = printed(capsys, str(path), "--response", "y", "--factors", "a,b")
-    assert "Largest differences, whatever the missing responses are" in out
+    err = printed(capsys, str(path), "--response", "y", "--factors", "a,b")[1]
+    assert "the 2 missing responses" in " ".join(err.split())
     assert "y is missing in 2 of 36 rows" in err
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from fractions import Fraction
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -130,6 +131,16 @@ def test_ceramic_effects_and_lenth(data_dir: Path) -> None:
     assert result.assumptions.normality is None
     assert result.anova.row("X4").f is None
     assert sum(result.variation.shares.values()) == pytest.approx(1, rel=1e-12)
+
+
+def test_rounding_of_a_deterministic_function_is_no_scatter() -> None:
+    grid = np.array(list(product((0, 1), repeat=3)), dtype=float)
+    table = pd.DataFrame(grid, columns=list("abc"))
+    table["y"] = 10 + 0.1 * (grid @ [2.0, 0.7, 0.3])
+    data = prepare(table, "y", list("abc"))
+    found = lenth_of(data, data.y, terms_of(list("abc")), seed=0)
+    assert found.pse == 0
+    assert found.p[3:] == (1.0,) * 4
 
 
 def test_gear_variance(data_dir: Path) -> None:

@@ -182,6 +182,8 @@ def test_the_answer_names_levels_that_no_effect_covers(data: ReportData):
     more = replace(data, factors={**data.factors, name: (*levels, "ogden-9")})
     why = "half of their cases or more failed, or every one on the finest mesh"
     assert f"Left out, because {why}: ogden-9." in sentences.answer(more, found)[0]
+    numbered = replace(data, factors={**data.factors, name: (*levels, "9")})
+    assert f": {name} 9." in sentences.answer(numbered, found)[0]
 
 
 def test_one_factor_alone_has_no_interaction_to_speak_of(data: ReportData):

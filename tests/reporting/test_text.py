@@ -147,8 +147,8 @@ def test_numbers_and_words(write: Callable[..., str], arguments: tuple[object, .
 
 
 def test_decimals_are_those_of_a_thousandth_of_what_matters():
-    steps = (0.5, 5, 0.05, 0.1, None)
-    assert [decimals_that_count(step) for step in steps] == [3, 2, 4, 4, None]
+    steps = (0.5, 5, 0.05, 0.1, None, 3e-14)
+    assert [decimals_that_count(step) for step in steps] == [3, 2, 4, 4, None, None]
 
 
 def test_inputs_are_joined_by_their_first_part():

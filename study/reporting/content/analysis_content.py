@@ -392,7 +392,6 @@ def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Bloc
         yield checks(analysis, "Assumptions")
         yield from _further_checks(analysis)
         yield robustness(analysis, data)
-        yield _bounds(analysis)
         yield _detectable(analysis)
     if analysis.data.nested is not None:
         yield _by_units(analysis.data.nested)
@@ -405,10 +404,12 @@ def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
     """Means, largest differences with their verdicts, and the telling simple effects."""
     yield replace(means(item, data), grouped=False)
     yield replace(tables.verdicts((item,), data), name="Effects", grouped=False)
+    reasons: dict[str, list[str]] = {}
     for e in item.effects:
         # without a threshold nothing can be told, which is said once for all
         if e.verdict in REFUSALS and e.practical is not None:
-            yield Verbatim(f"{e.term}: {e.verdict} ({e.why})")
+            reasons.setdefault(f"{e.verdict} ({e.why})", []).append(e.term)
+    yield from (Verbatim(f"{', '.join(terms)}: {why}") for why, terms in reasons.items())
     # of every factor that interacts the largest simple effect, and that which decides its verdict
     telling = [(e, dict.fromkeys((e.largest_simple, e.deciding_simple))) for e in item.terms]
     terms = tuple(replace(e, simple_effects=tuple(filter(None, few))) for e, few in telling)
@@ -437,22 +438,6 @@ def _further_checks(analysis: AnalysisResult) -> Iterator[Verbatim]:
         low, high = tests.box_cox.ci95
         exponent = tests.box_cox.exponent
         yield Verbatim(f"Box-Cox exponent {exponent:.2f} (95 % {low:.2f} to {high:.2f})")
-
-
-def _bounds(analysis: AnalysisResult) -> Table:
-    return Table.of(
-        "Largest differences, whatever the missing responses are",
-        analysis.data.bounds,
-        {
-            "Term": lambda b: b.term,
-            "lowest": lambda b: significant(b.low, 4),
-            "highest": lambda b: significant(b.high, 4),
-            "p from": lambda b: p_value(None if b.p is None else b.p[0]),
-            "p to": lambda b: p_value(None if b.p is None else b.p[1]),
-            "verdicts": lambda b: ", ".join(b.verdicts),
-            "holds": lambda b: "yes" if b.holds else "no",
-        },
-    )
 
 
 def _detectable(analysis: AnalysisResult) -> Table | None:

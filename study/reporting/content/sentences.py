@@ -143,7 +143,15 @@ def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     for effect in (effect for facts in all_facts for effect in facts.effects):
         levels = [str(level) for level in data.factors.get(effect.term, ())]
         if effect.levels and set(effect.levels) < set(levels):
-            gone.update(dict.fromkeys(clean(o) for o in levels if o not in effect.levels))
+            name = term_name(effect.term, data.labels)
+            # a number alone names no level
+            gone.update(
+                dict.fromkeys(
+                    clean(f"{name} {o}" if o[:1].isdigit() else o)
+                    for o in levels
+                    if o not in effect.levels
+                )
+            )
     why = "half of their cases or more failed, or every one on the finest mesh"
     return [f"Left out, because {why}: {listing(list(gone))}."] if gone else []
 

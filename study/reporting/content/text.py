@@ -92,10 +92,11 @@ def _fixed(value: float, decimals: int) -> str:
 
 
 def decimals_that_count(step: float | None) -> int | None:
-    """Decimals that a thousandth of what matters can be read at; None where that is unknown."""
+    """Decimals that a thousandth of what matters can be read at; None: unknown, or too many."""
     if step is None or not math.isfinite(step) or step <= 0:
         return None
-    return max(math.floor(-math.log10(step / 1000) + 1e-9), 0)
+    decimals = max(math.floor(-math.log10(step / 1000) + 1e-9), 0)
+    return decimals if decimals < 10 else None
 
 
 def rounded(value: float | None, decimals: int | None, digits: int = 3) -> str:

@@ -26,7 +26,9 @@ from study.statistics.analysis.sums_of_squares import Factored, SphericityResult
 from study.statistics.analysis.unreplicated import CopyGroups, LenthResult
 from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds, bound_of
 
-_TEXT = re.compile(r"^\s*(?P<value>\d+(\.\d*)?([eE][+-]?\d+)?|\.\d+)\s*(?P<unit>[^\d\s].*?)?\s*$")
+_TEXT = re.compile(
+    r"^\s*(?P<value>(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,+-].*?)?\s*$"
+)
 
 
 def threshold(practical: Practical) -> Threshold | None:
@@ -36,6 +38,8 @@ def threshold(practical: Practical) -> Threshold | None:
     --------
     >>> threshold("10 % of mean")
     Threshold(value=0.1, relative=True)
+    >>> threshold(".5e-3 pp")
+    Threshold(value=0.0005, relative=False)
     """
     if practical is None or isinstance(practical, Threshold):
         return practical

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -233,9 +234,16 @@ def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     table, request, alone = _of_one_block(table, request)
     request, note = _of_units(table, request)
     note = alone or note
-    inner = _nested_factor(table, request)
-    if inner is not None:
-        return _with_nested(table, request, *inner)
+    chain = _nested_chain(table, request)
+    if chain:
+        within = " and ".join(f"{b} lies within {a}" for a, b in pairwise(chain))
+        note = (
+            f"{within} (levels with names of their own): "
+            + "".join(f"{a} is tested against {b}, " for a, b in pairwise(chain))
+            + f"and {chain[-1]} against the rows within, as --model "
+            + ",".join(":".join(chain[: k + 1]) for k in range(len(chain)))
+        )
+        return _with_nested(table, request, chain).noted(note)
     if request.layout.unit is not None:
         result = _with_units(table, request, request.layout.unit)
     else:
@@ -433,60 +441,68 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     return replace(result, data=replace(result.data, bounds=failure_bounds)).noted(*notes)
 
 
-def _nested_factor(table: pd.DataFrame, request: AnalysisRequest) -> tuple[str, str] | None:
-    """Find the one factor that lies within another, with levels of its own names, and that one."""
+def _nested_chain(table: pd.DataFrame, request: AnalysisRequest) -> tuple[str, ...]:
+    """Factors of which each lies within the one before, with levels of its own names."""
     layout = request.layout
     if layout.block or layout.unit or layout.whole_plot or request.model != "full":
-        return None
+        return ()
     if request.records or len(request.factors) < 2:
-        return None
+        return ()
     data = prepare(table, request.response, request.factors)
     pairs = structure_of(data).nested
+    inside = [f for f in request.factors if any(f == inner for inner, _ in pairs)]
     if len(pairs) <= 1:
-        return pairs[0] if pairs else None
-    depth = {name: sum(inner == name for inner, _ in pairs) for name in request.factors}
-    chain = sorted(request.factors, key=lambda name: depth[name])
-    terms = ",".join(":".join(chain[: k + 1]) for k in range(len(chain)))
+        return pairs[0][::-1] if pairs else ()
+    chain = sorted(request.factors, key=lambda name: len(data.layout.levels[name]))
+    if all((b, a) in pairs for a, b in pairwise(chain)):
+        return tuple(chain)
     nesting = ", ".join(f"{inner} lies within {outer}" for inner, outer in pairs)
     raise RefusedError(
-        f"{nesting}: name the strata. --model {terms} tests each against the rows within; "
-        f"--factors {chain[0]} --unit {chain[1]} tests {chain[0]} against {chain[1]}"
+        f"{nesting}: name the strata. --error reml "
+        f"--factors {','.join(f for f in request.factors if f not in inside)} "
+        f"--random {','.join(inside)} takes the levels of the latter as drawn from many; --unit "
+        f"{inside[-1]} without the other in --factors averages the rows of each"
     )
 
 
 def _with_nested(
-    table: pd.DataFrame, request: AnalysisRequest, inner: str, outer: str
+    table: pd.DataFrame, request: AnalysisRequest, chain: tuple[str, ...]
 ) -> AnalysisResult:
-    """Analysis of the other factors against the nested one, and of that one against the rows."""
+    """Analysis of the other factors against the nested one, and of that one against the rows.
+
+    Of several (plants, their laboratories, batches of these) each is tested against the next.
+    """
+    *above, inner = chain
+    outer, error = above[-1], ":".join(chain)
     factors = tuple(f for f in request.factors if f != inner)
     upper = replace(request, factors=factors, layout=replace(request.layout, unit=inner))
     # one that meets several levels of a third factor is a block of these, not a repeat of its cell
     upper, _ = _of_units(table, upper)
     crosses = upper.layout.unit is None
-    terms = tuple(t for t in terms_of(request.factors) if inner not in t or outer in t)
-    within = replace(request, model=[list(t) for t in terms], sums="auto")
-    rows = _found(table, within)
-    result = _complete(table, upper) if crosses else _with_units(table, upper, inner)
+    if len(above) > 1:
+        means = repeats.average_units(table, upper, inner)
+        result = _with_nested(means, replace(request, factors=factors), tuple(above))
+        terms = tuple(chain[: k + 1] for k in range(len(chain)))
+    else:
+        result = _complete(table, upper) if crosses else _with_units(table, upper, inner)
+        terms = tuple(t for t in terms_of(request.factors) if inner not in t or outer in t)
+    rows = _found(table, replace(request, model=[list(t) for t in terms], sums="auto"))
     tested = {row.term: row for row in result.anova.rows}
-    error = f"{outer}:{inner}"
     listed = []
     for row in rows.anova.rows:
-        above = tested.get(row.term)
-        if above is None or row.term == "residual":
+        higher = tested.get(row.term)
+        if higher is None or row.term == "residual":
             listed.append(row)
-        else:
-            listed.append(
-                replace(row, f=above.f, p=above.p, df_error=above.df_error,
-                        error=f"{outer}:{above.error}" if crosses else error,
-                        epsilon_gg=above.epsilon_gg, p_gg=above.p_gg, omega_sq=None,
-                        partial_eta_sq=above.partial_eta_sq,
-                        partial_eta_sq_ci95=above.partial_eta_sq_ci95)
-            )  # fmt: skip
-    note = (
-        f"{inner} lies within {outer} (levels with names of their own): {outer} is tested against "
-        f"{inner}, and {inner} against the rows within, as --model {outer},{error}"
-    )
-    return replace(result, anova=replace(rows.anova, rows=tuple(listed))).noted(note)
+            continue
+        against = higher.error if len(above) > 1 and ":" in (higher.error or "") else error
+        listed.append(
+            replace(row, f=higher.f, p=higher.p, df_error=higher.df_error,
+                    error=f"{outer}:{higher.error}" if crosses else against,
+                    epsilon_gg=higher.epsilon_gg, p_gg=higher.p_gg, omega_sq=None,
+                    partial_eta_sq=higher.partial_eta_sq,
+                    partial_eta_sq_ci95=higher.partial_eta_sq_ci95)
+        )  # fmt: skip
+    return replace(result, anova=replace(rows.anova, rows=tuple(listed)))
 
 
 def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> AnalysisResult:
@@ -526,6 +542,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     if not request.records and request.layout.copies == "refuse":
         refuse_copied_rows(out.data)
     _refuse_undeclared(out)
+    _refuse_confounded(out.data)
     unit = out.data.layout.cell([*out.data.factors, *out.data.blocks])
     if out.data.block is not None and int(np.unique(unit, return_counts=True)[1].max()) > 1:
         out = _averaged(out, table)
@@ -579,9 +596,9 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
         )
     structure = structure_of(data)
     if structure.empty_cells:
-        structure, terms = _with_empty_cells(data, request, structure, terms)
-        if structure.undecided:
-            data = replace(data, warnings=(*data.warnings, structure.undecided))
+        structure, terms, note = _with_empty_cells(data, request, structure, terms)
+        if note:
+            data = replace(data, warnings=(*data.warnings, note))
     tol = request.scale.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
@@ -597,16 +614,16 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
 
 def _with_empty_cells(
     data: Data, request: AnalysisRequest, structure: Structure, terms: tuple[Term, ...]
-) -> tuple[Structure, tuple[Term, ...]]:
+) -> tuple[Structure, tuple[Term, ...], str]:
     """Structure without the cells that the model does not need, and the terms that are told apart.
 
-    Terms that add nothing to those before them are left out, and named with their aliases.
+    Terms that add nothing to those before them are left out; a note names them with their aliases.
     """
     cells = np.unique(data.cell, return_index=True)[1]
     model = factorize(model_matrix(data.layout.take(cells), terms))
     ordered = request.model == "full" or isinstance(request.model, int)
     if model.is_full or nested_in(terms):
-        return replace(structure, empty_cells=0), terms
+        return replace(structure, empty_cells=0), terms, ""
     spaces = {t: model.space(i, "I") for i, t in enumerate(model.matrix.terms) if t}
     told_apart = tuple(t for t, space in spaces.items() if space.basis.shape[1])
     reduced = factorize(model_matrix(data.layout.take(cells), told_apart))
@@ -614,7 +631,7 @@ def _with_empty_cells(
     if is_fraction and len(told_apart) < len(terms):
         structure = replace(structure, empty_cells=0)
     if len(told_apart) == len(terms) or not ordered or not request.any_type:
-        return structure, terms
+        return structure, terms, ""
     lost = [
         term_name(t)
         + (f" (= {space.aliases[0]})" if space.aliases and space.nominal_df == 1 else "")
@@ -625,10 +642,14 @@ def _with_empty_cells(
     order = request.lower_order
     smaller = f"--model {order}, or the terms" if order else "--model with the terms"
     reason = (
-        f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
-        f"which are negligible to have the others judged ({smaller})"
+        "these runs cannot tell effects from interactions that may be there; declare which are "
+        f"negligible ({smaller})"
     )
-    return replace(structure, undecided=reason, asked=terms), told_apart
+    note = (
+        f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
+        f"which are negligible to have all factors judged ({smaller})"
+    )
+    return replace(structure, undecided=reason, asked=terms), told_apart, note
 
 
 def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:
@@ -666,6 +687,22 @@ def _averaged(out: AnalysisOutcome, table: pd.DataFrame) -> AnalysisOutcome:
     start = _start(means, out.request)
     data = replace(start.data, missing=out.data.missing, warnings=out.data.warnings)
     return replace(start, data=data, tolerance=out.tolerance, structure=out.structure)
+
+
+def _refuse_confounded(data: Data) -> None:
+    """Refuse a block that changes with a factor, level by level."""
+    sizes = {name: len(data.layout.levels[name]) for name in (*data.factors, *data.blocks)}
+    for factor_name, block in product(data.factors, data.blocks):
+        pairs = np.unique(data.layout.cell([factor_name, block])).size
+        if pairs == sizes[factor_name] == sizes[block]:
+            others = ",".join(f for f in data.factors if f != factor_name)
+            rest = f", or test the others alone (--factors {others})" if others else ""
+            raise RefusedError(
+                f"{block} changes with {factor_name}: every level of {factor_name} was measured "
+                f"in one {block} and no other, so nothing tells their effects apart. Measure the "
+                f"levels of {factor_name} in the same {block}{rest}; without --block {block} a "
+                f"difference between its levels counts as one of {factor_name}"
+            )
 
 
 def _refuse_undeclared(out: AnalysisOutcome) -> None:

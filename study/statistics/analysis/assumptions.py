@@ -195,7 +195,12 @@ def is_representative(out: AnalysisOutcome) -> Flags:
 
 
 def _inapplicable(**tests: SpreadTest) -> list[str]:
-    return [f"{name}: not applicable: {test.reason}" for name, test in tests.items() if test.reason]
+    """One sentence for every reason for which tests are not applicable."""
+    reasons: dict[str, list[str]] = {}
+    for name, test in tests.items():
+        if test.reason:
+            reasons.setdefault(test.reason, []).append(name)
+    return [f"{' and '.join(names)}: not applicable: {why}" for why, names in reasons.items()]
 
 
 def _ryan_joiner(
@@ -226,8 +231,7 @@ def _of_residuals(out: AnalysisOutcome) -> tuple[AnalysisOutcome, Assumptions]:
     """Ryan-Joiner on one representative of each computation, and the tests of equal spread."""
     rows = np.flatnonzero(is_representative(out))
     if out.fit is None or out.fit.df_residual == 0:
-        reason = "not applicable: there are no residuals"
-        return out.warn(f"normality: {reason}", f"variance: {reason}"), Assumptions()
+        return out, Assumptions()
     blocked = out.data.block is not None
     if blocked:
         # of more rows than are tested, nobody asks for the columns of the model

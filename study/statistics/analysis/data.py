@@ -265,6 +265,8 @@ _CHANCE = 1e-4
 _LEAST_SHARE = 0.2
 #: distinct rows from which equal numbers of copies of each are no chance
 _DISTINCT_ROWS = 8
+#: part of a cell's scatter within which neighbours tell how densely its rows lie
+_NEARBY = 0.1
 #: pairs of blocks that are compared value by value
 _MOST_BLOCKS = 200
 #: parts of the scatter to which copies agree whose last digits were changed
@@ -279,7 +281,8 @@ _FARTHEST = 1e-3
 class Structure:
     """What a table is, before a model is fitted."""
 
-    #: Step of the readings in the unit of the response; 0 where none shows.
+    #: Step of the readings in the unit of the response, their root mean square where levels were
+    #: read with different steps; 0 where none shows.
     resolution: float = 0.0
     #: Factors whose levels each lie in one level of another factor: (inner, outer).
     nested: tuple[tuple[str, str], ...] = ()
@@ -287,7 +290,7 @@ class Structure:
     empty_cells: int = 0
     #: Factors with one level in every block.
     constant_in_blocks: tuple[str, ...] = ()
-    #: Which terms were left out because the runs cannot tell them from others; empty if none.
+    #: Why factors are not judged whose terms the runs cannot tell from others; empty if none.
     undecided: str = ""
     #: Terms of the model with those; empty where none was left out.
     asked: tuple[Term, ...] = ()
@@ -303,27 +306,56 @@ def structure_of(data: Data) -> Structure:
         pairs = {f: np.unique(data.layout.cell([data.block, f])).size for f in data.factors}
         blocks = np.unique(codes[data.block]).size
         constant = tuple(f for f in data.factors if pairs[f] == blocks)
-    return Structure(resolution(data.y), _nested(data) if empty else (), empty, constant)
+    return Structure(_step_of_readings(data), _nested(data) if empty else (), empty, constant)
 
 
-def resolution(y: Array) -> float:
-    """Largest step of which all values are multiples; 0 for values with ten decimals or more.
+def _decimals(y: Array) -> Array:
+    """Decimals of each value; infinite for computed ones, with ten after the first digit or more.
 
-    Examples
-    --------
-    >>> resolution(np.array([1.25, 2.0, 7.75])), resolution(np.array([math.pi, 1.0]))
-    (0.25, 0.0)
+    Shapes: y (n,).
     """
+    decimals = np.full(y.size, np.inf)
     scale = float(np.abs(y).max(initial=0.0))
-    for decimals in range(_MOST_DECIMALS + 1):
-        units = y * 10.0**decimals
-        if scale * 10.0**decimals > 1e15:
-            return 0.0
-        whole = np.round(units)
-        if np.abs(units - whole).max(initial=0.0) <= 1e-6 + 4e-16 * scale * 10.0**decimals:
-            step = int(np.gcd.reduce(whole.astype(np.int64)))
-            return step * 10.0**-decimals
-    return 0.0
+    # of small numbers those after their first digit count, whatever the unit
+    first = max(0, -math.floor(math.log10(scale))) if scale else 0
+    for digits in range(first, first + _MOST_DECIMALS + 1):
+        if scale * 10.0**digits > 1e15:
+            break
+        units = y * 10.0**digits
+        is_whole = np.abs(units - np.round(units)) <= 1e-6 + 4e-16 * scale * 10.0**digits
+        decimals[is_whole & np.isinf(decimals)] = digits
+        if np.isfinite(decimals).all():
+            break
+    return decimals
+
+
+def resolution(y: Array, decimals: Array | None = None) -> float:
+    """Largest step of which all values are multiples; 0 for values with ten decimals or more."""
+    most = float(np.max(_decimals(y) if decimals is None else decimals, initial=0.0))
+    if math.isinf(most):
+        return 0.0
+    step = int(np.gcd.reduce(np.round(y * 10.0**most).astype(np.int64)))
+    return step * math.pow(10.0, -most)
+
+
+def _step_of_readings(data: Data) -> float:
+    """Step of the readings: the root mean square where levels were read with different steps."""
+    decimals = _decimals(data.y)
+    steps = np.full(data.y.size, resolution(data.y, decimals))
+    written = decimals[np.isfinite(decimals)]
+    finest = float(written.max(initial=0.0)) + (written.size < decimals.size)
+    for name, code in data.layout.codes.items():
+        count, most = np.bincount(code), np.zeros(len(data.layout.levels[name]))
+        np.maximum.at(most, code, decimals)
+        # so many values without the last decimals are no chance
+        for level in np.flatnonzero(count * (finest - most) > -math.log10(_CHANCE / count.size)):
+            here = code == level
+            unit = 10.0 ** -float(most[level])
+            # an instrument reads in steps of 1, 2 or 5; a wider one is that of what was measured
+            of_unit = resolution(data.y[here], decimals[here]) / unit
+            if np.ptp(data.y[here]):
+                steps[here] = np.maximum(steps[here], unit * math.gcd(round(of_unit), 10))
+    return float(steps[0]) if not np.ptp(steps) else float(np.sqrt(np.mean(steps**2)))
 
 
 def _nested(data: Data) -> tuple[tuple[str, str], ...]:
@@ -362,55 +394,109 @@ def refuse_copied_rows(data: Data) -> None:
 
 def _copied_rows(data: Data) -> str:
     """Describe the copies; empty where ties are no more than the resolution makes."""
-    cells = np.unique(data.cell, return_inverse=True)[1]
-    shifted = data.y - data.y[0]
-    mean = np.bincount(cells, shifted) / np.bincount(cells)
-    sd = float(np.sqrt(np.mean((shifted - mean[cells]) ** 2)))
-    near = [part * sd for part in _NEAR] if data.y.size <= _MOST_ROWS else []
-    return next((text for apart in (0.0, *near) if (text := _copied_within(data, apart))), "")
+    near = _NEAR if data.y.size <= _MOST_ROWS else ()
+    return next((text for part in (0.0, *near) if (text := _copied_within(data, part))), "")
 
 
-def _copied_within(data: Data, apart: float) -> str:
-    """Describe rows of a cell that are no farther apart than this from the next one."""
+def _copied_within(data: Data, part: float) -> str:
+    """Describe rows of a cell that lie no farther apart than this part of its scatter."""
     from scipy.special import pdtrc
 
-    order = np.argsort(data.y, kind="stable")
-    cluster = np.zeros(data.y.size)
-    cluster[order[1:]] = np.cumsum(np.diff(data.y[order]) > apart)
-    pairs = np.column_stack([data.cell.astype(float), cluster])
-    keys, first, counts = np.unique(pairs, axis=0, return_index=True, return_counts=True)
-    index = np.unique(keys[:, 0], return_inverse=True)[1]
-    varies = np.bincount(index)[index] > 1  # a cell without spread is told as such
-    index, counts, values = index[varies], counts[varies], data.y[first][varies]
-    n, distinct = int(counts.sum()), counts.size
-    if n - distinct < _LEAST_SHARE * n or n == distinct:
+    cell = np.unique(data.cell, return_inverse=True)[1]
+    order = np.lexsort((data.y, cell))
+    cell, y = cell[order], data.y[order]
+    gap = np.where(np.diff(cell) > 0, np.inf, np.diff(y))
+    distinct = np.flatnonzero(np.append(True, gap > 0))
+    apart = part * _spreads(cell[distinct], y[distinct])
+    begins = np.append(True, gap > apart[cell[1:]])
+    ends = np.flatnonzero(np.append(begins[1:], True))
+    # a chain of rows that is longer than copies can lie apart is where rows are dense
+    dense = y[ends] - y[begins] > 2 * apart[cell[ends]]
+    first = np.flatnonzero(begins | dense[np.cumsum(begins) - 1])
+    counts = np.diff(np.append(first, y.size))
+    spread = _spreads(cell[first], y[first])
+    varies = spread > 0  # a cell without spread is told as such
+    clusters = first[varies[cell[first]]]
+    counts, index = counts[varies[cell[first]]], cell[clusters]
+    n = int(counts.sum())
+    repeats = n - counts.size
+    if not repeats:
         return ""
     times = int(np.gcd.reduce(counts))
-    how = f" to within {apart:.2g}" if apart else ""
-    every = f"each row stands {times} times{how} ({distinct} distinct rows of {n})"
-    if times > 1 and distinct >= _DISTINCT_ROWS and not apart:
+    how = f" to within {apart[varies].max():.2g}" if part else ""
+    every = f"each row stands {times} times{how} ({counts.size} distinct rows of {n})"
+    if times > 1 and counts.size >= _DISTINCT_ROWS and not part:
         return every
-    index = np.unique(index, return_inverse=True)[1]
-    members, rows = np.bincount(index), np.bincount(index, counts)
-    free = distinct - members.size
-    mean = np.bincount(index, values) / members
-    sd = math.sqrt(float(np.sum((values - mean[index]) ** 2)) / free)
-    within = float(np.sum(rows * (rows - 1)) / 2)
-    ties = int(np.sum(counts * (counts - 1)) // 2)
+    size = spread.size
+    rows = np.bincount(index, counts, minlength=size)
+    ties = np.bincount(index, counts * (counts - 1) / 2, minlength=size)
+    pairs = rows * (rows - 1) / 2
     # readings that were coarse before they were computed with tie between cells as well
-    total = np.bincount(np.unique(keys[varies, 1], return_inverse=True)[1], counts)
-    elsewhere = float(np.sum(total * (total - 1)) / 2) - ties
-    between = n * (n - 1) / 2 - within
-    chance = max(_tie(data.y, sd, apart), 2 * elsewhere / between if between else 0.0)
-    # whether so many ties are chance, where readings cluster threefold
-    if ties == 0 or float(pdtrc(ties - 1, 3 * within * chance)) >= _CHANCE:
+    in_order = np.sort(y[varies[cell]])
+    breaks = np.flatnonzero(np.append(True, np.diff(in_order) > float(np.median(apart[varies]))))
+    total = np.diff(np.append(breaks, n)).astype(float)
+    elsewhere = float(np.sum(total * (total - 1)) / 2 - ties.sum())
+    between = n * (n - 1) / 2 - float(pairs.sum())
+    step = _least_step(data.y)
+    wide = np.maximum(_NEARBY, 1.5 * step / np.where(varies, spread, np.inf))
+    density = _density(y[clusters], index, counts, wide, spread) / np.maximum(pairs, 1)
+    chance = (step + 2 * apart) / np.where(varies, spread, np.inf)
+    chance *= np.maximum(1 / (2 * math.sqrt(math.pi)), density / (2 * wide))
+    chance = np.clip(chance, max(2 * elsewhere / between, 0.0) if between else 0.0, 1.0)
+    # whether so many ties are chance, where readings cluster threefold; several in one cell are
+    # looked at by themselves
+    expected = 3 * pairs * chance
+    several = np.bincount(index, counts > 1, minlength=size) > 1
+    copied = several & (ties > 0) & (size * pdtrc(np.maximum(ties - 1, 0), expected) < _CHANCE)
+    copied &= rows - np.bincount(index, minlength=size) >= _LEAST_SHARE * rows
+    if repeats >= _LEAST_SHARE * n and pdtrc(ties.sum() - 1, expected.sum()) < _CHANCE:
+        return every if times > 1 else f"{repeats} of {n} rows repeat another of their cell{how}"
+    if not copied.any():
         return ""
-    return every if times > 1 else f"{n - distinct} of {n} rows repeat another of their cell{how}"
+    here = copied[index]
+    repeats, n = int(np.sum(counts[here] - 1)), int(rows[copied].sum())
+    label = data.cell_names()[int(np.unique(data.cell)[np.flatnonzero(copied)[0]])]
+    return f"{repeats} of {n} rows repeat another of their cell{how}, as in {label}"
 
 
-def _tie(y: Array, sd: float, apart: float = 0.0) -> float:
+def _density(y: Array, cell: Ints, counts: Ints, wide: Array, spread: Array) -> Array:
+    """Pairs of rows of each cell that lie apart, but no farther than ``wide`` of its scatter.
+
+    Shapes: y, cell, counts (clusters,), sorted by cell and value; wide, spread (cells,).
+    """
+    start = np.searchsorted(cell, np.arange(spread.size))
+    above = (y - y[np.minimum(start, y.size - 1)][cell]) / spread[cell]
+    place = 3e6 * cell + np.minimum(above, 1e6)
+    rows = np.append(0, np.cumsum(counts))
+    to = np.searchsorted(place, place + wide[cell], side="right")
+    within = counts * (rows[to] - rows[1:])
+    return np.bincount(cell, within, minlength=spread.size).astype(float)
+
+
+def _spreads(cell: Ints, y: Array) -> Array:
+    """Scatter in each cell by the median absolute deviation, which no single row moves.
+
+    Shapes: cell, y (n,), sorted by cell and value; returns (cells,).
+    """
+    count = np.bincount(cell)
+    start = np.cumsum(count) - count
+
+    def medians(values: Array) -> Array:
+        middle = values[start + (count - 1) // 2] + values[start + count // 2]
+        return np.asarray(middle / 2)
+
+    away = np.abs(y - medians(y)[cell])
+    # of normal readings this is the standard deviation
+    return 1.4826 * medians(away[np.lexsort((away, cell))])
+
+
+def _least_step(y: Array) -> float:
+    """Step of the readings, that of doubles where none shows."""
+    return resolution(y) or 16 * float(np.spacing(np.abs(y).max()))
+
+
+def chance_of_tie(step: float, sd: float) -> float:
     """Chance that two normal readings agree: step times the integral of the squared density."""
-    step = (resolution(y) or 16 * float(np.spacing(np.abs(y).max()))) + 2 * apart
     return min(1.0, step / (2 * math.sqrt(math.pi) * sd)) if sd > 0 else 1.0
 
 
@@ -431,6 +517,7 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:
         own = centred - np.nanmean(centred, axis=1, keepdims=True)
     sd, interaction = (float(np.sqrt(np.nanmean(part**2))) for part in (centred, own))
     chance = blocks * (blocks - 1) / 2
+    step = _least_step(data.y)
     twins = []
     for i, j in combinations(range(blocks), 2):
         apart = np.abs(table[i] - table[j])
@@ -439,9 +526,9 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:
             continue
         farthest = float(np.nanmax(apart))
         if farthest == 0:
-            rare = (3 * _tie(data.y, sd)) ** both
+            rare = (3 * chance_of_tie(step, sd)) ** both
         elif farthest <= _FARTHEST * interaction:
-            rare = (3 * _tie(data.y, interaction, farthest)) ** (both - 1)
+            rare = (3 * chance_of_tie(step + 2 * farthest, interaction)) ** (both - 1)
         else:
             continue
         if chance * rare < _CHANCE:

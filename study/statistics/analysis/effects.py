@@ -561,7 +561,7 @@ def _judged(
         judgement = _of_components(estimate, half, scale)
     if judgement.verdict not in (MATTERS, NO_DIFFERENCE):
         return judgement
-    remarks = [] if half is not None else ["no p"]
+    remarks = [] if half is not None else ["no p" if estimate.p is None else "no interval"]
     if scale.specimens == 2:
         remarks.append("2 specimens")
     return (

@@ -76,8 +76,9 @@ def _fault(named: Mapping[str, Array], least: int, design: ResidualDesign | None
     floor = 16 * float(np.spacing(largest))
     for name, values in named.items():
         if values.size < least:
-            number = "one value" if values.size == 1 else f"{values.size} values"
-            return f"group {name} has {number}" + ("" if least <= 2 else f", {least} are needed")
+            if values.size == 1:
+                return f"group {name} has one value"
+            return f"group {name} has {values.size} values, {least} are needed"
         if not np.all(np.isfinite(values)):
             return f"group {name} has a missing value"
         if float(np.ptp(values)) <= floor:

@@ -159,7 +159,7 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
     if untested:
         error = replace(error, reason=untested)
     df = fit.df_residual if error.df else 0
-    if untested or df == 0:
+    if untested or (df == 0 and (out.request.records or out.scale.specimens != 1)):
         order = out.request.lower_order
         fewer_terms = f"model = {order}" if order else "name the terms of the model"
         out = out.warn(untested or REMEDIES.format(fewer_terms))

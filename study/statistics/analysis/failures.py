@@ -421,7 +421,7 @@ def _lowest(filled: Sequence[Effect], smallest: float | None) -> float | None:
 
 
 def sentences(failure_bounds: Sequence[FailureBound], missing: int) -> list[str]:
-    """Give one sentence per conclusion that the missing responses could overturn."""
+    """Say in one sentence which conclusions the missing responses could overturn."""
     if not failure_bounds:
         return []
     runs = f"{missing} missing response" + ("s" if missing > 1 else "")
@@ -430,8 +430,8 @@ def sentences(failure_bounds: Sequence[FailureBound], missing: int) -> list[str]
     # interactions have no verdict; one sentence serves them all
     open_ones = [b.term for b in failure_bounds if not b.holds and ":" in b.term]
     out = [
-        f"{b.term}: with the {runs} anywhere between the worst and the best observed value, its "
-        f"largest difference lies between {b.low:.3g} and {b.high:.3g}{_why(b)}"
+        f"with the {runs} anywhere between the worst and the best observed value, the largest "
+        f"difference of {b.term} lies between {b.low:.3g} and {b.high:.3g}{_why(b)}"
         for b in failure_bounds
         if not b.holds and b.low is not None and b.high is not None and ":" not in b.term
     ]
@@ -439,7 +439,7 @@ def sentences(failure_bounds: Sequence[FailureBound], missing: int) -> list[str]
         out.append(f"the {runs} could change what is seen of {', '.join(open_ones)}")
     if certain:
         out.append(f"the {runs} cannot overturn what is said of {', '.join(certain)}")
-    return out
+    return ["; ".join(out)] if out else []
 
 
 def _why(bound: FailureBound) -> str:

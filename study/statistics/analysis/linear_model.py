@@ -235,7 +235,7 @@ def nested_in(terms: Sequence[Term]) -> dict[str, tuple[str, ...]]:
             alone = any(name in t and not set(parents) & set(t) for t in present)
             if parents and frozenset(parents) in present and not alone:
                 outer.setdefault(name, parents)
-    return {name: parents for name, parents in outer.items() if not set(parents) & set(outer)}
+    return outer
 
 
 def number_within(layout: CellLayout, nested: Mapping[str, tuple[str, ...]]) -> CellLayout:

@@ -216,21 +216,18 @@ def with_shares(rows: Sequence[Row], total: float) -> tuple[Row, ...]:
 
 def alias_warnings(sums: Sequence[TermSum], *, partial: bool = False) -> list[str]:
     """One sentence for every term that lost degrees of freedom, with what it is aliased."""
-    if partial:
-        lost = [
-            f"{term_name(s.term)} {s.df} of {s.nominal_df}" for s in sums if s.df < s.nominal_df
-        ]
-        what = "degrees of freedom that empty cells leave"
-        return [f"{what}: {', '.join(lost)}"] if lost else []
-    out = []
-    for s in sums:
-        if s.df < s.nominal_df:
-            partly = f" (aliased with {', '.join(s.aliases)})" if s.aliases else ""
-            out.append(
-                f"{term_name(s.term)}: {s.nominal_df - s.df} of {s.nominal_df} degrees of "
-                f"freedom are not estimable{partly}: empty cells or a confounded design; no test"
-            )
-    return out
+    short = [s for s in sums if s.df < s.nominal_df]
+    if partial and short:
+        lost = [f"{term_name(s.term)} {s.df} of {s.nominal_df}" for s in short]
+        factors = [term_name(s.term) for s in short if len(s.term) == 1]
+        mend = f"; leave {' and '.join(factors)} out to have the others whole" if factors else ""
+        return [f"degrees of freedom that empty cells leave: {', '.join(lost)}{mend}"]
+    return [
+        f"{term_name(s.term)}: {s.nominal_df - s.df} of {s.nominal_df} degrees of freedom are not "
+        + (f"estimable (aliased with {', '.join(s.aliases)})" if s.aliases else "estimable")
+        + ": empty cells or a confounded design; no test"
+        for s in short
+    ]
 
 
 def eta_interval(row: Row) -> tuple[float, float] | None:

@@ -31,6 +31,8 @@ def lenth_of(data: Data, y: Array, terms: Sequence[Term], seed: int) -> LenthRes
     every = terms_of(data.factors) if balanced(data.layout, data.factors) else tuple(terms)
     names, contrasts = orthonormal_contrasts(data.layout, every)
     values = contrasts.T @ (y - y[0])
+    # what a deterministic model leaves of a contrast is rounding, and no scatter to judge by
+    values[np.abs(values) <= ulp_floor(y) * np.sqrt(y.size)] = 0.0
     if all(len(data.layout.levels[f]) == 2 for f in data.factors):
         values = 2 * values / np.sqrt(y.size)
     return lenth(values, names, seed=seed)
