@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Literal
 
 from study.ground import units
@@ -298,6 +299,10 @@ class ForwardModel:
 
     def document(self) -> dict[str, object]:
         """Plain values; keys that decide no number, and those left out that came later, are not."""
+        return dict(self._document)
+
+    @cached_property
+    def _document(self) -> dict[str, object]:
         later = {"curve": None, "values": None, "reaches": True}
         document: dict[str, object] = {}
         for key in keys_of(ForwardModel):
