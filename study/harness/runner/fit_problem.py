@@ -8,29 +8,32 @@ space or the elements, so sixteen cells may share four of them.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_existing, sha256_of
-from study.ground.canonical import digest
+from study.ground.canonical import Json, digest, plain
 from study.ground.curve import Curve
-from study.ground.declaration import table_of
+from study.ground.declaration import table_of, values_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem, tested
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.forward_section import ForwardFiles, ForwardModel, target_and_source
-from study.harness.external import command, exchange
+from study.harness.external import command
 from study.harness.external.command import External
-from study.harness.external.exchange import PythonFunction
+from study.harness.external.exchange import PredictedCurve, PythonFunction
 from study.harness.runner.provenance import code_version
-from study.mechanics.material.material import ENERGIES
+from study.mechanics.material.material import ENERGIES, is_dimensionless
 from study.mechanics.measurement.recording import locate
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Model
+from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 
 # Programs and functions of a study: found, named, allowed, and asked for curves.
@@ -86,12 +89,71 @@ def check_templates(problem: ForwardCell, case_id: str) -> None:
         external.rendered({"case_id": case_id, **problem.own_tables()})
         return
     depth = problem.depth_mm or 1.0
-    request = exchange.request(problem.with_placeholder(depth), np.array([depth]))
+    asked = request(problem.with_placeholder(depth), np.array([depth]))
     section = problem.material
     names = dict.fromkeys(section.calibrated_names, 1.0) | dict(section.constants)
-    material = {**table_of(request, "material"), "constants_MPa": names}
-    context = exchange.context_of({**request, "material": material, **problem.own_tables()})
+    material = {**table_of(asked, "material"), "constants_MPa": names}
+    context = _context_of({**asked, "material": material, **problem.own_tables()})
     external.rendered({"case_id": case_id, **context})
+
+
+def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
+    """Document of a problem, complete in itself. Shapes: displacement_mm (n,)."""
+    material, test = problem.material, problem.test
+    bulk = material.bulk
+    indenter = None if test.indenter is None else _section(test.indenter)
+    size_mm = None  # that our own mesh would have
+    if not problem.setup.has_no_elements:
+        from study.mechanics.mesh.mesher import mesh_size
+
+        size_mm = float(mesh_size(problem.setup))
+    return {
+        "schema": 1,
+        "specimen": _section(problem.specimen),
+        "test": {
+            "kind": test.kind,
+            "interface": test.interface,
+            "base": test.base,
+            "displacement_mm": float(displacement_mm[-1]),
+            "steps": test.steps,
+            "indenter": indenter,
+        },
+        "material": {
+            "model": material.model,
+            "constants_MPa": {k: float(v) for k, v in material.constants.items()},
+            "mu0_MPa": material.mu0,
+            "bulk_modulus_MPa": bulk if math.isfinite(bulk) else None,
+        },
+        "model": {**_section(problem.model), "mesh_size_mm": size_mm},
+        "displacement_mm": [float(d) for d in displacement_mm],
+    }
+
+
+def _section(value: object) -> dict[str, Json]:
+    words = {"shape": getattr(value, "shape", None)}
+    shaped = {k: v for k, v in words.items() if v is not None}
+    return cast("dict[str, Json]", plain({**shaped, **values_of(value)}))
+
+
+def _context_of(request: Mapping[str, object]) -> dict[str, object]:
+    """Names of a template: those of a request, with every constant under its own name."""
+    material = table_of(request, "material")
+    constants = table_of(material, "constants_MPa")
+    named = {k if is_dimensionless(k) else f"{k}_MPa": v for k, v in constants.items()}
+    others = {k: v for k, v in material.items() if k != "constants_MPa"}
+    return {**request, "material": {**others, **named}}
+
+
+def solved_by(
+    external: External, problem: Problem, displacement_mm: Array, tables: Mapping[str, object]
+) -> PredictedCurve:
+    """Curve of a problem, shape (n,), by a program or function, which gets further tables too."""
+    asked = {**request(problem, displacement_mm), **tables}
+
+    def context() -> dict[str, object]:
+        return {"case_id": digest(asked), **_context_of(asked)}
+
+    return external.solve(asked, displacement_mm, context)
 
 
 _sha_of = functools.cache(sha256_of)
