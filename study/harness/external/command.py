@@ -416,8 +416,8 @@ class External:
 
         return self._asked(call, context, (exchange.PROBLEM_FILE, request), read)
 
-    def answer(self, case: Mapping[str, object]) -> PredictedCurve:
-        """Ask for the values and the curve of parameters alone."""
+    def answer(self, case: Mapping[str, object], units: Mapping[str, str]) -> PredictedCurve:
+        """Ask for the values and the curve of parameters alone, responses in their units."""
         section = self.section
 
         def read(folder: Path, text: str) -> PredictedCurve:
@@ -427,7 +427,7 @@ class External:
             return PredictedCurve(curve_of(section.curve, folder), values=values)
 
         def call(function: PythonFunction) -> PredictedCurve:
-            return function.values(case, section.units)
+            return function.values(case, {**units, **section.units})
 
         return self._asked(call, lambda: case, (exchange.CASE_FILE, case), read)
 

@@ -182,7 +182,7 @@ class PythonFunction:
             function: Function = cloudpickle.loads(base64.b64decode(self.text))
         try:
             return function(_attributed(case))  # type: ignore[arg-type]
-        except Exception as error:  # noqa: BLE001 - a function of the user may raise anything
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's may raise anything
             raise NoAnswer("failed", f"{type(error).__name__}: {error}") from error
 
     def solve(
@@ -206,7 +206,8 @@ class PythonFunction:
             return PredictedCurve(whole)
         if not isinstance(returned, Mapping) or not returned:
             rule = f"the function returned {type(returned).__name__}, not names with numbers"
-            raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}} or a study.Curve')
+            columns_of = f'{{"{DISPLACEMENT}": [..], "{FORCE}": [..]}}'
+            raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}}, or a curve as {columns_of}')
         answered = PredictedCurve()
         if {DISPLACEMENT, FORCE} <= set(returned):
             columns = [np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE)]
@@ -217,7 +218,13 @@ class PythonFunction:
             returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
         scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
                    for k, v in returned.items()}  # fmt: skip
-        values = {k: quantity_in(v, units.get(k, ""), k) for k, v in scalars.items()}
+        values = {}
+        for name, value in scalars.items():
+            try:
+                values[name] = quantity_in(value, units.get(name, ""), name)
+            except NoAnswer:  # what else it returns may be no number
+                if name in units:
+                    raise
         return replace(answered, values=values)
 
 

@@ -257,7 +257,7 @@ _RENDERED = 64_000
 
 def _of_parameters(job: CaseJob) -> tuple[Record, bytes]:
     """Record of a case of parameters alone, and the zip of its folder where that is kept."""
-    answer = answer_of_parameters(job.case.problem, job.case.case_id)
+    answer = answer_of_parameters(job.case.problem, job.case.case_id, job.units)
     values, curve = {**answer.values, "seconds": answer.seconds}, answer.curve
     responses: dict[str, ResponseDocument] = {}
     for name, unit in job.units.items():

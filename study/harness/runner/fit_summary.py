@@ -304,9 +304,11 @@ def _external(problem: ForwardCell) -> External:
     return external
 
 
-def answer_of_parameters(problem: ForwardCell, case_id: str) -> PredictedCurve:
-    """Answer of a program or function for parameters alone."""
-    return _external(problem).answer({"case_id": case_id, **problem.own_tables()})
+def answer_of_parameters(
+    problem: ForwardCell, case_id: str, units: Mapping[str, str]
+) -> PredictedCurve:
+    """Answer of a program or function for parameters alone, to responses in their units."""
+    return _external(problem).answer({"case_id": case_id, **problem.own_tables()}, units)
 
 
 def external_curve(
