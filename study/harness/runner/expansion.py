@@ -19,14 +19,16 @@ from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.forward_section import ForwardModel
 from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
 from study.harness.record.record import Record
-from study.harness.runner import provenance
 from study.harness.runner.fit_problem import (
     NOTHING,
     Allowed,
     FitProblem,
     check_templates,
     fit_problem,
+    folders,
     identity,
+    located_cell,
+    placed_files,
     placed_model,
 )
 from study.harness.runner.job import (
@@ -124,7 +126,7 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     tests = {name_of_test(p): p for p in problems if isinstance(p, CellProblem)}
     data = DataCache(data_root, tuple(tests.values()))
     blocks = _common_blocks(cells, data)
-    places = provenance.folders(design.source, data_root)
+    places = folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
     every_case = planned(design, blocks)
     # each forward model is looked for once for all cells that share it
@@ -196,7 +198,7 @@ class Computed:
         problem, cell = fit_problem(case.cell), case.cell
         names = (
             code_version(),
-            *(file.sha256 for file in provenance.placed_files(cell)),
+            *(file.sha256 for file in placed_files(cell)),
             *identity(cell.problem),
         )
         return cls(cell, problem, _forward_of(case, problem), (sorted(units), *names), units)
@@ -242,7 +244,7 @@ def _located(
     case: Case, places: Sequence[Path], model_of: Callable[[ForwardModel], ForwardModel]
 ) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
-    cell = provenance.located_cell(case.cell, places)
+    cell = located_cell(case.cell, places)
     section = cell.problem.forward
     if section is not None and section.is_external:
         problem = replace(cell.problem, forward=model_of(section))

@@ -18,13 +18,13 @@ from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case, Design
 from study.harness.record.document import ResponseDocument
 from study.harness.record.record import Record, is_repeat
-from study.harness.runner import provenance
 from study.harness.runner.fit_problem import (
     NOTHING,
     Allowed,
     FitProblem,
     fit_key,
     start_problem,
+    surface_notes,
     together,
 )
 from study.harness.runner.fit_summary import FitResult
@@ -321,7 +321,7 @@ class Work:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What was done to measurements and surfaces that may not be what they seem."""
-        mended = provenance.surface_notes(job.case.cell for job in self.jobs)
+        mended = surface_notes(job.case.cell for job in self.jobs)
         return (*(note for note in self.data.notes() if is_caution(note)), *mended)
 
     @property
