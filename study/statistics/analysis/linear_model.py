@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import combinations, product
 
 import numpy as np
@@ -504,7 +504,10 @@ def _factored_products(matrix: ModelMatrix) -> tuple[Array, Array] | None:
         cells = math.prod(len(layout.levels[name]) for name in term)
         length = math.sqrt(layout.n / cells)
         q[:, block] = _products(layout, {name: small[name][0] for name in term}) / length
-        r[block, block] = reduce(np.kron, (small[name][1] for name in term), np.eye(1)) * length
+        triangle = np.eye(1)
+        for name in term:
+            triangle = np.kron(triangle, small[name][1])
+        r[block, block] = triangle * length
     return q, r
 
 
