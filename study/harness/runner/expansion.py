@@ -50,8 +50,8 @@ from study.harness.runner.response import units_of
 def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], ...]:
     """Every case on each of its meshes, with the number of the mesh; once where none are asked.
 
-    Seeds are made of the study's seed and the cell: the meshes of one cell are the same in
-    every block, and those of two cells have nothing to do with each other.
+    Seeds are hashes of the study's seed, the cell and the number: the meshes of one cell are the
+    same in every block, and those of two cells have nothing to do with each other.
     """
     asked = design.replicates
     count = asked.mesh_seeds if asked.key is None else asked.n
@@ -60,7 +60,9 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
     _check_count(len(distinct) * count)
     made = []
     for case in distinct:
-        for number, seed in enumerate(_seeds(design, case, count), 1):
+        content = [design.seed, case.cell.document()]
+        for number, name in enumerate(numbered(content, count, 8), 1):
+            seed = int(name, 16)
             if asked.key is None:
                 again = repeated(case, ["mesh seed", seed], meshed(case.cell, seed))
                 made.append((again, Origin(mesh_seed=number)))
@@ -81,12 +83,6 @@ def _check_count(count: int) -> None:
     if count > MAX_CASES:
         rule = f"{count} cases with their replicates are more than {MAX_CASES}"
         raise InputError(Fault("replicates", rule, "ask for fewer, or use fewer levels"))
-
-
-def _seeds(design: Design, case: Case, count: int) -> list[int]:
-    """Seeds of the repeats of a case: hashes of the study's seed, the cell and the number."""
-    cell = [design.seed, case.cell.document()]
-    return [int(name, 16) for name in numbered(cell, count, 8)]
 
 
 def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
