@@ -12,7 +12,7 @@ from study.api.folders import is_table
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import NUMBER, TYPED_COMMA, names_of, read_csv, read_tidy_csv
 from study.harness.design.study_file import SCORED, ResponseSpec
-from study.harness.runner.expansion import held_out
+from study.harness.runner.job import held_out
 from study.harness.runner.record_analysis import analyze_records
 from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts

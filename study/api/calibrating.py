@@ -23,7 +23,7 @@ from study.harness.calibration.model_comparison import choose, compare
 from study.harness.design.load import load, load_calibration, template
 from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.record.folder import own_folder
-from study.harness.runner import provenance
+from study.harness.runner.fit_problem import folders, located
 from study.harness.runner.virtual_specimens import usual_generator, write_tests, write_virtual
 from study.laboratory.tracker.tracker_recording import is_tracking, load_tracking, write_recording
 from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
@@ -237,8 +237,8 @@ def _opened(
     """Calibration of a file with the place of every surface, and the folder of its measurements."""
     config = load_calibration(source, overrides)
     root = calibration_root(config, source, data)
-    places = provenance.folders(source, root)
-    tests = (replace(t, problem=provenance.located(t.problem, places)) for t in config.tests)
+    places = folders(source, root)
+    tests = (replace(t, problem=located(t.problem, places)) for t in config.tests)
     return replace(config, tests=tuple(tests)), root
 
 

@@ -19,7 +19,7 @@ from study.harness.design.spec import LoadedProblem
 from study.harness.execution.task import Executor
 from study.harness.record.folder import own_folder
 from study.harness.record.store import Store
-from study.harness.runner import provenance, study_refinement
+from study.harness.runner import study_refinement
 from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed
 from study.harness.runner.case_series import (
@@ -28,6 +28,7 @@ from study.harness.runner.case_series import (
     stored_convergence,
 )
 from study.harness.runner.expansion import expand
+from study.harness.runner.fit_problem import data_root, folders, located
 from study.harness.runner.refinement import (
     SeriesJudgement,
     cost_fronts,
@@ -111,8 +112,8 @@ def problem_cells(
 ) -> SeriesDocument:
     """Judge every cell of a design without measurements, and what each accuracy costs."""
     spec = design.converge
-    places = provenance.folders(design.source, provenance.data_root(design.source))
-    problems = [provenance.located(tested(t.cell.problem), places) for t in design.treatments]
+    places = folders(design.source, data_root(design.source))
+    problems = [located(tested(t.cell.problem), places) for t in design.treatments]
     solver = solve or kept(by_workers(processes(jobs)), store_of(results, design.name))
     levels = (dict(treatment.levels) for treatment in design.treatments)
     cells, judged = refined_and_judged(

@@ -15,8 +15,7 @@ from study.harness.design.load import from_tables, load, load_problem, loads, lo
 from study.harness.design.spec import Design, LoadedProblem
 from study.harness.record.document import ManifestDocument
 from study.harness.record.store import Store
-from study.harness.runner import provenance
-from study.harness.runner.provenance import data_root
+from study.harness.runner.fit_problem import data_root, folders, located
 from study.mechanics.setup.setup import Tables
 
 RESULTS = Path("results")
@@ -76,7 +75,7 @@ def loaded_problem(source: str | Path | Tables, overrides: Sequence[str] = ()) -
         loaded, place = loads_problem(from_tables(source), "problem", overrides), Path("problem")
     else:
         loaded, place = load_problem(source, overrides), Path(source)
-    found = provenance.located(loaded.problem, provenance.folders(place, data_root(place)))
+    found = located(loaded.problem, folders(place, data_root(place)))
     return replace(loaded, problem=found)
 
 

@@ -22,8 +22,8 @@ from study.harness.design.spec import Design
 from study.harness.record.atomic_files import write_atomic
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner import provenance
 from study.harness.runner.expansion import cases_by_id
+from study.harness.runner.fit_problem import data_root, folders, located
 from study.harness.runner.tasks import Costs, default_jobs
 from study.laboratory.haptics.haptic_export import (
     TOLERANCE,
@@ -208,7 +208,7 @@ def _recorded(path: Path, case: str) -> _Source:
     design = load.loads(manifest["design"], manifest["source"])
     cell = _problem_of(record, design, manifest["blocks"])
     values, errors = _constants({n: p for n, p in record.parameters.items() if n != "mu0"})
-    cell = provenance.located(cell, provenance.folders(design.source, folder))
+    cell = located(cell, folders(design.source, folder))
     return _Source(f"{design.name}-{record.case_id[:8]}", cell, values, errors)
 
 
@@ -364,8 +364,8 @@ def require(
         If the test does not determine the constants.
     """
     file = load_requirement(source, overrides)
-    places = provenance.folders(source, provenance.data_root(source))
-    fitted, predicted = (provenance.located(p, places) for p in (file.fitted, file.predicted))
+    places = folders(source, data_root(source))
+    fitted, predicted = (located(p, places) for p in (file.fitted, file.predicted))
     file = replace(file, fitted=fitted, predicted=predicted)
     workers, tests = jobs or default_jobs(), file.asked.samples * len(file.asked.multiples)
     if progress is not None and tests:
@@ -534,9 +534,7 @@ def tracking(
         For a faulty file or faulty data, with everything that is wrong.
     """
     declared = load_tracking(source)
-    accuracy = judge_tracker(
-        declared, provenance.data_root(source, data), default_name(str(source))
-    )
+    accuracy = judge_tracker(declared, data_root(source, data), default_name(str(source)))
     if reports is None:
         return accuracy
     page = write_tracker(accuracy, Path(reports) / slug(accuracy.name))

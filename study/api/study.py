@@ -56,8 +56,8 @@ from study.harness.runner.batch import (
     run_batch,
 )
 from study.harness.runner.expansion import expand
-from study.harness.runner.fit_problem import Allowed, externals
-from study.harness.runner.provenance import placed_files, versions
+from study.harness.runner.fit_problem import Allowed, externals, placed_files
+from study.harness.runner.provenance import versions
 from study.harness.runner.record_analysis import effects_by_depth
 from study.harness.runner.study_refinement import compare_spaces, validate
 from study.harness.runner.study_refinement import refine as refine_study

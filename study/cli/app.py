@@ -90,7 +90,7 @@ def virtual(
     from study import api
     from study.api.folders import design_root
     from study.harness.design.load import load
-    from study.harness.runner.provenance import data_root
+    from study.harness.runner.fit_problem import data_root
     from study.laboratory.tracker.tracker_recording import is_tracking
 
     chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}

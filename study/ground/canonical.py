@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, fields, is_dataclass
 from typing import ClassVar, Protocol, TypeAlias, overload
 
@@ -103,5 +103,15 @@ def digest(value: object, length: int = 64) -> str:
 
 def hashed(value: Json, length: int) -> str:
     """Hex sha256 of a value that is canonical."""
-    text = json.dumps(value, sort_keys=True, allow_nan=False, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:length]
+    return hashlib.sha256(_text(value).encode()).hexdigest()[:length]
+
+
+def numbered(value: Sequence[object], count: int, length: int) -> list[str]:
+    """Digests of a list with each number from 1 on behind it; the list is walked once."""
+    begun = _text(canonical(value)).removesuffix("]")
+    texts = (f"{begun},{float(number)}]" for number in range(1, count + 1))
+    return [hashlib.sha256(text.encode()).hexdigest()[:length] for text in texts]
+
+
+def _text(value: Json) -> str:
+    return json.dumps(value, sort_keys=True, allow_nan=False, separators=(",", ":"))

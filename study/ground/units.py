@@ -96,7 +96,8 @@ TO_DISPLAY: Mapping[str, tuple[str, float]] = {"MPa": ("kPa", 1000.0)}
 _NUMBER = re.compile(
     r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
 )
-_QUANTITY = re.compile(rf"({_NUMBER.pattern})[ \t]*(\S(?:.*\S)?)", re.ASCII)
+# no unit begins where a number might go on: 12.5 is not 12. with a unit of 5
+_QUANTITY = re.compile(rf"({_NUMBER.pattern})(?:[ \t]+|(?![0-9.,]))(\S(?:.*\S)?)", re.ASCII)
 
 # No brackets and one digit of exponent: a unit is never worth an expression.
 _WORD = r"[A-Za-z]+(?:(?:\*\*|\^)?-?[1-9])?"

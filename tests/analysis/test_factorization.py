@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,10 +11,8 @@ import pytest
 from study.ground.arrays import Array
 from study.statistics.analysis.comparisons import ASYMPTOTIC_BLOCKS
 from study.statistics.analysis.linear_model import CellLayout as Layout
-from study.statistics.analysis.linear_model import (
-    model_matrix,
-)
-from study.statistics.analysis.sums_of_squares import factor, influence, two_way
+from study.statistics.analysis.linear_model import model_matrix, terms_of
+from study.statistics.analysis.sums_of_squares import factor, influence, term_sums, two_way
 from study.statistics.analysis.unreplicated import group_cells
 from tests.analysis.test_simple_effects import of_blocks
 
@@ -45,6 +44,21 @@ def test_two_factors_are_fitted_as_with_all_columns(drop: float) -> None:
         assert influence(fit).cook == pytest.approx(influence(dense).cook, rel=1e-7, abs=1e-12)
         other = rng.normal(size=here.n)
         assert fit.projected(other) == pytest.approx(dense.projected(other), abs=1e-12)
+
+
+@pytest.mark.parametrize("terms", ["full", 2])
+def test_many_columns_of_a_complete_layout_are_products_of_small_factors(terms: str | int) -> None:
+    here = layout((12, 9, 8), None, 1)
+    matrix = model_matrix(here, terms_of(list("abc"), terms))
+    assert matrix.columns.shape[1] >= 200
+    y = 1e3 + np.random.default_rng(2).normal(size=here.n)
+    fit, dense = factor(matrix, y), factor(replace(matrix, layout=None), y)
+    assert fit.q @ fit.r * fit.scale == pytest.approx(matrix.columns, abs=1e-13)
+    assert fit.q.T @ fit.q == pytest.approx(np.eye(fit.rank), abs=1e-13)
+    assert fit.coefficients() == pytest.approx(dense.coefficients(), abs=1e-11)
+    for kind in ("I", "II", "III"):
+        sums = [term.ss for term in term_sums(fit, kind)]
+        assert sums == pytest.approx([term.ss for term in term_sums(dense, kind)], rel=1e-10)
 
 
 def test_two_factors_without_a_common_row_lose_a_degree_of_freedom() -> None:

@@ -28,7 +28,7 @@ from study.harness.design.parameters import ParameterProblem
 from study.harness.external import answers, command, exchange
 from study.harness.external.answers import NoAnswer, values_of_files
 from study.harness.external.command import External
-from study.harness.runner.fit_problem import fit_key, fit_problem
+from study.harness.runner.fit_problem import fit_key, fit_problem, request
 from study.harness.runner.fit_task import FitTask, fitted
 from tests.waiting import CAP_S, is_alive, until
 
@@ -44,7 +44,7 @@ def commands(argv, contents, **more: object) -> External:
 
 def solve_by_command(made, given, points):
     """Curve of a program that exchanges problem.json and curve.csv, and the report of its run."""
-    written = json.dumps(exchange.request(given, points), indent=1)
+    written = json.dumps(request(given, points), indent=1)
     contents = {**made.contents, exchange.PROBLEM_FILE: written}
     answer = command.run_commands(
         made.section, contents, lambda folder, said: exchange.answer(folder, points)
@@ -457,7 +457,7 @@ def lubricated(order: str):
 
 def test_the_adapter_of_calculix_writes_its_input_without_the_program(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    problem = exchange.request(lubricated("quadratic"), np.array([1.5, 3.75]))
+    problem = request(lubricated("quadratic"), np.array([1.5, 3.75]))
     written = runpy.run_path(str(ROOT / "designs/solvers/calculix.py"))["deck"](problem)
     facts = json.loads((tmp_path / "facts.json").read_text())
     nodes, elements = (written.split(key)[1].split("*")[0].count("\n") - 1

@@ -170,8 +170,10 @@ def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, monkeypatch, cha
     [
         ('json.dump({"peak": "many"}, open("out.json", "w"))', "is no number"),
         ('json.dump({"peak": 1e999}, open("out.json", "w"))', "not a finite number|out.json"),
+        ('json.dump({"peak": "1e400"}, open("out.json", "w"))', "not a finite number"),
         ('json.dump({"peak": "5 kg"}, open("out.json", "w"))', "is in kg"),
         ('json.dump({"peek": 5}, open("out.json", "w"))', "did you mean 'peek'"),
+        ('open("out.json", "w").write("{}")', "no value 'peak'"),
         ("pass", "wrote no out.json"),
         ("raise SystemExit(3)", "return code 3"),
         ('open("out.json", "w").write("[")', "out.json"),
@@ -192,6 +194,23 @@ def test_a_program_without_an_answer_is_a_status_of_its_case(tmp_path, code, sai
 
 
 @pytest.mark.parametrize(
+    ("table", "peak"),
+    [
+        ("peak\n12.5\n", 12.5),
+        ("name,value\npeak,250\n", 250.0),
+        ("peak;x\n1.25e1 cm;2\n", 125.0),
+        ("peak,peak\n1,2\n", None),
+    ],
+)
+def test_numbers_of_a_table_that_a_program_writes_are_read_whole(tmp_path, table, peak):
+    design = program(tmp_path, SOFT_OR_STIFF)
+    design.write_text(design.read_text().replace("out.json", "out.csv"))
+    (tmp_path / "spring.py").write_text(f"open('out.csv', 'w').write({table!r})\nprint('x = 1 m')")
+    found = api.run(design, results=tmp_path / "results", reports=None, allow_commands=True, jobs=1)
+    assert [record.value("peak") for record in found.records] == [peak, peak], found.records
+
+
+@pytest.mark.parametrize(
     ("changed", "into", "said"),
     [
         ('mass = "2 kg"', 'mass = "2 kgg"', "unknown unit 'kgg'"),
@@ -201,6 +220,7 @@ def test_a_program_without_an_answer_is_a_status_of_its_case(tmp_path, code, sai
         ('"1.2 kN/m"', '"1.2 kg"', "not of the kind of N/m"),
         ('"1.2 kN/m"', '"stiff"', "is a text here and a number in"),
         ("parameters.damping =", "parameters.dampin =", "did you mean 'damping'"),
+        ("parameters.damping =", 'parameters."<b>" =', "a parameter's name has letters"),
         ('unit = "mm"\npractical = "1 mm"', 'unit = "mm"\npractical = "1 kg"', "must be a length"),
         ('unit = "mm"\npractical', 'unit = "mmm"\npractical', "unknown unit"),
         ('name = "static"', 'name = "dofs"', "dofs is in no unit"),
@@ -278,11 +298,43 @@ def test_a_function_that_is_not_repeatable_is_told_with_both_answers(tmp_path):
     presets = (
         '[presets.twin.a]\nparameters.mass = "2 kg"\n[presets.twin.b]\nparameters.mass = "2 kg"\n'
     )
-    text = HEAD + presets + '[factors]\ntwin = ["a", "b"]\n' + RESPONSES
-    found = run(text, tmp_path, drawn)
+    # records keep their factors in another order than the design
+    factors = '[factors]\ntwin = ["a", "b"]\nparameters.damping = ["12 N s/m", "20 N s/m"]\n'
+    found = run(HEAD + presets + factors + RESPONSES, tmp_path, drawn)
     told = [one for one in found.warnings if "different answers" in one]
-    assert len(told) == 1
-    assert all(record.case_id in told[0] for record in found.records)
+    assert len(told) == 2
+    assert all(record.case_id in "".join(told) for record in found.records)
+
+
+def test_answers_of_a_function_are_in_the_unit_of_their_response(tmp_path):
+    def answered(case):
+        static = {"value": case.parameters.stiffness, "unit": "m"}
+        return {"peak": "5 cm", "static": static, "note": "coarse", "spare": math.nan}
+
+    for record in run(HEAD + FACTORS + RESPONSES, tmp_path, answered).records:
+        stiffness = 800.0 if record.levels["parameters.stiffness"] == "800 N/m" else 1200.0
+        assert (record.value("peak"), record.value("static")) == (50.0, 1000 * stiffness)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (SystemExit(3), "SystemExit: 3"),
+        (ValueError("half \ud83d"), "ValueError: half ?"),
+        (MemoryError("of mine"), "MemoryError: of mine"),
+    ],
+)
+def test_a_function_that_ends_fails_its_case_alone(tmp_path, error, said):
+    def ends(case):
+        if case.parameters.stiffness > 1000:
+            raise error
+        return spring(case)
+
+    records = run(HEAD + SOFT_OR_STIFF + RESPONSES, tmp_path, ends).records
+    assert {record.status: record.message for record in records} == {
+        "converged": "",
+        "failed": said,
+    }
 
 
 def test_a_curve_of_a_function_has_the_responses_of_a_curve(tmp_path):
@@ -392,7 +444,8 @@ def test_trajectories_screen_a_function_as_its_derivatives_say(tmp_path):
         bent = math.sin(p["a"]) + 7 * math.sin(p["b"]) ** 2 + 0.1 * p["c"] ** 4 * math.sin(p["a"])
         return {"line": 3 * p["a"] - 5 * p["b"] + 0.5 * p["c"], "bent": bent}
 
-    names, low, high = ("a", "b", "c"), -3.5, 3.5
+    # records keep their factors in another order than the design
+    names, low, high = ("c", "a", "b"), -3.5, 3.5
     tables = {
         "schema": 1, "study": {"name": "screened", "seed": 3},
         "parameters": dict.fromkeys(names, 1.0),
@@ -409,7 +462,8 @@ def test_trajectories_screen_a_function_as_its_derivatives_say(tmp_path):
         assert row["effects"] == 8
         assert [row["mu"], row["mu_star"]] == pytest.approx([whole, abs(whole)], rel=1e-12)
         assert row["sigma"] == pytest.approx(0, abs=1e-11)
-    of_run = {tuple(r.levels.values()): r.value("bent") for r in found.records}
+    of_run = {tuple(r.levels[f.name] for f in found.design.factors): r.value("bent")
+              for r in found.records}  # fmt: skip
     paths = [tuple(treatment.levels.values()) for treatment in found.design.treatments]
     problem = {"num_vars": 3, "names": list(names), "bounds": [[low, high]] * 3}
     settings, values = np.array(paths, dtype=float), np.array([of_run[run] for run in paths])

@@ -17,7 +17,7 @@ from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
 from study.harness.design.load import loads, loads_problem
 from study.harness.record.store import Store
-from study.harness.runner.provenance import located
+from study.harness.runner.fit_problem import located
 from study.harness.runner.refinement import Budget, within
 from study.harness.runner.solve_task import SolveResult, SolveTask, kept, solved
 from study.mechanics.forward.formal_order import clamped_corner, formal_order

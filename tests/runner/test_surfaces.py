@@ -14,9 +14,8 @@ from study.harness.calibration import model_comparison
 from study.harness.design.load import load, load_problem
 from study.harness.record.document import ResponseDocument
 from study.harness.record.record import Record
-from study.harness.runner import provenance
 from study.harness.runner.expansion import expand
-from study.harness.runner.fit_problem import fit_problem
+from study.harness.runner.fit_problem import find, fit_problem, folders
 from study.harness.runner.job import CaseJob
 from study.harness.runner.staged_fit import FitPart as Part
 from study.harness.runner.staged_fit import cheaper
@@ -69,7 +68,7 @@ def home(tmp_path: Path) -> Path:
 
 
 def places(home: Path) -> tuple[Path, ...]:
-    return provenance.folders(home / "design.toml", home.parent / "measurements")
+    return folders(home / "design.toml", home.parent / "measurements")
 
 
 def test_solve_reads_a_problem_with_a_surface(home: Path) -> None:
@@ -80,9 +79,9 @@ def test_solve_reads_a_problem_with_a_surface(home: Path) -> None:
 
 
 def test_the_data_root_comes_first(home: Path) -> None:
-    assert provenance.find("box.stl", places(home)).parent == home.resolve()
+    assert find("box.stl", places(home)).parent == home.resolve()
     write(home.parent / "measurements" / "box.stl", box(10, 8, 7))
-    found = provenance.find("box.stl", places(home))
+    found = find("box.stl", places(home))
     assert found.parent.name == "measurements"
 
 
@@ -100,7 +99,7 @@ def test_files_elsewhere_are_refused(home: Path, name: str, said: str) -> None:
     write(outside, box(10, 8, 6))
     (home / "link.stl").symlink_to(outside)
     with pytest.raises(InputError, match=said):
-        provenance.find(name, (home,))
+        find(name, (home,))
 
 
 @pytest.mark.parametrize(

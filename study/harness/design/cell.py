@@ -13,7 +13,15 @@ from study.ground.declaration import field_named, section_of, table_of, values_o
 from study.ground.errors import Fault, InputError
 from study.harness.design.forward_model import ForwardCell, PlacedFile
 from study.mechanics.setup import setup
-from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Enclosed, Specimen, Surface
+from study.mechanics.setup.geometry import (
+    INDENTERS,
+    SPECIMENS,
+    Block,
+    Cylinder,
+    Enclosed,
+    Specimen,
+    Surface,
+)
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem, Setup
 from study.mechanics.setup.test_kind import Test
@@ -106,6 +114,19 @@ class CellProblem(ForwardCell):
         if isinstance(specimen, Surface) and file is not None:
             specimen = replace(specimen, file=file.path)
         return Setup(specimen, self.test, self.model, self.height_mm)
+
+    @property
+    def is_meshed_freely(self) -> bool:
+        """Whether its mesh fills a closed surface, so that no other mesh is nested in it."""
+        return isinstance(self.specimen, Enclosed)
+
+    def as_cylinder(self) -> Self:
+        """Copy of a block's problem with a cylinder of the same cross-section and height."""
+        block = self.specimen
+        if not isinstance(block, Block):
+            raise TypeError(f"a {block.shape} has no cylinder like it")
+        radius = math.sqrt(block.volume_mm3 / block.height_mm / math.pi)
+        return replace(self, specimen=Cylinder(radius, block.height_mm))
 
     @property
     def height_mm(self) -> float | None:

@@ -31,7 +31,7 @@ from study.ground.diagnostics import (
 from study.ground.errors import nearest
 from study.ground.units import parse, split
 from study.harness.design import overlay
-from study.harness.design.parameters import number_and_unit
+from study.harness.design.parameters import number_and_unit, parameter_name
 from study.harness.design.spec import Factor, Level, Span
 from study.harness.design.study_file import DesignFile, Exclusion
 from study.statistics.surfaces.input_distribution import DISTRIBUTION_KEYS
@@ -105,7 +105,10 @@ def _factor(key: str, value: object, presets: Presets, faults: Faults) -> Factor
 def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[Level, ...]:
     where = f"factors.{quoted_path(key)}"
     if key not in presets and not overlay.may_vary(key):
-        table = key.split(".")[0]
+        table, _, rest = key.partition(".")
+        if table == "parameters":  # whose names are the user's own
+            noted(parameter_name, rest, where, faults)
+            return ()
         valid = [*presets, *(k for k in overlay.VARYING if k.partition(".")[0] == table)]
         mend = nearest(key[:MAX_NAME], valid) if valid else overlay.suggestion(key)
         if table in written_keys(DesignFile) and table not in overlay.TABLES:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Literal
 
 from study.ground import units
@@ -39,7 +40,7 @@ FUNCTION_SECONDS = 1e-3
 TEMPLATE = ".j2"
 #: where a number stands in the pattern of a value that is looked for in a log
 NUMBER = "(number)"
-_NUMBER_PATTERN = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?)"
+NUMBER_PATTERN = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?)"
 #: what stands in a table of cases under a name of its own
 TAKEN = ("case_id", "block", "status", "seconds", "dofs", "replicate", "mesh_seed", "noise_seed")
 
@@ -194,7 +195,7 @@ def pattern_of(value: object) -> tuple[str, str]:
         raise Bad(f"log must be a text with {NUMBER} once, got {shown(value)}", mend)
     if len(value) > MAX_PATTERN:
         raise Bad(f"log has {len(value)} characters, the limit is {MAX_PATTERN}", mend)
-    pattern = value.replace(NUMBER, _NUMBER_PATTERN)
+    pattern = value.replace(NUMBER, NUMBER_PATTERN)
     try:
         groups = re.compile(pattern).groups
     except (re.error, OverflowError, RecursionError) as error:
@@ -298,6 +299,10 @@ class ForwardModel:
 
     def document(self) -> dict[str, object]:
         """Plain values; keys that decide no number, and those left out that came later, are not."""
+        return dict(self._document)
+
+    @cached_property
+    def _document(self) -> dict[str, object]:
         later = {"curve": None, "values": None, "reaches": True}
         document: dict[str, object] = {}
         for key in keys_of(ForwardModel):

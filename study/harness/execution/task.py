@@ -76,15 +76,15 @@ def _answer(perform: Perform, payload: object) -> str:
     try:
         return json.dumps(perform(payload), allow_nan=False)
     except MemoryError as error:
-        return json.dumps({"status": "out-of-memory", "message": f"out of memory: {error}"})
+        failure = {"status": "out-of-memory", "message": f"out of memory: {error}"}
     except Exception as error:  # noqa: BLE001 - the boundary: a bug must not stop the others
-        return json.dumps(
-            {
-                "status": "failed",
-                "message": f"{type(error).__name__}: {error}",
-                "traceback": "".join(traceback.format_exception(error)),
-            }
-        )
+        failure = {
+            "status": "failed",
+            "message": f"{type(error).__name__}: {error}",
+            "traceback": "".join(traceback.format_exception(error)),
+        }
+    # half of a character, which JSON cannot hold, becomes a question mark
+    return json.dumps({k: v.encode(errors="replace").decode() for k, v in failure.items()})
 
 
 def check_limit(seconds: float | None) -> float | None:

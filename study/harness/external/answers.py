@@ -24,7 +24,12 @@ from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, parse_json, read_regular
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, UnitError, nearest
-from study.harness.design.forward_section import CurveFile, ValueFile
+from study.harness.design.forward_section import (
+    NUMBER,
+    NUMBER_PATTERN,
+    CurveFile,
+    ValueFile,
+)
 from study.harness.execution.local import Process, ProcessPool
 from study.harness.record.document import ProgramDocument
 
@@ -235,6 +240,8 @@ class NoAnswer(Exception):
     REASON = 1000
 
     def __init__(self, status: str, message: str) -> None:
+        # half of a character, which no file can hold, may stand in what a function raises
+        message = message.encode(errors="replace").decode()
         cut = f"{message[: self.REASON]}..."
         super().__init__(message if len(message) <= self.REASON else cut)
         self.status = status
@@ -390,6 +397,11 @@ def quantity_in(value: object, unit: str, where: str) -> float:
         return converted(number, str(value.get("unit", unit)), unit, where)
     if isinstance(value, str):
         try:
+            float(value)  # beyond the largest number, or none, as it may be
+            return _number(value, where)
+        except ValueError:
+            pass
+        try:
             number, written = units.split(value)
         except UnitError:
             return _number(value, where)
@@ -410,15 +422,22 @@ def _table(text: str, name: str) -> Mapping[str, object]:
         return content
     header, rows = table_rows(text, name)
     if [cell.lower() for cell in header[:2]] == ["name", "value"]:
-        return {
-            row[0]: {"value": row[1], "unit": row[2]} if len(row) > 2 and row[2] else row[1]
+        pairs: list[tuple[str, object]] = [
+            (row[0], {"value": row[1], "unit": row[2]} if len(row) > 2 and row[2] else row[1])
             for row in rows
             if len(row) > 1
-        }
-    if len(rows) != 1 or len(rows[0]) != len(header):
+        ]
+    elif len(rows) != 1 or len(rows[0]) != len(header):
         rule = f"has {len(rows)} rows below {len(header)} names, of which there may be one"
         raise NoAnswer("failed", f"{name}: {rule}; or write name,value in every row")
-    return dict(zip(header, rows[0], strict=True))
+    else:
+        pairs = list(zip(header, rows[0], strict=True))
+    if len(values := dict(pairs)) < len(pairs):
+        twice = next(key for key in values if [k for k, _ in pairs].count(key) > 1)
+        raise NoAnswer(
+            "failed", f"{name} has several values of {twice!r}: write the one that counts"
+        )
+    return values
 
 
 def _last_in(text: str, pattern: str) -> str | None:
@@ -437,5 +456,6 @@ def _logged(text: str, pattern: str, place: str, name: str) -> float:
         rule = f"{place}: looking for {name} with {pattern[:80]!r} {error}"
         raise NoAnswer("failed", f"{rule}: write it without a repeat within a repeat") from None
     if last is None:
-        raise NoAnswer("failed", f"{place} has no {name}: nothing fits {pattern[:80]!r}")
+        shown = pattern.replace(NUMBER_PATTERN, NUMBER)[:80]
+        raise NoAnswer("failed", f"{place} has no {name}: nothing fits {shown!r}")
     return _number(last, f"{name} of {place}")

@@ -40,7 +40,6 @@ from study.harness.external.answers import (
 )
 from study.harness.external.exchange import PredictedCurve, PythonFunction
 from study.harness.record.document import ProgramDocument, SolverDocument, StepDocument
-from study.mechanics.setup.setup import Problem
 
 # One run of a program: supervised, within limits of time, output and disk, with nothing left.
 
@@ -391,15 +390,14 @@ class External:
         return [*shown, *(f"with the file {name}" for name in self.contents)]
 
     def solve(
-        self, problem: Problem, displacement_mm: Array, extra: Mapping[str, object] | None = None
+        self,
+        request: Mapping[str, object],
+        displacement_mm: Array,
+        context: Callable[[], Mapping[str, object]],
     ) -> PredictedCurve:
-        """Solve one problem; ``extra`` are tables of the user's own."""
+        """Solve one problem, whose document a program gets and whose names its templates."""
         # Shapes: displacement_mm (n,).
         section = self.section
-        request = {**exchange.request(problem, displacement_mm), **(extra or {})}
-
-        def context() -> dict[str, object]:
-            return {"case_id": digest(request), **exchange.context_of(request)}
 
         def read(folder: Path, text: str) -> PredictedCurve:
             values = values_of_files(section.values, folder, text)
@@ -418,8 +416,8 @@ class External:
 
         return self._asked(call, context, (exchange.PROBLEM_FILE, request), read)
 
-    def answer(self, case: Mapping[str, object]) -> PredictedCurve:
-        """Ask for the values and the curve of parameters alone."""
+    def answer(self, case: Mapping[str, object], units: Mapping[str, str]) -> PredictedCurve:
+        """Ask for the values and the curve of parameters alone, responses in their units."""
         section = self.section
 
         def read(folder: Path, text: str) -> PredictedCurve:
@@ -429,7 +427,7 @@ class External:
             return PredictedCurve(curve_of(section.curve, folder), values=values)
 
         def call(function: PythonFunction) -> PredictedCurve:
-            return function.values(case, section.units)
+            return function.values(case, {**units, **section.units})
 
         return self._asked(call, lambda: case, (exchange.CASE_FILE, case), read)
 

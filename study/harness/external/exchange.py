@@ -8,21 +8,19 @@ whose gradient it knows) and, if it likes, ``facts.json`` (``dofs``, ``elements`
 from __future__ import annotations
 
 import base64
-import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, parse_json
-from study.ground.canonical import Json, plain
+from study.ground.canonical import Json
 from study.ground.curve import Curve, spline_from_origin
-from study.ground.declaration import table_of, values_of
 from study.ground.errors import Fault, InputError
 from study.ground.working_folder import UserImports
 from study.harness.external.answers import (
@@ -35,13 +33,7 @@ from study.harness.external.answers import (
     table_rows,
 )
 from study.harness.record.document import MarkerDocument, MeshDocument, SolverDocument
-from study.mechanics.material.material import is_dimensionless
-from study.mechanics.setup.setup import Problem
 
-if TYPE_CHECKING:
-    from study.mechanics.solver.solution import Solution
-
-SCHEMA = 1
 PROBLEM_FILE = "problem.json"
 CASE_FILE = "case.json"
 CURVE_FILE = "curve.csv"
@@ -76,27 +68,6 @@ class PredictedCurve:
     #: Files that were rendered for it.
     rendered: Mapping[str, str] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, solution: Solution, seconds: float = 0.0) -> PredictedCurve:
-        """Prediction of a solution, without the gradients that nobody reads from the store."""
-        touching = solution.equilibria.contact
-        mesh: MeshDocument = {
-            "dofs": int(solution.dofs),
-            "elements": int(solution.elements),
-            "hash": str(solution.mesh_hash),
-            "mesh_size_mm": float(solution.mesh_size_mm),
-        }
-        solver: SolverDocument = {
-            "name": str(solution.solver),
-            "min_j": float(solution.min_j),
-            "energy_mismatch": float(solution.energy.largest_mismatch),
-            "stabilization_share": float(solution.energy.stabilization_share),
-            "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
-            "penetration_mm": max((contact.penetration_mm for contact in touching), default=0.0),
-            "gap_mm": max((contact.gap_mm for contact in touching), default=0.0),
-        }
-        return cls(solution.curve.without_gradients(), mesh, solver, seconds)
-
     def to_json(self) -> dict[str, object]:
         """Plain data, for the store and for workers."""
         values = {"named_values": dict(self.values)} if self.values else {}
@@ -111,53 +82,6 @@ class PredictedCurve:
             cast(SolverDocument, document["solver"]),
             values=cast("Mapping[str, float]", document.get("named_values", {})),
         )
-
-
-def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
-    """Document of a problem, complete in itself. Shapes: displacement_mm (n,)."""
-    material, test = problem.material, problem.test
-    bulk = material.bulk
-    indenter = None if test.indenter is None else _section(test.indenter)
-    size_mm = None  # that our own mesh would have
-    if not problem.setup.has_no_elements:
-        from study.mechanics.mesh.mesher import mesh_size
-
-        size_mm = float(mesh_size(problem.setup))
-    return {
-        "schema": SCHEMA,
-        "specimen": _section(problem.specimen),
-        "test": {
-            "kind": test.kind,
-            "interface": test.interface,
-            "base": test.base,
-            "displacement_mm": float(displacement_mm[-1]),
-            "steps": test.steps,
-            "indenter": indenter,
-        },
-        "material": {
-            "model": material.model,
-            "constants_MPa": {k: float(v) for k, v in material.constants.items()},
-            "mu0_MPa": material.mu0,
-            "bulk_modulus_MPa": bulk if math.isfinite(bulk) else None,
-        },
-        "model": {**_section(problem.model), "mesh_size_mm": size_mm},
-        "displacement_mm": [float(d) for d in displacement_mm],
-    }
-
-
-def _section(value: object) -> dict[str, Json]:
-    words = {"shape": getattr(value, "shape", None)}
-    shaped = {k: v for k, v in words.items() if v is not None}
-    return cast("dict[str, Json]", plain({**shaped, **values_of(value)}))
-
-
-def context_of(request: Mapping[str, object]) -> dict[str, object]:
-    """Names of a template: those of a request, with every constant under its own name."""
-    material = table_of(request, "material")
-    constants = table_of(material, "constants_MPa")
-    named = {k if is_dimensionless(k) else f"{k}_MPa": v for k, v in constants.items()}
-    others = {k: v for k, v in material.items() if k != "constants_MPa"}
-    return {**request, "material": {**others, **named}}
 
 
 def answer(folder: Path, displacement_mm: Array, reaches: bool = True) -> PredictedCurve:
@@ -219,7 +143,7 @@ def _facts(text: str) -> dict[str, int]:
 
 # A Python function as a forward model: given to ``study.run``, never named in a file.
 
-#: problem (see ``request``) -> forces in N at its ``displacement_mm``,
+#: problem (see ``fit_problem.request``) -> forces in N at its ``displacement_mm``,
 #: a curve, or columns such as ``displacement_mm``, ``force_N`` and ``dforce_C10``
 Function = Callable[[Mapping[str, Json]], "ArrayLike | Curve | Mapping[str, ArrayLike]"]
 
@@ -258,7 +182,7 @@ class PythonFunction:
             function: Function = cloudpickle.loads(base64.b64decode(self.text))
         try:
             return function(_attributed(case))  # type: ignore[arg-type]
-        except Exception as error:  # noqa: BLE001 - a function of the user may raise anything
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's may raise anything
             raise NoAnswer("failed", f"{type(error).__name__}: {error}") from error
 
     def solve(
@@ -282,7 +206,8 @@ class PythonFunction:
             return PredictedCurve(whole)
         if not isinstance(returned, Mapping) or not returned:
             rule = f"the function returned {type(returned).__name__}, not names with numbers"
-            raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}} or a study.Curve')
+            columns_of = f'{{"{DISPLACEMENT}": [..], "{FORCE}": [..]}}'
+            raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}}, or a curve as {columns_of}')
         answered = PredictedCurve()
         if {DISPLACEMENT, FORCE} <= set(returned):
             columns = [np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE)]
@@ -293,7 +218,13 @@ class PythonFunction:
             returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
         scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
                    for k, v in returned.items()}  # fmt: skip
-        values = {k: quantity_in(v, units.get(k, ""), k) for k, v in scalars.items()}
+        values = {}
+        for name, value in scalars.items():
+            try:
+                values[name] = quantity_in(value, units.get(name, ""), name)
+            except NoAnswer:  # what else it returns may be no number
+                if name in units:
+                    raise
         return replace(answered, values=values)
 
 

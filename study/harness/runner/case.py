@@ -35,6 +35,7 @@ from study.harness.runner.fit_summary import (
     answer_of_parameters,
     external_curve,
     judged_where_simulated,
+    prediction_of,
 )
 from study.harness.runner.job import CONSTANTS, CaseJob, ScorePair
 from study.mechanics.forward import closed_form
@@ -200,7 +201,7 @@ def predicted_markers(
         "floor_mm": markers.localization_floor(label),
         "fits": fits,
     }
-    predicted = PredictedCurve.of(solution, time.perf_counter() - began)
+    predicted = prediction_of(solution, time.perf_counter() - began)
     return replace(predicted, markers=document)
 
 
@@ -256,7 +257,7 @@ _RENDERED = 64_000
 
 def _of_parameters(job: CaseJob) -> tuple[Record, bytes]:
     """Record of a case of parameters alone, and the zip of its folder where that is kept."""
-    answer = answer_of_parameters(job.case.problem, job.case.case_id)
+    answer = answer_of_parameters(job.case.problem, job.case.case_id, job.units)
     values, curve = {**answer.values, "seconds": answer.seconds}, answer.curve
     responses: dict[str, ResponseDocument] = {}
     for name, unit in job.units.items():
@@ -365,7 +366,7 @@ def _predict(job: CaseJob, direction: ScorePair) -> PredictedCurve:
     solution = anchored.solution
     if solution.status != "converged":
         raise NoAnswer(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
-    return PredictedCurve.of(solution, anchored.cold_seconds)
+    return prediction_of(solution, anchored.cold_seconds)
 
 
 #: fewest steps of a curve in closed form beside which nothing was measured: interpolation between

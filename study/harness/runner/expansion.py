@@ -11,43 +11,38 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from typing import cast
 
-from study.ground.canonical import canonical, digest
-from study.ground.curve import Curve
-from study.ground.declaration import values_of
+from study.ground.canonical import digest, numbered
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.forward_section import ForwardModel
 from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
 from study.harness.record.record import Record
-from study.harness.runner import provenance
 from study.harness.runner.fit_problem import (
     NOTHING,
     Allowed,
     FitProblem,
     check_templates,
-    fit_key,
     fit_problem,
+    folders,
     identity,
+    located_cell,
+    placed_files,
     placed_model,
-    start_problem,
-    together,
 )
 from study.harness.runner.job import (
-    CONSTANTS,
     CaseJob,
     DataCache,
-    FitJob,
     Forward,
     Origin,
-    ScorePair,
     Work,
+    name_of_test,
     repeated,
+    score_pairs,
 )
 from study.harness.runner.provenance import code_version
 from study.harness.runner.response import units_of
-from study.mechanics.measurement.measured_test import MeasuredTest, Measurements, Selection
-from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHING
 
 # Repeats of every cell for an error term: other meshes, or fits to resampled noise.
 
@@ -55,8 +50,8 @@ from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHI
 def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], ...]:
     """Every case on each of its meshes, with the number of the mesh; once where none are asked.
 
-    Seeds are made of the study's seed and the cell: the meshes of one cell are the same in
-    every block, and those of two cells have nothing to do with each other.
+    Seeds are hashes of the study's seed, the cell and the number: the meshes of one cell are the
+    same in every block, and those of two cells have nothing to do with each other.
     """
     asked = design.replicates
     count = asked.mesh_seeds if asked.key is None else asked.n
@@ -65,7 +60,9 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
     _check_count(len(distinct) * count)
     made = []
     for case in distinct:
-        for number, seed in enumerate(_seeds(design, case, count), 1):
+        content = [design.seed, case.cell.document()]
+        for number, name in enumerate(numbered(content, count, 8), 1):
+            seed = int(name, 16)
             if asked.key is None:
                 again = repeated(case, ["mesh seed", seed], meshed(case.cell, seed))
                 made.append((again, Origin(mesh_seed=number)))
@@ -86,12 +83,6 @@ def _check_count(count: int) -> None:
     if count > MAX_CASES:
         rule = f"{count} cases with their replicates are more than {MAX_CASES}"
         raise InputError(Fault("replicates", rule, "ask for fewer, or use fewer levels"))
-
-
-def _seeds(design: Design, case: Case, count: int) -> list[int]:
-    """Seeds of the repeats of a case: hashes of the study's seed, the cell and the number."""
-    cell = [canonical(design.seed), canonical(case.cell.document())]
-    return [int(digest([*cell, number], 8), 16) for number in range(1, count + 1)]
 
 
 def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
@@ -123,90 +114,17 @@ def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
     )
 
 
-# Cross-validation: which curve a score is held out from, and the fit that did not see it.
-#
-# A model with more constants fits the curve that it was fitted to at least as well, whatever the
-# truth. Under a truth of two constants a model of five is the better one in 100 % of simulated
-# studies that score the curve fitted, and in 11 % of those that score other specimens. A study
-# that would score the curve fitted is therefore cross-validated over its blocks (Stone 1974, J. R.
-# Stat. Soc. B 36, 111).
-
-#: fewest blocks of which one is held out: of two, one specimen would stand for all others
-FEWEST_BLOCKS = 3
-
-
-def held_out(
-    leave_out: str | None,
-    fit: Selection | None,
-    score: Selection | None,
-    blocks: int,
-    *,
-    other_test: bool,
-) -> str | None:
-    """Say what is left out of the fit that a curve is scored with."""
-    if leave_out is not None:
-        return None if leave_out == calibration_NOTHING else leave_out
-    sees_the_scored = not other_test and dict(fit or {}) == dict(score or fit or {})
-    return "specimen" if sees_the_scored and blocks >= FEWEST_BLOCKS else None
-
-
-def _without_specimen(
-    case: Case, problem: FitProblem, scored: Measurements, data: DataCache
-) -> list[ScorePair]:
-    """Every scored curve of a specimen, with the fit to all other specimens."""
-    calibrated = data.calibrated(case.cell)
-    fitted = scored if calibrated is None else calibrated
-    others = [block for block in fitted.blocks if block != case.block]
-    if not others or case.block is None:
-        rule = "leaves one specimen out, but the measurements have fewer than two blocks"
-        mend = "name the column of the specimens in measurements.block"
-        raise InputError(Fault("calibration.leave_out", rule, mend))
-    pairs = []
-    for fit_where, score_where in scored.sides:
-        where = dict((fit_where if calibrated is None else calibrated.fit) or {})
-        curves = tuple(fitted.curve(block, **where).curve for block in others)
-        fit = fit_job(problem, curves, case.label)
-        test = scored.curve(case.block, **dict(score_where or {}))
-        pairs.append(_pair(test, score_where, fit, f"all but {case.block}"))
-    return pairs
-
-
-def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePair:
-    """Scored curve of a test, with the fit to all other tests of the study."""
-    name = _name(case.tested)
-    others = [test for test in data.tests if _name(test) != name]
-    if not others:
-        rule = "leaves one test out, but the design has only one"
-        mend = "make the tests a factor: presets with test and measurements"
-        raise InputError(Fault("calibration.leave_out", rule, mend))
-    curves = []
-    for test in others:
-        measured = data.scored(test)
-        if measured is None:
-            raise InputError(Fault("measurements", "are missing for one of the tests"))
-        block = case.block if measured.block is not None else None
-        curves.append(measured.curve(block, **dict(measured.fit or {})).curve)
-    fit = fit_job(together(case.cell, others), tuple(curves), case.label)
-    where = scored.score or scored.fit
-    return _pair(scored.curve(case.block, **dict(where or {})), where, fit, "all other tests")
-
-
-def _name(problem: CellProblem) -> str:
-    spec, test = problem.measurements, values_of(replace(problem.test, steps=1))
-    return digest([problem.specimen, test, None if spec is None else spec.as_dict()])
-
-
 def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     """List every case and every fit of a design."""
     cells = design.treatments
     problems = [cell.cell.problem for cell in cells]
     # its different specimens, tests and measurements
-    tests = {_name(p): p for p in problems if isinstance(p, CellProblem)}
+    tests = {name_of_test(p): p for p in problems if isinstance(p, CellProblem)}
     data = DataCache(data_root, tuple(tests.values()))
     blocks = _common_blocks(cells, data)
-    places = provenance.folders(design.source, data_root)
+    places = folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
-    planned = seeded(_distinct(cases(design, blocks)), design)
+    every_case = planned(design, blocks)
     # each forward model is looked for once for all cells that share it
     asked, model_of = units_asked(design), cache(partial(placed_model, places, allowed.function))
     shared: dict[int, Computed] = {}
@@ -217,17 +135,24 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
             shared[place] = Computed.of(_located(case, places, model_of), asked)
         return _job(case, data, design, origin, shared[place])
 
-    jobs = _anchored(job(case, origin) for case, origin in planned)
+    jobs = _anchored(job(case, origin) for case, origin in every_case)
     every = (*jobs, *resampled(jobs, design))
     return Work(design, every, asked, blocks, data, allowed)
 
 
+def planned(design: Design, blocks: tuple[str, ...]) -> Sequence[tuple[Case, Origin]]:
+    """Every case but those of resampled noise, and why it is computed; listed once a design."""
+    if blocks not in design.planned:
+        design.planned[blocks] = seeded(_distinct(cases(design, blocks)), design)
+    return cast("Sequence[tuple[Case, Origin]]", design.planned[blocks])
+
+
 def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
     """List every case that :func:`expand` makes of a design; nothing measured is read."""
-    planned = [case for case, _ in seeded(_distinct(cases(design, blocks)), design)]
+    every_case = [case for case, _ in planned(design, tuple(blocks))]
     numbers = range(1, design.replicates.noise + 1)
-    again = [refitted(case, number) for case in planned for number in numbers]
-    return {case.case_id: case for case in (*planned, *again)}
+    again = [refitted(case, number) for case in every_case for number in numbers]
+    return {case.case_id: case for case in (*every_case, *again)}
 
 
 def relabeled(
@@ -269,7 +194,7 @@ class Computed:
         problem, cell = fit_problem(case.cell), case.cell
         names = (
             code_version(),
-            *(file.sha256 for file in provenance.placed_files(cell)),
+            *(file.sha256 for file in placed_files(cell)),
             *identity(cell.problem),
         )
         return cls(cell, problem, _forward_of(case, problem), (sorted(units), *names), units)
@@ -315,7 +240,7 @@ def _located(
     case: Case, places: Sequence[Path], model_of: Callable[[ForwardModel], ForwardModel]
 ) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
-    cell = provenance.located_cell(case.cell, places)
+    cell = located_cell(case.cell, places)
     section = cell.problem.forward
     if section is not None and section.is_external:
         problem = replace(cell.problem, forward=model_of(section))
@@ -335,7 +260,7 @@ def _job(
 ) -> CaseJob:
     """Job of a case, from what it shares with those of its cell."""
     placed = replace(case, cell=computed.cell)
-    pairs = tuple(_score_pairs(placed, computed.problem, data, design))
+    pairs = tuple(score_pairs(placed, computed.problem, data, design))
     content = [case.case_id, [pair.identity for pair in pairs], *computed.names]
     return CaseJob(
         placed, pairs, digest(content), computed.forward, origin,
@@ -353,91 +278,6 @@ def _forward_of(case: Case, problem: FitProblem) -> Forward:
     is_analytic = case.cell.method == "analytic" and case.problem.is_homogeneous
     has_none = case.tested.setup.has_no_elements
     return "closed-form" if is_analytic or has_none else "simulation"
-
-
-def _score_pairs(
-    case: Case, problem: FitProblem, data: DataCache, design: Design
-) -> list[ScorePair]:
-    """Say what is fitted and what is scored in a case."""
-    if not isinstance(case.problem, CellProblem):
-        return [ScorePair("all", None, None)]
-    cell, scored = case.cell, data.scored(case.problem)
-    if scored is None:
-        return [_simulated(case, problem)]
-    kind = None  # a study of constants alone fits each curve by itself
-    if problem.method != "none" and (cell.leave_out is not None or design.asks_for_scores):
-        other = cell.fitted_elsewhere is not None
-        kind = held_out(
-            cell.leave_out, scored.fit, scored.score, len(scored.blocks), other_test=other
-        )
-    if kind is None:
-        return _fitted_pairs(case, problem, scored, data)
-    if kind != "specimen":
-        return [_without_test(case, scored, data)]
-    pairs = _without_specimen(case, problem, scored, data)
-    if design.asks_for_constants:
-        # those of all other specimens would differ less between specimens than these do
-        alone = _fitted_pairs(case, problem, scored, data)[0]
-        pairs.append(replace(alone, role=CONSTANTS, fit_label=f"{case.block} alone"))
-    return pairs
-
-
-def _simulated(case: Case, problem: FitProblem) -> ScorePair:
-    """Prediction that nothing was measured beside."""
-    depth, marked = case.problem.depth_mm, case.problem.markers
-    if marked is not None and case.block is not None:  # each state is a block
-        depth = marked.state(case.block).displacement_mm
-    if problem.method != "none" or depth is None:
-        rule = "there is none to fit the constants to, nor to say how far the test goes"
-        mend = "add it, or give [material] its constants and [test] its displacement"
-        raise InputError(Fault("measurements", rule, mend))
-    return ScorePair("all", None, None, pressed_mm=float(depth))
-
-
-def _fitted_pairs(
-    case: Case, problem: FitProblem, scored: Measurements, data: DataCache
-) -> list[ScorePair]:
-    """Pairs whose constants are given, or come from the curves that the study file selects."""
-    given, other = problem.method == "none", data.calibrated(case.cell)
-    if given or other is not None:
-        fit = None
-        if other is not None and not given:
-            block = case.block if other.block is not None else None
-            curve = other.curve(block, **dict(other.fit or {})).curve
-            fit = fit_job(problem, (curve,), case.label)
-        return [_pair(scored.pairs(case.block)[0][1], scored.score, fit)]
-    out = []  # with ``swap`` fit and score also change places
-    pairs = zip(scored.pairs(case.block), scored.sides, strict=True)
-    for (fitted, test), (fit_where, score_where) in pairs:
-        fit = fit_job(problem, (fitted.curve,), case.label)
-        role = "fit" if fit_where == score_where else "score"
-        out.append(_pair(test, score_where, fit, _label(fit_where), role))
-    return out
-
-
-def _pair(
-    test: MeasuredTest,
-    score_where: Selection | None,
-    fit: FitJob | None,
-    fit_label: str = "all",
-    role: str = "score",
-) -> ScorePair:
-    scatter = None if test.scatter_N is None else tuple(float(v) for v in test.scatter_N)
-    return ScorePair(_label(score_where), test.curve, fit, role, fit_label, scatter)
-
-
-def _label(where: Selection | None) -> str:
-    if not where:
-        return "all"
-    groups = [[v] if isinstance(v, (str, float, int)) else v for v in where.values()]
-    return " ".join("+".join(map(str, group)) for group in groups)
-
-
-def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> FitJob:
-    """Make a fit and those that give its start values."""
-    before = start_problem(problem)
-    start = None if before is None else fit_job(before, measured, label)
-    return FitJob(fit_key(problem, measured), problem, measured, start, label)
 
 
 def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:

@@ -7,30 +7,37 @@ space or the elements, so sixteen cells may share four of them.
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_existing, sha256_of
-from study.ground.canonical import digest
+from study.ground.canonical import Json, digest, plain
 from study.ground.curve import Curve
-from study.ground.declaration import table_of
-from study.ground.errors import Fault, InputError
+from study.ground.declaration import table_of, values_of
+from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.cell import Cell, CellProblem, tested
-from study.harness.design.forward_model import ForwardCell
+from study.harness.design.forward_model import ForwardCell, PlacedFile
 from study.harness.design.forward_section import ForwardFiles, ForwardModel, target_and_source
-from study.harness.external import command, exchange
+from study.harness.external import command
 from study.harness.external.command import External
-from study.harness.external.exchange import PythonFunction
+from study.harness.external.exchange import PredictedCurve, PythonFunction
 from study.harness.runner.provenance import code_version
-from study.mechanics.material.material import ENERGIES
-from study.mechanics.measurement.recording import locate
+from study.mechanics.material.material import ENERGIES, is_dimensionless
+from study.mechanics.measurement.marker_states import read_markers
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.recording import check_relative, locate, locate_pattern
+from study.mechanics.setup.geometry import Block, Enclosed, Surface
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Model
+from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 
 # Programs and functions of a study: found, named, allowed, and asked for curves.
@@ -86,12 +93,71 @@ def check_templates(problem: ForwardCell, case_id: str) -> None:
         external.rendered({"case_id": case_id, **problem.own_tables()})
         return
     depth = problem.depth_mm or 1.0
-    request = exchange.request(problem.with_placeholder(depth), np.array([depth]))
+    asked = request(problem.with_placeholder(depth), np.array([depth]))
     section = problem.material
     names = dict.fromkeys(section.calibrated_names, 1.0) | dict(section.constants)
-    material = {**table_of(request, "material"), "constants_MPa": names}
-    context = exchange.context_of({**request, "material": material, **problem.own_tables()})
+    material = {**table_of(asked, "material"), "constants_MPa": names}
+    context = _context_of({**asked, "material": material, **problem.own_tables()})
     external.rendered({"case_id": case_id, **context})
+
+
+def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
+    """Document of a problem, complete in itself. Shapes: displacement_mm (n,)."""
+    material, test = problem.material, problem.test
+    bulk = material.bulk
+    indenter = None if test.indenter is None else _section(test.indenter)
+    size_mm = None  # that our own mesh would have
+    if not problem.setup.has_no_elements:
+        from study.mechanics.mesh.mesher import mesh_size
+
+        size_mm = float(mesh_size(problem.setup))
+    return {
+        "schema": 1,
+        "specimen": _section(problem.specimen),
+        "test": {
+            "kind": test.kind,
+            "interface": test.interface,
+            "base": test.base,
+            "displacement_mm": float(displacement_mm[-1]),
+            "steps": test.steps,
+            "indenter": indenter,
+        },
+        "material": {
+            "model": material.model,
+            "constants_MPa": {k: float(v) for k, v in material.constants.items()},
+            "mu0_MPa": material.mu0,
+            "bulk_modulus_MPa": bulk if math.isfinite(bulk) else None,
+        },
+        "model": {**_section(problem.model), "mesh_size_mm": size_mm},
+        "displacement_mm": [float(d) for d in displacement_mm],
+    }
+
+
+def _section(value: object) -> dict[str, Json]:
+    words = {"shape": getattr(value, "shape", None)}
+    shaped = {k: v for k, v in words.items() if v is not None}
+    return cast("dict[str, Json]", plain({**shaped, **values_of(value)}))
+
+
+def _context_of(request: Mapping[str, object]) -> dict[str, object]:
+    """Names of a template: those of a request, with every constant under its own name."""
+    material = table_of(request, "material")
+    constants = table_of(material, "constants_MPa")
+    named = {k if is_dimensionless(k) else f"{k}_MPa": v for k, v in constants.items()}
+    others = {k: v for k, v in material.items() if k != "constants_MPa"}
+    return {**request, "material": {**others, **named}}
+
+
+def solved_by(
+    external: External, problem: Problem, displacement_mm: Array, tables: Mapping[str, object]
+) -> PredictedCurve:
+    """Curve of a problem, shape (n,), by a program or function, which gets further tables too."""
+    asked = {**request(problem, displacement_mm), **tables}
+
+    def context() -> dict[str, object]:
+        return {"case_id": digest(asked), **_context_of(asked)}
+
+    return external.solve(asked, displacement_mm, context)
 
 
 _sha_of = functools.cache(sha256_of)
@@ -116,6 +182,138 @@ def _text(name: str, places: Sequence[Path]) -> str:
     except UnicodeDecodeError as error:
         raise InputError(Fault(_WHERE, f"{name!r} is no text in UTF-8")) from error
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+# Files of surfaces, markers and measurements: found and checked.
+
+_SURFACE = "specimen.file"
+
+#: depth of a test over the height where the measurements have to give it
+_USUAL_DEPTH = 0.1
+
+
+def folders(source: str | Path, root: Path) -> tuple[Path, ...]:
+    """Where a surface may be: the data root first, as measurements; then beside the design."""
+    home = Path(source).resolve().parent if Path(source).is_file() else None
+    places = [root, *([home] if home is not None else [])]
+    return tuple(dict.fromkeys(folder.resolve() for folder in places))
+
+
+def located(problem: CellProblem, places: Sequence[Path]) -> CellProblem:
+    """Copy a problem with its surface found, and checked; another specimen has no file."""
+    if not isinstance(problem.specimen, Surface):
+        return problem
+    from study.mechanics.solver.finite_element_solution import check
+
+    placed = replace(problem, surface_file=_surface_file(problem.specimen, places))
+    # Refuse what cannot be meshed or held, with placeholders for what a fit will find.
+    depth = placed.depth_mm or _USUAL_DEPTH * (placed.height_mm or 1.0)
+    check(placed.with_placeholder(depth, C10_MPa=0.005))
+    return placed
+
+
+def _surface_file(surface: Surface, places: Sequence[Path]) -> PlacedFile:
+    from study.mechanics.surface.closed_surface import height_of
+
+    path = find(surface.file, places)
+    height = height_of(replace(surface, file=str(path)))
+    return PlacedFile(str(path), sha256_of(path), height)
+
+
+def located_cell(cell: Cell, places: Sequence[Path]) -> Cell:
+    """Copy a cell with its surfaces and the file of its markers found."""
+    other = cell.fitted_elsewhere
+    if isinstance(other, CellProblem) and isinstance(other.specimen, Surface):
+        other = replace(other, surface_file=_surface_file(other.specimen, places))
+    problem = cell.problem
+    if isinstance(problem, CellProblem):
+        problem = _with_markers(located(problem, places), places)
+    return replace(cell, problem=problem, fitted_elsewhere=other)
+
+
+def _with_markers(problem: CellProblem, places: Sequence[Path]) -> CellProblem:
+    """Copy a problem with the file of its markers found."""
+    spec, missing = problem.markers, list[Fault]()
+    if spec is None:
+        return problem
+    for folder in places:
+        try:
+            path = locate(spec.file, folder, citation=spec.citation, where="markers.file")
+        except MissingDataError as error:
+            missing += error.faults
+            continue
+        if isinstance(problem.specimen, Block):  # what is wrong with it is told before a run
+            read_markers(spec, path, problem.specimen)
+        return replace(problem, marker_file=PlacedFile(str(path), sha256_of(path)))
+    raise MissingDataError(missing[:1])
+
+
+def find(name: str, places: Sequence[Path]) -> Path:
+    """Path of a surface file in or below one of some folders."""
+    check_relative(name, _SURFACE)
+    for folder in places:
+        with contextlib.suppress(MissingDataError):
+            return locate(name, folder, where=_SURFACE)
+    looked = " or ".join(repr(str(folder)) for folder in places)
+    files = (path for folder in places for path in (folder / Path(name).parent).glob("*"))
+    names = sorted(p.name for p in files if p.suffix.lower() in (".stl", ".ply", ".obj"))
+    mend = nearest(Path(name).name, names[:20]) if names else "name its folder with --data DIR"
+    raise InputError(Fault(_SURFACE, f"there is no file {name!r} below {looked}", mend))
+
+
+def surface_notes(cells: Iterable[Cell]) -> tuple[str, ...]:
+    """List what was mended in the surfaces of some cells, each once."""
+    notes = dict[str, None]()
+    for cell in cells:
+        if isinstance(cell.problem, CellProblem) and isinstance(cell.problem.specimen, Surface):
+            from study.mechanics.surface.closed_surface import body
+
+            made = cell.problem.setup.specimen
+            notes |= dict.fromkeys(body(made).notes if isinstance(made, Enclosed) else ())
+    return tuple(notes)
+
+
+def placed_files(cell: Cell) -> list[PlacedFile]:
+    """Files of surfaces and markers that a cell uses, as they were found."""
+    problems = [p for p in (cell.problem, cell.fitted_elsewhere) if isinstance(p, CellProblem)]
+    files = (file for p in problems for file in (p.surface_file, p.marker_file))
+    return [file for file in files if file is not None]
+
+
+def data_root(
+    source: str | Path, data: str | Path | None = None, named: Iterable[MeasurementSpec] = ()
+) -> Path:
+    """Folder that measurement files are relative to.
+
+    Without a folder that the user named it is the first of three that holds the files:
+    ``measurements/`` beside the design's folder, ``measurements/`` beside the design, the
+    design's folder. Where none holds them it is the first that exists.
+    """
+    if data is not None:
+        folder = Path(data)
+        if not folder.is_dir():
+            mend = "name the folder that holds the measurement files"
+            raise InputError(Fault("--data", f"there is no folder {str(folder)!r}", mend))
+        return folder
+    home = Path(source).resolve().parent
+    usual = [home.parent / "measurements", home / "measurements", home]
+    there = [folder for folder in usual if folder.is_dir()]
+    files = list(named)
+    complete = [folder for folder in there if files and _holds(folder, files)]
+    return next(iter([*complete, *there]), home)
+
+
+def _holds(folder: Path, files: Iterable[MeasurementSpec]) -> bool:
+    """Whether a folder has a file for each of some specifications."""
+    try:
+        for spec in files:
+            if spec.file is not None:
+                locate(spec.file, folder)
+            elif spec.files is not None:
+                locate_pattern(spec.files, folder)
+    except InputError:
+        return False
+    return True
 
 
 def externals(problems: Iterable[ForwardCell]) -> list[External]:

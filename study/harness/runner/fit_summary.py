@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
@@ -16,7 +16,13 @@ from study.harness.design.forward_model import ForwardCell
 from study.harness.external.answers import NoAnswer
 from study.harness.external.command import External, steps_of
 from study.harness.external.exchange import PredictedCurve
-from study.harness.record.document import WITH_CONSTANTS, FitDocument
+from study.harness.record.document import (
+    WITH_CONSTANTS,
+    FitDocument,
+    MeshDocument,
+    SolverDocument,
+)
+from study.harness.runner.fit_problem import solved_by
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
@@ -24,6 +30,9 @@ from study.mechanics.material.homogeneous import MODES, sheared_stretches
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import StabilityResult, ellipticity_end, stability
 from study.mechanics.setup.setup import Setup
+
+if TYPE_CHECKING:
+    from study.mechanics.solver.solution import Solution
 
 FitStatus = Literal["converged", "at-edge", "at-kink", "not-converged"]
 
@@ -238,7 +247,7 @@ class InverseExternal:
         self.solves += 1
         try:
             problem = self._problem.at(constants, float(self._points[-1]))
-            return self._external.solve(problem, self._points, self._problem.own_tables())
+            return solved_by(self._external, problem, self._points, self._problem.own_tables())
         except (InputError, NoAnswer) as error:
             raise EvaluationFailed(str(error)) from error
 
@@ -267,6 +276,27 @@ class InverseExternal:
         return replace(solved, curve=solved.curve.without_gradients())
 
 
+def prediction_of(solution: Solution, seconds: float = 0.0) -> PredictedCurve:
+    """Prediction of a solution, without the gradients that nobody reads from the store."""
+    touching = solution.equilibria.contact
+    mesh: MeshDocument = {
+        "dofs": int(solution.dofs),
+        "elements": int(solution.elements),
+        "hash": str(solution.mesh_hash),
+        "mesh_size_mm": float(solution.mesh_size_mm),
+    }
+    solver: SolverDocument = {
+        "name": str(solution.solver),
+        "min_j": float(solution.min_j),
+        "energy_mismatch": float(solution.energy.largest_mismatch),
+        "stabilization_share": float(solution.energy.stabilization_share),
+        "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
+        "penetration_mm": max((contact.penetration_mm for contact in touching), default=0.0),
+        "gap_mm": max((contact.gap_mm for contact in touching), default=0.0),
+    }
+    return PredictedCurve(solution.curve.without_gradients(), mesh, solver, seconds)
+
+
 def _external(problem: ForwardCell) -> External:
     external = External.of(problem)
     if external is None:
@@ -274,9 +304,11 @@ def _external(problem: ForwardCell) -> External:
     return external
 
 
-def answer_of_parameters(problem: ForwardCell, case_id: str) -> PredictedCurve:
-    """Answer of a program or function for parameters alone."""
-    return _external(problem).answer({"case_id": case_id, **problem.own_tables()})
+def answer_of_parameters(
+    problem: ForwardCell, case_id: str, units: Mapping[str, str]
+) -> PredictedCurve:
+    """Answer of a program or function for parameters alone, to responses in their units."""
+    return _external(problem).answer({"case_id": case_id, **problem.own_tables()}, units)
 
 
 def external_curve(
@@ -284,7 +316,7 @@ def external_curve(
 ) -> PredictedCurve:
     """Curve of a case by its external forward model; constants MPa; displacement_mm (n,)."""
     problem = cell.at(constants, float(displacement_mm[-1]))
-    prediction = _external(cell).solve(problem, displacement_mm, cell.own_tables())
+    prediction = solved_by(_external(cell), problem, displacement_mm, cell.own_tables())
     mesh, curve = prediction.mesh, prediction.curve.without_gradients()
     if mesh and problem.model.mesh_size_mm is not None:
         mesh = {**mesh, "mesh_size_mm": problem.model.mesh_size_mm}

@@ -26,6 +26,7 @@ from study.harness.runner.fit_summary import (
     FitResult,
     InverseExternal,
     described,
+    prediction_of,
     status_of,
 )
 from study.harness.runner.staged_fit import (
@@ -331,9 +332,7 @@ class InverseFem:
         """Curve at the final constants, with mesh and solver of the last solution."""
         if self._last is None:
             return None
-        return replace(
-            PredictedCurve.of(self._last), curve=self.curves[np.asarray(values).tobytes()]
-        )
+        return replace(prediction_of(self._last), curve=self.curves[np.asarray(values).tobytes()])
 
 
 @dataclass(frozen=True)
@@ -365,7 +364,7 @@ def _unit_solution(cell: CellProblem, name: str, depth_mm: float) -> _UnitSoluti
             solution.status,
             solution.message,
             int(sum(solution.newton_iterations)),
-            PredictedCurve.of(solution),
+            prediction_of(solution),
         )
     return _unit_solutions[key]
 

@@ -89,7 +89,7 @@ def write_runs(
         }
         store.begin_run(manifest)
         for record in records:
-            store.write(record)
+            store.write(record, followed=record is not records[-1])
         store.finish_run(manifest)
     return store.path
 

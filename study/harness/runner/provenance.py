@@ -7,21 +7,13 @@ import contextlib
 import functools
 import hashlib
 import platform
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 
 import study
-from study.ground.bounded_file import sha256_of
-from study.ground.errors import Fault, InputError, MissingDataError, StoreError, nearest
-from study.harness.design.cell import Cell, CellProblem
-from study.harness.design.forward_model import PlacedFile
+from study.ground.errors import StoreError
 from study.harness.record.atomic_files import write_atomic
-from study.mechanics.measurement.marker_states import read_markers
-from study.mechanics.measurement.measurement_section import MeasurementSpec
-from study.mechanics.measurement.recording import check_relative, locate, locate_pattern
-from study.mechanics.setup.geometry import Block, Enclosed, Surface
 
 #: Modules that do the tasks of a worker; what they import decides the numbers.
 _TASKS = (
@@ -150,133 +142,3 @@ def _code_only(tree: ast.Module) -> str:
             case [ast.Expr(ast.Constant(str())), *_] as body:
                 body[0] = ast.Pass()
     return ast.unparse(tree)
-
-
-_WHERE = "specimen.file"
-
-#: depth of a test over the height where the measurements have to give it
-_USUAL_DEPTH = 0.1
-
-
-def folders(source: str | Path, root: Path) -> tuple[Path, ...]:
-    """Where a surface may be: the data root first, as measurements; then beside the design."""
-    home = Path(source).resolve().parent if Path(source).is_file() else None
-    places = [root, *([home] if home is not None else [])]
-    return tuple(dict.fromkeys(folder.resolve() for folder in places))
-
-
-def located(problem: CellProblem, places: Sequence[Path]) -> CellProblem:
-    """Copy a problem with its surface found, and checked; another specimen has no file."""
-    if not isinstance(problem.specimen, Surface):
-        return problem
-    from study.mechanics.solver.finite_element_solution import check
-
-    placed = replace(problem, surface_file=_surface_file(problem.specimen, places))
-    # Refuse what cannot be meshed or held, with placeholders for what a fit will find.
-    depth = placed.depth_mm or _USUAL_DEPTH * (placed.height_mm or 1.0)
-    check(placed.with_placeholder(depth, C10_MPa=0.005))
-    return placed
-
-
-def _surface_file(surface: Surface, places: Sequence[Path]) -> PlacedFile:
-    from study.mechanics.surface.closed_surface import height_of
-
-    path = find(surface.file, places)
-    height = height_of(replace(surface, file=str(path)))
-    return PlacedFile(str(path), sha256_of(path), height)
-
-
-def located_cell(cell: Cell, places: Sequence[Path]) -> Cell:
-    """Copy a cell with its surfaces and the file of its markers found."""
-    other = cell.fitted_elsewhere
-    if isinstance(other, CellProblem) and isinstance(other.specimen, Surface):
-        other = replace(other, surface_file=_surface_file(other.specimen, places))
-    problem = cell.problem
-    if isinstance(problem, CellProblem):
-        problem = _with_markers(located(problem, places), places)
-    return replace(cell, problem=problem, fitted_elsewhere=other)
-
-
-def _with_markers(problem: CellProblem, places: Sequence[Path]) -> CellProblem:
-    """Copy a problem with the file of its markers found."""
-    spec, missing = problem.markers, list[Fault]()
-    if spec is None:
-        return problem
-    for folder in places:
-        try:
-            path = locate(spec.file, folder, citation=spec.citation, where="markers.file")
-        except MissingDataError as error:
-            missing += error.faults
-            continue
-        if isinstance(problem.specimen, Block):  # what is wrong with it is told before a run
-            read_markers(spec, path, problem.specimen)
-        return replace(problem, marker_file=PlacedFile(str(path), sha256_of(path)))
-    raise MissingDataError(missing[:1])
-
-
-def find(name: str, places: Sequence[Path]) -> Path:
-    """Path of a surface file in or below one of some folders."""
-    check_relative(name, _WHERE)
-    for folder in places:
-        with contextlib.suppress(MissingDataError):
-            return locate(name, folder, where=_WHERE)
-    looked = " or ".join(repr(str(folder)) for folder in places)
-    files = (path for folder in places for path in (folder / Path(name).parent).glob("*"))
-    names = sorted(p.name for p in files if p.suffix.lower() in (".stl", ".ply", ".obj"))
-    mend = nearest(Path(name).name, names[:20]) if names else "name its folder with --data DIR"
-    raise InputError(Fault(_WHERE, f"there is no file {name!r} below {looked}", mend))
-
-
-def surface_notes(cells: Iterable[Cell]) -> tuple[str, ...]:
-    """List what was mended in the surfaces of some cells, each once."""
-    notes = dict[str, None]()
-    for cell in cells:
-        if isinstance(cell.problem, CellProblem) and isinstance(cell.problem.specimen, Surface):
-            from study.mechanics.surface.closed_surface import body
-
-            made = cell.problem.setup.specimen
-            notes |= dict.fromkeys(body(made).notes if isinstance(made, Enclosed) else ())
-    return tuple(notes)
-
-
-def placed_files(cell: Cell) -> list[PlacedFile]:
-    """Files of surfaces and markers that a cell uses, as they were found."""
-    problems = [p for p in (cell.problem, cell.fitted_elsewhere) if isinstance(p, CellProblem)]
-    files = (file for p in problems for file in (p.surface_file, p.marker_file))
-    return [file for file in files if file is not None]
-
-
-def data_root(
-    source: str | Path, data: str | Path | None = None, named: Iterable[MeasurementSpec] = ()
-) -> Path:
-    """Folder that measurement files are relative to.
-
-    Without a folder that the user named it is the first of three that holds the files:
-    ``measurements/`` beside the design's folder, ``measurements/`` beside the design, the
-    design's folder. Where none holds them it is the first that exists.
-    """
-    if data is not None:
-        folder = Path(data)
-        if not folder.is_dir():
-            mend = "name the folder that holds the measurement files"
-            raise InputError(Fault("--data", f"there is no folder {str(folder)!r}", mend))
-        return folder
-    home = Path(source).resolve().parent
-    usual = [home.parent / "measurements", home / "measurements", home]
-    there = [folder for folder in usual if folder.is_dir()]
-    files = list(named)
-    complete = [folder for folder in there if files and _holds(folder, files)]
-    return next(iter([*complete, *there]), home)
-
-
-def _holds(folder: Path, files: Iterable[MeasurementSpec]) -> bool:
-    """Whether a folder has a file for each of some specifications."""
-    try:
-        for spec in files:
-            if spec.file is not None:
-                locate(spec.file, folder)
-            elif spec.files is not None:
-                locate_pattern(spec.files, folder)
-    except InputError:
-        return False
-    return True

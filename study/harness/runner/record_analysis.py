@@ -366,10 +366,11 @@ def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
     """Say which cells have equal inputs and different answers: the simulation is stochastic."""
     if design.replicates.key is not None:
         return []
-    answered = {tuple(r.levels.values()): r for r in records if r.converged and r.block is None}
+    # a stored record has its factors in the order of the alphabet
+    answered = {frozenset(r.levels.items()): r for r in records if r.converged and r.block is None}
     found = []
     for group in duplicates(design):
-        own = [r for one in group if (r := answered.get(tuple(one.levels.values()))) is not None]
+        own = [r for one in group if (r := answered.get(frozenset(one.levels.items()))) is not None]
         for response in (r.name for r in design.responses if r.name != "seconds"):
             values = {record.value(response): record for record in own}
             if len(values) > 1:
@@ -411,8 +412,8 @@ def surfaces(
     kind = design.analysis.surface
     if kind == "auto" and design.scheme.kind == "morris":
         kind = "morris"
-        place = {tuple(t.levels.values()): n for n, t in enumerate(design.treatments)}
-        originals.sort(key=lambda record: place[tuple(record.levels.values())])
+        place = {frozenset(t.levels.items()): n for n, t in enumerate(design.treatments)}
+        originals.sort(key=lambda record: place[frozenset(record.levels.items())])
     units_of = {name: span.unit for name, span in design.ranges.items()}
     surfaces_fitted: list[FittedSurface] = []
     for response in design.responses:

@@ -9,9 +9,8 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.harness.design.study_file import MARKED, RESPONSES, SIMULATED, is_simulated, simulated_at
+from study.harness.design.study_file import RESPONSES, is_simulated, response_unit, simulated_at
 from study.harness.record.document import ResponseDocument
-from study.mechanics.material.material import is_dimensionless, unit_shown
 
 #: kPa in one MPa: a fit is in MPa, a response in kPa
 KPA = 1000.0
@@ -83,17 +82,13 @@ def simulated(response: str, curve: Curve) -> float:
 
 def units_of(named: Iterable[str], measured: bool = True) -> dict[str, str]:
     """Units of all responses that the records of a study hold, those not asked for too."""
-    names = list(named)
-    units = {name: RESPONSES[name] for name in (*(CURVE_RESPONSES if measured else ()), "mu0")}
-    units |= {name: SIMULATED[simulated_at(name)[0]] for name in names if is_simulated(name)}
-    units |= {name: RESPONSES[name] for name in names if name in MARKED}
-    units |= {name: unit_shown(name) for name in names if name not in {*units, "seconds"}}
-    return units | ({"seconds": RESPONSES["seconds"]} if "seconds" in names else {})
+    every = (*(CURVE_RESPONSES if measured else ()), "mu0", *named)
+    return {name: response_unit(name) or "" for name in every}
 
 
 def scale_of(constant: str) -> float:
     """Factor from MPa to the unit in which a constant is reported; 1 for one that is no modulus."""
-    return 1.0 if is_dimensionless(constant) else KPA
+    return KPA if response_unit(constant) == "kPa" else 1.0
 
 
 def in_shown_units(constants: Sequence[str], values: Array) -> dict[str, object]:
@@ -121,7 +116,7 @@ def of_prediction(names: Iterable[str]) -> list[str]:
 def constants_of(constants: Mapping[str, float], mu0: float | None) -> dict[str, ResponseDocument]:
     """List the initial shear modulus and every constant: moduli in kPa, others as they are."""
     shown: dict[str, ResponseDocument] = {
-        name: {"value": scale_of(name) * float(value), "unit": unit_shown(name)}
+        name: {"value": scale_of(name) * float(value), "unit": response_unit(name) or ""}
         for name, value in constants.items()
     }
     if mu0 is None:

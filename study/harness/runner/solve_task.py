@@ -13,13 +13,14 @@ import numpy as np
 
 from study.ground.canonical import digest
 from study.ground.curve import Curve
+from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
 from study.harness.execution.task import Executor, Results, Task
 from study.harness.external.command import External
 from study.harness.record.folder import own_folder
 from study.harness.record.store import Store
 from study.harness.runner.provenance import code_version
-from study.mechanics.forward import finite_element
+from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.forward.finite_element import load_compiled
 
 if TYPE_CHECKING:
@@ -126,6 +127,38 @@ def solved(task: SolveTask) -> SolveResult:
         memory_MB=peak_MB(),
         base_MB=before,
     )
+
+
+def known_compression() -> tuple[str, str]:
+    """Compress a cylinder and compare with the closed form."""
+    config = {
+        "specimen": {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 10.0},
+        "test": {"kind": "compression", "interface": "frictionless", "displacement_mm": 1.0,
+                 "steps": 2},
+        "material": {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.499},
+        "model": {"space": "axisymmetric", "mesh_size_mm": 5.0},
+    }  # fmt: skip
+    problem = CellProblem.of(config).at()
+    solution = finite_element.solve(problem)
+    exact = closed_form.compression(problem.specimen, problem.material, np.array([1.0]))
+    error = abs(solution.curve.force_N[-1] / exact.force_N[0] - 1)
+    finding = f"force within {error:.1e} of the closed form, by {solution.solver}"
+    return ("pass" if error < 1e-6 else "fail"), finding
+
+
+def estimated(
+    cell: CellProblem, depth_mm: float | None, patience_s: float
+) -> tuple[float, float, float]:
+    """Seconds and memory of a solution, and the seconds that it took to count its unknowns."""
+    from study.mechanics.solver.solution_cost import estimate
+
+    depth = depth_mm or 0.2 * (cell.height_mm or 1.0)
+    try:
+        problem = cell.with_placeholder(depth, C10_MPa=0.005)
+        estimated = estimate(problem.setup, patience_s=patience_s)
+        return float(estimated.seconds), float(estimated.memory_MB), estimated.counting_s
+    except (InputError, ValueError, RuntimeError):
+        return 1.0, 0.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
 
 
 def _options(task: SolveTask) -> Options | None:

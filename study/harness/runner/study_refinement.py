@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from typing import Final, Literal, cast
+from typing import Final, Literal
 
 import numpy as np
 
@@ -44,8 +44,6 @@ from study.harness.runner.job import CaseJob, Origin, Work, varied
 from study.harness.runner.refinement import FEWEST, OTHER_MESH, base_size_mm
 from study.harness.runner.solve_task import SolveResult, SolveTask, by_workers, kept
 from study.harness.runner.tasks import Costs
-from study.mechanics.measurement.measurement_section import Range
-from study.mechanics.setup.geometry import Block, Cylinder, Enclosed
 from study.statistics.convergence.grid_convergence import NumericalUncertainty, compare
 
 PURPOSE: Final = "refinement"
@@ -122,7 +120,7 @@ def _series(
     """Series of some cases; of a surface with another mesh of the study's own size."""
     base, other = jobs[0 if end == "coarsest" else -1], None
     problem = base.case.problem
-    if isinstance(problem, CellProblem) and isinstance(problem.specimen, Enclosed):
+    if isinstance(problem, CellProblem) and problem.is_meshed_freely:
         other = _beside(work, base, varied(base.case, meshed(base.case.cell, OTHER_MESH), PURPOSE))
     return CaseSeries(jobs, work.design.converge.ratio, end, other=other)
 
@@ -287,7 +285,8 @@ def _fixed_range(problem: ForwardCell) -> ForwardCell:
     if made is None or height is None or made.range is None or made.range.kind == "mm":
         return problem
     low, high = made.range.in_mm(height)
-    return replace(problem, measurements=replace(made, range=Range("mm", low, high)))
+    in_mm = replace(made.range, kind="mm", low=low, high=high)
+    return replace(problem, measurements=replace(made, range=in_mm))
 
 
 def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict[Physics, Array]:
@@ -349,7 +348,7 @@ def in_blocks(work: Work) -> list[CaseJob]:
     """List the cells whose specimen has no axis, in the first block of the study."""
     cells = meshed_cells(work)
     ours = [job for job in cells if job.case.problem.forward is None]
-    return [job for job in ours if isinstance(job.case.tested.specimen, Block)]
+    return [job for job in ours if job.case.tested.specimen.shape == "block"]
 
 
 def _chosen(
@@ -376,13 +375,8 @@ def _preference(job: CaseJob) -> tuple[int, str, float]:
 
 
 def _task(job: CaseJob, constants: Mapping[str, float]) -> SolveTask:
-    from study.mechanics.mesh.structured import equivalent_radius
-
-    problem = job.case.tested
-    # of the same cross-section and height
-    cylinder = Cylinder(equivalent_radius(problem.specimen), cast("float", problem.height_mm))
-    material = replace(problem.material, constants=dict(constants))
-    changed = replace(problem, specimen=cylinder, material=material)
+    problem = job.case.tested.as_cylinder()
+    changed = replace(problem, material=replace(problem.material, constants=dict(constants)))
     depth = job.depth_mm if problem.depth_mm is None else problem.depth_mm
     return SolveTask.of(changed.loaded(displacement_mm=depth), base_size_mm(job))
 

@@ -14,8 +14,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.memory import free_memory_MB
@@ -32,7 +30,6 @@ from study.harness.runner.fit_problem import FitProblem, FittedTest
 from study.harness.runner.fit_summary import USUAL_EVALUATIONS
 from study.harness.runner.job import CaseJob, FitJob
 from study.harness.runner.provenance import versions
-from study.mechanics.forward import closed_form, finite_element
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
 #: scheduler file or a client of it
@@ -133,7 +130,7 @@ def examine() -> dict[str, Any]:
         ),
         **{name: partial(_imported, name) for name in (*_NEEDED, "gmsh")},
         "pypardiso": _pardiso,
-        "a solved compression": _solve,
+        "a solved compression": solve_task.known_compression,
         "a worker process": _worker,
     }
     checks = []
@@ -159,23 +156,6 @@ def _pardiso() -> tuple[str, str]:
     except metadata.PackageNotFoundError:
         slow = "not installed: 3D runs about 20 times slower on SuperLU"
         return "caution", f"{slow} (pip install 'study[fast]')"
-
-
-def _solve() -> tuple[str, str]:
-    """Compress a cylinder and compare with the closed form."""
-    config = {
-        "specimen": {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 10.0},
-        "test": {"kind": "compression", "interface": "frictionless", "displacement_mm": 1.0,
-                 "steps": 2},
-        "material": {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.499},
-        "model": {"space": "axisymmetric", "mesh_size_mm": 5.0},
-    }  # fmt: skip
-    problem = CellProblem.of(config).at()
-    solution = finite_element.solve(problem)
-    exact = closed_form.compression(problem.specimen, problem.material, np.array([1.0]))
-    error = abs(solution.curve.force_N[-1] / exact.force_N[0] - 1)
-    finding = f"force within {error:.1e} of the closed form, by {solution.solver}"
-    return ("pass" if error < 1e-6 else "fail"), finding
 
 
 def _worker() -> tuple[str, str]:
@@ -291,7 +271,7 @@ class Costs:
         document = problem.document()  # of all that differ in their material alone
         key = digest([{k: document[k] for k in ("specimen", "test", "model")}])
         if key not in self._known:
-            seconds, memory, spent = _estimated(problem, depth_mm, self._patience_s)
+            seconds, memory, spent = solve_task.estimated(problem, depth_mm, self._patience_s)
             self._known[key], self._patience_s = (seconds, memory), self._patience_s - spent
         return self._known[key]
 
@@ -311,18 +291,3 @@ def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
         for test in fit.problem.tests
         if test.method == "external"
     )
-
-
-def _estimated(
-    cell: CellProblem, depth_mm: float | None, patience_s: float
-) -> tuple[float, float, float]:
-    """Seconds and memory of a solution, and the seconds that it took to count its unknowns."""
-    from study.mechanics.solver.solution_cost import estimate
-
-    depth = depth_mm or 0.2 * (cell.height_mm or 1.0)
-    try:
-        problem = cell.with_placeholder(depth, C10_MPa=0.005)
-        estimated = estimate(problem.setup, patience_s=patience_s)
-        return float(estimated.seconds), float(estimated.memory_MB), estimated.counting_s
-    except (InputError, ValueError, RuntimeError):
-        return 1.0, 0.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong

@@ -25,7 +25,7 @@ from study.harness.design.cell import CellProblem
 from study.harness.design.spec import Design
 from study.harness.design.study_file import Virtual
 from study.harness.record.atomic_files import write_atomic, write_new
-from study.harness.runner import provenance
+from study.harness.runner.fit_problem import folders, located
 from study.harness.runner.job import TRUTH_SUFFIX
 from study.harness.runner.solve_task import SolveTask, by_workers
 from study.harness.runner.tasks import processes
@@ -269,8 +269,8 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     generator = generator or usual_generator(design)
     if design.measurements is None:
         raise InputError(Fault("measurements", "the design reads no measurements to imitate"))
-    places = provenance.folders(design.source, out)
-    sources = [(spec, provenance.located(problem, places)) for spec, problem in _sources(design)]
+    places = folders(design.source, out)
+    sources = [(spec, located(problem, places)) for spec, problem in _sources(design)]
     written = []
     several = len(sources) > 1
     for number, (spec, problem) in enumerate(sources):

@@ -367,14 +367,18 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
         facts.name: cells(data, facts.name).set_index("cell")["mean"].to_dict() for facts in listed
     }
     rows, raw = [], []
-    for labels, group in by_cell(data):
+    ordered, answered = in_order(data), data.table["status"] == "converged"
+    groups = ordered.assign(answered=answered).groupby(factors, sort=False)
+    counted = groups["answered"].agg(["sum", "size"]).itertuples()
+    times = groups["seconds"].mean().tolist() if "seconds" in ordered else None
+    for number, (levels, done, every) in enumerate(counted):
+        labels = tuple(map(str, levels if len(factors) > 1 else [levels]))
         values = [means[facts.name].get(":".join(labels)) for facts in listed]
-        done = int((group["status"] == "converged").sum())
-        seconds = float(group["seconds"].mean()) if "seconds" in group else None
+        seconds = None if times is None else times[number]
         shown = [quantity(v, f.unit) for v, f in zip(values, listed, strict=True)]
-        status = f"{done} of {len(group)}"
+        status = f"{done} of {every}"
         rows.append((*(clean(level) for level in labels), status, *shown, duration(seconds)))
-        counts = {"converged": done, "cases": len(group)}
+        counts = {"converged": int(done), "cases": int(every)}
         numbers = {**counts, **dict(zip(means, values, strict=True)), "seconds": seconds}
         raw.append(dict(zip(factors, labels, strict=True)) | numbers)
     named, titles = (name_of(f, data.labels) for f in factors), (facts.title for facts in listed)

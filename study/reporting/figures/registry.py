@@ -119,9 +119,11 @@ def spread(frame: pd.DataFrame) -> str:
     low, high = float(frame["sd"].min()), float(frame["sd"].max())
     apart = float(frame["low"].max()) > float(frame["high"].min())
     ratio = f"{significant(high / low)} times" if low > 0 else "far above"
+    most = residual_figures.MOST_SPREAD
+    drawn = f"; the {most} largest of {len(frame)} are drawn" if len(frame) > most else ""
     return sentence(
         f"the largest standard deviation is {ratio} the smallest, and the intervals "
-        f"{'do not all overlap' if apart else 'all overlap'}"
+        f"{'do not all overlap' if apart else 'all overlap'}{drawn}"
     )
 
 

@@ -190,10 +190,15 @@ def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
     )
 
 
+#: cells of which the spread is drawn, those of the largest
+MOST_SPREAD = 60
+
+
 def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
     import seaborn as sns
 
+    frame = frame.head(MOST_SPREAD)
     figure, ax = style.one_panel(0.9 + 0.22 * len(frame))
     places = np.arange(len(frame))
     ax.hlines(places, frame["low"], frame["high"], color=style.color_of(0), linewidth=1.6)

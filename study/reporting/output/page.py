@@ -201,6 +201,8 @@ def _subscripts(text: str) -> Markup:
     """Text with ``u_num`` and its kin as a letter and its subscript, all else escaped."""
     from markupsafe import Markup, escape
 
+    if "u_" not in text:
+        return escape(text)
     parts = re.sub(r"\bu_(num|val|input|D)\b", r"u<sub>\1</sub>", str(escape(text)))
     # escaped first, so nothing but these tags is markup
     return Markup(parts)  # noqa: S704

@@ -8,6 +8,7 @@ Type III means what its definition says; a factor whose margin is missing from t
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -258,14 +259,24 @@ def number_within(layout: CellLayout, nested: Mapping[str, tuple[str, ...]]) -> 
 
 
 def _term_columns(layout: CellLayout, term: Term, present: set[frozenset[str]]) -> Array:
+    is_contrast = {name: frozenset(term) - {name} in present for name in term}
+    sizes = {name: len(layout.levels[name]) for name in term}
+    return _products(layout, {k: _contrasts(n) if is_contrast[k] else np.eye(n)
+                              for k, n in sizes.items()})  # fmt: skip
+
+
+def _contrasts(levels: int) -> Array:
+    """Sum-to-zero contrasts, shape (k, k - 1): the last level is minus the rest."""
+    code = np.eye(levels)
+    return code[:, :-1] - code[:, -1:]
+
+
+def _products(layout: CellLayout, coded: Mapping[str, Array]) -> Array:
+    """Products of the columns of some factors, each coded by its levels, in every row."""
     columns = np.ones((layout.n, 1))
-    for name in term:
-        code = np.eye(len(layout.levels[name]))
-        if frozenset(term) - {name} in present:
-            # sum-to-zero contrasts, shape (k, k-1): the last level is minus the rest
-            code = code[:, :-1] - code[:, -1:]
-        coded = code[layout.codes[name]]
-        columns = (columns[:, :, None] * coded[:, None, :]).reshape(layout.n, -1)
+    for name, code in coded.items():
+        here = code[layout.codes[name]]
+        columns = (columns[:, :, None] * here[:, None, :]).reshape(layout.n, -1)
     return columns
 
 
@@ -360,7 +371,11 @@ class Factorization:
     @cached_property
     def inverse(self) -> Array:
         """Coefficients from coordinates along ``q``, of minimum norm, shape (p, r)."""
-        exact = _inverse(self.r) if self.is_triangular else None
+        exact = None
+        if self.is_triangular and self.rank >= _MANY_COLUMNS and self._is_block_diagonal:
+            exact = linalg.block_diag(*(_inverse(self.r[b, b]) for b in self.matrix.blocks))
+        elif self.is_triangular:
+            exact = _inverse(self.r)
         inverse = np.linalg.pinv(self.r, rcond=ALIAS_TOLERANCE) if exact is None else exact
         return np.asarray(inverse / self.scale[:, None])
 
@@ -450,6 +465,8 @@ def factorize(matrix: ModelMatrix) -> Factorization:
     """
     scale = np.linalg.norm(matrix.columns, axis=0)
     scale[scale == 0] = 1.0
+    if (products := _factored_products(matrix)) is not None:
+        return Factorization(matrix, products[0], products[1] / scale, scale)
     scaled = matrix.columns / scale
     cells = distinct_rows(scaled)
     q, r = np.linalg.qr(scaled if cells is None else cells.rows)
@@ -460,6 +477,38 @@ def factorize(matrix: ModelMatrix) -> Factorization:
             q = q @ u[:, :rank]
             r = u[:, :rank].T @ r
     return Factorization(matrix, q if cells is None else cells.spread(q), r, scale)
+
+
+# From this many columns on those of a complete layout are not factored together. A QR of 4,096
+# runs of 8 x 8 x 8 x 8 takes 9 s, its products 0.3 s.
+_MANY_COLUMNS = 200
+
+
+def _factored_products(matrix: ModelMatrix) -> tuple[Array, Array] | None:
+    """Factor many columns of a layout in which every combination is equally frequent.
+
+    Its terms are orthogonal, and the columns of a term are products of those of its factors, whose
+    small factors are multiplied; None of any other model.
+    """
+    layout, terms = matrix.layout, matrix.terms
+    if not layout.codes or matrix.columns.shape[1] < _MANY_COLUMNS:
+        return None
+    present = {frozenset(term) for term in terms}
+    names = list(dict.fromkeys(name for term in terms for name in term))
+    nested = any(frozenset(term) - {name} not in present for term in terms for name in term)
+    if nested or not balanced(layout, names):
+        return None
+    small = {name: np.linalg.qr(_contrasts(len(layout.levels[name]))) for name in names}
+    q, r = np.empty(matrix.columns.shape), np.zeros(2 * matrix.columns.shape[1:])
+    for term, block in zip(terms, matrix.blocks, strict=True):
+        cells = math.prod(len(layout.levels[name]) for name in term)
+        length = math.sqrt(layout.n / cells)
+        q[:, block] = _products(layout, {name: small[name][0] for name in term}) / length
+        triangle = np.eye(1)
+        for name in term:
+            triangle = np.kron(triangle, small[name][1])
+        r[block, block] = triangle * length
+    return q, r
 
 
 def factorize_columns(columns: Array) -> Factorization:
