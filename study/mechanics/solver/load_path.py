@@ -350,14 +350,28 @@ class LoadPath:
 
     def _halfway(self, left: State, right: State, displacement: float) -> NewtonResult | None:
         """Equilibrium near the mean of two states; None where there is none nearby."""
-        each = zip(self.system.contact, left.multipliers, right.multipliers, strict=True)
-        pressed = tuple(points.admissible(0.5 * (m + n)) for points, m, n in each)
         J = self.system.volume_ratios(left.x)
-        mean = State(displacement, 0.5 * (left.x + right.x), pressed)
-        guess = self._sound(mean, J, _MOVED)
-        if guess is None:
+        multipliers = [
+            0.5 * (m + n) for m, n in zip(left.multipliers, right.multipliers, strict=True)
+        ]
+        sides = (self.system.held_against_wish(state) for state in (left, right))
+        held = tuple(a & b for a, b in zip(*sides, strict=True))
+        mean = State(displacement, 0.5 * (left.x + right.x), tuple(multipliers))
+        return self._moved_to(mean, held, J)
+
+    def _moved_to(self, guess: State, held: tuple[Flags, ...], J: Array) -> NewtonResult | None:
+        """Equilibrium near a guess made of others, whose ``J`` it nearly has.
+
+        Points that those held closed although they pull stay held: released, they change sides to
+        and fro once more. None where there is none in a few iterations: load steps cost less.
+        """
+        each = zip(self.system.contact, guess.multipliers, held, strict=True)
+        pressed = tuple(np.where(pull, m, points.admissible(m)) for points, m, pull in each)
+        start = self._sound(replace(guess, multipliers=pressed), J, _MOVED)
+        if start is None:
             return None
-        result = solve_step(self.system, guess, self.options.newton)
+        quick = replace(self.options.newton, max_iterations=8, max_switching=8)
+        result = solve_step(self.system, start, quick, held=held)
         return result if result.converged and _near(result, J) else None
 
     def may_do_better(self) -> bool:
@@ -495,11 +509,7 @@ class LoadPath:
         return self._sound(replace(last, displacement_mm=displacement, x=x), self.J, _EXTRAPOLATED)
 
     def _from_warm(self, target: float) -> NewtonResult | None:
-        """Start from the same step of an earlier solve, moved along its sensitivities.
-
-        Points that the earlier solve held closed although they pull stay held, as they were when
-        it was differentiated: released, they change sides to and fro once more.
-        """
+        """Start from the same step of an earlier solve, moved along its sensitivities."""
         near = [d for d in self._warm_steps if abs(d - target) < 1e-9 * self.system.mesh.height_mm]
         if self.warm is None or self.system.sticks or not near:
             return None
@@ -514,15 +524,8 @@ class LoadPath:
                 m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)
             ]
         held = self.system.held_against_wish(step.state)
-        each = zip(self.system.contact, multipliers, held, strict=True)
-        pressed = tuple(np.where(pull, m, points.admissible(m)) for points, m, pull in each)
         J = self.system.volume_ratios(step.state.x)
-        guess = self._sound(State(target, x, pressed), J, _MOVED)
-        if guess is None:
-            return None
-        quick = replace(self.options.newton, max_iterations=8, max_switching=8)
-        result = solve_step(self.system, guess, quick, held=held)
-        return result if result.converged and _near(result, J) else None
+        return self._moved_to(State(target, x, tuple(multipliers)), held, J)
 
     def _sound(self, guess: State, J: Array, share: float) -> State | None:
         guess.x[self.system.constraints.dofs] = self.system.prescribed(guess.displacement_mm)

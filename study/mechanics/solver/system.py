@@ -277,8 +277,9 @@ class System:
 
     def held_against_wish(self, state: State) -> tuple[Flags, ...]:
         """Contact points that are closed in a state although each of them would open."""
-        each = zip(self.touching(state), state.closed, strict=True)
-        return tuple(closed & ~touch.wanted for touch, closed in each)
+        touching = self.touching(state)
+        closed = state.closed or [touch.wanted for touch in touching]
+        return tuple(c & ~touch.wanted for c, touch in zip(closed, touching, strict=True))
 
     def _meetings(self, state: State) -> list[Meeting]:
         """Where the contact points are, found once for the decision and for the forces."""
