@@ -450,9 +450,10 @@ class LoadPath:
             result = solve_through(self.system, start, newton, lifted_from=lift)
             spent += result.iterations
             if result.converged:
-                self._write_down_both_sides(result)
+                if lift is not None or any(p.any() for p in self.state.multipliers):
+                    self._write_down_both_sides(result)
+                    self.snaps.append(here)  # at first touch nothing is stored that it could lose
                 self.step_mm, self.previous = 0.5 * step, None
-                self.snaps.append(here)
                 # assembled once more: slopes are those of the state that was assembled last
                 again = solve_step(self.system, result.state, newton)
                 return replace(again, iterations=spent + again.iterations)
