@@ -134,8 +134,8 @@ _OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another ene
 _INSIDE = 0.1
 
 #: volume ratio within elements, root mean square, above which a mesh does not resolve the
-#: deformation: linear simplices with .08 to .15 were 4 to 18 % too stiff, fine meshes have .05 at
-#: most (bonded discs of two energies at 20 to 40 %)
+#: deformation: linear simplices with .08 to .15 were 2 to 18 % too stiff, fine meshes have .05 at
+#: most (bonded discs of two energies at 20 to 50 %)
 _UNEVEN = 0.08
 
 #: share of the energy lost in snaps above which it is no event of the surface alone
@@ -712,8 +712,8 @@ class LoadPath:
         if uneven > _UNEVEN:
             said.append(
                 f"volumes within the elements are off by {100 * uneven:.2g} % (root mean square): "
-                "the mesh is too coarse for this deformation, and the force several percent too "
-                "high or more; use a smaller mesh_size, or quadratic elements"
+                "the mesh is too coarse for this deformation, and the force too high by a few "
+                "percent or more; use a smaller mesh_size, or quadratic elements"
             )
         said += self._cannot_sway()
         said += self._not_converged(curve)
