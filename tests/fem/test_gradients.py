@@ -14,6 +14,8 @@ from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test as Loading
 from study.mechanics.solver import sensitivity
 from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.load_path import LoadPath
+from study.mechanics.solver.newton import Options
 from tests.fem.problems import LONG, compression
 
 MATERIALS = [
@@ -49,6 +51,12 @@ def test_a_warm_start_holds_the_points_that_the_earlier_solve_held() -> None:
     cold, warm = (solve(moved, gradients=False, warm=start) for start in (None, base))
     assert max(warm.newton_iterations) <= 2
     np.testing.assert_allclose(warm.curve.force_N, cold.curve.force_N, rtol=1e-9)
+    # so is a step that is added between two such states
+    between = LoadPath(system, problem, Options(), False, None, None)._halfway(
+        state, state, state.displacement_mm
+    )
+    assert between is not None
+    assert between.iterations <= 2
 
 
 def test_stiffness_is_the_slope_of_the_curve() -> None:

@@ -9,7 +9,9 @@ import pytest
 
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Block, Cone, Flat
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test as Loading
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import NewtonSettings, Options, solve_through
 from study.mechanics.solver.system import System
@@ -38,6 +40,17 @@ def test_creeping_finds_the_same_equilibrium() -> None:
     # both end below a relative residual of 1e-8
     expected = own.warm.steps[-1].state.x
     np.testing.assert_allclose(found.state.x, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_flat_end_that_meets_a_face_all_at_once_is_no_snap() -> None:
+    """Many points close in the first step, which only creeping ends: nothing was stored before."""
+    test = Loading("indentation", 0.01, "frictionless", "bonded", 5, Flat(3.0, 0.5))
+    material = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.4995)
+    found = reached(Problem(Cylinder(20.0, 20.0), test, material, Model(mesh="medium")))
+    assert found.message == "every step converged"
+    assert found.energy.jumps_mm == ()
+    # fine quadratic quadrilaterals
+    assert found.curve.force_N[-1] == pytest.approx(0.00225058, rel=3e-3)
 
 
 def test_a_local_bulk_modulus_changes_no_patch() -> None:

@@ -167,6 +167,14 @@ def least_stiffness(system: System) -> tuple[float, Array]:
     return max(negative, key=lambda one: volume_share(system, one[1]), default=of(-1))
 
 
+def may_sway(setup: Setup, system: System) -> bool:
+    """Whether Euler's load is near; of a whole body that is no column nothing is known."""
+    critical = buckling_strain(setup.test, setup.specimen)
+    if system.material.small_strain or critical is None:
+        return system.mesh.is_whole and not system.material.small_strain
+    return setup.test.depth_mm >= SUSPICIOUS * critical * system.mesh.height_mm
+
+
 def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, ...]] | None:
     """Equations of the sway that a quarter of a column hides, its direction and its parities.
 
@@ -175,11 +183,7 @@ def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, .
     away, or where the model hides nothing.
     """
     setup, space, mesh = problem.setup, system.space, system.mesh
-    critical = buckling_strain(setup.test, setup.specimen)
-    strain = setup.test.depth_mm / system.mesh.height_mm
-    if space.dim < 3 or mesh.is_whole or system.material.small_strain or critical is None:
-        return None
-    if setup.is_whole or strain < SUSPICIOUS * critical:
+    if space.dim < 3 or mesh.is_whole or not may_sway(setup, system):
         return None
     width = getattr(setup.specimen, "width_mm", 0.0)
     axis = 1 if width > getattr(setup.specimen, "depth_mm", width) else 0

@@ -549,10 +549,7 @@ def cauchy_stress(system: System, state: State, F: Array, J: Array) -> Array:
     small = system.material.small_strain
     stress = nominal if small else np.einsum("ij...,kj...->ik...", nominal, F) / J
     eye = np.eye(3)[:, :, None, None]
-    pressures = space.dofs[:, space.dim * space.element_nodes.shape[1] :]
-    shape = np.broadcast_to(space.pressure_shape, (*space.weights.shape, pressures.shape[1]))
-    mean = np.einsum("eqk,ek->eq", shape, state.x[pressures])
-    mean = mean + system.internal.pointwise_bulk(system.material) * (J - 1)
+    mean = space.pressures(state.x) + system.internal.pointwise_bulk(system.material) * (J - 1)
     return np.asarray(stress + (mean - np.trace(stress) / 3) * eye)
 
 

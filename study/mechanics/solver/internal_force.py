@@ -182,6 +182,18 @@ class Internal:
             smallest(self.phases, lambda e: float(assembly.volume_ratios(e, shapes, x, J)))
         return J
 
+    def uneven_volume(self, material: Material, x: Array) -> float:
+        """Volume ratio that pressures do not explain, J - 1 - p / K, root mean square.
+
+        It vanishes in the limit of small elements: within one that is too large for the deformation
+        only its mean is held. Nothing without pressures, nor at small strain.
+        """
+        if material.small_strain or not self._mixed:
+            return 0.0
+        explained = self._split(material).compliance * self.space.pressures(x)
+        off = self.volume_ratios(material, x) - 1 - explained
+        return float(np.sqrt(np.average(off**2, weights=self.space.weights)))
+
     def constant_derivative(self, material: Material, x: Array, name: str) -> Array:
         """dR/dconstant at fixed unknowns, shape (n,), K(nu) included; tangents are kept."""
         without_pressure = x.copy()

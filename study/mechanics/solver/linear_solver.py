@@ -425,13 +425,10 @@ class KeptFactors:
         self._spent: list[int] = []
         self._touching: NDArray[np.bool_] | None = None
         self._change = self._sensitivity = 0.0
-        #: displacement of the tangent that the factors are of, mm
-        self.factorized_at_mm = np.nan
 
-    def renewed(self, touching: NDArray[np.bool_], displacement_mm: float = np.nan) -> None:
+    def renewed(self, touching: NDArray[np.bool_]) -> None:
         """Say that the solver has just factorized, with these contact points closed."""
         self._spent, self._touching, self._change = [], touching, 0.0
-        self.factorized_at_mm = displacement_mm
 
     def forget(self) -> None:
         """Factorize first: what another run left behind must not change a digit of this one."""

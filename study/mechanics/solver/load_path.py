@@ -19,6 +19,7 @@ from study.mechanics.solver.equilibrium import (
     Instability,
     is_unstable,
     least_stiffness,
+    may_sway,
     surplus,
     swaying,
 )
@@ -132,6 +133,14 @@ _OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another ene
 #: where a facet bridges the edge of a punch, the force is that of a blunter one
 _INSIDE = 0.1
 
+#: volume ratio within elements, root mean square, above which a mesh does not resolve the
+#: deformation: linear simplices with .08 to .15 were 2 to 18 % too stiff, fine meshes have .05 at
+#: most (bonded discs of two energies at 20 to 50 %)
+_UNEVEN = 0.08
+
+#: share of the energy lost in snaps above which it is no event of the surface alone
+_MUCH_LOST = 0.05
+
 #: force of a pin over that of the test above which a specimen is not balanced
 _UNBALANCED = 1e-3
 
@@ -215,7 +224,7 @@ class LoadPath:
             return False
         # made here, for other steps may be assembled before it is written down
         step = self._step(result, self.state, spent)
-        unstable = self._gives_way()
+        unstable = self._gives_way(step)
         known = len(self.snaps) > snaps
         jumped = not known and self._jumped_to(step)
         if jumped and halvings and not self.system.sticks:
@@ -232,31 +241,36 @@ class LoadPath:
         self._add(step)
         return True
 
-    def _gives_way(self) -> bool:
-        """Whether the state just looked at is unstable, by its own factors if those at hand say so.
+    def _gives_way(self, step: Step) -> bool:
+        """Whether the state just differentiated is unstable, by the factors at hand.
 
-        Those at hand are of a late Newton iterate and cost nothing. Factors of an earlier step tell
-        nothing of this one.
+        They cost nothing, and may be of an earlier state: its tangent K0 and this one, K, have as
+        many negative eigenvalues where ``x += K0^-1 (b - K x)`` converges, since on the line
+        between them a matrix is singular only if K0^-1 K has a negative eigenvalue. Where they say
+        that it is unstable, it is factorized by itself.
         """
-        here_mm, count = self.state.displacement_mm, None
-        if self.system.kept.factorized_at_mm == here_mm:
-            count = surplus(self.system)
-        if count is not None and count > self._local_surplus:
+        count = surplus(self.system) if step.gradients.excess <= 1 else None
+        if count is None:
+            return False
+        if count > self._local_surplus:
             if is_unstable(self.system, self.state):
                 return True
-            self._local_surplus = count  # the next one more may be of the body
-        self._known_to_stand = self._known_to_stand if count is None else here_mm
+            count = surplus(self.system) or 0  # of a few elements: one more may be of the body
+        self._local_surplus, self._known_to_stand = count, self.state.displacement_mm
         return False
 
     def _look_back(self) -> None:
         """Drop the steps from where the last one is unstable, or sways as no quarter can.
 
-        The last step gets factors of its own where those at hand told nothing of it.
+        The last step gets factors of its own where those at hand told nothing of it: of a whole
+        body the load may not excite the way in which it sways.
         """
         if not self.steps or self.instability is not None:
             return
         last = self.steps[-1].state
-        if last.displacement_mm > self._known_to_stand and is_unstable(self.system, last):
+        is_hidden = self.system.mesh.is_whole and may_sway(self.problem.setup, self.system)
+        is_known = last.displacement_mm <= self._known_to_stand
+        if (is_hidden or not is_known) and is_unstable(self.system, last):
             self._refuse(last, self.system)
             return
         found = swaying(self.system, self.problem)
@@ -336,14 +350,28 @@ class LoadPath:
 
     def _halfway(self, left: State, right: State, displacement: float) -> NewtonResult | None:
         """Equilibrium near the mean of two states; None where there is none nearby."""
-        each = zip(self.system.contact, left.multipliers, right.multipliers, strict=True)
-        pressed = tuple(points.admissible(0.5 * (m + n)) for points, m, n in each)
         J = self.system.volume_ratios(left.x)
-        mean = State(displacement, 0.5 * (left.x + right.x), pressed)
-        guess = self._sound(mean, J, _MOVED)
-        if guess is None:
+        multipliers = [
+            0.5 * (m + n) for m, n in zip(left.multipliers, right.multipliers, strict=True)
+        ]
+        sides = (self.system.held_against_wish(state) for state in (left, right))
+        held = tuple(a & b for a, b in zip(*sides, strict=True))
+        mean = State(displacement, 0.5 * (left.x + right.x), tuple(multipliers))
+        return self._moved_to(mean, held, J)
+
+    def _moved_to(self, guess: State, held: tuple[Flags, ...], J: Array) -> NewtonResult | None:
+        """Equilibrium near a guess made of others, whose ``J`` it nearly has.
+
+        Points that those held closed although they pull stay held: released, they change sides to
+        and fro once more. None where there is none in a few iterations: load steps cost less.
+        """
+        each = zip(self.system.contact, guess.multipliers, held, strict=True)
+        pressed = tuple(np.where(pull, m, points.admissible(m)) for points, m, pull in each)
+        start = self._sound(replace(guess, multipliers=pressed), J, _MOVED)
+        if start is None:
             return None
-        result = solve_step(self.system, guess, self.options.newton)
+        quick = replace(self.options.newton, max_iterations=8, max_switching=8)
+        result = solve_step(self.system, start, quick, held=held)
         return result if result.converged and _near(result, J) else None
 
     def may_do_better(self) -> bool:
@@ -422,9 +450,10 @@ class LoadPath:
             result = solve_through(self.system, start, newton, lifted_from=lift)
             spent += result.iterations
             if result.converged:
-                self._write_down_both_sides(result)
+                if lift is not None or any(p.any() for p in self.state.multipliers):
+                    self._write_down_both_sides(result)
+                    self.snaps.append(here)  # at first touch nothing is stored that it could lose
                 self.step_mm, self.previous = 0.5 * step, None
-                self.snaps.append(here)
                 # assembled once more: slopes are those of the state that was assembled last
                 again = solve_step(self.system, result.state, newton)
                 return replace(again, iterations=spent + again.iterations)
@@ -481,11 +510,7 @@ class LoadPath:
         return self._sound(replace(last, displacement_mm=displacement, x=x), self.J, _EXTRAPOLATED)
 
     def _from_warm(self, target: float) -> NewtonResult | None:
-        """Start from the same step of an earlier solve, moved along its sensitivities.
-
-        Points that the earlier solve held closed although they pull stay held, as they were when
-        it was differentiated: released, they change sides to and fro once more.
-        """
+        """Start from the same step of an earlier solve, moved along its sensitivities."""
         near = [d for d in self._warm_steps if abs(d - target) < 1e-9 * self.system.mesh.height_mm]
         if self.warm is None or self.system.sticks or not near:
             return None
@@ -500,15 +525,8 @@ class LoadPath:
                 m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)
             ]
         held = self.system.held_against_wish(step.state)
-        each = zip(self.system.contact, multipliers, held, strict=True)
-        pressed = tuple(np.where(pull, m, points.admissible(m)) for points, m, pull in each)
         J = self.system.volume_ratios(step.state.x)
-        guess = self._sound(State(target, x, pressed), J, _MOVED)
-        if guess is None:
-            return None
-        quick = replace(self.options.newton, max_iterations=8, max_switching=8)
-        result = solve_step(self.system, guess, quick, held=held)
-        return result if result.converged and _near(result, J) else None
+        return self._moved_to(State(target, x, tuple(multipliers)), held, J)
 
     def _sound(self, guess: State, J: Array, share: float) -> State | None:
         guess.x[self.system.constraints.dofs] = self.system.prescribed(guess.displacement_mm)
@@ -662,6 +680,12 @@ class LoadPath:
         if self.snaps:
             places = ", ".join(f"{d:.3g}" for d in sorted(self.snaps))
             said.append(f"past {places} mm the surface snapped to another equilibrium")
+            lost_share = self._balance()[0].largest_mismatch
+            if lost_share > _MUCH_LOST:
+                said.append(
+                    f"{100 * lost_share:.2g} % of the energy was lost: it may be the elements that "
+                    "gave way, so compare the force with that of a smaller mesh_size"
+                )
         pinned = max((step.pinned for step in self.steps), default=0.0)
         if pinned > _UNBALANCED:
             said.append(
@@ -683,6 +707,13 @@ class LoadPath:
                 f"the specimen's surface lies up to {inside:.2g} mm inside the moving one, "
                 f"{100 * inside / self._whole_mm:.2g} % of the displacement: use a smaller "
                 "mesh_size, or press less deep"
+            )
+        uneven = self.system.internal.uneven_volume(self.system.material, self.state.x)
+        if uneven > _UNEVEN:
+            said.append(
+                f"volumes within the elements are off by {100 * uneven:.2g} % (root mean square): "
+                "the mesh is too coarse for this deformation, and the force too high by a few "
+                "percent or more; use a smaller mesh_size, or quadratic elements"
             )
         said += self._cannot_sway()
         said += self._not_converged(curve)

@@ -105,7 +105,6 @@ class Latest:
     #: Unknowns and displacement, and where each set of contact points is there.
     meetings: tuple[Array, float, list[Meeting]] | None = None
     ratios: tuple[Array, Array] | None = None
-    displacement_mm: float = 0.0
     #: Closed contact points of the last assembly, one set after the other.
     touching: Flags = field(default_factory=lambda: np.zeros(0, bool))
 
@@ -262,7 +261,6 @@ class System:
                 self.data[self.pattern.indptr[:-1]] += self.drag.weights[self.pattern.free]
         touching = [t.active for t in contacts]
         self.latest.touching = np.concatenate([np.zeros(0, bool), *touching])
-        self.latest.displacement_mm = state.displacement_mm
         self._count("assembly", began)
         return Assembly(min_j, internal, residual, contacts)
 
@@ -279,8 +277,9 @@ class System:
 
     def held_against_wish(self, state: State) -> tuple[Flags, ...]:
         """Contact points that are closed in a state although each of them would open."""
-        each = zip(self.touching(state), state.closed, strict=True)
-        return tuple(closed & ~touch.wanted for touch, closed in each)
+        touching = self.touching(state)
+        closed = state.closed or [touch.wanted for touch in touching]
+        return tuple(c & ~touch.wanted for c, touch in zip(closed, touching, strict=True))
 
     def _meetings(self, state: State) -> list[Meeting]:
         """Where the contact points are, found once for the decision and for the forces."""
@@ -315,7 +314,7 @@ class System:
         if exact:
             self.solver.sharpen()
         self.solver.factorize(self.data)
-        self.kept.renewed(self.latest.touching, self.latest.displacement_mm)
+        self.kept.renewed(self.latest.touching)
         self._count("factorization", began)
 
     def solve(self, right: Array, scale: Array, tolerance: float, change: float) -> Array:
