@@ -310,9 +310,12 @@ def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
         return []
     largest = float(np.abs(recording.rows.force_N).max())
     size = np.abs(noise.distance * noise.deviation)
+    # of few rows growth with the force is seldom significant, and makes large forces look far
+    grown = row_noise(recording.residual, recording.rows.places, recording.predicted_N, grows=0.0)
+    distance = size / np.maximum(noise.deviation, (grown or noise).deviation)
     # above the 99.9 % point of the largest distance in simulated noise: 14.3 of 8 rows, 9.6 of 10,
     # 6.7 of 20, 5.3 of 50 and 5.1 of 100 (2,000 to 6,000 draws each)
-    far = np.abs(noise.distance) > 6.0 + 400 / recording.rows.places.size**1.8
+    far = distance > 6.0 + 400 / recording.rows.places.size**1.8
     (places,) = np.nonzero(far & (size > _OFF * float(np.abs(recording.predicted_N).max())))
     if not places.size:
         return []
