@@ -567,7 +567,8 @@ def choose(
             design = replace(config, tests=tests, bounds={})
             names = set(design.material.calibrated_names)
             bounds = {name: pair for name, pair in config.bounds.items() if name in names}
-            result = calibrate(replace(design, bounds=bounds), root, progress=progress)
+            design = replace(design, bounds=bounds)
+            result = calibrate(design, root, progress=progress, plan=False)
         except InputError as error:
             failures[label] = str(error)
             continue
