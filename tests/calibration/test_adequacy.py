@@ -133,6 +133,41 @@ def test_specimens_that_differ_are_noise_and_what_they_share_is_not():
     assert wrong.verdict == "does not describe"
 
 
+RAMP = np.linspace(0.0, 9.0, 46)
+
+
+@pytest.mark.parametrize(
+    ("last", "column", "verdict"),
+    [
+        ((1.03, 1.0), 'average = ["no"]', "describes"),
+        ((2.0, 1.0), 'average = ["no"]', "doubtful"),
+        ((1.0, 1e3), 'average = ["no"]', "doubtful"),  # micrometers among millimeters
+        ((1.4, 1.0), 'block = "no"', "describes"),  # specimens differ
+        ((10.0, 1.0), 'block = "no"', "doubtful"),
+    ],
+)
+def test_a_recording_that_is_none_of_the_others_is_named(tmp_path, last, column, verdict):
+    """C10 of 20 kPa was 26.7, 13.4 and 65 kPa where the third of three was in another unit."""
+    stretch = 1 + RAMP / 30
+    force = 200 * 0.02 * (stretch - stretch**-2)
+    rng, rows = np.random.default_rng(4), ["no,d,f"]
+    for number, (stiff, far) in enumerate([(1.0, 1.0), (1.02, 1.0), last], 1):
+        read = stiff * force + rng.normal(0, 0.003, RAMP.size)
+        rows += [f"{number},{d:.6f},{f:.6f}" for d, f in zip(far * RAMP, read, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    (tmp_path / "c.toml").write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "100 mm^2"\nlength = "30 mm"\n'
+        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
+        'test = { kind = "tension" }\n[tests.measurements]\nfile = "a.csv"\n'
+        'columns = { displacement = "d", force = "f" }\n'
+        f'units = {{ displacement = "mm", force = "N" }}\n{column}\n'
+    )
+    told = study.calibrate(tmp_path / "c.toml", data=tmp_path).adequacy
+    assert told.verdict == verdict
+    named = "a.csv, repeat 3" if "average" in column else "a.csv, 3"
+    assert (f"{named}: its forces are" in told.sentence) == (verdict == "doubtful")
+
+
 def test_data_that_a_mean_describes_better():
     force = true_force(40)
     found = judged([force.max() * np.linspace(1.0, 1.2, 40)])
