@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -212,6 +212,28 @@ class _Recording:
     def weighted_force(self) -> Array:
         return np.asarray(self.weight * self.rows.force_N)
 
+    @cached_property
+    def far(self) -> Array:
+        """Places of rows far from their neighbors."""
+        if (noise := self.noise) is None:
+            return np.zeros(0, dtype=int)
+        size = np.abs(noise.distance * noise.deviation)
+        # of few rows growth with the force is seldom significant, and makes large forces look far
+        grown = row_noise(self.residual, self.rows.places, self.predicted_N, grows=0.0)
+        distance = size / np.maximum(noise.deviation, (grown or noise).deviation)
+        # above the 99.9 % point of the largest distance in simulated noise: 14.3 of 8 rows, 9.6 of
+        # 10, 6.7 of 20, 5.3 of 50 and 5.1 of 100 (2,000 to 6,000 draws each)
+        is_far = distance > 6.0 + 400 / size.size**1.8
+        return np.flatnonzero(is_far & (size > _OFF * float(np.abs(self.predicted_N).max())))
+
+    def without_far(self) -> _Recording:
+        """Copy without them."""
+        near = np.delete(np.arange(self.residual.size), self.far)
+        return replace(
+            self, rows=self.rows.at_points(near), predicted_N=self.predicted_N[near],
+            weight=self.weight[near], slopes=self.slopes[near],
+        )  # fmt: skip
+
 
 _Finding = tuple[int, str, tuple[SuspectRow, ...]]
 
@@ -234,7 +256,6 @@ def adequacy(
     findings: list[_Finding] = [(_GRADES.index(grade), why, ()) for grade, why in more]
     findings += _of_bounds(fit)
     robust = {test.label for test in measured if test.loss != "linear"}
-    measured = [m.reweighted(c) for m, c in zip(measured, fit.curves, strict=True)]
     recordings = [
         _Recording(one.label, number, rows, force, weight, slopes)
         for one, curve, number in zip(
@@ -242,9 +263,9 @@ def adequacy(
         )
         for weight, rows, force, slopes in recorded_rows(one, curve, fit.names)
     ]
-    groups = [
-        [r for r in recordings if r.test == t] for t in dict.fromkeys(r.test for r in recordings)
-    ]
+    # a robust loss may leave out single rows, and no line that they follow
+    judged = [r.without_far() if r.label in robust else r for r in recordings]
+    groups = [[r for r in judged if r.test == t] for t in dict.fromkeys(r.test for r in judged)]
     findings += _of_strays(fit, measured, tests)
     findings += _of_size(fit, groups)
     findings += [finding for recording in recordings for finding in _of_rows(recording, robust)]
@@ -351,26 +372,29 @@ def _on_one_grid(group: Sequence[_Recording]) -> tuple[Array, Array]:
 
 
 def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
-    """Single rows far from their neighbors."""
-    if (noise := recording.noise) is None:
+    """Single rows far from their neighbors, or a step at which forces jump."""
+    noise, places = recording.noise, recording.far
+    if noise is None or not places.size:
         return []
     largest = float(np.abs(recording.rows.force_N).max())
     size = np.abs(noise.distance * noise.deviation)
-    # of few rows growth with the force is seldom significant, and makes large forces look far
-    grown = row_noise(recording.residual, recording.rows.places, recording.predicted_N, grows=0.0)
-    distance = size / np.maximum(noise.deviation, (grown or noise).deviation)
-    # above the 99.9 % point of the largest distance in simulated noise: 14.3 of 8 rows, 9.6 of 10,
-    # 6.7 of 20, 5.3 of 50 and 5.1 of 100 (2,000 to 6,000 draws each)
-    far = distance > 6.0 + 400 / recording.rows.places.size**1.8
-    (places,) = np.nonzero(far & (size > _OFF * float(np.abs(recording.predicted_N).max())))
-    if not places.size:
-        return []
     columns = (recording.rows.displacement_mm, recording.rows.force_N, recording.predicted_N)
     rows = tuple(
         SuspectRow(recording.label, int(k) + 1, *(float(column[k]) for column in columns))
         for k in places
     )
     listed = ", ".join(str(row.row) for row in rows[:8]) + (", ..." if len(rows) > 8 else "")
+    # on both sides of a step rows lie beyond the line through their neighbors, to either side
+    side = np.sign(noise.distance[places])
+    turns = (np.diff(places) == 1) & (np.diff(side) != 0)
+    if places.size > 2 and np.count_nonzero(turns) == 1 and np.ptp(places) == places.size - 1:
+        k = int(places[int(np.argmax(turns))])
+        before, after = recording.rows.displacement_mm[[k, k + 1]]
+        return [(1, (
+            f"{recording.label}: the force jumps by {abs(np.diff(recording.residual)[k]):.3g} N "
+            f"between rows {k + 1} and {k + 2}, {before:.4g} and {after:.4g} mm: the specimen "
+            "slipped or tore there: write the range before it"
+        ), rows)]  # fmt: skip
     gone = float(np.sum(recording.residual[places] ** 2) / np.sum(recording.residual**2))
     mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
     if recording.label in robust:
