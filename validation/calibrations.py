@@ -120,10 +120,9 @@ def energies(draws: int, only: str | None = None) -> None:
             count["truth recommended"] += choice.best == label
             count["truth among those that cannot be told apart"] += label in choice.alike
             count["nothing recommended"] += choice.best is None
+            count["truth named as better, its constants not determined"] += choice.better == label
             if choice.best not in (label, None):
                 count[f"{choice.best} recommended"] += 1
-                told = label in choice.alike
-                count["another recommended and the truth not named"] += not told
         for level, count in counts.items():
             shown = "; ".join(f"{what} {n}" for what, n in count.most_common())
             print(f"{label}, {100 * level:g} % noise: {shown}", flush=True)

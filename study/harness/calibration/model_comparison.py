@@ -474,6 +474,18 @@ class EnergyChoice:
         return next(iter(self.alike), None)
 
     @property
+    def better(self) -> str | None:
+        """Label of the energy that is told to be better, though its constants are not determined.
+
+        Of those that describe the rows: the least AICc, where that is 6 below the chosen one's.
+        """
+        aicc = {n: f.fit.aicc for n, f in self.fits.items() if f.adequacy.describes}
+        least = min(aicc, key=aicc.__getitem__, default=None)
+        if least is None or self.best is None or self.best == least or least in self.weights:
+            return None
+        return least if aicc[self.best] - aicc[least] > OPEN else None
+
+    @property
     def sentence(self) -> str:
         """The choice in words, with what it does not say."""
         if self.best is None:
@@ -488,6 +500,10 @@ class EnergyChoice:
         if others:
             listed = ", ".join(others)
             text += f", the fewest constants among energies that cannot be told apart ({listed})"
+        if self.better:
+            lower = self.fits[self.best].fit.aicc - self.fits[self.better].fit.aicc
+            text += f"; {self.better} describes the rows better (AICc lower by {lower:.3g}), but "
+            text += f"is not chosen: {_unfit(self.fits[self.better])}"
         return f"{text}; it compares energies on these data only, not the constants' truth"
 
     def to_json(self) -> dict[str, object]:
