@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
@@ -137,9 +138,10 @@ _OFF = 0.02
 _DRIFTS = 0.02
 #: share of a column beside those of the constants below which it is rounding
 _ROUNDING = 1e-6
-#: factor by which forces of repeats on one specimen, and of specimens of one test, differ from
-#: their median where one of them is none of theirs
-_REPEATS_APART, _SPECIMENS_APART = 1.5, 4.0
+#: factor by which forces of repeats on one specimen differ from their median where one is another's
+_REPEATS_APART = 1.5
+#: the same of specimens of one test
+_SPECIMENS_APART = 4.0
 #: the same over the scatter of their logarithms (1.48 times the median distance). 20,000 draws of 3
 #: to 12 sound ones: repeats that scatter by 10 % are called so in at most .06 %, specimens that
 #: scatter by 30 % never, by 50 % in .9 %
@@ -213,7 +215,7 @@ class _Recording:
         return np.asarray(self.weight * self.rows.force_N)
 
     @cached_property
-    def far(self) -> Array:
+    def far(self) -> NDArray[np.intp]:
         """Places of rows far from their neighbors."""
         if (noise := self.noise) is None:
             return np.zeros(0, dtype=int)

@@ -142,7 +142,12 @@ class Ogden(OgdenSeries, IsochoricEnergy):
         mu, alpha = ogden_terms(constants)
         log = np.log(bar)
         z = np.multiply.outer(alpha, log)
-        by_modulus, slope = 2 * log * _phi(z), _phi_slope(z)
+        by_modulus = 2 * log * _phi(z)
+        # slope of (e^z - 1) / z, with its limit 1/2 at zero
+        small = np.abs(z) < 0.5
+        far = np.where(small, 1.0, z)
+        series = np.polynomial.polynomial.polyval(np.where(small, z, 0.0), _SLOPE_SERIES)
+        slope = np.where(small, series, (np.exp(far) * (far - 1) + 1) / far**2)
         gradient: dict[str, Array] = {}
         for i in range(mu.size):
             gradient[f"mu{i + 1}"] = by_modulus[i]
@@ -174,14 +179,6 @@ def _phi(z: Array) -> Array:
 #: coefficients 1 / (k! (k + 2)) of the power series of the slope of (e^z - 1) / z: 15 reach
 #: rounding below 0.5, where the formula would lose digits to cancellation
 _SLOPE_SERIES = 1 / (np.cumprod([1.0, *range(1, 15)]) * np.arange(2, 17))
-
-
-def _phi_slope(z: Array) -> Array:
-    """Differentiate (e^z - 1) / z, with its limit 1/2 at zero."""
-    small = np.abs(z) < 0.5
-    near, far = np.where(small, z, 0.0), np.where(small, 1.0, z)
-    series = np.polynomial.polynomial.polyval(near, _SLOPE_SERIES)
-    return np.where(small, series, (np.exp(far) * (far - 1) + 1) / far**2)
 
 
 # Foam of Ogden and Hill: ``W = sum 2 mu_i / alpha_i^2 (l1^a + l2^a + l3^a - 3 + (J^(-a b) - 1) /
