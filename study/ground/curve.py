@@ -81,6 +81,8 @@ class Curve:
         if self.time_s is not None:
             self._check_rows(d)
             return self.force_N
+        if np.array_equal(d, self.displacement_mm):  # every curve passes through its points
+            return self.force_N
         knots, force, slope = self._with_origin()
         low, high = min(float(knots[0]), 0.0), float(knots[-1])
         slack = 1e-12 + 1e-9 * max(high, -low)

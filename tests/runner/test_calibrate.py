@@ -19,6 +19,7 @@ from study.harness.design.load import load_calibration
 from study.harness.runner import fit_task, staged_fit
 from study.harness.runner.fit_problem import FitProblem, fitted_test
 from study.harness.runner.fit_summary import FitResult
+from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
@@ -159,6 +160,17 @@ def test_energies_are_weighed(
     assert choice.best == "reduced-polynomial-2"
     assert sum(choice.weights.values()) == pytest.approx(1)
     assert choice.weights["neo-hookean"] < 1e-6  # C20 stiffens the force by several percent
+    # one that describes the rows better, and cannot be chosen, is no secret
+    hidden = choice.fits["gent"]
+    better = replace(hidden.fit, aicc=choice.fits[choice.best].fit.aicc - 10, identifiable=False,
+                     reason="mu and Jm move together")  # fmt: skip
+    fits = {**choice.fits, "gent": replace(hidden, fit=better, adequacy=Adequacy("describes"))}
+    told = replace(choice, fits=fits, weights={choice.best: 1.0})
+    assert told.best == choice.best
+    assert "gent describes the rows better (AICc lower by 10), but is not chosen: not identi" in (
+        told.sentence
+    )
+    assert "describes the rows better" not in choice.sentence
     few = [one for one in some if one[2] in ("neo-hookean", choice.best)]
     monkeypatch.setattr(model_comparison, "CANDIDATES", tuple(few))
     said = success("calibrate", path, "--data", tmp_path, "--energies").out

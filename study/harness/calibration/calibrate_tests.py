@@ -213,8 +213,12 @@ def calibrate(
     resamples: int = 0,
     folder: Path | None = None,
     begin: Mapping[str, float] | None = None,
+    plan: bool = True,
 ) -> CalibrationResult:
-    """Fit one material to all tests of a calibration at once. Units: begin MPa."""
+    """Fit one material to all tests of a calibration at once, and ``plan`` the next test.
+
+    Units: begin MPa.
+    """
     began = time.perf_counter()
     curves, notes = read_tests(config.tests, root, config.asked.loss)
     by_specimen, left = _splits(config, curves)
@@ -232,6 +236,8 @@ def calibrate(
     specimens = tuple(_partial(setting, label, group) for label, group in by_specimen.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)
     result = _result(setting, curves, done)
+    if plan and fit.converged and result.material is not None and result.adequacy.describes:
+        result = replace(result, next_tests=next_tests(fit, curves, result.material, setting.tests))
     parts, judged = parts_of(setting.tests, in_order(curves)), named_open(fit, others)
     numerical = estimated_bound(fit, parts, done.models) if fit.converged else None
     result = replace(
@@ -411,11 +417,6 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         lack_of_fit=lack,
         pattern=pattern([c.residual(p) for c, p in judged]),
         identified=identify(fit, fitted_curves) if fit.converged else None,
-        next_tests=(
-            next_tests(fit, curves, material, setting.tests)
-            if fit.converged and material is not None and judgement.describes
-            else None
-        ),
         warnings=(*warnings_of(curves), *cautions),
         tests=tuple(
             {

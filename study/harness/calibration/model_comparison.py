@@ -475,6 +475,18 @@ class EnergyChoice:
         return next(iter(self.alike), None)
 
     @property
+    def better(self) -> str | None:
+        """Label of the energy that is told to be better, though its constants are not determined.
+
+        Of those that describe the rows: the least AICc, where that is 6 below the chosen one's.
+        """
+        aicc = {n: f.fit.aicc for n, f in self.fits.items() if f.adequacy.describes}
+        least = min(aicc, key=aicc.__getitem__, default=None)
+        if least is None or self.best is None or self.best == least or least in self.weights:
+            return None
+        return least if aicc[self.best] - aicc[least] > OPEN else None
+
+    @property
     def sentence(self) -> str:
         """The choice in words, with what it does not say."""
         if self.best is None:
@@ -489,6 +501,10 @@ class EnergyChoice:
         if others:
             listed = ", ".join(others)
             text += f", the fewest constants among energies that cannot be told apart ({listed})"
+        if self.better:
+            lower = self.fits[self.best].fit.aicc - self.fits[self.better].fit.aicc
+            text += f"; {self.better} describes the rows better (AICc lower by {lower:.3g}), but "
+            text += f"is not chosen: {_unfit(self.fits[self.better])}"
         return f"{text}; it compares energies on these data only, not the constants' truth"
 
     def to_json(self) -> dict[str, object]:
@@ -568,7 +584,8 @@ def choose(
             design = replace(config, tests=tests, bounds={})
             names = set(design.material.calibrated_names)
             bounds = {name: pair for name, pair in config.bounds.items() if name in names}
-            result = calibrate(replace(design, bounds=bounds), root, progress=progress)
+            design = replace(design, bounds=bounds)
+            result = calibrate(design, root, progress=progress, plan=False)
         except InputError as error:
             failures[label] = str(error)
             continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from itertools import combinations
 
 import numpy as np
@@ -127,27 +127,31 @@ class Ogden(OgdenSeries, IsochoricEnergy):
 
     def principal_stress(self, constants: Constants, bar: Array) -> Array:
         """Sum of 2 mu / alpha (bar^alpha - 1), with its limit at alpha = 0."""
+        mu, alpha = ogden_terms(constants)
         log = np.log(bar)
-        terms = zip(*ogden_terms(constants), strict=True)
-        return np.asarray(sum(2 * mu * log * _phi(alpha * log) for mu, alpha in terms))
+        return np.asarray(2 * log * np.tensordot(mu, _phi(np.multiply.outer(alpha, log)), 1))
 
     def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
         """Sum of 2 mu bar^alpha times the direction."""
-        v = direction[..., None]
-        terms = zip(*ogden_terms(constants), strict=True)
-        return np.asarray(sum(2 * mu * bar**alpha * v for mu, alpha in terms))
+        mu, alpha = ogden_terms(constants)
+        powers = np.exp(np.multiply.outer(alpha, np.log(bar)))
+        return np.asarray(2 * np.tensordot(mu, powers, 1) * direction[..., None])
 
     def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
         """Differentiate by each modulus and each exponent."""
+        mu, alpha = ogden_terms(constants)
         log = np.log(bar)
+        z = np.multiply.outer(alpha, log)
+        by_modulus = 2 * log * _phi(z)
+        # slope of (e^z - 1) / z, with its limit 1/2 at zero
+        small = np.abs(z) < 0.5
+        far = np.where(small, 1.0, z)
+        series = np.polynomial.polynomial.polyval(np.where(small, z, 0.0), _SLOPE_SERIES)
+        slope = np.where(small, series, (np.exp(far) * (far - 1) + 1) / far**2)
         gradient: dict[str, Array] = {}
-        for i, (mu, alpha) in enumerate(zip(*ogden_terms(constants), strict=True), start=1):
-            z = alpha * log
-            gradient[f"mu{i}"] = 2 * log * _phi(z)
-            slope = _series_or(
-                z, lambda k: 1.0 / (k + 2), lambda w: (np.exp(w) * (w - 1) + 1) / w**2
-            )  # of _phi, with its limit 1/2 at zero
-            gradient[f"alpha{i}"] = 2 * mu * log**2 * slope
+        for i in range(mu.size):
+            gradient[f"mu{i + 1}"] = by_modulus[i]
+            gradient[f"alpha{i + 1}"] = 2 * mu[i] * log**2 * slope[i]
         return gradient
 
     def always_stable(self, constants: Constants) -> bool:
@@ -169,22 +173,12 @@ def ogden_terms(constants: Constants) -> tuple[Array, Array]:
 
 def _phi(z: Array) -> Array:
     """(e^z - 1) / z, with its limit 1 at zero."""
-    return _series_or(z, lambda k: 1.0 / (k + 1), lambda w: np.expm1(w) / w)
+    return np.divide(np.expm1(z), z, out=np.ones_like(z), where=z != 0)
 
 
-def _series_or(
-    z: Array, weight: Callable[[int], float], formula: Callable[[Array], Array]
-) -> Array:
-    """Power series sum weight(k) z^k / k! where |z| < 0.5, the formula elsewhere."""
-    # Below 0.5 the formulas lose digits to cancellation; 18 terms reach rounding there.
-    z = np.asarray(z, dtype=float)
-    small = np.abs(z) < 0.5
-    near, total, power = np.where(small, z, 0.0), np.zeros_like(z), np.ones_like(z)
-    for k in range(18):
-        total = total + weight(k) * power
-        power = power * near / (k + 1)
-    far = formula(np.where(small, 1.0, z))
-    return np.where(small, total, far)
+#: coefficients 1 / (k! (k + 2)) of the power series of the slope of (e^z - 1) / z: 15 reach
+#: rounding below 0.5, where the formula would lose digits to cancellation
+_SLOPE_SERIES = 1 / (np.cumprod([1.0, *range(1, 15)]) * np.arange(2, 17))
 
 
 # Foam of Ogden and Hill: ``W = sum 2 mu_i / alpha_i^2 (l1^a + l2^a + l3^a - 3 + (J^(-a b) - 1) /
