@@ -2,49 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 import pytest
 
-from study.ground.arrays import Array
 from study.statistics.analysis.comparisons import ASYMPTOTIC_BLOCKS
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import (
     model_matrix,
 )
-from study.statistics.analysis.sums_of_squares import factor, influence, two_way
-from study.statistics.analysis.unreplicated import group_cells
+from study.statistics.analysis.sums_of_squares import factor, two_way
 from tests.analysis.test_simple_effects import of_blocks
-
-
-def layout(sizes: tuple[int, ...], rows: int | None, seed: int) -> Layout:
-    """Complete factorial; with ``rows``, as many rows of it drawn with repeats besides."""
-    cells = np.array(list(product(*map(range, sizes))))
-    if rows is not None:
-        drawn = np.random.default_rng(seed).integers(0, len(cells), rows)
-        cells = np.vstack([cells, cells[drawn]])
-    names = "abcd"[: len(sizes)]
-    levels = {n: tuple(map(str, range(k))) for n, k in zip(names, sizes, strict=True)}
-    return Layout(levels, {n: cells[:, i] for i, n in enumerate(names)})
-
-
-@pytest.mark.parametrize("drop", [0.0, 0.3])
-def test_two_factors_are_fitted_as_with_all_columns(drop: float) -> None:
-    rng = np.random.default_rng(8)
-    here = layout((7, 5), 60, 1)
-    kept = np.flatnonzero(rng.random(here.n) >= drop)
-    here = here.take(kept)
-    y = 1e6 + rng.normal(size=here.n)
-    dense = factor(model_matrix(here, [("a",), ("b",)]), y)
-    for first, second in (("a", "b"), ("b", "a")):
-        fit = two_way(here.codes[first], here.codes[second], y)
-        assert fit.rank == dense.rank
-        assert fit.residual == pytest.approx(dense.residual, abs=1e-9)
-        assert fit.leverage == pytest.approx(dense.leverage, abs=1e-12)
-        assert influence(fit).cook == pytest.approx(influence(dense).cook, rel=1e-7, abs=1e-12)
-        other = rng.normal(size=here.n)
-        assert fit.projected(other) == pytest.approx(dense.projected(other), abs=1e-12)
 
 
 def test_two_factors_without_a_common_row_lose_a_degree_of_freedom() -> None:
@@ -57,26 +24,6 @@ def test_two_factors_without_a_common_row_lose_a_degree_of_freedom() -> None:
     fit = two_way(a, b, y)
     assert fit.rank == dense.rank == 6
     assert fit.residual == pytest.approx(dense.residual, abs=1e-12)
-
-
-def naive_groups(y: Array, within: float) -> list[list[int]]:
-    groups: list[list[int]] = []
-    for cell in range(len(y)):
-        for group in groups:
-            if bool(np.all(np.abs(y[cell] - y[group[0]]) <= within)):
-                group.append(cell)
-                break
-        else:
-            groups.append([cell])
-    return groups
-
-
-def test_copies_are_found_as_by_comparing_all_pairs() -> None:
-    rng = np.random.default_rng(3)
-    y: Array = rng.integers(0, 4, size=(200, 3)) + rng.normal(0, 0.05, (200, 3))
-    y[rng.random((200, 3)) < 0.05] = np.nan
-    for within in (0.0, 0.1, 0.5, 2.0):
-        assert [list(g) for g in group_cells(y, within).groups] == naive_groups(y, within)
 
 
 def test_the_multiplier_of_many_blocks_holds_its_level() -> None:

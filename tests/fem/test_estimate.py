@@ -126,13 +126,6 @@ def test_a_plate_thinner_than_its_elements_has_those_of_its_faces(tmp_path, bond
     assert 1 / 3 < expected_unknowns(setup) / unknowns(setup, build_mesh(setup)) < 3
 
 
-@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
-def test_a_thin_disc_under_an_indenter_has_the_elements_of_its_faces(space):
-    test = Test("indentation", 0.01, "frictionless", "bonded", 1, Sphere(2))
-    setup = Problem(Cylinder(60, 0.1), test, GEL, Model(space, mesh_size_mm=3.0)).setup
-    assert 1 / 3 < expected_unknowns(setup) / unknowns(setup, build_mesh(setup)) < 3
-
-
 def test_a_hopeless_thin_plate_is_refused_with_a_size_above_its_height(tmp_path, monkeypatch):
     monkeypatch.setattr(solution_cost, "machine_MB", lambda: 16e3)
     # two faces of 25e6 mm^2 carry 2 * 25e6 / 9 squares of 3 mm, four tetrahedra each: 20 million
@@ -193,18 +186,6 @@ def test_large_meshes_and_those_of_surfaces_are_not_made_to_be_counted(tmp_path,
     assert not meshed
     # 76844 unknowns of gmsh 4.13
     assert estimate(problems[0].setup).dofs == pytest.approx(76844, rel=0.2)
-
-
-def test_a_mesh_is_counted_once_and_only_with_patience(monkeypatch):
-    meshed = made(monkeypatch)
-    setup = Problem(*INDENTED, GEL, Model("axisymmetric", mesh_size_mm=0.3)).setup
-    assert estimate(setup, patience_s=1e-3).dofs == int(expected_unknowns(setup))
-    assert not meshed
-    first, second = estimate(setup), estimate(setup)
-    assert first == second
-    assert first.dofs == unknowns(setup, build_mesh(setup))
-    assert first.counting_s > 1e-3
-    assert len(meshed) == 1
 
 
 def test_no_ordinary_mesh_is_refused(monkeypatch):
