@@ -24,7 +24,7 @@ from study.statistics.analysis.equal_variance import fligner as fligner_killeen
 from study.statistics.analysis.linear_model import model_matrix, terms_of
 from study.statistics.analysis.post_hoc import dunnett
 from study.statistics.analysis.power import power_of
-from study.statistics.analysis.sums_of_squares import factor, influence
+from study.statistics.analysis.sums_of_squares import factor
 from tests.cli.small import study
 
 RNG = np.random.default_rng(4)
@@ -97,13 +97,6 @@ def test_power_of_many_levels_against_statsmodels(levels: int, n: int, blocked: 
     f_squared = n * 1.3**2 / 2 / (df1 + df2)
     theirs = FTestPowerF2().power(f_squared, df1, df2, 0.05, ncc=0)
     assert power_of(n * 1.3**2 / 2, (df1, df2), 0.05) == pytest.approx(theirs, rel=1e-10)
-
-
-def test_press_is_the_error_at_a_row_left_out(table: pd.DataFrame) -> None:
-    _, fit = fitted(table)
-    y, cell = table["y"].to_numpy(), (table["a"] + table["b"]).to_numpy()
-    left_out = [y[i] - np.delete(y, i)[np.delete(cell, i) == cell[i]].mean() for i in range(y.size)]
-    assert influence(fit).press == pytest.approx(left_out, rel=1e-10)
 
 
 def test_hc3_says_so_when_cells_have_no_spread(table: pd.DataFrame) -> None:

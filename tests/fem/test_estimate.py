@@ -43,12 +43,14 @@ INDENTED = (Block(60, 60, 40), Test("indentation", 2, "frictionless", "bonded", 
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
 @pytest.mark.parametrize("shape", ["simplex", "tensor"])
-@pytest.mark.parametrize("formulation", ["mixed", "displacement"])
-def test_unknowns_are_counted(specimen_and_test, space, order, shape, formulation):
+def test_unknowns_are_counted(specimen_and_test, space, order, shape):
     specimen, test = specimen_and_test
-    problem = Problem(specimen, test, GEL, Model(space, order, shape, formulation, "coarse"))
-    real = System.build(problem, build_mesh(problem.setup), solver="superlu").dofs
-    assert estimate(problem.setup).dofs == pytest.approx(real, rel=0.12)
+    problem = Problem(specimen, test, GEL, Model(space, order, shape, mesh="coarse"))
+    mesh = build_mesh(problem.setup)
+    for formulation in ("mixed", "displacement"):
+        problem = replace(problem, model=replace(problem.model, formulation=formulation))
+        real = System.build(problem, mesh, solver="superlu").dofs
+        assert estimate(problem.setup).dofs == pytest.approx(real, rel=0.12)
 
 
 def pressed(specimen, indenter, depth: float = 2.0) -> tuple:
@@ -89,7 +91,7 @@ def test_unknowns_are_expected_before_meshing(specimen_and_test, flat_mm, solid_
         assert expected_unknowns(problem.setup) == pytest.approx(real, rel=0.25)
 
 
-@pytest.mark.parametrize("size_mm", [1e-2, 1e-4, 1e-9])
+@pytest.mark.parametrize("size_mm", [1e-2, 1e-9])
 @pytest.mark.parametrize("shape", ["simplex", "tensor"])
 @pytest.mark.parametrize(
     "specimen_and_test",

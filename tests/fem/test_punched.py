@@ -131,14 +131,14 @@ def test_quadratic_hexahedra_are_right_on_every_mesh(mesh: str) -> None:
 
 def test_a_frictionless_punch_meets_the_same_disc() -> None:
     """An incompressible half-space does not move sideways under it (Spence 1968)."""
-    held, free = (force(punch(interface=how, mesh="medium")) for how in ("bonded", "frictionless"))
+    held, free = (force(punch(interface=how, mesh="coarse")) for how in ("bonded", "frictionless"))
     assert 0.995 < free / held <= 1.0
 
 
 def test_a_seed_leaves_the_circle_where_it_is() -> None:
-    regular, moved = (build_mesh(punch(mesh="medium", mesh_seed=seed).setup) for seed in (None, 3))
+    regular, moved = (build_mesh(punch(mesh="coarse", mesh_seed=seed).setup) for seed in (None, 3))
     assert moved.digest() != regular.digest()
     np.testing.assert_array_equal(on_circle(moved, 3.0), on_circle(regular, 3.0))
-    assert force(punch(mesh="medium", mesh_seed=3)) == pytest.approx(
-        force(punch(mesh="medium")), rel=0.01
+    assert force(punch(mesh="coarse", mesh_seed=3)) == pytest.approx(
+        force(punch(mesh="coarse")), rel=0.03
     )
