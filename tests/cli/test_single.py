@@ -44,6 +44,7 @@ ROW_KEYS = {
 }  # fmt: skip
 
 
+@pytest.mark.drawings
 def test_solve(home: Path) -> None:
     drawn = ("--vtu", "out.vtu", "--picture", "mesh.svg")
     found = success("solve", "problem.toml", "--json", *drawn).json

@@ -27,7 +27,6 @@ def written(folder: Path, compressibility: str) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
 def test_a_foam_is_known_among_all_energies(tmp_path: Path) -> None:
     found = choose_energy(written(tmp_path, "poisson_ratio = 0.2"), data=tmp_path)
@@ -37,7 +36,6 @@ def test_a_foam_is_known_among_all_energies(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_an_incompressible_solid_is_no_foam(tmp_path: Path) -> None:
     found = choose_energy(written(tmp_path, "incompressible = true"), data=tmp_path)
     assert not [k for k in (*found.fits, *found.failures) if k.startswith("ogden-hill")]
