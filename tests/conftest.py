@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -59,6 +60,7 @@ def is_verification(config: pytest.Config) -> bool:
 
 
 ROOT = Path(__file__).resolve().parent.parent
+PAGES = ROOT / "tests" / "reporting"
 
 
 @pytest.fixture(scope="session")
@@ -115,6 +117,39 @@ def _tasks_in_this_process() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Loky, "run", run)
+        yield
+
+
+#: whether the test that runs now looks at drawings
+_looked_at = False
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Write drawings for the tests of pages and for those that are marked, fixtures included."""
+    global _looked_at
+    _looked_at = item.path.is_relative_to(PAGES) or item.get_closest_marker("drawings") is not None
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _drawings_without_ink() -> Iterator[None]:
+    """Build every figure, and leave its file empty, for writing it is a third of a small report.
+
+    What fails while a figure is built still fails; what is written is the business of
+    ``tests/reporting``, and of tests that are marked with ``drawings``.
+    """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    whole = FigureCanvasSVG.print_svg
+
+    def print_svg(sheet: FigureCanvasSVG, target: Any, **more: Any) -> None:
+        if _looked_at or not isinstance(target, io.StringIO):
+            whole(sheet, target, **more)
+        else:
+            target.write('<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>')
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FigureCanvasSVG, "print_svg", print_svg)
         yield
 
 

@@ -68,6 +68,7 @@ def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
     assert row.effect.highest == max(means, key=lambda level: means[level])
 
 
+@pytest.mark.drawings
 def test_the_page_draws_it(outcome: StudyResult) -> None:
     from study.api.assemble import report_data
 

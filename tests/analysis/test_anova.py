@@ -71,23 +71,6 @@ def test_fake_replicates_are_refused() -> None:
         anova(table.assign(run=np.arange(len(table)) // 4), "y", ["a", "b"], block="run")
 
 
-def test_declared_pooling_is_labelled() -> None:
-    result = anova(factorial({"a": 3, "b": 4}, 1, 1), "y", ["a", "b"], model=1, exact=False)
-    assert result.error_term.source == "E5"
-    assert "assumption" in result.error_term.reason
-    assert result.assumptions.non_additivity is not None
-    assert result.assumptions.non_additivity.df == (1, 5)
-
-
-def test_aliased_terms_are_named() -> None:
-    """A 2^(3-1) fraction: each main effect is aliased with a two-way interaction."""
-    full = factorial({"a": 2, "b": 2, "c": 2}, 2, 1)
-    sign = sum(full[f].str[1:].astype(int) for f in "abc") % 2 == 0
-    result = anova(full[sign], "y", ["a", "b", "c"], type="III", exact=False)
-    assert any(w.startswith("a:") and "b:c" in w for w in result.notes)
-    assert result.anova.row("a").f is None
-
-
 @pytest.mark.parametrize(
     ("change", "options", "match"),
     [

@@ -6,8 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from study.ground.errors import InputError
 from study.statistics.convergence.grid_convergence import grid_convergence
@@ -141,21 +139,3 @@ def test_order_of_input_means_nothing() -> None:
 def test_bad_input(sizes, values, match: str) -> None:
     with pytest.raises(InputError, match=match):
         grid_convergence(sizes, values)
-
-
-def test_small_ratios_are_said() -> None:
-    result = grid_convergence([1, 1.1, 1.2], [1.0, 1.1, 1.25])
-    assert any("below 1.3" in w for w in result.warnings)
-
-
-@given(st.floats(0.3, 9.0), st.floats(1.3, 3.0), st.integers(3, 5))
-def test_without_a_formal_order_nothing_is_asymptotic(p, r, meshes) -> None:
-    h = r ** np.arange(meshes)
-    result = grid_convergence(h, 3 + 0.01 * h**p)
-    assert "asymptotic" not in result.verdict
-    if meshes == 3:
-        assert result.factor_of_safety == 3
-        assert result.order_used <= 1
-    if result.factor_of_safety == 1.25:
-        assert result.order_used <= 4
-        assert "consistent" in result.verdict

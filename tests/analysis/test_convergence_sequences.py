@@ -40,36 +40,6 @@ def test_an_order_is_recovered_or_refused(p, ratios, log_noise, seed) -> None:
         assert result.observed_order is not None
 
 
-@given(RATIO, RATIO, st.floats(-1, -0.02), st.floats(0.1, 10), st.floats(-100, 100))
-def test_alternating_changes_are_oscillatory(r1, r2, ratio, size, level) -> None:
-    f = level + size * np.array([0.0, ratio, ratio + 1])
-    result = grid_convergence(np.cumprod([1.0, r1, r2]), f)
-    assert result.behaviour == "oscillatory"
-    assert result.gci_fine is None
-    assert result.observed_order is None
-
-
-@given(RATIO, RATIO, st.floats(0.1, 3.0), st.floats(0.1, 10))
-def test_growing_changes_are_divergent(r1, r2, p, size) -> None:
-    """A negative order: what two public GCI packages take for order +p."""
-    h = np.cumprod([1.0, r1, r2])
-    result = grid_convergence(h, 1 + size * h**-p)
-    f = np.array(result.value)
-    small = abs(f[1] - f[0]) <= 0.01 * abs(f[0])  # noise of the meshes
-    assert result.behaviour == ("noise-floor" if small else "divergent")
-    assert (result.gci_fine, result.observed_order) == (None, None)
-    assert result.u_num == pytest.approx(3 * np.ptp(f))
-
-
-@given(st.floats(1, 1e6), st.integers(0, 2**31 - 1))
-def test_noise_within_the_tolerance_is_the_noise_floor(value, seed) -> None:
-    tolerance = 1e-7 * value
-    noise = np.random.default_rng(seed).uniform(-5 * tolerance, 5 * tolerance, 3)
-    result = grid_convergence([1, 2, 4], value + noise, tolerance=tolerance)
-    assert result.behaviour == "noise-floor"
-    assert result.u_num == pytest.approx(max(tolerance, 3 * np.ptp(noise)), rel=1e-6)
-
-
 @given(RATIO, RATIO, st.floats(0.7, 3.0), st.floats(0.01, 1), st.floats(1.5, 4))
 def test_the_interval_holds_the_limit_of_a_bent_series(r1, r2, p, bend, more) -> None:
     """A second term of the error, of the same sign and a twentieth at most at the finest mesh."""

@@ -8,12 +8,10 @@ from itertools import product
 import numpy as np
 import pytest
 
-from study.ground.arrays import Array
 from study.statistics.analysis.comparisons import ASYMPTOTIC_BLOCKS
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix, terms_of
 from study.statistics.analysis.sums_of_squares import factor, influence, term_sums, two_way
-from study.statistics.analysis.unreplicated import group_cells
 from tests.analysis.test_simple_effects import of_blocks
 
 
@@ -52,7 +50,7 @@ def test_many_columns_of_a_complete_layout_are_products_of_small_factors(terms: 
     matrix = model_matrix(here, terms_of(list("abc"), terms))
     assert matrix.columns.shape[1] >= 200
     y = 1e3 + np.random.default_rng(2).normal(size=here.n)
-    fit, dense = factor(matrix, y), factor(replace(matrix, layout=None), y)
+    fit, dense = factor(matrix, y), factor(replace(matrix, layout=Layout({}, {})), y)
     assert fit.q @ fit.r * fit.scale == pytest.approx(matrix.columns, abs=1e-13)
     assert fit.q.T @ fit.q == pytest.approx(np.eye(fit.rank), abs=1e-13)
     assert fit.coefficients() == pytest.approx(dense.coefficients(), abs=1e-11)
@@ -71,26 +69,6 @@ def test_two_factors_without_a_common_row_lose_a_degree_of_freedom() -> None:
     fit = two_way(a, b, y)
     assert fit.rank == dense.rank == 6
     assert fit.residual == pytest.approx(dense.residual, abs=1e-12)
-
-
-def naive_groups(y: Array, within: float) -> list[list[int]]:
-    groups: list[list[int]] = []
-    for cell in range(len(y)):
-        for group in groups:
-            if bool(np.all(np.abs(y[cell] - y[group[0]]) <= within)):
-                group.append(cell)
-                break
-        else:
-            groups.append([cell])
-    return groups
-
-
-def test_copies_are_found_as_by_comparing_all_pairs() -> None:
-    rng = np.random.default_rng(3)
-    y: Array = rng.integers(0, 4, size=(200, 3)) + rng.normal(0, 0.05, (200, 3))
-    y[rng.random((200, 3)) < 0.05] = np.nan
-    for within in (0.0, 0.1, 0.5, 2.0):
-        assert [list(g) for g in group_cells(y, within).groups] == naive_groups(y, within)
 
 
 def test_the_multiplier_of_many_blocks_holds_its_level() -> None:

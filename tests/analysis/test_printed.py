@@ -164,25 +164,6 @@ def test_a_term_is_no_picture(capsys: pytest.CaptureFixture[str]) -> None:
     ]  # fmt: skip
 
 
-def test_pairs_are_tukey_intervals_and_letters_follow_them() -> None:
-    """Balanced: difference +- q(0.95; 3, 30) sqrt(MSE / 12), q by scipy."""
-    q = pytest.importorskip("scipy.stats").studentized_range.ppf(0.95, 3, 30)
-    table = pd.read_csv(DESIGNS / "crossed.csv")
-    result = anova(table, "y", ["a", "b"], exact=False)
-    effect, mse = result.effect("a"), result.anova.row("residual").ms
-    assert mse is not None
-    means = table.groupby("a")["y"].mean()
-    for pair in effect.pairs:
-        d = means[pair.first] - means[pair.second]
-        assert pair.difference == pytest.approx(d, rel=1e-9)
-        assert pair.upper - d == pytest.approx(q * np.sqrt(mse / 12), rel=1e-8)
-        shared = set(effect.letters[effect.levels.index(pair.first)]) & set(
-            effect.letters[effect.levels.index(pair.second)]
-        )
-        assert bool(shared) != pair.different
-    assert len(effect.pairs) == 3
-
-
 def test_detectable_differences_come_from_the_error_found() -> None:
     from study.statistics.analysis.power import detectable
 

@@ -149,6 +149,7 @@ def test_a_calibration_is_shown(home: Path) -> None:
     assert found.plot()._repr_svg_().startswith("<svg")
 
 
+@pytest.mark.drawings
 def test_a_study_is_shown_and_its_folders_are_texts(home: Path) -> None:
     found = study.run("small.toml", data="data", results="out", reports="pages", jobs=1)
     assert str(found.report).startswith("pages")
@@ -187,6 +188,7 @@ def test_a_series_is_shown(home: Path) -> None:
     assert numbers.verdict[:20] in numbers._repr_html_()
 
 
+@pytest.mark.drawings
 def test_a_hostile_name_is_escaped_in_a_notebook(home: Path) -> None:
     name = "<script>alert(1)</script>"
     table = study.run("small.toml", data="data", jobs=1, reports=None).to_frame()

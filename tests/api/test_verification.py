@@ -18,6 +18,8 @@ import pytest
 from study import api
 from tests.waiting import CAP_S
 
+pytestmark = pytest.mark.drawings
+
 DESIGN = """
 schema = 1
 [study]

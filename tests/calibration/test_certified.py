@@ -66,10 +66,6 @@ def test_dead_end_is_no_success(data_dir):
 MGH_RUNS = mgh.runs()
 
 
-def test_mgh_has_minpacks_53_runs():
-    assert len(MGH_RUNS) == 53
-
-
 @pytest.mark.parametrize("run", MGH_RUNS, ids=lambda run: run[0])
 def test_more_garbow_hillstrom(run):
     name, function, start, minima = run

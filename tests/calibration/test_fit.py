@@ -104,18 +104,6 @@ def test_coverage_of_intervals(fits, apart):
     assert chi / fits == pytest.approx(1, abs=3 * np.sqrt(2 / 28 / fits))
 
 
-def test_doubled_weights_change_nothing():
-    """P22: only ratios of weights matter, for the values and for the covariance."""
-    predict, d = predictor(*RP2, depth=9.0)
-    (one,) = virtual(predict, [7e-3, 1e-3], d, 1e-2, np.random.default_rng(4))
-    first = fit(predict, [one], RP2[1], [5e-3, 0.0])
-    second = fit(predict, [MeasuredCurve("x", one.curve, 2.0)], RP2[1], [5e-3, 0.0])
-    assert second.values == pytest.approx(first.values, rel=1e-8)
-    assert second.covariance == pytest.approx(first.covariance, rel=1e-8)
-    assert second.rss == pytest.approx(4 * first.rss, rel=1e-8)
-    assert second.r_squared == pytest.approx(first.r_squared, rel=1e-8)
-
-
 def test_points_without_weight_change_nothing():
     predict, d = predictor(*RP2, depth=9.0)
     (one,) = virtual(predict, [7e-3, 1e-3], d, 1e-2, np.random.default_rng(4))
@@ -127,31 +115,6 @@ def test_points_without_weight_change_nothing():
     second = fit(predict, [MeasuredCurve("x", Curve(d, force), weight)], RP2[1], [5e-3, 0.0])
     assert second.values.tolist() == first.values.tolist()
     assert (first.n, second.n) == (50, 50)
-
-
-def test_two_tests_together_identify_what_one_cannot():
-    compress, d = predictor(*MR, depth=4.2)
-    extend, e = predictor(*MR, depth=15.0, mode="equibiaxial", sign=1.0)
-    rng = np.random.default_rng(2011)
-    data = [
-        *virtual(compress, [4e-3, 1e-3], d, 1e-3, rng),
-        *virtual(extend, [4e-3, 1e-3], e, 1e-3, rng),
-    ]
-    found = fit(lambda v: [*compress(v), *extend(v)], data, MR[1], [5e-3, 0.0])
-    assert found.identifiable
-    assert abs(found.correlation[0, 1]) < 0.99
-
-
-def test_profile_likelihood_agrees_with_the_interval_of_a_linear_model():
-    predict, d = predictor(*RP2, depth=9.0)
-    data = virtual(predict, [7e-3, 1e-3], d, 1e-2, np.random.default_rng(5))
-    found = fit(predict, data, RP2[1], [5e-3, 0.0])
-    for i, name in enumerate(RP2[1]):
-        found_profile = profile(predict, data, found, name)
-        # the model is linear in its constants: both intervals are the same, to the bisection
-        width = np.diff(found.ci95[i])[0]
-        assert found_profile.interval == pytest.approx(tuple(found.ci95[i]), abs=1e-3 * width)
-        assert found_profile.rss.min() == pytest.approx(found.rss, rel=1e-9)
 
 
 def test_profile_of_one_constant_and_of_nothing():

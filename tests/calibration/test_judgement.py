@@ -7,7 +7,6 @@ from study.ground.errors import InputError, RefusedError
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.lack_of_fit import (
     agreement,
-    akaike_weights,
     lack_of_fit,
     pattern,
     same_constants,
@@ -82,13 +81,6 @@ def test_runs_of_a_published_sequence():
     plus, minus = int((signs > 0).sum()), int((signs < 0).sum())
     assert found.runs == 1 + int(np.count_nonzero(np.diff(signs)))
     assert found.expected_runs == pytest.approx(1 + 2 * plus * minus / 20)
-
-
-def test_akaike_weights_add_up_and_skip_the_infinite():
-    weights = akaike_weights({"a": 0.0, "b": 2.0, "c": np.inf})
-    assert sum(weights.values()) == pytest.approx(1)
-    assert weights["a"] / weights["b"] == pytest.approx(np.e)
-    assert weights["c"] == 0
 
 
 def test_same_constants_keeps_its_level():

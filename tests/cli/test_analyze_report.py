@@ -18,6 +18,8 @@ from tests.cli.small import study, success
 from validation import fuzz
 from validation.fuzz_inputs import Place, tables
 
+pytestmark = pytest.mark.drawings
+
 TABLES = Path(__file__).parents[2] / "validation" / "statistics"
 BATTERY = ("--response", "life", "--factors", "material,temperature")
 

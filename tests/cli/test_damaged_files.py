@@ -21,7 +21,7 @@ from validation.damage import Damage, damages, sealed
 from validation.fuzz import BUG, obey
 
 #: one damage of so many is looked at where it need not be all
-FEW = 300
+FEW = 600
 
 READERS = (
     ("status", "small"),
@@ -97,7 +97,7 @@ def test_some_damages_of_other_files(done: Path, name: str) -> None:
     path = sorted(SMALL.glob(f"{name}.json"))[0]
     found = list(damages(content_of(path)))
     verbs = READERS[:2] if name == "study" else ()
-    assert not look(path, found[1 :: len(found) // 3], verbs)
+    assert not look(path, found[1 :: len(found) // 2], verbs)
     records()[0].unlink()  # a case that is missing has its fit read
     assert not look(path, found[2 :: len(found) // 2], [RUN])
 
@@ -194,10 +194,8 @@ def drawn(finished: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("place", "mode", "report"),
     [
-        ("reports/small", 0o444, "reports/small/small.html"),
         ("reports/small/small-data", 0o000, "small"),
         ("reports", 0o000, ""),
-        ("results/small/fits", 0o444, ""),
         ("results/small/cases", 0o444, ""),
     ],
 )
@@ -277,7 +275,6 @@ def test_a_run_that_may_write_no_longer_is_stopped_and_resumes(
     [
         ("numbers.json", "report small --format csv --reports pages"),
         ("small.html", "report small --format html --reports pages"),
-        ("made-from.json", "report small --format csv --reports pages"),
         ("numbers.json", "analyze t.csv --response y --factors a,b --report page --format csv"),
     ],
 )

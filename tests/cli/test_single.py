@@ -44,6 +44,7 @@ ROW_KEYS = {
 }  # fmt: skip
 
 
+@pytest.mark.drawings
 def test_solve(home: Path) -> None:
     drawn = ("--vtu", "out.vtu", "--picture", "mesh.svg")
     found = success("solve", "problem.toml", "--json", *drawn).json
@@ -174,17 +175,6 @@ def test_analyze_a_table() -> None:
     assert "--practical" in words.err
 
 
-def test_fake_replicates_are_refused(home: Path) -> None:
-    rows = ["run,material,force"]
-    rows += [f"{k},{m},{v}" for m, v in (("A", 10.0), ("B", 12.0)) for k in range(3)]
-    (home / "fake.csv").write_text("\n".join(rows) + "\n")
-    answer = study("analyze", "fake.csv", "--response", "force", "--factors", "material")
-    assert answer.code == 3
-    assert answer.out == ""
-    assert "fake replicates" in answer.err
-    assert "Instead:" in answer.err
-
-
 def test_solve_refuses_a_file_that_cannot_be_written_before_it_solves(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,22 +226,6 @@ FACTOR = (
     "[converge]\nlevels = 2\n" + responses(peak_force="0.01 N") + CSV
 )
 WEIGHT = 980e-9 * 9.80665 * np.pi * 10**2 * 40
-
-
-@pytest.mark.parametrize(
-    ("space", "size", "near"),
-    [
-        ("", 6.0, 1e-8),
-        # one or two hexahedra in the radius of 10 mm: the section keeps its area, and none folds
-        ('space = "3d"\nelement_shape = "hexahedron"\n', 10.0, 1e-7),
-        ('space = "3d"\nelement_shape = "hexahedron"\n', 20.0, 1e-7),
-    ],
-)
-def test_the_base_carries_the_weight(inside: Path, space: str, size: float, near: float) -> None:
-    (inside / "p.toml").write_text(HEAVY + space)
-    found = success(f"solve p.toml --json -s 'model.mesh_size={size} mm'")
-    force, base = (np.array(found.json[key]) for key in ("force_N", "base_reaction_N"))
-    np.testing.assert_allclose(base - force, WEIGHT, rtol=near)
 
 
 def test_gravity_is_a_factor(tmp_path: Path) -> None:

@@ -266,6 +266,7 @@ def files(folder: Path) -> dict[Path, bytes]:
     return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+@pytest.mark.drawings
 def test_a_second_process_changes_no_byte(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[str] = []
 

@@ -9,20 +9,16 @@ import numpy as np
 import pytest
 
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.mesh.solid import expected_unknowns
 from study.mechanics.setup.geometry import (
     Brain,
-    Cone,
     Flat,
     Gravity,
-    Indenter,
     Specimen,
     Sphere,
     Surface,
 )
-from study.mechanics.setup.setup import MeshName, Model, Order, Problem
+from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
-from study.mechanics.solver.solution_cost import unknowns
 from study.mechanics.surface.closed_surface import body
 from tests.fem.problems import GEL, LONG, reached
 from tests.fem.surfaces import box, sphere, write
@@ -53,29 +49,6 @@ def test_elements_are_small_where_the_indenter_comes_down() -> None:
     assert np.quantile(far, 0.9) < 6
 
 
-PLACES = [(10.0, -14.0), (-12.0, 12.0), (25.0, 5.0)]
-INDENTERS = [Flat(8, 4), Sphere(8), Cone(60, 8)]
-#: each place, indenter and order in the suite, all of their combinations in the long verification
-PRESSED = [
-    pytest.param(place, indenter, order, mesh, marks=() if i == k and i % 2 == m else LONG)
-    for i, place in enumerate(PLACES)
-    for k, indenter in enumerate(INDENTERS)
-    for m, (order, mesh) in enumerate([("quadratic", "coarse"), ("linear", "medium")])
-]
-
-
-@pytest.mark.parametrize(("place", "indenter", "order", "mesh"), PRESSED)
-def test_unknowns_are_expected_before_meshing(
-    place: tuple[float, float], indenter: Indenter, order: Order, mesh: MeshName
-) -> None:
-    specimen = replace(BRAIN, press_x_mm=place[0], press_y_mm=place[1])
-    test = Test("indentation", 3, "frictionless", "bonded", steps=1, indenter=indenter)
-    setup = Problem(specimen, test, GEL, Model("3d", order, mesh=mesh)).setup
-    real = unknowns(setup, build_mesh(setup))
-    # measured: 0.90 to 1.08
-    assert expected_unknowns(setup) == pytest.approx(real, rel=0.2)
-
-
 @pytest.mark.parametrize("order", ["linear", pytest.param("quadratic", marks=LONG)])
 def test_a_clamp_carries_what_the_indenter_presses(order: str) -> None:
     # on a slope, in both orders: held bubbles of linear elements once took 6 % of it
@@ -90,21 +63,6 @@ def test_weight_is_carried_by_the_clamp_too() -> None:
     weight = 9.80665 * 980e-9 * body(BRAIN).volume_mm3
     assert below - top == pytest.approx(weight, rel=1e-6)
     assert top < force(problem)[0]  # the surface has sagged away from the indenter
-
-
-def test_a_place_moves_and_turns_with_its_body(tmp_path: Path) -> None:
-    points, triangles = sphere(10, 4)
-    turned = points[:, [1, 0, 2]] * [-1.0, 1.0, 1.0]  # a quarter turn: (x, y) goes to (-y, x)
-    forces = []
-    for place, clamp, (x, y) in (
-        (points, -2.0, (3.0, 2.0)),
-        (points + [5.0, -7.0, 3.0], 1.0, (8.0, -5.0)),
-        (turned, -2.0, (-2.0, 3.0)),
-    ):
-        file = write(tmp_path / f"{len(forces)}.ply", (place, triangles))
-        body_there = Surface(file, clamp_below_mm=clamp, press_x_mm=x, press_y_mm=y)
-        forces.append(force(pressed(body_there, 0.4))[0])
-    assert forces == pytest.approx([forces[0]] * 3, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import study.ground.compilation
-from study.ground.compilation import cache_folder, fault_of
+from study.ground.compilation import fault_of
 
 CALLEE = """
 from compiled import kernel
@@ -124,25 +124,6 @@ def test_a_folder_that_cannot_be_locked_is_used_without(
     monkeypatch.setattr(study.ground.compilation, "cache_folder", lambda: tmp_path / "file")
     with study.ground.compilation.only_process("work"):
         assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_the_folder_is_named_after_the_kernels_wherever_their_files_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def name_of(files: dict[str, str]) -> str:
-        root = tmp_path / "-".join(files)
-        for file, text in files.items():
-            (root / file).parent.mkdir(parents=True, exist_ok=True)
-            (root / file).write_text(text)
-        monkeypatch.setattr(study.ground.compilation, "_PACKAGE", root)
-        folder = cache_folder.__wrapped__()
-        assert folder is not None
-        return str(folder.name)
-
-    made = name_of({"a.py": "@kernel()\ndef f(): pass", "b.py": "@part()\ndef g(): pass"})
-    assert made.startswith("kernels-")
-    assert name_of({"c/x.py": "@part()\ndef g(): pass", "y.py": "@kernel()\ndef f(): pass"}) == made
-    assert name_of({"a2.py": "@kernel()\ndef f(): 1", "b.py": "@part()\ndef g(): pass"}) != made
 
 
 #: what numba reads first in a cache, from a pickle that touches a file

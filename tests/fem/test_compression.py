@@ -116,7 +116,7 @@ def test_force_curve_of_other_codes() -> None:
     )
 
 
-@pytest.mark.parametrize("mesh", ["coarse", "medium", "fine"])
+@pytest.mark.parametrize("mesh", ["coarse", pytest.param("medium", marks=LONG), "fine"])
 def test_forty_percent_with_side_contact(mesh: str) -> None:
     """Reduced polynomial 2 to 20 mm of 50: hard-contact forces at 3, 7.5 and 18 mm."""
     material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0)
@@ -197,7 +197,7 @@ def test_a_solver_that_gives_up_blames_no_energy() -> None:
 
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
 @pytest.mark.parametrize("shape", ["tensor", "simplex"])
-@pytest.mark.parametrize("size", [0.5, 0.7, 1.0, 1.5, 3.0])
+@pytest.mark.parametrize("size", [0.7, 3.0])
 def test_a_cylinder_has_its_cross_section_however_large_its_elements_are(
     size: float, shape: str, order: str
 ) -> None:
@@ -210,7 +210,7 @@ def test_a_cylinder_has_its_cross_section_however_large_its_elements_are(
     assert found.curve.force_N[-1] == pytest.approx(exact, rel=1e-6)
 
 
-@pytest.mark.parametrize("size", [0.6, 0.98, 1.2, 2.0])
+@pytest.mark.parametrize("size", [0.98, 2.0])
 def test_hexahedra_between_bonded_plates_do_not_fold_over(size: float) -> None:
     # from a size of .98 of the radius on the square in the disc reached over its rim; the weight
     # is that of the true cylinder, and a crude mesh is too stiff by little

@@ -110,7 +110,11 @@ def path(kind: str) -> Problem:
     return Problem(Block(60.0, 60.0, 40.0), test, material, Model())
 
 
-@pytest.mark.parametrize("kind", ["compression", "needle", "punch", "sphere", "bonded needle"])
+@pytest.mark.parametrize(
+    "kind",
+    ["compression", "needle", "bonded needle"]
+    + [pytest.param(kind, marks=LONG) for kind in ("punch", "sphere")],
+)
 def test_work_is_stored_where_nothing_snaps(kind: str) -> None:
     """Ten load steps leave at most 0.1 % to interpolation; the curve does just that work."""
     solution = reached(path(kind))
@@ -132,7 +136,7 @@ def test_a_warm_start_has_the_same_points() -> None:
     np.testing.assert_array_equal(later.curve.displacement_mm, base.curve.displacement_mm)
 
 
-@pytest.mark.parametrize("steps", [6, 24])
+@pytest.mark.parametrize("steps", [6, pytest.param(24, marks=LONG)])
 def test_an_indenter_that_sticks_gives_no_false_alarm(steps: int) -> None:
     """Points are held one after the other; on linear triangles that bends the curve at first."""
     material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.499)

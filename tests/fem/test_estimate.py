@@ -43,12 +43,14 @@ INDENTED = (Block(60, 60, 40), Test("indentation", 2, "frictionless", "bonded", 
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
 @pytest.mark.parametrize("shape", ["simplex", "tensor"])
-@pytest.mark.parametrize("formulation", ["mixed", "displacement"])
-def test_unknowns_are_counted(specimen_and_test, space, order, shape, formulation):
+def test_unknowns_are_counted(specimen_and_test, space, order, shape):
     specimen, test = specimen_and_test
-    problem = Problem(specimen, test, GEL, Model(space, order, shape, formulation, "coarse"))
-    real = System.build(problem, build_mesh(problem.setup), solver="superlu").dofs
-    assert estimate(problem.setup).dofs == pytest.approx(real, rel=0.12)
+    problem = Problem(specimen, test, GEL, Model(space, order, shape, mesh="coarse"))
+    mesh = build_mesh(problem.setup)
+    for formulation in ("mixed", "displacement"):
+        problem = replace(problem, model=replace(problem.model, formulation=formulation))
+        real = System.build(problem, mesh, solver="superlu").dofs
+        assert estimate(problem.setup).dofs == pytest.approx(real, rel=0.12)
 
 
 def pressed(specimen, indenter, depth: float = 2.0) -> tuple:
@@ -89,7 +91,7 @@ def test_unknowns_are_expected_before_meshing(specimen_and_test, flat_mm, solid_
         assert expected_unknowns(problem.setup) == pytest.approx(real, rel=0.25)
 
 
-@pytest.mark.parametrize("size_mm", [1e-2, 1e-4, 1e-9])
+@pytest.mark.parametrize("size_mm", [1e-2, 1e-9])
 @pytest.mark.parametrize("shape", ["simplex", "tensor"])
 @pytest.mark.parametrize(
     "specimen_and_test",
@@ -123,13 +125,6 @@ def test_a_plate_thinner_than_its_elements_has_those_of_its_faces(tmp_path, bond
     test = Test("compression", 0.03, face, face, 1)
     setup = Problem(thin, test, GEL, Model("3d", mesh_size_mm=4.0)).setup
     # its volume is 17 elements of this size
-    assert 1 / 3 < expected_unknowns(setup) / unknowns(setup, build_mesh(setup)) < 3
-
-
-@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
-def test_a_thin_disc_under_an_indenter_has_the_elements_of_its_faces(space):
-    test = Test("indentation", 0.01, "frictionless", "bonded", 1, Sphere(2))
-    setup = Problem(Cylinder(60, 0.1), test, GEL, Model(space, mesh_size_mm=3.0)).setup
     assert 1 / 3 < expected_unknowns(setup) / unknowns(setup, build_mesh(setup)) < 3
 
 
@@ -193,18 +188,6 @@ def test_large_meshes_and_those_of_surfaces_are_not_made_to_be_counted(tmp_path,
     assert not meshed
     # 76844 unknowns of gmsh 4.13
     assert estimate(problems[0].setup).dofs == pytest.approx(76844, rel=0.2)
-
-
-def test_a_mesh_is_counted_once_and_only_with_patience(monkeypatch):
-    meshed = made(monkeypatch)
-    setup = Problem(*INDENTED, GEL, Model("axisymmetric", mesh_size_mm=0.3)).setup
-    assert estimate(setup, patience_s=1e-3).dofs == int(expected_unknowns(setup))
-    assert not meshed
-    first, second = estimate(setup), estimate(setup)
-    assert first == second
-    assert first.dofs == unknowns(setup, build_mesh(setup))
-    assert first.counting_s > 1e-3
-    assert len(meshed) == 1
 
 
 def test_no_ordinary_mesh_is_refused(monkeypatch):

@@ -57,13 +57,6 @@ def test_normals_have_unit_length_and_the_gap_is_continuous(indenter: Indenter) 
     assert np.abs(np.diff(gap)).max() <= 1.001e-3  # a distance changes no faster than its point
 
 
-def test_lowest_point_meets_the_surface_and_moves_with_the_test() -> None:
-    for indenter in INDENTERS:
-        tip = np.array([[0.0, 10.0]])
-        assert press(indenter).gap(tip, 0.0)[0] == pytest.approx(0.0, abs=1e-12)
-        assert press(indenter).gap(tip, 0.25)[0] == pytest.approx(-0.25, abs=1e-12)
-
-
 def test_distances_known_by_hand() -> None:
     flat = profile(Flat(3, 0.3), far_mm=1e4)
     gap = signed_distance(flat, np.array([1.0, 3.5, 3.0]), np.array([-0.2, 1.0, 0.0]))[0]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.mechanics.mesh.mesher import _KEPT, _LEAST_SHARE, _volumes, build_mesh, regular_mesh
+from study.mechanics.mesh.mesher import _LEAST_SHARE, _volumes, build_mesh
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Surface
 from study.mechanics.setup.setup import Model, Problem
@@ -146,15 +146,3 @@ def test_whatever_shapes_a_mesh_asks_for_another() -> None:
     names = {build_mesh(one.setup).digest() for one in (NEEDLE, deeper, finer, seeded)}
     assert len(names) == 4
     assert build_mesh(NEEDLE.setup).digest() == made.digest()
-
-
-def test_only_a_few_are_kept_and_none_can_be_changed() -> None:
-    made = build_mesh(NEEDLE.setup)
-    with pytest.raises(ValueError, match="read-only"):
-        made.points += 1.0
-    for depth in np.linspace(0.5, 0.9, 2 * _KEPT):
-        build_mesh(replace(NEEDLE, test=replace(NEEDLE.test, displacement_mm=float(depth))).setup)
-    assert regular_mesh.cache_info().currsize == _KEPT
-    again = build_mesh(NEEDLE.setup)
-    assert again is not made
-    assert again.digest() == made.digest()

@@ -131,7 +131,7 @@ def test_quadratic_hexahedra_are_right_on_every_mesh(mesh: str) -> None:
 
 def test_a_frictionless_punch_meets_the_same_disc() -> None:
     """An incompressible half-space does not move sideways under it (Spence 1968)."""
-    held, free = (force(punch(interface=how, mesh="medium")) for how in ("bonded", "frictionless"))
+    held, free = (force(punch(interface=how, mesh="coarse")) for how in ("bonded", "frictionless"))
     assert 0.995 < free / held <= 1.0
 
 

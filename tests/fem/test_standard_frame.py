@@ -14,7 +14,7 @@ from study.mechanics.setup.geometry import Sphere, Surface
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from tests.fem.problems import GEL
-from tests.fem.surfaces import Array, Shape, box, cylinder, sphere, write
+from tests.fem.surfaces import Array, Shape, box, sphere, write
 
 RNG = np.random.default_rng(2011)
 PLACE = np.array([1.0, 0.7])
@@ -50,8 +50,8 @@ def mesh(tmp_path: Path, shape: Shape, angle: float, shift: Array, **model: obje
 
 @pytest.mark.parametrize(
     "shape",
-    [scan(), sphere(8, 3), box(12, 10, 6), cylinder(7, 6, 24)],
-    ids=["scan", "sphere", "box", "cylinder"],
+    [scan(), box(12, 10, 6)],
+    ids=["scan", "box"],
 )
 def test_position_orientation_and_order_change_no_element(tmp_path: Path, shape: Shape) -> None:
     first = mesh(tmp_path, shape, 0.0, np.zeros(3))

@@ -106,24 +106,12 @@ def test_slack_is_told_from_a_law_that_is_soft_at_first(law):
         assert ends[0.06] == pytest.approx([0.06] * 40, abs=0.01)
 
 
-def test_contact_needs_an_approach(tmp_path):
-    write(tmp_path, 12.5 + DEPTH, STIFFNESS * DEPTH)
-    with pytest.raises(InputError, match="no row shows the specimen before contact"):
-        read(tmp_path, displacement_zero="contact")
-
-
 def test_the_first_row_of_unloading_is_none_of_loading(tmp_path):
     """The peak stands twice, with the force of either branch."""
     write(tmp_path, np.r_[DEPTH, DEPTH[::-1]], np.r_[3.0 * DEPTH, 2.4 * DEPTH[::-1]])
     found = read(tmp_path).curve().curve
     assert found.force_N[-1] == pytest.approx(18.0, rel=1e-12)
     assert len(found) == 25
-
-
-def test_a_sound_test_that_begins_late_or_stiffens_is_read_as_before(tmp_path):
-    for exponent in (1.0, 2.0, 4.0):
-        write(tmp_path, 1.0 + DEPTH, (1.0 + DEPTH) ** exponent)
-        assert read(tmp_path).curve().curve.displacement_mm[0] == 1.0
 
 
 def test_a_test_through_zero_is_one_test_or_split_by_its_ranges(tmp_path):

@@ -127,10 +127,3 @@ def test_names_of_users_are_escaped(data: ReportData) -> None:
     assert page.count("<script") == 1
     assert "<script>alert" not in page
     assert "&lt;script&gt;" in section(page)
-
-
-def test_csv_rows_hold_unrounded_numbers_of_every_term() -> None:
-    raw = comparison_content.table(example()).raw
-    assert len(raw) == 2 * 6
-    assert raw[1]["effect"] == 2.1
-    assert raw[1]["study"] == "second"

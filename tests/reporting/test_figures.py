@@ -112,13 +112,6 @@ def test_constants_keep_their_intervals_and_the_order_of_the_design(data: Report
     assert not frame.loc[frame["row"].str.startswith("mooney"), "identifiable"].any()
 
 
-def test_curves_split_by_what_differs_most(data: ReportData):
-    found = curve_figures.curve_panels(data)
-    assert found.line == "material"
-    assert found.left_out == 0
-    assert set(found.frame["block"]) == set(data.blocks)
-
-
 def test_many_blocks_are_thinned_and_counted(data: ReportData):
     pairs = tuple(replace(pair, block=f"b{i}") for i in range(40) for pair in data.curves[:8])
     found = curve_figures.curve_panels(replace(data, curves=pairs))

@@ -48,14 +48,6 @@ def test_writes_pages_and_data_beside(tmp_path: Path, data: ReportData, both: tu
     assert len(pd.read_csv(beside / "cases.csv")) == 288
 
 
-@pytest.mark.usefixtures("quick")
-def test_csv_keeps_every_digit(tmp_path: Path, data: ReportData):
-    write.write(data, tmp_path)
-    text = (tmp_path / "ecoflex-compression-data" / "table-verdicts.csv").read_text()
-    first = next(iter(csv.DictReader(io.StringIO(text))))
-    assert float(first["effect"]) == facts(data)[0].effects[0].range
-
-
 def test_no_drawing_outlives_its_report(tmp_path: Path, data: ReportData):
     before = drawings()
     write.write(replace(data, responses=data.responses[:1], curves=(), fits=()), tmp_path)
@@ -79,12 +71,6 @@ def test_reference_cycles_are_looked_for_again_after_a_report(
     with pytest.raises(OSError, match="disk full"):
         write.write(data, tmp_path)
     assert gc.isenabled()
-
-
-def test_unknown_format_is_named_before_anything_is_written(tmp_path: Path, data: ReportData):
-    with pytest.raises(InputError, match="did you mean 'html'"):
-        write.write(data, tmp_path / "x", ("htm",))
-    assert not (tmp_path / "x").exists()
 
 
 def test_pdf_without_a_browser_says_how_to_mend(monkeypatch, tmp_path: Path, data: ReportData):

@@ -256,12 +256,6 @@ def test_checks_of_several_responses_stand_together(data: ReportData):
     assert two[1][0] == ""
 
 
-def test_worst_outcome_stands_for_a_group():
-    both = (Check("a", "pass", "x", of="p"), Check("a", "caution", "y", of="q"))
-    (group,) = analysis_content.by_name(both)
-    assert [check.outcome for check in group] == ["caution", "pass"]
-
-
 def test_levels_stand_in_the_order_of_the_design(data: ReportData):
     for found in facts(data):
         for effect in found.effects:
@@ -300,13 +294,6 @@ def test_cells_are_compared_over_the_blocks_they_share(data: ReportData):
     frame = cells(data, name)
     assert len(frame) == 32
     assert (frame["n"] == len(data.blocks) - len(failed)).all()
-
-
-def test_where_no_block_is_whole_every_row_counts(data: ReportData):
-    table = data.table.copy()
-    for i, block in enumerate(data.blocks):
-        table.loc[table.index[table["block"] == block][i], "mu0"] = np.nan
-    assert len(comparable(replace(data, table=table), "mu0")) == len(table) - len(data.blocks)
 
 
 def test_warnings_that_differ_in_names_and_numbers_are_one_line(data: ReportData):

@@ -123,7 +123,7 @@ def test_a_failure_is_a_record_and_stops_nothing_else(
 ) -> None:
     (tmp_path / "wish").write_text(wish)
     monkeypatch.setenv("FAKE_WISH", str(tmp_path / "wish"))
-    # one direction, and death between bonded plates alone: every worker that dies costs a start
+    # one direction, and death between bonded plates alone
     work = expand(loads(DESIGN.replace("swap = true", ""), "small.toml"), one_mix)
     _, records = run(work, tmp_path / "results")
     bad = [r for r in records if not r.converged]

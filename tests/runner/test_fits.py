@@ -13,7 +13,7 @@ import pytest
 from study.ground.curve import Curve
 from study.harness.design.cell import Cell, CellProblem
 from study.harness.runner import fit_task
-from study.harness.runner.fit_problem import FitProblem, fit_key, fit_problem, start_problem
+from study.harness.runner.fit_problem import FitProblem, fit_key, fit_problem
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask, fitted
 from study.mechanics.forward import closed_form, finite_element
@@ -70,23 +70,6 @@ def test_closed_form_recovers_the_constants_of_exact_data(
     # V40: noise-free recovery to 1e-10 of an analytic model; RP3 is the worst conditioned
     assert found.constants == pytest.approx(truth, rel=1e-7, abs=1e-12)
     assert found.fit["rss"] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(finite_element, "solve", solve)
-    truth = {"C10": 7e-3, "C20": -1e-3}
-    measured = bonded(curve("reduced-polynomial", truth))
-    problem = calibration_of(config("reduced-polynomial", "bonded", order=2))
-    before = start_problem(problem)
-    assert before is not None
-    start = fitted(FitTask(before, (measured,)))
-    assert start.status == "converged"
-    assert start.fit["solves"] <= 3  # the force is linear in C10 at a given Poisson's ratio
-    found = fitted(FitTask(problem, (measured,), start))
-    assert found.status == "converged", found.message
-    # ten solved steps, interpolated: some 1e-5 of the force
-    assert found.constants == pytest.approx(truth, rel=2e-3)
-    assert found.start_seconds == start.seconds
 
 
 def of_two_constants() -> dict[str, Any]:
@@ -176,18 +159,6 @@ def test_space_and_elements_do_not_enter_a_closed_form() -> None:
     for document in (one, other):
         document["test"]["interface"] = "bonded"
     assert fit_key(calibration_of(one), data) != fit_key(calibration_of(other), data)
-
-
-def test_a_bonded_fit_starts_from_the_fit_that_is_one_order_lower() -> None:
-    data = [curve("neo-hookean", {"C10": 8e-3})]
-    third = calibration_of(config("reduced-polynomial", "bonded", order=3))
-    second = calibration_of(config("reduced-polynomial", "bonded", order=2))
-    first = calibration_of(config("neo-hookean", "bonded"))
-    for problem, start in ((third, second), (second, first)):
-        before = start_problem(problem)
-        assert before is not None
-        assert fit_key(before, data) == fit_key(start, data)
-    assert start_problem(first) is None
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from study.harness.runner import case
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import fit_problem
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.job import CaseJob, FitJob, ScorePair, fits_of
+from study.harness.runner.job import CaseJob, FitJob, ScorePair
 
 from .conftest import DESIGN
 
@@ -31,19 +31,6 @@ def test_a_mesh_is_changed_in_the_problem_of_the_calibration_too() -> None:
     assert [model.mesh_size_mm for model in both] == [2.0, 2.0]
     assert found.fitted_elsewhere.test.steps == 7
     assert cell.problem.model.mesh_size_mm is None
-
-
-def test_fits_that_start_others_come_first_and_shared_ones_once(one_mix: Path) -> None:
-    work = expand(loads(DESIGN), one_mix)
-    jobs = [job for job in work.jobs if job.case.levels["plates"] == "bonded"]
-    found = list(fits_of(jobs).values())
-    starts = [fit.start for fit in found if fit.start is not None]
-    assert starts
-    place = {fit.key: k for k, fit in enumerate(found)}
-    assert all(place[fit.start.key] < place[fit.key] for fit in found if fit.start is not None)
-    # mooney-rivlin starts from neo-hookean, which its own cells fit as well
-    assert {start.key for start in starts} <= {fit.key for job in jobs for fit in job.fits}
-    assert {fit.key: fit.label for fit in found} == {k: v.label for k, v in fits_of(jobs).items()}
 
 
 def test_where_a_prediction_comes_from_is_said_once(one_mix: Path) -> None:

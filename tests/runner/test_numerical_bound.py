@@ -45,7 +45,9 @@ def answer(folder: Path, path: Path, *more: str) -> Any:
     return study("calibrate", path, "--data", folder, "--results", folder / "r", *more)
 
 
-@pytest.mark.parametrize("mesh", ["coarse", "medium"])
+@pytest.mark.parametrize(
+    "mesh", ["coarse", pytest.param("medium", marks=(pytest.mark.slow, pytest.mark.verify))]
+)
 def test_the_truth_lies_within_the_bounds(folder: Path, mesh: str) -> None:
     found = api.calibrate(written(folder, mesh), data=folder, numerics=True)
     document, bound = found.to_json(), found.numerics

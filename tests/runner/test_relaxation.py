@@ -42,6 +42,7 @@ def calibration(folder: Path, material: str, tests: str) -> Path:
     return case_file(folder, gauge(material), tests)
 
 
+@pytest.mark.drawings
 def test_constants_shares_and_times_come_back_through_the_command(tmp_path: Path) -> None:
     tests = course(tmp_path, "pulled", "uniaxial", STRETCH, GEL)
     tests += course(tmp_path, "sheared", "simple-shear", STRETCH - 1, GEL)
