@@ -10,7 +10,7 @@ import scipy.stats
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError
-from study.statistics.analysis.equal_variance import _levene_statistic, _normal_draws
+from study.statistics.analysis.equal_variance import _levene, _normal_draws
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import (
@@ -134,10 +134,10 @@ def test_row_normality_holds_its_size_and_has_power(blocks: int) -> None:
 def levene_size(each: int, n: int, seed: int) -> float:
     """Rejections of the median's Levene test by Monte Carlo, four normal groups."""
     sizes = np.full(4, each)
-    simulated = [_levene_statistic(g, "median") for g in _normal_draws(sizes, 20_000, 2011)]
+    simulated = [_levene(g, "median")[0] for g in _normal_draws(sizes, 20_000, 2011)]
     null = np.sort(np.concatenate(simulated))
     rng = np.random.default_rng(seed)
-    w = _levene_statistic([rng.standard_normal((n, each)) for _ in range(4)], "median")
+    w = _levene([rng.standard_normal((n, each)) for _ in range(4)], "median")[0]
     beyond = null.size - np.searchsorted(null, w, side="left")
     return float(np.mean((1 + beyond) / (null.size + 1) < 0.05))
 
