@@ -106,6 +106,19 @@ def test_factors_of_an_earlier_step_say_that_a_solid_stands(
     assert not any(is_unstable(found.warm.system, step.state) for step in found.warm.steps)
 
 
+def test_a_motion_that_the_load_does_not_excite_ends_a_run_with_factors_of_earlier_steps() -> None:
+    """Between slippery plates the load moves the body evenly alone: its corrections see no crease.
+
+    Factors of the last step itself have the negative pivot; its last factorization was of another.
+    """
+    loading = Test("compression", 4.794, "frictionless", "frictionless", steps=10)
+    model = Model("3d", "linear", "tensor", mesh_size_mm=1.0)
+    found = solve(Problem(Block(12.0, 12.0, 10.0), loading, VARGA, model), gradients=False)
+    assert found.status == "unstable"
+    assert found.instability is not None
+    assert found.instability.displacement_mm == pytest.approx(4.74, rel=0.01)
+
+
 # Columns that sway: against Euler's load, on the whole body, and said before solving.
 
 SOFT = Material("neo-hookean", {"C10": 0.01}, poisson_ratio=0.45)

@@ -17,9 +17,9 @@ from study.mechanics.setup.test_kind import buckling_strain
 from study.mechanics.solver.equilibrium import (
     Equilibria,
     Instability,
+    has_inertia_of_factors,
     is_unstable,
     least_stiffness,
-    may_sway,
     surplus,
     swaying,
 )
@@ -244,10 +244,10 @@ class LoadPath:
     def _gives_way(self, step: Step) -> bool:
         """Whether the state just differentiated is unstable, by the factors at hand.
 
-        They cost nothing, and may be of an earlier state: its tangent K0 and this one, K, have as
-        many negative eigenvalues where ``x += K0^-1 (b - K x)`` converges, since on the line
-        between them a matrix is singular only if K0^-1 K has a negative eigenvalue. Where they say
-        that it is unstable, it is factorized by itself.
+        They cost nothing, and may be of an earlier state: where the corrections of the derivatives
+        converge, no motion that the load excites has become unstable in between. Where they say
+        that it is unstable, it is factorized by itself. That the last one stands is known where
+        corrections of a load that excites every motion converge as well.
         """
         count = surplus(self.system) if step.gradients.excess <= 1 else None
         if count is None:
@@ -256,21 +256,20 @@ class LoadPath:
             if is_unstable(self.system, self.state):
                 return True
             count = surplus(self.system) or 0  # of a few elements: one more may be of the body
-        self._local_surplus, self._known_to_stand = count, self.state.displacement_mm
+        self._local_surplus = count
+        if self._at(self._whole_mm) and has_inertia_of_factors(self.system):
+            self._known_to_stand = self.state.displacement_mm
         return False
 
     def _look_back(self) -> None:
         """Drop the steps from where the last one is unstable, or sways as no quarter can.
 
-        The last step gets factors of its own where those at hand told nothing of it: of a whole
-        body the load may not excite the way in which it sways.
+        The last step gets factors of its own where those at hand told nothing of it.
         """
         if not self.steps or self.instability is not None:
             return
         last = self.steps[-1].state
-        is_hidden = self.system.mesh.is_whole and may_sway(self.problem.setup, self.system)
-        is_known = last.displacement_mm <= self._known_to_stand
-        if (is_hidden or not is_known) and is_unstable(self.system, last):
+        if last.displacement_mm > self._known_to_stand and is_unstable(self.system, last):
             self._refuse(last, self.system)
             return
         found = swaying(self.system, self.problem)
