@@ -21,6 +21,7 @@ from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress
 from study.harness.runner.fit_problem import NOTHING, Allowed
 from study.statistics.surfaces.emulator import LARGEST, expected_seconds
+from study.statistics.surfaces.surface_factors import some_runs
 from study.statistics.surfaces.surface_fitting import (
     Surface,
     compared,
@@ -29,7 +30,6 @@ from study.statistics.surfaces.surface_fitting import (
     noted,
     places_of,
     runs_of,
-    some_runs,
     surfaces_at,
 )
 from study.statistics.surfaces.surface_profile import FittedSurface

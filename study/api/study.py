@@ -214,7 +214,15 @@ def run(
         unconfirmed, may = load_study(store.path), Permission(data, allowed, progress)
         for surface in unconfirmed.surfaces:
             for settings in surface.unconfirmed:
-                may.confirm(unconfirmed, {**settings, **surface.labels})
+                at = {**settings, **surface.labels}
+                number = {k: f"{v:.4g}" for k, v in settings.items()}
+                where = ", ".join(f"{k} {v}" for k, v in {**number, **surface.labels}.items())
+                warnings += [
+                    f"a confirming run failed, so what it would confirm stays open: {where}: "
+                    f"{record.message}"
+                    for record in may.confirm(unconfirmed, at)
+                    if not record.converged
+                ]
         clock.mark("confirming runs")
     with _records_written():
         return report(

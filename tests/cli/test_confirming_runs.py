@@ -257,6 +257,30 @@ def test_a_claim_over_numbers_waits_for_the_runs_that_confirm_it(
             assert high - low > 0.2
 
 
+def test_a_confirming_run_that_fails_is_named(tmp_path: Path) -> None:
+    def plane(case):  # type: ignore[no-untyped-def]
+        if case.parameters.b > 0.9999:
+            raise RuntimeError("no convergence at the edge")
+        return {"y": 4.0 * case.parameters.a - 3.0 * case.parameters.b**2}
+
+    spans = {f"parameters.{name}": {"low": 0.0, "high": 1.0} for name in "ab"}
+    design = {
+        "study": {"name": "edge"},
+        "parameters": {"a": 0.5, "b": 0.5},
+        "factors": spans,
+        "design": {"kind": "latin-hypercube", "runs": 20},
+        "response": [{"name": "y", "unit": "N", "practical": "0.5 N"}],
+    }
+    found = public.run(
+        design, forward=plane, version="1", confirm=True, results=tmp_path, reports=None
+    )
+    verdicts = {row["factor"]: row["verdict"] for row in found.verdicts}
+    assert verdicts["parameters.b"] == "matters, if confirmed"
+    (failed,) = [text for text in found.warnings if text.startswith("a confirming run failed")]
+    assert "b 1" in failed
+    assert "no convergence at the edge" in failed
+
+
 SCHEME = 'kind = "adaptive"\nstart = 20\nbatch = 4\nbudget = 28\nq2 = 0.99'
 #: the force is a function of three numbers, with a hill in one corner of them; two batches
 HILL = (

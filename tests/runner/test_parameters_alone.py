@@ -522,7 +522,10 @@ def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_p
     every = itertools.product((10, 2.5, 20), ("soft", "stiff"), (0, 0.1))
     rows = "".join(f"{h},{gel},{h + len(gel) + more}\n" for h, gel, more in every)
     (tmp_path / "runs.csv").write_text(f"height,gel,peak\n{rows}")
-    made = api.import_runs(tmp_path / "runs.csv", "height,gel", "peak=N", results=tmp_path / "r")
+    # a response without unit has a plain number as what matters
+    asked = {"practical": "peak=0.5", "results": tmp_path / "r"}
+    made = api.import_runs(tmp_path / "runs.csv", "height,gel", "peak", **asked)
+    assert {v["practical"] for v in made.verdicts} == {0.5}
     height, gel = made.design.factors
     assert height.labels == ("2.5", "10", "20")
     assert [level.settings["parameters.factor_1"] for level in height.levels] == [2.5, 10.0, 20.0]

@@ -35,6 +35,7 @@ from study.ground.diagnostics import (
     with_values,
 )
 from study.ground.errors import UnitError, nearest
+from study.ground.tabular import NUMBER
 from study.harness.design import overlay
 from study.harness.design.factors import grouped
 from study.harness.design.forward_section import TAKEN
@@ -140,6 +141,8 @@ def _practical(unit: str, value: object) -> Threshold:
     """Read the smallest difference that matters, in the response's unit or "5 % of mean"."""
     example = {"%": "2 pp", "": "0.1"}.get(unit, f"0.05 {unit}")
     mend = f'write, for example, "{example}" or "5 % of mean"'
+    if unit == "" and isinstance(value, str) and NUMBER.fullmatch(value.strip()):
+        value = float(value)
     if unit == "" and isinstance(value, (int, float)):
         return Threshold(number(0)(value))
     if not isinstance(value, str):

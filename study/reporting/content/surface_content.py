@@ -228,11 +228,16 @@ def extremes(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def _refusal(one: FittedSurface) -> str:
+    """Why there is no surface, in one line."""
+    return clean("; ".join(map(str.strip, one.refused.splitlines())))
+
+
 def surface_lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
     """Sentences of the section of one surface: accuracy, extremes, what must still be run."""
     found = one.found
     if found is None:
-        return (f"No surface: {clean('; '.join(map(str.strip, one.refused.splitlines())))}.",)
+        return (f"No surface: {_refusal(one)}.",)
     confirm = [
         f"That {name_of(item.factor, data.labels)} matters is claimed once these two were run: "
         + " and ".join(settings(at, one, data) for at in item.confirm)
@@ -397,7 +402,7 @@ def surface_answer(one: FittedSurface, data: ReportData, *, is_short: bool = Fal
             "a factorial of the others."
         )
     if one.found is None:
-        return f"{named}: no surface could be fitted. {clean(one.refused)}"
+        return f"{named}: no surface could be fitted: {_refusal(one)}"
     moved = _ranges(one.found)
     gate = getattr(one.found.model, "gate", "given")
     ranked = [name_of(name, data.labels) for name in strongest(one.found)]

@@ -264,7 +264,7 @@ _CHANCE = 1e-4
 #: share of repeated rows from which they are taken for copies
 _LEAST_SHARE = 0.2
 #: distinct rows from which equal numbers of copies of each are no chance
-_DISTINCT_ROWS = 8
+DISTINCT_ROWS = 8
 #: part of a cell's scatter within which neighbours tell how densely its rows lie
 _NEARBY = 0.1
 #: pairs of blocks that are compared value by value
@@ -425,7 +425,7 @@ def _copied_within(data: Data, part: float) -> str:
     times = int(np.gcd.reduce(counts))
     how = f" to within {apart[varies].max():.2g}" if part else ""
     every = f"each row stands {times} times{how} ({counts.size} distinct rows of {n})"
-    if times > 1 and counts.size >= _DISTINCT_ROWS and not part:
+    if times > 1 and counts.size >= DISTINCT_ROWS and not part:
         return every
     size = spread.size
     rows = np.bincount(index, counts, minlength=size)

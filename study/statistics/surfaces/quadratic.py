@@ -13,6 +13,7 @@ from scipy.special import fdtri, stdtr, stdtrit
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
+from study.statistics.analysis.data import DISTINCT_ROWS
 from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
 from study.statistics.analysis.sums_of_squares import (
     FRatioTest,
@@ -22,7 +23,12 @@ from study.statistics.analysis.sums_of_squares import (
     over_blocks,
 )
 from study.statistics.surfaces.emulator import EffectRange, effect_ranges
-from study.statistics.surfaces.surface_factors import Runs, box_points, change_together
+from study.statistics.surfaces.surface_factors import (
+    Runs,
+    box_points,
+    change_together,
+    some_runs,
+)
 
 # A polynomial of second order in coded factors.
 
@@ -102,6 +108,8 @@ class QuadraticPolynomial:
 ALIASED = 1e-8
 #: a run with a leverage above this decides its own prediction and cannot be left out
 SATURATED = 1.0 - 1e-9
+#: part of the largest response within which responses are equal
+AGREE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -456,12 +464,26 @@ class QuadraticSurface(Keyed):
 
 def fit_quadratic(runs: Runs) -> QuadraticSurface:
     """Fit a quadratic surface."""
-    if len(set(runs.blocks)) > 1:
-        return _with_blocks(runs)
+    if np.ptp(runs.response) <= AGREE * float(np.abs(runs.response).max()):
+        rule = f"the response {runs.name!r} is the same in every run"
+        raise RefusedError(str(Fault("quadratic", rule, "there is nothing to explain")))
     settings, which = runs.distinct()
+    names = list(dict.fromkeys(runs.blocks))
+    block = [names.index(b) for b in runs.blocks] or [0] * runs.size
+    cell = np.column_stack([which, block])
+    rows = np.column_stack([cell, runs.response])
+    _, first, times = np.unique(rows, axis=0, return_index=True, return_counts=True)
+    copies = int(np.gcd.reduce(times))
+    # without scatter in its cells, runs are counted once below
+    if copies > 1 and DISTINCT_ROWS <= first.size > len(np.unique(cell, axis=0)):
+        once = fit_quadratic(some_runs(runs, np.isin(np.arange(runs.size), first)))
+        note = f"each run stands {copies} times ({first.size} distinct of {runs.size}): counts once"
+        return replace(once, notes=(note, *once.notes))
+    if len(names) > 1:
+        return _with_blocks(runs)
     means = np.bincount(which, weights=runs.response) / np.bincount(which)
     scatter = float(np.abs(runs.response - means[which]).max())
-    if scatter > 1e-12 * float(np.abs(runs.response).max()):
+    if scatter > AGREE * float(np.abs(runs.response).max()):
         return _with_replicates(runs, which)
     # copies of a deterministic run are one run: counted twice, they would only weigh more
     single = replace(runs, coded=settings, response=means, blocks=(), u_num=None)
@@ -501,12 +523,25 @@ def _with_blocks(runs: Runs) -> QuadraticSurface:
             raise RefusedError(str(Fault("blocks", rule, mend)))
         cells = np.unique(which * len(names) + rows, return_inverse=True)[1]
         return _shifted_by_blocks(runs, rows, cells)
+    complete = [name for name, kept in zip(names, whole, strict=True) if kept]
+    lost = [name for name in names if name not in complete]
+    notes = [f"left out, with settings that lack a run: {', '.join(lost)}"] if lost else []
     table = sums[:, whole] / counts[:, whole]
     columns = factorize(second_order(runs.levels()), settings)
+    # a copy says nothing of how blocks scatter
+    shape, near = table - table.mean(axis=0), AGREE * float(np.abs(table).max())
+    apart = np.abs(shape[:, :, None] - shape[:, None, :]).max(axis=0)
+    like = np.argmax(apart <= near, axis=1)
+    if copied := [b for b, first in enumerate(like) if first < b]:
+        listed = ", ".join(f"{complete[b]} is {complete[like[b]]}" for b in copied[:5])
+        notes.append(f"blocks that are equal but for a shift count once: {listed}")
+        table = table[:, np.unique(like)]
+    if table.shape[1] < 2:
+        notes.append("no p: blocks without scatter have misfit, not noise")
+        single = replace(runs, coded=settings, response=table[:, 0], blocks=(), u_num=None)
+        return _surface(single, columns, table[:, 0], "none", notes=notes)
     each = columns.coefficients(table)
     blocks = each.shape[1]
-    lost = [name for name, kept in zip(names, whole, strict=True) if not kept]
-    notes = [f"left out, with settings that lack a run: {', '.join(lost)}"] if lost else []
     if blocks <= len(runs.factors):
         notes.append("no region of the stationary point: it needs more blocks than factors")
     found = _surface(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest, settled
 
@@ -169,6 +169,15 @@ class Runs:
         first = settings[~inside][0]
         rule = f"{first:g} lies outside the settings that were run, {low:g} to {high:g}"
         return Fault(factor.name, rule, "ask inside this range, or run settings beyond it")
+
+
+def some_runs(runs: Runs, here: Flags) -> Runs:
+    """Keep some of the runs, in the ranges of all; refuses a factor that never changes in them."""
+    blocks = tuple(name for name, chosen in zip(runs.blocks, here, strict=False) if chosen)
+    u_num = None if runs.u_num is None else runs.u_num[here]
+    return replace(
+        runs, coded=runs.coded[here], response=runs.response[here], blocks=blocks, u_num=u_num
+    )
 
 
 def change_together(runs: Runs) -> tuple[str, ...]:

@@ -283,12 +283,6 @@ def places_of(
     return [place for place, _ in rows_of], [here for _, here in rows_of]
 
 
-def some_runs(runs: Runs, here: Flags) -> Runs:
-    """Keep some of the runs, in the ranges of all; refuses a factor that never changes in them."""
-    blocks = tuple(name for name, chosen in zip(runs.blocks, here, strict=False) if chosen)
-    return replace(runs, coded=runs.coded[here], response=runs.response[here], blocks=blocks)
-
-
 def noted(
     each: Sequence[FittedSurface], of_table: Sequence[str], surface: str
 ) -> list[FittedSurface]:
