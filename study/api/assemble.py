@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from study.ground.curve import Curve
 from study.ground.diagnostics import flatten
 from study.harness.design.overview import calibration_factors, equivalent_groups
-from study.harness.runner.batch import notes_of
 from study.harness.runner.case_series import stored_convergence
 from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.text import count, listing, name_of, percent, quantity
@@ -17,11 +16,8 @@ from study.reporting.results.study_result import (
     ANY,
     Check,
     CurvePair,
-    Failure,
     FittedConstant,
-    MarkedCase,
     ReportData,
-    Retried,
     unit_of,
 )
 
@@ -63,24 +59,10 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
-        markers=tuple(
-            MarkedCase(record.levels, fit["state"], fit["floor_mm"], tuple(fit["fits"]))
-            for record in study.plain
-            for fit in record.markers
-        ),
-        failures=tuple(
-            Failure(r.case_id, r.levels, r.block or "", r.status, r.message)
-            for r in study.records
-            if not r.converged
-        ),
+        markers=tuple(record for record in study.plain if record.markers),
+        failures=tuple(record for record in study.records if not record.converged),
         failure_pattern=study.failure_pattern if study.failed else None,
-        retried=tuple(
-            Retried(
-                record.case_id, record.levels, record.block or "", record.status, notes_of(record)
-            )
-            for record in study.records
-            if notes_of(record)
-        ),
+        retried=tuple(record for record in study.records if record.retries),
         checks=tuple(_checks(study)),
         numerical=study.numerical,
         convergence=_convergence(study),

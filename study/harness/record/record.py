@@ -31,6 +31,7 @@ from study.harness.record.document import (
     ParameterDocument,
     RecordDocument,
     ResponseDocument,
+    RetryDocument,
     ScoreDocument,
     SolverDocument,
     fault_of,
@@ -129,6 +130,11 @@ class Record:
         """What markers inside the specimen say; empty where it has none."""
         written = self.extra.get("markers", ()) if self.converged else ()
         return tuple(cast("Sequence[MarkerDocument]", written))
+
+    @property
+    def retries(self) -> tuple[RetryDocument, ...]:
+        """Every attempt before this one; empty where the design's own setting gave it."""
+        return tuple(cast("Sequence[RetryDocument]", self.extra.get("retries", ())))
 
     def pair(self, label: str) -> tuple[Curve, Curve] | None:
         """Measured and predicted curve of a label; None unless both are kept."""
