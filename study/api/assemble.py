@@ -6,6 +6,7 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from study.ground.arrays import gathered
 from study.ground.curve import Curve
 from study.ground.diagnostics import flatten
 from study.harness.design.overview import calibration_factors, equivalent_groups
@@ -196,10 +197,7 @@ def _levels_of_fits(
     order: Mapping[str, Sequence[str]], records: tuple[Record, ...]
 ) -> dict[str, dict[str, str]]:
     """Levels of each fit by its key; a fit that several levels share names them all."""
-    sharing: dict[str, list[Record]] = {}
-    for record in records:
-        for fit in (record.fit or {}).values():
-            sharing.setdefault(fit["key"], []).append(record)
+    sharing = gathered((fit["key"], record) for record in records for fit in record.fits)
 
     def named(name: str, every: Sequence[str], records: Sequence[Record]) -> str:
         some = [level for level in every if any(r.levels[name] == level for r in records)]

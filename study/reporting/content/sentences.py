@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
+from study.ground.arrays import gathered
 from study.harness.record.record import Record
 from study.reporting.content import effect_words, recommendation, surface_content
 from study.reporting.content.effect_words import (
@@ -364,11 +365,12 @@ VIRTUAL = (
 
 def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> tuple[tuple[str, str], ...]:
     """Statements about the error term, each once, with the responses that it holds for."""
-    by_text: dict[str, list[str]] = {}
-    for facts in all_facts:
-        for text in (error_term(facts, data), distinct(facts, data)):
-            if text:
-                by_text.setdefault(text, []).append(facts.title)
+    by_text = gathered(
+        (text, facts.title)
+        for facts in all_facts
+        for text in (error_term(facts, data), distinct(facts, data))
+        if text
+    )
     return tuple(
         ("" if len(titles) == len(all_facts) > 1 else sentence(listing(titles)), text)
         for text, titles in by_text.items()

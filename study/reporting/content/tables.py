@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
+from study.ground.arrays import gathered
 from study.ground.canonical import plain
 from study.reporting.content import sentences
 from study.reporting.content.blocks import Document, Table
@@ -63,9 +64,8 @@ def fit_rank(levels: Mapping[str, str], data: ReportData) -> tuple[int, ...]:
 
 def fits(data: ReportData) -> Table:
     """Fitted constants over the blocks: median, range, uncertainty, identifiability."""
-    groups: dict[tuple[str, str], list[FittedConstant]] = {}
-    for fit in sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant)):
-        groups.setdefault((fit_name(fit, data), clean(fit.constant)), []).append(fit)
+    ranked = sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant))
+    groups = gathered(((fit_name(fit, data), clean(fit.constant)), fit) for fit in ranked)
     columns = (
         "fit", "constant", "median", "range over fits", "standard error", "correlation",
         "residual (RMS)", "identifiable",
