@@ -6,10 +6,10 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from study.ground.arrays import gathered
 from study.ground.curve import Curve
 from study.ground.diagnostics import flatten
 from study.harness.design.overview import calibration_factors, equivalent_groups
-from study.harness.runner.batch import notes_of
 from study.harness.runner.case_series import stored_convergence
 from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.text import count, listing, name_of, percent, quantity
@@ -17,11 +17,8 @@ from study.reporting.results.study_result import (
     ANY,
     Check,
     CurvePair,
-    Failure,
     FittedConstant,
-    MarkedCase,
     ReportData,
-    Retried,
     unit_of,
 )
 
@@ -63,24 +60,10 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
-        markers=tuple(
-            MarkedCase(record.levels, fit["state"], fit["floor_mm"], tuple(fit["fits"]))
-            for record in study.plain
-            for fit in record.markers
-        ),
-        failures=tuple(
-            Failure(r.case_id, r.levels, r.block or "", r.status, r.message)
-            for r in study.records
-            if not r.converged
-        ),
+        markers=tuple(record for record in study.plain if record.markers),
+        failures=tuple(record for record in study.records if not record.converged),
         failure_pattern=study.failure_pattern if study.failed else None,
-        retried=tuple(
-            Retried(
-                record.case_id, record.levels, record.block or "", record.status, notes_of(record)
-            )
-            for record in study.records
-            if notes_of(record)
-        ),
+        retried=tuple(record for record in study.records if record.retries),
         checks=tuple(_checks(study)),
         numerical=study.numerical,
         convergence=_convergence(study),
@@ -214,10 +197,7 @@ def _levels_of_fits(
     order: Mapping[str, Sequence[str]], records: tuple[Record, ...]
 ) -> dict[str, dict[str, str]]:
     """Levels of each fit by its key; a fit that several levels share names them all."""
-    sharing: dict[str, list[Record]] = {}
-    for record in records:
-        for fit in (record.fit or {}).values():
-            sharing.setdefault(fit["key"], []).append(record)
+    sharing = gathered((fit["key"], record) for record in records for fit in record.fits)
 
     def named(name: str, every: Sequence[str], records: Sequence[Record]) -> str:
         some = [level for level in every if any(r.levels[name] == level for r in records)]

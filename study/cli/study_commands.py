@@ -383,15 +383,13 @@ def why(
 
 
 def _case(state: CaseState) -> Iterator[Block]:
-    from study.harness.runner.batch import notes_of
-
     record = state.record
     yield Verbatim(f"case {record.case_id} of {record.study}: {record.status}")
     yield Verbatim(f"  {state.use}")
     yield from (Verbatim(f"    {change.sentence}") for change in (*state.changes, *state.libraries))
     if record.message:
         yield Verbatim(f"  {record.message}")
-    for note in notes_of(record):
+    for note in record.retries:
         yield Verbatim(f"  after {note['cause']}: {note['what']} ({note['message']})")
     yield from (Verbatim(f"  {name} = {level}") for name, level in record.levels.items())
     if record.block is not None:

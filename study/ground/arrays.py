@@ -1,8 +1,8 @@
-"""Types of arrays by what they hold, and linear algebra on one thread."""
+"""Types of arrays by what they hold, values by their keys, linear algebra on one thread."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterable
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -19,6 +19,15 @@ Elements = NDArray[np.uint32]
 
 P = ParamSpec("P")
 R = TypeVar("R")
+K = TypeVar("K", bound=Hashable)
+
+
+def gathered(pairs: Iterable[tuple[K, R]]) -> dict[K, list[R]]:
+    """Values of each key, in the order in which they come."""
+    groups: dict[K, list[R]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
 
 
 def one_thread(function: Callable[P, R]) -> Callable[P, R]:

@@ -47,32 +47,46 @@ def _at(value: object, path: str) -> object:
 
 
 @overload
-def plain(value: Mapping[str, object] | Dataclass | Keyed) -> dict[str, Json]: ...
+def plain(
+    value: Mapping[str, object] | Dataclass | Keyed,
+    where: str = "",
+    lost: dict[str, str] | None = None,
+) -> dict[str, Json]: ...
 
 
 @overload
-def plain(value: object) -> Json: ...
+def plain(value: object, where: str = "", lost: dict[str, str] | None = None) -> Json: ...
 
 
-def plain(value: object) -> Json:
-    """Value made of JSON types alone; a number that is not finite becomes None."""
+def plain(value: object, where: str = "", lost: dict[str, str] | None = None) -> Json:
+    """Value made of JSON types alone; a number that is not finite becomes None.
+
+    What is to be read back names ``where`` it stands: ``lost`` then lists such numbers by their
+    places, and keys must be text.
+    """
+    if type(value) is float and math.isfinite(value):  # nine values in ten
+        return value
     if isinstance(value, Keyed):
         value = value.keyed()
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
+        value = {f.name: getattr(value, f.name) for f in fields(value)}
+    if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
+    if isinstance(value, Mapping):
+        if lost is not None and not all(isinstance(key, str) for key in value):
+            raise TypeError(f"{where}: keys must be text, got {', '.join(map(repr, value))}")
+        return {str(key): plain(item, f"{where}.{key}", lost) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
+        if set(map(type, value)) == {float} and all(map(math.isfinite, value)):
+            return list(value)  # a curve, as it stands
+        return [plain(item, f"{where}.{k}", lost) for k, item in enumerate(value)]
     if isinstance(value, float) and not math.isfinite(value):
+        if lost is not None:
+            lost[where] = str(value)
         return None
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    raise TypeError(f"JSON cannot hold a {type(value).__name__}: {value!r}")
+    raise TypeError(f"{where}: {type(value).__name__} has no place in JSON")
 
 
 def canonical(value: object, number: Callable[[float], Json] = float) -> Json:
@@ -103,15 +117,16 @@ def digest(value: object, length: int = 64) -> str:
 
 def hashed(value: Json, length: int) -> str:
     """Hex sha256 of a value that is canonical."""
-    return hashlib.sha256(_text(value).encode()).hexdigest()[:length]
+    return hashlib.sha256(json_text(value).encode()).hexdigest()[:length]
 
 
 def numbered(value: Sequence[object], count: int, length: int) -> list[str]:
     """Digests of a list with each number from 1 on behind it; the list is walked once."""
-    begun = _text(canonical(value)).removesuffix("]")
+    begun = json_text(canonical(value)).removesuffix("]")
     texts = (f"{begun},{float(number)}]" for number in range(1, count + 1))
     return [hashlib.sha256(text.encode()).hexdigest()[:length] for text in texts]
 
 
-def _text(value: Json) -> str:
+def json_text(value: object) -> str:
+    """JSON text that is the same for equal values."""
     return json.dumps(value, sort_keys=True, allow_nan=False, separators=(",", ":"))

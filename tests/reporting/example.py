@@ -12,13 +12,13 @@ import numpy as np
 import pandas as pd
 
 from study.ground.curve import Curve
+from study.harness.record.record import Record
 from study.reporting.figures.axes import data_alone
 from study.reporting.output.page import printed
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import (
     Check,
     CurvePair,
-    Failure,
     FittedConstant,
     ReportData,
     ResponseAnalysis,
@@ -258,8 +258,9 @@ def with_failures(data: ReportData) -> ReportData:
     table.loc[failed, "status"] = ["not-converged", "timeout", "timeout"]
     table.loc[failed, ["relative_rms_force_error", "mu0"]] = np.nan
     failures = tuple(
-        Failure(
+        Record(
             row.case_id,
+            data.name,
             {f: str(table.loc[row.Index, f]) for f in FACTORS},
             row.block,
             row.status,

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from study import analyze
+from study.harness.record.record import Record
 from study.reporting.content import analysis_content, sentences, tables
 from study.reporting.content.blocks import Figure
 from study.reporting.content.report_facts import cells, comparable, facts
@@ -21,7 +22,7 @@ from study.reporting.figures import effect_figures
 from study.reporting.output import study_page
 from study.reporting.output.page import Pages, policy_hash, printed, table_script
 from study.reporting.output.study_page import prepare
-from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
+from study.reporting.results.study_result import Check, ReportData, ResponseAnalysis
 from study.statistics.analysis.simple_effects import MATTERS
 from tests.reporting.example import (
     FACTORS,
@@ -352,7 +353,7 @@ def hostile(data: ReportData, evil: str) -> ReportData:
         responses=(ResponseAnalysis("mu0", evil, result, 1.0, title=evil, better="lower"),),
         exclusions=((evil, evil),),
         checks=(Check(evil, "fail", evil, evil),),
-        failures=(Failure(evil, {"material": evil}, evil, evil, evil),),
+        failures=(Record(evil, evil, {"material": evil}, evil, "failed", evil),),
     )
 
 

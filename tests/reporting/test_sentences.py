@@ -7,6 +7,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
+from study.harness.record.record import Record
 from study.reporting.content import (
     analysis_content,
     effect_words,
@@ -15,7 +16,7 @@ from study.reporting.content import (
 )
 from study.reporting.content.recommendation import cheaper, recommendation, would_change
 from study.reporting.content.report_facts import Facts, facts
-from study.reporting.results.study_result import Failure, ReportData
+from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import (
     AnalysisResult,
@@ -156,7 +157,7 @@ def test_methods_name_the_tests_that_ran_and_no_other():
 
 def test_failures_are_said_plainly():
     assert sentences.failures((), 144) == "None: all 144 cases gave a response."
-    items = [Failure("a", {}, "b", "timeout"), Failure("c", {}, "d", "timeout")]
+    items = [Record("a", "s", {}, "b", "timeout"), Record("c", "s", {}, "d", "timeout")]
     text = flat(sentences.failures(items, 100))
     assert text.startswith("2 cases of 100 (2.00 %) failed: 2 timeout.")
     assert "not missing at random" in text

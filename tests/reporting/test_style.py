@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from study.harness.record.record import Record
 from study.reporting.content import methods
 from study.reporting.content.report_facts import facts
-from study.reporting.results.study_result import Failure, ReportData
+from study.reporting.results.study_result import ReportData
 from tests.reporting.example import undrawn, unreplicated, words_of
 
 #: what no sentence of a report says, and what it says instead
@@ -57,7 +58,7 @@ def all_failed(data: ReportData) -> ReportData:
     table = data.table.assign(status="diverged", **gone)
     levels = {name: own[0] for name, own in data.factors.items()}
     failed = tuple(
-        Failure(str(case), levels, "b", "diverged", "no equilibrium beyond 0.4 mm")
+        Record(str(case), "s", levels, "b", "not-converged", "no equilibrium beyond 0.4 mm")
         for case in table["case_id"]
     )
     refused = tuple(
@@ -79,7 +80,7 @@ def test_a_study_of_which_every_case_failed_has_a_page(data: ReportData):
 @pytest.mark.parametrize(("rows", "failed"), [(288, 0), (288, 3), (100, 2)])
 def test_the_methods_count_the_cases(data: ReportData, rows: int, failed: int):
     levels = {name: own[0] for name, own in data.factors.items()}
-    some = tuple(Failure(str(k), levels, "b", "diverged") for k in range(failed))
+    some = tuple(Record(str(k), "s", levels, "b", "not-converged") for k in range(failed))
     text = methods.paragraph(replace(data, table=data.table.iloc[:rows], failures=some), ())
     counts = [
         int(number) for number in re.findall(r"\b(288|100|3|2)\b (?=cases|were|failed)", text)

@@ -18,7 +18,7 @@ from study.harness.execution.supervisor import Inline
 from study.harness.execution.task import stopped_late
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.batch import computed, notes_of, run_batch
+from study.harness.runner.batch import computed, run_batch
 from study.harness.runner.case_series import refine_cases
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob, Work
@@ -66,7 +66,7 @@ def test_smaller_steps_mend_a_case_and_its_record_says_so(ran: Ran) -> None:
     _, count, records = ran(wish, text)
     assert (count, failed(records)) == (4, 0)
     found = bonded_mooney(records)
-    (note,) = notes_of(found)
+    (note,) = found.retries
     assert note["cause"] == "not-converged"
     assert "no step was found" in note["message"]
     assert note["change"] == "smaller-steps"
@@ -74,7 +74,7 @@ def test_smaller_steps_mend_a_case_and_its_record_says_so(ran: Ran) -> None:
     # it is a record of the planned case: nothing is computed again
     assert ran(wish, text)[1] == 0
     # every case of the other material is as it was designed
-    assert [len(notes_of(r)) for r in records.values()].count(0) == 2
+    assert [len(r.retries) for r in records.values()].count(0) == 2
     # the numbers are those of a study that asked for 40 steps at once
     expected = bonded_mooney(ran(wish, DESIGN.replace("steps = 10", "steps = 40"), "directly")[2])
     for name in ("mu0", "relative_rms_force_error"):
@@ -87,8 +87,8 @@ def test_changes_are_tried_one_after_the_other_and_add_up(ran: Ran) -> None:
     _, _, records = ran("mooney-rivlin needs 6 mm", sized)
     assert failed(records) == 0
     found = bonded_mooney(records)
-    assert [note["change"] for note in notes_of(found)] == ["smaller-steps", "finer-mesh"]
-    assert notes_of(found)[1]["what"] == "elements of 5.333 mm instead of 8 mm"
+    assert [note["change"] for note in found.retries] == ["smaller-steps", "finer-mesh"]
+    assert found.retries[1]["what"] == "elements of 5.333 mm instead of 8 mm"
     assert found.mesh["mesh_size_mm"] == pytest.approx(8 / 1.5)
 
 
@@ -115,7 +115,7 @@ def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(ran: Ran) 
     _, _, records = ran("mooney-rivlin", text)
     assert failed(records) == 2
     found = bonded_mooney(records)
-    assert (found.status, len(notes_of(found))) == ("not-converged", 1)
+    assert (found.status, len(found.retries)) == ("not-converged", 1)
     # and it is not tried for ever
     assert ran("mooney-rivlin", text)[1] == 0
 
@@ -123,7 +123,7 @@ def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(ran: Ran) 
 def test_without_a_policy_nothing_is_tried(ran: Ran) -> None:
     work, _, records = ran("mooney-rivlin needs 40 steps", DESIGN)
     assert failed(records) == 2
-    assert all(not notes_of(record) for record in records.values())
+    assert all(not record.retries for record in records.values())
     # a policy that comes later changes no key: what failed is tried, nothing else is computed
     policy = design('not-converged = "smaller-steps"')
     later, count, records = ran("mooney-rivlin needs 40 steps", policy)
@@ -137,7 +137,7 @@ def test_a_task_that_lacked_memory_is_computed_alone(ran: Ran) -> None:
     text = design('crashed = "more-memory"').replace("swap = true", "")
     _, _, records = ran("mooney-rivlin needs memory", text)
     assert failed(records) == 0
-    (note,) = notes_of(bonded_mooney(records))
+    (note,) = bonded_mooney(records).retries
     assert note["cause"] == "crashed"
     assert note["what"] == "computed with nothing else beside it"
 

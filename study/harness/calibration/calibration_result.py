@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve
 from study.harness.calibration.resampling import Starts
 from study.harness.record.document import WITH_CONSTANTS, ParameterDocument
-from study.harness.record.record import plain
 from study.harness.runner.fit_summary import status_of
 from study.harness.runner.response import CURVE_RESPONSES, in_shown_units, scale_of
 from study.mechanics.calibration.lack_of_fit import Adequacy
@@ -220,7 +220,7 @@ class CalibrationResult:
             "name": self.name,
             "tests": [{name: dict(table) for name, table in test.items()} for test in self.tests],
         }
-        return cast("dict[str, object]", plain(content, "calibration", {}))
+        return dict(plain(content))
 
 
 def _moduli(material: Material | None) -> dict[str, object]:

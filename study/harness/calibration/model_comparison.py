@@ -6,11 +6,12 @@ import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.units import p_phrase
@@ -18,7 +19,6 @@ from study.harness.calibration.calibrate_tests import calibrate
 from study.harness.calibration.calibration_result import CalibrationResult, parameters
 from study.harness.calibration.measured_tests import in_order, parts_of, read_tests
 from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.record.record import plain
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import fitted_test
 from study.harness.runner.fit_task import fitted_model
@@ -246,7 +246,7 @@ class ModelComparison:
             "difference": self.difference,
             "warnings": list(self.warnings),
         }
-        return cast("dict[str, object]", plain(content, "comparison", {}))
+        return dict(plain(content))
 
 
 def compare(
@@ -536,7 +536,7 @@ class EnergyChoice:
             ],
             "failures": dict(self.failures),
         }
-        return cast("dict[str, object]", plain(content, "energies", {}))
+        return dict(plain(content))
 
 
 def _held_out_errors(result: CalibrationResult) -> list[object]:

@@ -79,25 +79,25 @@ MAX_FAULTS = 100
 
 def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
     """Check every cell that is not left out; a fault of a level is told where it is written."""
-    count, cells = 0, []
+    run, cells = [c for c in design.combinations if c[2] is None], []
     labels_of: dict[Fault, list[str]] = {}
-    for cell_levels, levels in design.combinations():
-        if design.why_excluded(cell_levels.levels) is not None or len(labels_of) > MAX_FAULTS:
-            continue
-        count += 1
+    for cell, levels, _ in run:
+        if len(labels_of) > MAX_FAULTS:
+            break
         cell_faults = Faults()
         cells.append(design.resolved(levels, cell_faults))
         places = _places(design, levels, presets)
         for fault in cell_faults:
-            labels_of.setdefault(_moved(fault, places), []).append(cell_levels.label)
+            labels_of.setdefault(_moved(fault, places), []).append(cell.label)
     for fault, labelled in labels_of.items():
-        is_general = len(labelled) == count or fault.where.startswith(("presets.", "factors."))
+        is_general = len(labelled) == len(cells) or fault.where.startswith(("presets.", "factors."))
         more = f" and {len(labelled) - 1} more cells" if len(labelled) > 1 else ""
         where = "" if is_general else f" (in {labelled[0]}{more})"
         faults.add(fault.where, fault.rule + where, fault.mend)
-    _check_left(design, faults)
+    left = [cell.levels for cell, *_ in run]
+    _check_left(design, left, faults)
     if not faults:  # a level that cannot be read would be missed here once more
-        _check_contrasts(design, faults)
+        _check_contrasts(design, left, faults)
     if not labels_of and cells:
         _check_course(cells, faults)
         _check_same_names(design, cells, faults)
@@ -119,11 +119,10 @@ def _check_course(cells: Sequence[Cell], faults: Faults) -> None:
             faults.add("measurements.columns.time", rule, speed)
 
 
-def _check_contrasts(design: Design, faults: Faults) -> None:
+def _check_contrasts(design: Design, left: Sequence[Mapping[str, str]], faults: Faults) -> None:
     """Find differences that are asked for of levels that do not exist, or of cells left out."""
     where = "analysis.contrasts"
     levels = {factor.name: factor.labels for factor in design.factors if factor.span is None}
-    run_cells = [c.levels for c, _ in design.combinations() if not design.why_excluded(c.levels)]
     for text in design.analysis.contrasts:
         try:
             sides = sides_of(text, levels)
@@ -132,7 +131,7 @@ def _check_contrasts(design: Design, faults: Faults) -> None:
                 faults.add(where, f"{fault.where}: {fault.rule}", fault.mend)
             continue
         for side in sides:
-            if not any(side.items() <= c.items() for c in run_cells):
+            if not any(side.items() <= levels_left.items() for levels_left in left):
                 named = ", ".join(f"{name}={level}" for name, level in side.items())
                 faults.add(where, f"contrast {text!r}: no cell that is run has {named}", "")
 
@@ -170,10 +169,8 @@ def _moved(fault: Fault, places: Mapping[str, str]) -> Fault:
     return fault
 
 
-def _check_left(design: Design, faults: Faults) -> None:
+def _check_left(design: Design, left: Sequence[Mapping[str, str]], faults: Faults) -> None:
     """Check that the exclusions leave every factor two levels."""
-    every = [cell.levels for cell, _ in design.combinations()]
-    left = [levels for levels in every if design.why_excluded(levels) is None]
     for factor in design.factors:
         count = len({levels[factor.name] for levels in left})
         if count < 2 <= len(factor.levels):

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
+from study.ground.arrays import gathered
 from study.ground.canonical import Keyed
 from study.ground.declaration import Bad
 from study.ground.diagnostics import Faults
@@ -22,10 +23,7 @@ Key = Callable[[Cell], Hashable]
 
 
 def _grouped(treatments: Sequence[Treatment], key: Key) -> Groups:
-    groups: dict[Hashable, list[Treatment]] = {}
-    for t in treatments:
-        groups.setdefault(key(t.cell), []).append(t)
-    return tuple(tuple(group) for group in groups.values())
+    return tuple(map(tuple, gathered((key(t.cell), t) for t in treatments).values()))
 
 
 def equivalent_groups(design: Design) -> Groups:
@@ -66,10 +64,10 @@ def _separated(design: Design, factor: str, key: Key) -> int:
     """Count the cells in which the factor changes the key."""
     if design.scheme.rows is not None:
         return sum(_changes(design, t, factor, key) for t in design.treatments)
-    slices: dict[tuple[str, ...], list[Hashable]] = {}
-    for t in design.treatments:
-        others = tuple(label for name, label in t.levels.items() if name != factor)
-        slices.setdefault(others, []).append(key(t.cell))
+    slices = gathered(
+        (tuple(label for name, label in t.levels.items() if name != factor), key(t.cell))
+        for t in design.treatments
+    )
     return sum(len(keys) for keys in slices.values() if len(set(keys)) > 1)
 
 

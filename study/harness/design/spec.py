@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -206,16 +206,19 @@ class Design:
         """Whether the predicted curves of all cells stand beside measured ones."""
         return all(cell.cell.problem.measurements is not None for cell in self.treatments)
 
-    def combinations(self) -> Iterator[tuple[Combination, tuple[Level, ...]]]:
-        """Labels and levels of every cell, left out or not; the last factor varies fastest."""
+    @cached_property
+    def combinations(self) -> tuple[tuple[Combination, tuple[Level, ...], str | None], ...]:
+        """Labels and levels of every cell, and why it is left out; the last factor is fastest."""
         names = [factor.name for factor in self.factors]
         every = itertools.product(*(range(len(factor.levels)) for factor in self.factors))
+        listed = []
         for row in self.scheme.rows or every:
             levels = tuple(f.levels[i] for f, i in zip(self.factors, row, strict=True))
-            yield (Combination({n: lv.label for n, lv in zip(names, levels, strict=True)}), levels)
+            labels = {n: level.label for n, level in zip(names, levels, strict=True)}
+            listed.append((Combination(labels), levels, self._why_excluded(labels)))
+        return tuple(listed)
 
-    def why_excluded(self, levels: Mapping[str, str]) -> str | None:
-        """Reason why a cell is left out; None if it is not."""
+    def _why_excluded(self, levels: Mapping[str, str]) -> str | None:
         reason = next((e.why for e in self.exclusions if e.matches(levels)), None)
         if reason is not None or not self.constraints:
             return reason
@@ -239,8 +242,7 @@ class Design:
     @property
     def excluded(self) -> tuple[tuple[Combination, str], ...]:
         """Cells left out and why; they are not resolved, for they may be impossible."""
-        reasons = ((c, self.why_excluded(c.levels)) for c, _ in self.combinations())
-        return tuple((c, why) for c, why in reasons if why is not None)
+        return tuple((cell, why) for cell, _, why in self.combinations if why is not None)
 
     def resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
         """Resolve one cell, once where it is sound; faults name the keys of the merged file."""
@@ -276,8 +278,8 @@ class Design:
         faults = Faults()
         cells = tuple(
             Treatment(combination.levels, self.resolved(levels, faults))
-            for combination, levels in self.combinations()
-            if self.why_excluded(combination.levels) is None
+            for combination, levels, why in self.combinations
+            if why is None
         )
         if faults:
             raise InputError(faults)

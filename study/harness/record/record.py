@@ -8,7 +8,6 @@ null, and ``extra["not_finite"]`` says where it stood and what it was.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -16,9 +15,8 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-
 from study.ground.bounded_file import parse_json
+from study.ground.canonical import json_text, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, NewerSchemaError, StoreError, nearest
 from study.ground.tabular import is_formula
@@ -31,6 +29,7 @@ from study.harness.record.document import (
     ParameterDocument,
     RecordDocument,
     ResponseDocument,
+    RetryDocument,
     ScoreDocument,
     SolverDocument,
     fault_of,
@@ -130,6 +129,11 @@ class Record:
         written = self.extra.get("markers", ()) if self.converged else ()
         return tuple(cast("Sequence[MarkerDocument]", written))
 
+    @property
+    def retries(self) -> tuple[RetryDocument, ...]:
+        """Every attempt before this one; empty where the design's own setting gave it."""
+        return tuple(cast("Sequence[RetryDocument]", self.extra.get("retries", ())))
+
     def pair(self, label: str) -> tuple[Curve, Curve] | None:
         """Measured and predicted curve of a label; None unless both are kept."""
         measured = self.curves.get(CurveKey("measured", label))
@@ -153,7 +157,7 @@ class Record:
         if text is not None:
             return str(text)
         lost: dict[str, str] = {}
-        content = {
+        content: dict[str, object] = {
             f.name: plain(getattr(self, f.name), f.name, lost)
             for f in fields(self)
             if f.name not in ("curves", "extra")
@@ -162,10 +166,10 @@ class Record:
             str(key): plain(curve.as_dict(), f"curves.{key}", lost)
             for key, curve in self.curves.items()
         }
-        extra = cast("dict[str, object]", plain(self.extra, "extra", lost))
+        extra = plain(self.extra, "extra", lost)
         if lost:
             before = cast("Mapping[str, str]", extra.get("not_finite", {}))
-            extra["not_finite"] = {**before, **lost}
+            extra["not_finite"] = plain({**before, **lost})
         return seal(content | {"extra": extra})
 
     @classmethod
@@ -192,38 +196,6 @@ class Record:
         return record
 
 
-def plain(value: object, where: str, lost: dict[str, str]) -> object:
-    """Value as JSON can hold it; floats that are not finite become None and are listed."""
-    if type(value) is float and math.isfinite(value):  # nine values in ten
-        return value
-    if type(value) is list and set(map(type, value)) == {float} and all(map(math.isfinite, value)):
-        return value  # a curve, as it stands
-    if value is None or isinstance(value, (bool, str)):
-        return value
-    if isinstance(value, (np.bool_, np.ndarray, np.generic)):
-        return plain(value.tolist(), where, lost)
-    if isinstance(value, int):
-        return value
-    if isinstance(value, float):
-        if math.isfinite(value):
-            return value
-        lost[where] = str(value)
-        return None
-    if isinstance(value, Mapping):
-        for key in value:
-            if not isinstance(key, str):
-                raise TypeError(f"{where}: keys must be text, got {key!r}")
-        return {key: plain(v, f"{where}.{key}", lost) for key, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v, f"{where}.{k}", lost) for k, v in enumerate(value)]
-    raise TypeError(f"{where}: {type(value).__name__} has no place in a record")
-
-
-def canonical(content: object) -> str:
-    """JSON text that is the same for equal content."""
-    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
 #: a file as :func:`seal` writes it
 _SEALED = re.compile(
     rb'\{"schema":%d,"checksum":"(?P<checksum>[0-9a-f]{64})","content":(?P<content>.*)\}\s*'
@@ -234,7 +206,7 @@ _SEALED = re.compile(
 
 def seal(content: object) -> str:
     """JSON text of a content with schema and checksum."""
-    text = canonical(content)
+    text = json_text(content)
     checksum = hashlib.sha256(text.encode()).hexdigest()
     return f'{{"schema":{SCHEMA},"checksum":"{checksum}","content":{text}}}\n'
 
@@ -260,7 +232,7 @@ def unseal(text: str | bytes, source: str) -> object:
     if whole["schema"] != SCHEMA:
         raise StoreError(f"{source}: has schema {whole['schema']!r}, this version reads {SCHEMA}")
     try:
-        checksum = hashlib.sha256(canonical(whole["content"]).encode()).hexdigest()
+        checksum = hashlib.sha256(json_text(whole["content"]).encode()).hexdigest()
     except (ValueError, RecursionError) as error:
         raise StoreError(f"{source}: holds what no record can hold ({error})") from error
     if checksum != whole["checksum"]:

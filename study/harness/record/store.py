@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Self, TypeVar, cast
 
 from study.ground.bounded_file import MAX_JSON_BYTES, NotRegularError, read_regular
+from study.ground.canonical import json_text, plain
 from study.ground.curve import Curve
 from study.ground.errors import NewerSchemaError, StoreError
 from study.harness.record import atomic_files
@@ -43,7 +44,7 @@ from study.harness.record.document import (
     fault_of_fits,
 )
 from study.harness.record.folder import ID, OUTSIDE, inside, is_same
-from study.harness.record.record import CONVERGED, Record, canonical, plain, seal, unseal
+from study.harness.record.record import CONVERGED, Record, seal, unseal
 
 # Results that are no records: fits that cases share, solutions of refinement series.
 
@@ -102,7 +103,7 @@ def libraries_of(versions: Mapping[str, str]) -> dict[str, str]:
 def name_of(versions: Mapping[str, str]) -> str:
     """Short name of a set of libraries; empty where none is known."""
     libraries = libraries_of(versions)
-    return hashlib.sha256(canonical(libraries).encode()).hexdigest()[:_DIGITS] if libraries else ""
+    return hashlib.sha256(json_text(libraries).encode()).hexdigest()[:_DIGITS] if libraries else ""
 
 
 def differences(then: Mapping[str, str], now: Mapping[str, str]) -> dict[str, tuple[str, str]]:
@@ -266,7 +267,7 @@ class Store:
         lost: dict[str, str] = {}
         clean = plain(content, name, lost)
         if lost and isinstance(clean, dict):
-            clean["not_finite"] = lost
+            clean["not_finite"] = plain(lost)
         self._write(self._json(name), seal(clean).encode(), followed)
 
     def _write(

@@ -26,7 +26,7 @@ from study.harness.design.load import dump
 from study.harness.design.study_file import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
 from study.harness.execution.task import Document, Executor, Outcome, Results, Task
 from study.harness.external.command import check_allowed
-from study.harness.record.document import ManifestDocument
+from study.harness.record.document import ManifestDocument, RetryDocument
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.expansion import case_job
@@ -45,9 +45,6 @@ from study.harness.runner.tasks import Costs, adapted, limit_of
 # is made besides those before it. The record of the case says of every attempt what was changed and
 # why, so that a report can list the cases whose setting is not that of the design.
 
-#: what is kept in a record of its attempts, under this name
-RETRIES = "retries"
-
 #: how many load steps replace one, and how many times the limit is prolonged
 STEPS_FACTOR = 4
 LIMIT_FACTOR = 4.0
@@ -55,8 +52,7 @@ LIMIT_FACTOR = 4.0
 #: letters of a message that a record keeps of an attempt that failed
 MESSAGE = 300
 
-
-Notes = tuple[Mapping[str, str], ...]
+Notes = tuple[RetryDocument, ...]
 
 #: what is tried of some cases at once: how many times the limit of one computation, and whether
 #: nothing else may be computed beside it; each case under its own name, with the changes so far
@@ -73,7 +69,7 @@ def attempts(work: Work, store: Store, limited: bool) -> Attempts:
         record = store.read(case_id)
         if record is None:
             continue
-        job, before = jobs[case_id], notes_of(record)
+        job, before = jobs[case_id], record.retries
         done = [note["change"] for note in before]
         open_changes = (
             change
@@ -85,7 +81,7 @@ def attempts(work: Work, store: Store, limited: bool) -> Attempts:
             continue
         changes = [*done, change]
         changed, what = _changed(job, changes, work)
-        note = {
+        note: RetryDocument = {
             "cause": record.status,
             "message": record.message[:MESSAGE],
             "change": change,
@@ -96,15 +92,9 @@ def attempts(work: Work, store: Store, limited: bool) -> Attempts:
     return again
 
 
-def notes_of(record: Record) -> Notes:
-    """Every attempt that a record tells of; empty where the design's own setting gave it."""
-    notes = record.extra.get(RETRIES)
-    return tuple(notes) if isinstance(notes, (list, tuple)) else ()
-
-
 def has_other_mesh(record: Record) -> bool:
     """Whether a case was computed on a finer mesh than its own."""
-    return any(note["change"] == FINER_MESH for note in notes_of(record))
+    return any(note["change"] == FINER_MESH for note in record.retries)
 
 
 def _applies(change: str, job: CaseJob, limited: bool) -> bool:
@@ -294,7 +284,7 @@ def _written(job: CaseJob, notes: Notes, outcome: Outcome, store: Store) -> Reco
             seconds={"total": outcome.seconds},
         )  # fmt: skip
     if notes:
-        record = replace(record, extra={**record.extra, RETRIES: [dict(n) for n in notes]})
+        record = replace(record, extra={**record.extra, "retries": [dict(n) for n in notes]})
     store.write(record, followed=outcome.followed)
     folder = outcome.result.get("folder")
     if isinstance(folder, str):

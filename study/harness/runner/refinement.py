@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, gathered
 from study.ground.canonical import Keyed, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
@@ -715,10 +715,9 @@ def cost_fronts(
     cells: Sequence[RefinementSeries], judged: Sequence[SeriesJudgement], accuracy: float
 ) -> list[CostFront]:
     """Error against seconds of every mesh, and which cell reaches the accuracy first."""
-    groups: dict[str, list[int]] = {}
-    for k, cell in enumerate(cells):
-        physics = {name: v for name, v in cell.problem.document().items() if name in _PHYSICS}
-        groups.setdefault(case_id(physics), []).append(k)
+    documents = [cell.problem.document() for cell in cells]
+    tests = [case_id({k: v for k, v in doc.items() if k in _PHYSICS}) for doc in documents]
+    groups = gathered((test, k) for k, test in enumerate(tests))
     names = [" / ".join(cell.levels_of.values()) or f"cell {k + 1}" for k, cell in enumerate(cells)]
     fronts = [
         _front([(names[k], cells[k], judged[k]) for k in members], accuracy)

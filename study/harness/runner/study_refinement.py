@@ -17,7 +17,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, gathered
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.declaration import table_of, with_table
@@ -105,9 +105,7 @@ def every_series(work: Work) -> list[CaseSeries]:
 
 def own_series(work: Work) -> list[CaseSeries]:
     """Cells of the first block from coarse to fine; empty unless all columns have three meshes."""
-    columns: dict[str, list[CaseJob]] = {}
-    for job in meshed_cells(work):
-        columns.setdefault(_column(job), []).append(job)
+    columns = gathered((_column(job), job) for job in meshed_cells(work))
     if any(len(jobs) < FEWEST for jobs in columns.values()):
         return []
     ordered = (sorted(jobs, key=lambda job: -size_of(job)) for jobs in columns.values())
@@ -137,14 +135,9 @@ def chosen(work: Work) -> list[CaseJob]:
     All of a kind where that is cheap; else those of fewest and of most constants, which the mesh
     can move most differently.
     """
-    groups: dict[str, list[CaseJob]] = {}
-    for job in meshed_cells(work):
-        problem = job.case.problem
-        kind = problem.discretization if problem.refinement else discretization_key(problem)
-        groups.setdefault(kind, []).append(job)
-    costs = Costs()
-    cells = []
-    for jobs in groups.values():
+    costs, cells = Costs(), list[CaseJob]()
+    kinds = ((discretization_key(job.case.problem), job) for job in meshed_cells(work))
+    for jobs in gathered(kinds).values():
         ordered = sorted(jobs, key=lambda job: len(job.case.problem.calibrated_names))
         priced = _spread(ordered, PRICED_CELLS)
         finest = [_refined_seconds(work, job, costs) for job in priced]
@@ -193,6 +186,8 @@ def refined(case: Case, size: float) -> Case:
 
 def discretization_key(problem: ForwardCell) -> str:
     """Name of a kind of discretization: cells that share it share their mesh error."""
+    if problem.refinement:
+        return problem.discretization
     apart, model = ("mesh_ratio", "mesh_seed"), table_of(problem.document(), "model")
     return case_id({k: v for k, v in model.items() if k not in apart})
 
@@ -357,11 +352,12 @@ def _chosen(
     """Finest mesh of both spaces for every kind of element, of the material of fewest constants."""
     # levels that name a kind of element: of the model, but for its space and its mesh
     apart = ("model.space", "model.mesh", "model.mesh_size")
-    kinds: dict[tuple[tuple[str, str], ...], list[CaseJob]] = {}
-    for job in cells:
-        named = (item for item in job.case.levels.items() if item[0].startswith("model."))
-        kinds.setdefault(tuple(item for item in named if item[0] not in apart), []).append(job)
-    for levels, jobs in kinds.items():
+
+    def kind(job: CaseJob) -> tuple[tuple[str, str], ...]:
+        levels = job.case.levels.items()
+        return tuple((k, v) for k, v in levels if k.startswith("model.") and k not in apart)
+
+    for levels, jobs in gathered((kind(job), job) for job in cells).items():
         flat, solid = (
             [job for job in jobs if job.case.tested.model.space == space] for space in SPACES
         )

@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
+from study.ground.arrays import gathered
 from study.ground.canonical import plain
 from study.reporting.content import effect_words, surface_content, tables
 from study.reporting.content.blocks import Block, Points, Table, Verbatim
@@ -404,11 +405,9 @@ def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
     """Means, largest differences with their verdicts, and the telling simple effects."""
     yield replace(means(item, data), grouped=False)
     yield replace(tables.verdicts((item,), data), name="Effects", grouped=False)
-    reasons: dict[str, list[str]] = {}
-    for e in item.effects:
-        # without a threshold nothing can be told, which is said once for all
-        if e.verdict in REFUSALS and e.practical is not None:
-            reasons.setdefault(f"{e.verdict} ({e.why})", []).append(e.term)
+    # without a threshold nothing can be told, which is said once for all
+    refused = (e for e in item.effects if e.verdict in REFUSALS and e.practical is not None)
+    reasons = gathered((f"{e.verdict} ({e.why})", e.term) for e in refused)
     yield from (Verbatim(f"{', '.join(terms)}: {why}") for why, terms in reasons.items())
     # of every factor that interacts the largest simple effect, and that which decides its verdict
     telling = [(e, dict.fromkeys((e.largest_simple, e.deciding_simple))) for e in item.terms]
@@ -529,7 +528,11 @@ def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> list[Check]:
     """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
     # controls that pass stand under numerical credibility alone
     bad = [check for check in data.controls if check.outcome in ("fail", "caution")]
-    made = [*data.checks, *bad, *_of_cases(data)]
+    made = [*data.checks, *bad]
+    if data.retried:
+        finding = tables.retried_sentence(data.retried)
+        where = "They are listed among the failures."
+        made.append(Check("Cases with other settings", "caution", finding, where))
     for facts in all_facts:
         if facts.terms:
             made += [replace(check, of=facts.title) for check in _of_response(facts, data)]
@@ -547,10 +550,8 @@ _OUTCOMES = ("fail", "caution", "not applicable", "pass")
 
 def by_name(made: Iterable[Check]) -> list[list[Check]]:
     """Gather checks of the same name, the worst outcome first, in and among the groups."""
-    groups: dict[str, list[Check]] = {}
-    for check in sorted(made, key=lambda check: _OUTCOMES.index(check.outcome)):
-        groups.setdefault(check.name, []).append(check)
-    return list(groups.values())
+    ranked = sorted(made, key=lambda check: _OUTCOMES.index(check.outcome))
+    return list(gathered((check.name, check) for check in ranked).values())
 
 
 def check_table(made: Iterable[Check], name: str) -> Table:
@@ -563,13 +564,6 @@ def check_table(made: Iterable[Check], name: str) -> Table:
     ]  # fmt: skip
     columns = ("check", "outcome", "response", "finding", "what follows")
     return Table(name, columns, tuple(rows), len(columns))
-
-
-def _of_cases(data: ReportData) -> Iterator[Check]:
-    if data.retried:
-        finding = tables.retried_sentence(data.retried)
-        where = "They are listed among the failures."
-        yield Check("Cases with other settings", "caution", finding, where)
 
 
 def _surface(fitted: FittedSurface, data: ReportData) -> Check:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from study.ground.arrays import gathered
 from study.reporting.content.blocks import Block, Folded, Points, Sentence, Table
 from study.reporting.content.effect_words import numerical, size, size_interval
 from study.reporting.content.report_facts import Facts
@@ -19,7 +20,7 @@ from study.reporting.content.text import (
     term_name,
 )
 from study.reporting.results import study_answers
-from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
+from study.reporting.results.study_answers import Beside, Change, Conclusion
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS
 
@@ -41,7 +42,7 @@ def beside_blocks(comparison: Beside, labels: Labels = None) -> Iterator[Block]:
         yield Sentence("Nothing was changed: design, measurements and code are the same.")
     yield Points([*conclusion_lines(comparison, labels), *map(sentence, comparison.warnings)])
     yield table(comparison, labels)
-    groups = _by_response(comparison.conclusions).values()
+    groups = gathered((row.response, row) for row in comparison.conclusions).values()
     for rows in groups:
         if line := quiet_line(rows, labels):
             yield Sentence(f"{sentence(name_of(rows[0].response, labels))} {line}", kind="note")
@@ -107,13 +108,6 @@ def facts_of(row: Conclusion) -> Facts:
     return Facts(row.response, clean(row.unit), title=name_of(row.response))
 
 
-def _by_response(rows: Iterable[Conclusion]) -> dict[str, list[Conclusion]]:
-    by_response: dict[str, list[Conclusion]] = {}
-    for row in rows:
-        by_response.setdefault(row.response, []).append(row)
-    return by_response
-
-
 def changes(comparison: Beside) -> Table:
     """Return the inputs that differ, the first thing to read."""
     return Table.of(
@@ -138,9 +132,7 @@ def _value(change: Change, study: int) -> str:
 
 def only_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
     """Name what only one study has, so that nothing is dropped in silence."""
-    groups: dict[tuple[str, str], list[OnlyInOne]] = {}
-    for item in comparison.only:
-        groups.setdefault((item.study, item.what), []).append(item)
+    groups = gathered(((item.study, item.what), item) for item in comparison.only)
     return tuple(
         sentence(
             f"only in {clean(study)}: {what}{'s' * (len(items) > 1)} "
@@ -156,10 +148,8 @@ def only_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
 
 def quiet_line(rows: Iterable[Conclusion], labels: Labels = None) -> str:
     """Name the interactions that the short table leaves out, by what is known of them."""
-    groups: dict[str, list[str]] = {}
-    for row in rows:
-        if not row.is_main and not _strong(row):
-            groups.setdefault(row.conclusion, []).append(_term(row, labels))
+    quiet = (row for row in rows if not row.is_main and not _strong(row))
+    groups = gathered((row.conclusion, _term(row, labels)) for row in quiet)
     named = ((kind.replace(":", ","), names) for kind, names in groups.items())
     return " ".join(sentence(f"{kind}: {', '.join(names)}") for kind, names in named)
 
@@ -176,7 +166,7 @@ def _sides(rows: Iterable[Conclusion], comparison: Beside) -> Iterator[Side]:
 
 def table(comparison: Beside, labels: Labels = None) -> Table:
     """Two rows a term, named in the first, one for each study; grouped by response."""
-    groups = _by_response(comparison.conclusions).values()
+    groups = gathered((row.response, row) for row in comparison.conclusions).values()
     first, other = map(level, comparison.alphas)
     columns: dict[str, Callable[[Side], str]] = {
         "response": lambda of: name_of(of[0].response, labels),

@@ -8,8 +8,11 @@ called "normal"; units always; ratios for log responses.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 
+from study.ground.arrays import gathered
+from study.harness.record.record import Record
 from study.reporting.content import effect_words, recommendation, surface_content
 from study.reporting.content.effect_words import (
     blocks_needed,
@@ -32,7 +35,7 @@ from study.reporting.content.text import (
     sentence,
     term_name,
 )
-from study.reporting.results.study_result import FITTED_CURVE, Failure, ReportData
+from study.reporting.results.study_result import FITTED_CURVE, ReportData
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
@@ -83,12 +86,9 @@ def answer(
     return tuple(text for text in parts if text)
 
 
-def _all_failed(items: Sequence[Failure]) -> tuple[str, ...]:
+def _all_failed(items: Sequence[Record]) -> tuple[str, ...]:
     """Say that there is nothing to compare, what the solver said, and where to look."""
-    counts: dict[str, int] = {}
-    for item in items:
-        counts[item.message or item.status] = counts.get(item.message or item.status, 0) + 1
-    message, number = max(counts.items(), key=lambda pair: pair[1])
+    ((message, number),) = Counter(item.message or item.status for item in items).most_common(1)
     every = "The only case failed" if len(items) == 1 else f"All {len(items):,} cases failed"
     return (
         f"{every}, so there is nothing to compare.",
@@ -365,11 +365,12 @@ VIRTUAL = (
 
 def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> tuple[tuple[str, str], ...]:
     """Statements about the error term, each once, with the responses that it holds for."""
-    by_text: dict[str, list[str]] = {}
-    for facts in all_facts:
-        for text in (error_term(facts, data), distinct(facts, data)):
-            if text:
-                by_text.setdefault(text, []).append(facts.title)
+    by_text = gathered(
+        (text, facts.title)
+        for facts in all_facts
+        for text in (error_term(facts, data), distinct(facts, data))
+        if text
+    )
     return tuple(
         ("" if len(titles) == len(all_facts) > 1 else sentence(listing(titles)), text)
         for text, titles in by_text.items()
@@ -401,13 +402,11 @@ def partial(data: ReportData) -> str:
     )
 
 
-def failures(items: Sequence[Failure], total: int) -> str:
+def failures(items: Sequence[Record], total: int) -> str:
     """Failures in one sentence; none is said plainly."""
     if not items:
         return f"None: {'the case' if total == 1 else f'all {total:,} cases'} gave a response."
-    kinds: dict[str, int] = {}
-    for item in items:
-        kinds[item.status] = kinds.get(item.status, 0) + 1
+    kinds = Counter(item.status for item in items)
     named = listing([f"{number} {clean(status)}" for status, number in kinds.items()])
     share = percent(len(items) / total) if total else MISSING
     return (

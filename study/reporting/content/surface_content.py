@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from study.ground.arrays import gathered
 from study.reporting.content.blocks import (
     Block,
     Figure,
@@ -441,10 +442,11 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
     """Which factors matter, against what does."""
     if one.practical is None or one.found is None:
         return ""
-    by: dict[str, list[str]] = {}
-    for item in one.found.sensitivity:
-        if item.range is not None:
-            by.setdefault(item.range.told, []).append(name_of(item.factor, data.labels))
+    by = gathered(
+        (item.range.told, name_of(item.factor, data.labels))
+        for item in one.found.sensitivity
+        if item.range is not None
+    )
     limit = f"{one.practical:.3g} {clean(one.unit)}".strip()
     said = []
     for verdict, verb, more in (

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
+from study.ground.arrays import gathered
 from study.ground.canonical import plain
 from study.reporting.content import sentences
 from study.reporting.content.blocks import Document, Table
@@ -39,7 +40,7 @@ from study.statistics.convergence.grid_convergence import NumericalUncertainty
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.reporting.results.study_result import Failure, Retried
+    from study.harness.record.record import Record
     from study.statistics.analysis.failures import FailurePattern, FailureRule, FailureTest
 
 
@@ -63,9 +64,8 @@ def fit_rank(levels: Mapping[str, str], data: ReportData) -> tuple[int, ...]:
 
 def fits(data: ReportData) -> Table:
     """Fitted constants over the blocks: median, range, uncertainty, identifiability."""
-    groups: dict[tuple[str, str], list[FittedConstant]] = {}
-    for fit in sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant)):
-        groups.setdefault((fit_name(fit, data), clean(fit.constant)), []).append(fit)
+    ranked = sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant))
+    groups = gathered(((fit_name(fit, data), clean(fit.constant)), fit) for fit in ranked)
     columns = (
         "fit", "constant", "median", "range over fits", "standard error", "correlation",
         "residual (RMS)", "identifiable",
@@ -422,7 +422,7 @@ def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
     )
 
 
-def _cell(item: Failure | Retried) -> str:
+def _cell(item: Record) -> str:
     return " \N{MIDDLE DOT} ".join(clean(level) for level in item.levels.values())
 
 
@@ -434,7 +434,7 @@ def failures(data: ReportData) -> Table:
         {
             "case": lambda item: clean(item.case_id, 16),
             "cell": _cell,
-            data.block or "block": lambda item: clean(item.block) or MISSING,
+            data.block or "block": lambda item: clean(item.block or "") or MISSING,
             "status": lambda item: clean(item.status),
             "message": lambda item: clean(item.message, 400),
         },
@@ -525,11 +525,11 @@ def tests(pattern: FailurePattern, labels: Mapping[str, str]) -> Table:
     return replace(made, raw=raw)
 
 
-def retried_sentence(items: Sequence[Retried]) -> str:
+def retried_sentence(items: Sequence[Record]) -> str:
     """Say how many cases have other settings than the design's; empty where none has."""
     if not items:
         return ""
-    solved = sum(item.status == "converged" for item in items)
+    solved = sum(item.converged for item in items)
     were = "was" if len(items) == 1 else "were"
     return (
         f"{count(len(items), 'case')} failed as designed and {were} "
@@ -538,7 +538,7 @@ def retried_sentence(items: Sequence[Retried]) -> str:
     )
 
 
-def retried_table(items: Sequence[Retried], block: str) -> Table:
+def retried_table(items: Sequence[Record], block: str) -> Table:
     """List every case whose settings are not those of the design: why, what, and the outcome."""
     return Table.of(
         "retried",
@@ -546,11 +546,11 @@ def retried_table(items: Sequence[Retried], block: str) -> Table:
         {
             "case": lambda item: clean(item.case_id, 16),
             "cell": _cell,
-            block or "block": lambda item: clean(item.block) or MISSING,
+            block or "block": lambda item: clean(item.block or "") or MISSING,
             "failed": lambda item: "; then ".join(
-                f"{clean(n['cause'])}: {clean(n['message'], 200)}" for n in item.notes
+                f"{clean(n['cause'])}: {clean(n['message'], 200)}" for n in item.retries
             ),
-            "changed": lambda item: "; ".join(clean(n["what"]) for n in item.notes),
+            "changed": lambda item: "; ".join(clean(n["what"]) for n in item.retries),
             "outcome": lambda item: clean(item.status),
         },
         left=6,
@@ -572,38 +572,39 @@ _PLATES = {"nominal": "as said", "rigid": "any rigid motion", "slipping": "rigid
 def marker_errors(data: ReportData) -> Table:
     """RMS error of the markers of every case and plate, with the motion of the plate."""
     shown = [
-        (case, fit)
+        (case, marked, fit)
         for case in sorted(data.markers, key=lambda case: fit_rank(case.levels, data))
-        for fit in case.fits
+        for marked in case.markers
+        for fit in marked["fits"]
     ]
     return Table.of(
         "marker-errors",
         shown,
         {
-            "cell": lambda of: " \N{MIDDLE DOT} ".join(map(clean, of[0].levels.values())),
-            "state": lambda of: clean(of[0].state),
-            "plate": lambda of: _PLATES.get(of[1]["plate"], clean(of[1]["plate"])),
-            "told by": lambda of: clean(of[1]["fitted"]),
-            "markers": lambda of: f"{of[1]['markers']}",
-            "RMS error": lambda of: quantity(of[1]["error_mm"], "mm"),
-            "floor": lambda of: quantity(of[0].floor_mm, "mm"),
-            "down, x, y (mm)": lambda of: _values(of[1]["motion"], ("down", "x", "y")),
+            "cell": lambda of: _cell(of[0]),
+            "state": lambda of: clean(of[1]["state"]),
+            "plate": lambda of: _PLATES.get(of[2]["plate"], clean(of[2]["plate"])),
+            "told by": lambda of: clean(of[2]["fitted"]),
+            "markers": lambda of: f"{of[2]['markers']}",
+            "RMS error": lambda of: quantity(of[2]["error_mm"], "mm"),
+            "floor": lambda of: quantity(of[1]["floor_mm"], "mm"),
+            "down, x, y (mm)": lambda of: _values(of[2]["motion"], ("down", "x", "y")),
             "tilts, twist (deg)": lambda of: _values(
-                of[1]["motion"], ("tilt_x", "tilt_y", "twist")
+                of[2]["motion"], ("tilt_x", "tilt_y", "twist")
             ),
-            "spread (%)": lambda of: _values(of[1]["motion"], ("spread",)),
+            "spread (%)": lambda of: _values(of[2]["motion"], ("spread",)),
         },
         left=4,
         tail=3,
         grouped=True,
         raw=lambda of: {
             **of[0].levels,
-            "state": of[0].state,
-            **{name: of[1][name] for name in ("plate", "fitted", "markers", "error_mm")},
-            "floor_mm": of[0].floor_mm,
-            **{f"{name}_{end}": v for name, pair in of[1]["motion"].items()
+            "state": of[1]["state"],
+            **{name: of[2][name] for name in ("plate", "fitted", "markers", "error_mm")},
+            "floor_mm": of[1]["floor_mm"],
+            **{f"{name}_{end}": v for name, pair in of[2]["motion"].items()
                for end, v in zip(("value", "standard_error"), pair, strict=True)},
-            **{f"layer_{name}_mm": v for name, v in of[1]["error_by_layer_mm"].items()},
+            **{f"layer_{name}_mm": v for name, v in of[2]["error_by_layer_mm"].items()},
         },
     )  # fmt: skip
 

@@ -155,13 +155,14 @@ def layer_points(data: ReportData) -> pd.DataFrame:
     """RMS error of every layer of every case, all markers fitted with the freest plate."""
     rows = [
         {
-            "state": case.state, "group": clean(next(iter(case.levels.values()), "all"), 30),
+            "state": of["state"], "group": clean(next(iter(case.levels.values()), "all"), 30),
             "cell": " / ".join(case.levels.values()), "place": place, "layer": layer,
-            "error_mm": math.nan if error is None else error, "floor_mm": case.floor_mm,
+            "error_mm": math.nan if error is None else error, "floor_mm": of["floor_mm"],
         }
         for case in data.markers
+        for of in case.markers
         # the last of the fits to all markers has the freest plate
-        for fit in [fit for fit in case.fits if fit["fitted"] == "all"][-1:]
+        for fit in [fit for fit in of["fits"] if fit["fitted"] == "all"][-1:]
         for place, (layer, error) in enumerate(fit["error_by_layer_mm"].items())
     ]  # fmt: skip
     if not rows:

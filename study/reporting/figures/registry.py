@@ -341,7 +341,8 @@ def of_study(data: ReportData) -> dict[str, Figure]:
             study_figures.draw_constants,
             lambda frame: constants(frame, data),
         )
-    if any(fit["error_by_layer_mm"] for marker in data.markers for fit in marker.fits):
+    marked = (document for case in data.markers for document in case.markers)
+    if any(fit["error_by_layer_mm"] for document in marked for fit in document["fits"]):
         plots["markers"] = (
             "Errors by layer",
             lambda: curve_figures.layer_points(data),

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure as Canvas
 
+from study.ground.arrays import gathered
 from study.ground.errors import RefusedError
 from study.reporting.content.surface_content import at_labels, settings, title
 from study.reporting.content.text import (
@@ -81,10 +82,11 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
 
 def profilers(data: ReportData) -> list[Figure]:
     """Every response along every factor, one figure for each combination of the other factors."""
-    by_labels: dict[str, Rows] = {}
-    for fitted in data.surfaces:
-        if fitted.found is not None:
-            by_labels.setdefault(at_labels(fitted, data), []).append((fitted, fitted.found))
+    by_labels = gathered(
+        (at_labels(fitted, data), (fitted, fitted.found))
+        for fitted in data.surfaces
+        if fitted.found is not None
+    )
     figures = []
     for labels, rows in by_labels.items():
         plot: Plot = (

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.harness.design.spec import Expected
-    from study.harness.record.document import PlateFitDocument
     from study.reporting.results.study_answers import Beside
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import DepthEffect
@@ -125,43 +124,6 @@ class FittedConstant:
 
 
 @dataclass(frozen=True)
-class MarkedCase:
-    """Markers inside the specimen of one case, by what its plate was taken to do."""
-
-    levels: Mapping[str, str]
-    #: Of the test: the block of the case.
-    state: str
-    #: Distance of the markers from any smooth field (RMS): no model comes below.
-    floor_mm: float | None
-    #: Errors, and the motion of the plate that leaves them.
-    fits: tuple[PlateFitDocument, ...]
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A case that gave no response: which, how, and what the solver said."""
-
-    case_id: str
-    levels: Mapping[str, str]
-    block: str
-    status: str
-    message: str = ""
-
-
-@dataclass(frozen=True)
-class Retried:
-    """A case that was computed with other settings than the design's, having failed with these."""
-
-    #: Which, and what became of it in the end.
-    case_id: str
-    levels: Mapping[str, str]
-    block: str
-    status: str
-    #: Of every attempt the ``cause``, its ``message``, and ``what`` was changed for it.
-    notes: tuple[Mapping[str, str], ...]
-
-
-@dataclass(frozen=True)
 class Check:
     """One check: pass, caution, fail or not applicable; the consequence says what follows.
 
@@ -200,11 +162,12 @@ class ReportData:
     exclusions: tuple[tuple[str, str], ...] = ()
     curves: tuple[CurvePair, ...] = ()
     fits: tuple[FittedConstant, ...] = ()
-    markers: tuple[MarkedCase, ...] = ()
-    failures: tuple[Failure, ...] = ()
+    #: Cases with markers inside the specimen.
+    markers: tuple[Record, ...] = ()
+    failures: tuple[Record, ...] = ()
     failure_pattern: FailurePattern | None = None
     #: Cases whose settings are not those of the design.
-    retried: tuple[Retried, ...] = ()
+    retried: tuple[Record, ...] = ()
     #: Checks that the runner made (store, stability, ...); those of the analysis are added by the
     #: report.
     checks: tuple[Check, ...] = ()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array, Flags
+from study.ground.arrays import Array, Flags, gathered
 from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, settled
 from study.statistics.analysis import error_ledger
@@ -196,10 +196,7 @@ def is_representative(out: AnalysisOutcome) -> Flags:
 
 def _inapplicable(**tests: SpreadTest) -> list[str]:
     """One sentence for every reason for which tests are not applicable."""
-    reasons: dict[str, list[str]] = {}
-    for name, test in tests.items():
-        if test.reason:
-            reasons.setdefault(test.reason, []).append(name)
+    reasons = gathered((test.reason, name) for name, test in tests.items() if test.reason)
     return [f"{' and '.join(names)}: not applicable: {why}" for why, names in reasons.items()]
 
 

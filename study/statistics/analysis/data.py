@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Ints, gathered
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.tabular import NUMBER, _check_names, names_of
 from study.statistics.analysis.linear_model import CellLayout, Term
@@ -154,9 +154,7 @@ def _check_range(values: Array, response: str) -> None:
 
 def _alike(levels: Sequence[str], name: str) -> list[str]:
     """Say which levels differ in capitals or spaces alone: perhaps one level, written twice."""
-    by_letters: dict[str, list[str]] = {}
-    for level in levels:
-        by_letters.setdefault("".join(level.split()).casefold(), []).append(level)
+    by_letters = gathered(("".join(level.split()).casefold(), level) for level in levels)
     return [
         f"{name}: the levels {' and '.join(map(repr, same))} differ in capitals or spaces alone "
         "and are taken for different ones: write them the same way if they are one"
