@@ -214,7 +214,7 @@ def run(
         unconfirmed, may = load_study(store.path), Permission(data, allowed, progress)
         for surface in unconfirmed.surfaces:
             for settings in surface.unconfirmed:
-                at = {**settings, **surface.labels}
+                at: dict[str, float | str] = {**settings, **surface.labels}
                 number = {k: f"{v:.4g}" for k, v in settings.items()}
                 where = ", ".join(f"{k} {v}" for k, v in {**number, **surface.labels}.items())
                 warnings += [
