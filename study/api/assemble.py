@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +13,12 @@ from study.ground.diagnostics import flatten
 from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.runner.case_series import stored_convergence
 from study.mechanics.material.material import is_dimensionless
+from study.mechanics.measurement.measured_test import IMPLAUSIBLE
 from study.reporting.content.text import count, listing, name_of, percent, quantity
 from study.reporting.results.study_result import (
     ANY,
+    FITS_DESCRIBE,
+    PLAUSIBLE,
     Check,
     CurvePair,
     FittedConstant,
@@ -235,9 +239,13 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         if len(scheme.aliases) > ALIASES:
             mixed += f"; and {len(scheme.aliases) - ALIASES} more, which `study plan` lists"
         yield Check("what the chosen cells tell apart", "caution", scheme.summary, mixed)
+    for note in study.manifest["notes"]:
+        if IMPLAUSIBLE in note:
+            use = "constants and errors of these tests may be in another unit"
+            yield Check(PLAUSIBLE, "caution", note, use)
     fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
     if fits:
-        yield from _checks_of_fits(fits, _names_of_fits(study))
+        yield from _checks_of_fits(fits, _names_of_fits(study), _misfits(study))
     yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
 
 
@@ -245,19 +253,52 @@ def _names_of_fits(study: StudyResult) -> dict[str, str]:
     """Levels, block and specimen of each fit by its key."""
     entering, spec = calibration_factors(study.design), study.design.measurements
     kind = f"{spec.block} " if spec is not None and spec.block else ""
+
+    def data_of(block: str | None, label: str) -> list[str]:
+        if label in (f"all but {block}", f"{block} alone"):
+            return [label.replace(str(block), f"{kind}{block}", 1)]
+        specimen = [f"specimen {label}"] if label != "all" else []
+        return [f"{kind}{block}", *specimen] if block else specimen
+
     return {
         fit["key"]: ", ".join(
             [*(level for name, level in record.levels.items() if name in entering)]
-            + ([f"{kind}{record.block}"] if record.block else [])
-            + ([f"specimen {specimen}"] if specimen != "all" else [])
+            + data_of(record.block, label)
         )
         for record in reversed(study.plain)
-        for specimen, fit in (record.fit or {}).items()
+        for label, fit in (record.fit or {}).items()
     }
 
 
+def _misfits(study: StudyResult) -> dict[str, str]:
+    """Say what each fit misses, by its key; of one to all blocks but one, with their names.
+
+    A fit numbers its curves alone, for its key must not change with the name of a specimen. With
+    measurements of its own, a calibration may have other specimens: these keep their numbers.
+    """
+    design, blocks = study.design, tuple(map(str, study.manifest["blocks"]))
+    spec = design.measurements
+    kind = "" if spec is None or not spec.block else f"{spec.block} "
+    out: dict[str, str] = {}
+    for record in study.plain:
+        fitted = {
+            str(k): f"{kind}{block}"
+            for k, block in enumerate((b for b in blocks if b != record.block), 1)
+        }
+        for label, fit in (record.fit or {}).items():
+            parts = re.split(r"\bcurve (\d+)", fit.get("misfit", ""))
+            if label == f"{record.block} alone":
+                names = {"1": f"{kind}{record.block}"}
+            else:
+                is_theirs = label == f"all but {record.block}"
+                names = fitted if is_theirs and design.calibration.problem is None else {}
+            parts[1::2] = [names.get(number, f"curve {number}") for number in parts[1::2]]
+            out[fit["key"]] = "".join(parts)
+    return out
+
+
 def _checks_of_fits(
-    fits: Mapping[str, Mapping[str, Any]], names: Mapping[str, str]
+    fits: Mapping[str, Mapping[str, Any]], names: Mapping[str, str], misfits: Mapping[str, str]
 ) -> Iterator[Check]:
     """Say how many fits describe their rows, determine their constants, and are stable."""
     of, every = f"of {len(fits)} calibrations", fits.values()
@@ -273,9 +314,9 @@ def _checks_of_fits(
             missed = f"{count(len(bad), 'fit')} that missed the data"
             use = f"use no constant of {missed}, such as {named}"
         yield Check(
-            "fits describe their data", "caution",
+            FITS_DESCRIBE, "caution",
             f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows, {len(doubtful)} are "
-            f"doubtful, {len(bad)} do not; of {named}, {first['misfit']}",
+            f"doubtful, {len(bad)} do not; of {named}, {misfits[first['key']]}",
             use,
         )  # fmt: skip
     vague = [fit for fit in every if not fit["identifiable"]]

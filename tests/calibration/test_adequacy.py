@@ -262,3 +262,55 @@ def test_a_study_says_which_of_its_fits_do_not_describe(tmp_path):
     # the card names the fit: energy, range, block and specimen
     assert re.search(r"of [a-z-]+, (large|small), mix M1, specimen A, ", check.finding)
     assert check.consequence.startswith("use no constant of 4 fits that missed the data, such as ")
+    # what a reader sees first speaks of it too
+    assert any("4 do not" in line and "is off by up to" in line for line in ran.answers)
+
+
+def test_a_study_names_the_specimen_in_another_unit(tmp_path):
+    """One of four specimens in mN where the file says N: the answer names it, not a number."""
+    d = np.linspace(0, 4, 41)
+    stretch = 1 - d / 20
+    force = 0.8 * (stretch**-2 - stretch)  # N: neo-Hookean of 40 kPa on 20 mm^2
+    rows = ["specimen,displacement_mm,force_N"]
+    for name, size in (("S1", 1.0), ("S2", 1.05), ("S3", 1e3), ("S4", 0.95)):
+        rows += [f"{name},{x:.3f},{size * f:.9g}" for x, f in zip(d, force, strict=True)]
+    (tmp_path / "tests.csv").write_text("\n".join(rows) + "\n")
+    (tmp_path / "unit.toml").write_text(
+        """schema = 1
+[study]
+name = "unit"
+[specimen]
+shape = "homogeneous"
+area = "20 mm^2"
+length = "20 mm"
+[test]
+kind = "compression"
+[material]
+poisson_ratio = 0.4995
+[presets.energy.first]
+material.model = "neo-hookean"
+[presets.energy.second]
+material.model = "reduced-polynomial"
+material.order = 2
+[measurements]
+file = "tests.csv"
+columns = { displacement = "displacement_mm", force = "force_N" }
+units = { displacement = "mm", force = "N" }
+block = "specimen"
+points = 20
+range = ["1 %", "20 %"]
+[factors]
+energy = ["first", "second"]
+[[response]]
+name = "relative_rms_force_error"
+practical = "0.5 pp"
+"""
+    )
+    ran = study.run(
+        tmp_path / "unit.toml", data=tmp_path, results=tmp_path / "r", reports=None, jobs=1
+    )
+    (line,) = [one for one in ran.answers if "calibrations describe their rows" in one]
+    assert "specimen S3: its forces are" in line
+    assert "curve " not in line
+    assert re.search(r"of (first|second), all but specimen S[124], it is doubtful", line)
+    assert any("in 1 of 4 tests, of specimen S3)" in one for one in ran.answers)

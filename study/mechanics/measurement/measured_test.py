@@ -266,6 +266,7 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
     """Copy measurements with a note on every test whose modulus no soft material has."""
     low, high = SOFT_MPA
     odd: list[tuple[float, float, float]] = []
+    named: dict[str, None] = {}
     for test in measurements.tests:
         rows = test.recorded if measurements.own_rows else measurements
         places = rows.displacement_mm
@@ -273,6 +274,7 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
         modulus = apparent_modulus(setup, place, force) if place > 0 and force > 0 else None
         if modulus is not None and not low <= modulus <= high:
             odd.append((place, force, modulus))
+            named |= dict.fromkeys([test.groups[measurements.block]] if measurements.block else [])
     if not odd:
         return measurements
     place, force, modulus = odd[0]
@@ -280,11 +282,14 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
     likely = low <= modulus * factor <= high
     size = "1000 times larger" if factor > 1 else "1000 times smaller"
     hint = f"; a force {size} would be one of a soft material" if likely else ""
+    # where all are, the unit of the file is wrong, not that of a specimen
+    several = len(measurements.tests) > len(odd)
+    which = f", of {measurements.block} {', '.join(named)}" if several and named else ""
     sentence = (
         f"{', '.join(sorted(measurements.files)[:2])}: {force:.4g} N at {place:.4g} mm means a "
         f"Young's modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ("
-        f"{_in_words(low)} to {_in_words(high)}; in {len(odd)} of {len(measurements.tests)} tests)"
-        f"{hint}: check "
+        f"{_in_words(low)} to {_in_words(high)}; in {len(odd)} of {len(measurements.tests)} "
+        f"tests{which}){hint}: check "
         "measurements.units and the size of the specimen"
     )
     return replace(measurements, notes=(*measurements.notes, sentence))

@@ -35,7 +35,7 @@ from study.reporting.content.text import (
     sentence,
     term_name,
 )
-from study.reporting.results.study_result import FITTED_CURVE, ReportData
+from study.reporting.results.study_result import ANSWERED, FITTED_CURVE, ReportData
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
@@ -75,6 +75,7 @@ def answer(
     has_size = any(facts.has_size for facts in analyzed)
     parts = (
         *(first if is_short else [" ".join(filter(None, first))]),
+        *(sentence(clean(one.finding)) for one in data.checks if one.name in ANSWERED),
         f"The figure below shows the effects on {rest}." if named != analyzed else "",
         without_size(data, all_facts),
         without_verdict(all_facts),

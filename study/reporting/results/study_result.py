@@ -124,6 +124,13 @@ class FittedConstant:
 
 
 @dataclass(frozen=True)
+# Checks that are made where something is amiss alone; the answer speaks of them too.
+FITS_DESCRIBE = "fits describe their data"
+PLAUSIBLE = "forces are those of soft materials"
+ANSWERED = (PLAUSIBLE, FITS_DESCRIBE)
+
+
+@dataclass(frozen=True)
 class Check:
     """One check: pass, caution, fail or not applicable; the consequence says what follows.
 
