@@ -123,7 +123,6 @@ class FittedConstant:
     r_squared: float | None = None
 
 
-@dataclass(frozen=True)
 # Checks that are made where something is amiss alone; the answer speaks of them too.
 FITS_DESCRIBE = "fits describe their data"
 PLAUSIBLE = "forces are those of soft materials"
