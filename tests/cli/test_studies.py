@@ -65,6 +65,14 @@ def test_plan_counts_cases_and_writes_nothing(home: Path) -> None:
     assert "--data DIR" in answer.err
 
 
+def test_a_report_of_records_that_are_lost_says_what_is_missing(done: Path) -> None:
+    shutil.rmtree(done / "results" / "small" / "cases")
+    answer = study("report", "results/small", "--format", "html")
+    assert "12 cases: 0 done, 0 failed, 12 missing" in answer.out
+    assert "could not be written" not in answer.err
+    assert "<h1>" in (done / "reports/small/small.html").read_text(encoding="utf-8")
+
+
 def test_run_gives_the_document_of_the_contract(finished: Finished) -> None:
     found = finished.answer.json
     assert set(found) >= STUDY_KEYS

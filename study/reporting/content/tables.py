@@ -366,7 +366,11 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
     means = {
         facts.name: cells(data, facts.name).set_index("cell")["mean"].to_dict() for facts in listed
     }
+    named, titles = (name_of(f, data.labels) for f in factors), (facts.title for facts in listed)
+    columns = (*named, "cases", *titles, "mean time")
     rows, raw = [], []
+    if data.table.empty:  # nothing is computed yet, or what was is lost
+        return Table("cells", columns, (), len(factors))
     ordered, answered = in_order(data), data.table["status"] == "converged"
     groups = ordered.assign(answered=answered).groupby(factors, sort=False)
     counted = groups["answered"].agg(["sum", "size"]).itertuples()
@@ -381,8 +385,6 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
         counts = {"converged": int(done), "cases": int(every)}
         numbers = {**counts, **dict(zip(means, values, strict=True)), "seconds": seconds}
         raw.append(dict(zip(factors, labels, strict=True)) | numbers)
-    named, titles = (name_of(f, data.labels) for f in factors), (facts.title for facts in listed)
-    columns = (*named, "cases", *titles, "mean time")
     return Table("cells", columns, tuple(rows), len(factors), raw=tuple(raw))
 
 
