@@ -32,9 +32,13 @@ Table = Mapping[str, object]
 class Faults(list[Fault]):
     """Faults found so far."""
 
+    #: How often one was noted: a table that is read again is as faulty as the first time.
+    mentions: int = 0
+
     def add(self, where: str, rule: str, mend: str = "") -> None:
-        """Note a fault."""
+        """Note a fault, once however often it is found."""
         fault = Fault(where, rule, mend)
+        self.mentions += 1
         if fault not in self:
             self.append(fault)
 

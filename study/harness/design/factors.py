@@ -202,7 +202,7 @@ def exclusions_from(
                 labels[key] = noted(partial(_chosen, by_name[key]), raw, f"{where}.{key}", faults)
             elif key not in declared:
                 faults.add(f"{where}.{quoted(key)}", "unknown key", nearest(key, declared))
-        if len(faults) == before:
+        if faults.mentions == before:
             exclusions.append(with_values(table, when=labels))
     return tuple(exclusions)
 

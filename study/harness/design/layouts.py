@@ -231,7 +231,7 @@ def _nests(tables: Sequence[Nested], request: Request) -> Nests | None:
             read = partial(_levels_within, by_name[child], by_name[parent])
             levels = noted(read, table.levels, f"{where}.levels", faults)
             nests[child] = (parent, levels or {})
-        sound = sound and len(faults) == before
+        sound = sound and faults.mentions == before
     return nests if sound else None
 
 

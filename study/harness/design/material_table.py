@@ -85,9 +85,9 @@ def relaxation_from(value: object, faults: Faults, path: str) -> tuple[Relaxatio
 
 
 def _term(value: object, faults: Faults, path: str) -> RelaxationKey:
-    before = len(faults)
+    before = faults.mentions
     section = read_table(TermTable, value, path, faults)
-    if len(faults) > before or not isinstance(section.time, tuple):
+    if faults.mentions > before or not isinstance(section.time, tuple):
         return RelaxationKey(None, 1.0)
     low, high = section.time
     middle = math.sqrt(low * high) if low < high else low
@@ -95,9 +95,9 @@ def _term(value: object, faults: Faults, path: str) -> RelaxationKey:
 
 
 def _grid(value: Table, faults: Faults, path: str) -> tuple[RelaxationKey, ...]:
-    before = len(faults)
+    before = faults.mentions
     section = read_table(GridTable, value, path, faults)
-    if len(faults) > before:
+    if faults.mentions > before:
         return ()
     if not section.first < section.to:
         rule = f"must be later than {section.first:g} s, got {section.to:g} s"

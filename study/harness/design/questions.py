@@ -325,7 +325,7 @@ def expected_from(
 def _expected(
     table: object, where: str, named: Mapping[str, Factor], responses: Sequence[str], faults: Faults
 ) -> Expected | None:
-    before = len(faults)
+    before = faults.mentions
     kinds = [kind for kind in KINDS if isinstance(table, Mapping) and kind in table]
     if isinstance(table, Mapping) and len(kinds) != 1:
         rule = f"must hold one of {', '.join(KINDS)}" + (f", got {len(kinds)}" if kinds else "")
@@ -340,7 +340,7 @@ def _expected(
         for key, (read, _) in KINDS.get(kind, {}).items()
         if (value := getattr(section, key)) is not None
     ]
-    if len(faults) > before:
+    if faults.mentions > before:
         return None
     cells = tuple(value for value in values if isinstance(value, dict))
     names = tuple(name for value in values if isinstance(value, tuple) for name in value)

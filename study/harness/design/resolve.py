@@ -63,11 +63,11 @@ def _sound(
     check: Callable[[Table, Kind], Broken],
 ) -> Kind | None:
     """Read a table and check its keys against one another; None where a fault was found."""
-    before = len(faults)
+    before = faults.mentions
     section = read_table(kind, table, path, faults)
     for key, rule, mend in check(table, section) if isinstance(table, Mapping) else ():
         faults.add(f"{path}.{key}", rule, mend)
-    return None if len(faults) > before else section
+    return None if faults.mentions > before else section
 
 
 def measurements_from(
