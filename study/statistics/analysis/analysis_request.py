@@ -36,10 +36,8 @@ def threshold(practical: Practical) -> Threshold | None:
 
     Examples
     --------
-    >>> threshold("10 % of mean")
-    Threshold(value=0.1, relative=True)
-    >>> threshold(".5e-3 pp")
-    Threshold(value=0.0005, relative=False)
+    >>> threshold("10 % of mean"), threshold(".5e-3 pp").value
+    (Threshold(value=0.1, relative=True), 0.0005)
     """
     if practical is None or isinstance(practical, Threshold):
         return practical
