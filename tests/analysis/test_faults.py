@@ -121,6 +121,9 @@ def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_to_type_one() -
     assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in third.notes)
     assert third.anova.row("a:b").f is None
     assert "means are not estimable: a at L2; b at L1; a:b at L2 L1" in result.notes
+    of_settings = "main effects are those of the settings with all levels of the factor: "
+    assert f"{of_settings}a at 1 of 2 settings of b; b at 2 of 3 settings of a" in result.notes
+    assert not any(of_settings in note for note in lost.notes)
     assert result.effect("a").mean[:2] != (None, None)
 
 

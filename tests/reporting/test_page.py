@@ -443,3 +443,18 @@ def test_more_rows_would_narrow_what_a_table_leaves_open(tmp_path: Path) -> None
     page = words_of((tmp_path / "table-breaks.html").read_text("utf-8"))
     assert "these data cannot show whether wool matters" in page
     assert "More rows would narrow the interval of wool." in page
+
+
+def test_a_claim_goes_no_further_than_the_cells_that_were_measured(tmp_path: Path) -> None:
+    """Foam was never measured between oiled plates: of all settings nothing can be said."""
+    rng = np.random.default_rng(5)
+    rows = [
+        (batch, gel, plate, 20 + 3 * (gel == "stiff") + rng.normal(0, 0.1))
+        for batch, gel, plate in product("ABCDEF", ("soft", "stiff", "foam"), ("glued", "oiled"))
+        if (gel, plate) != ("foam", "oiled")
+    ]
+    table = pd.DataFrame(rows, columns=["batch", "gel", "plate", "E"])
+    analyze(table, "E", ["gel", "plate"], block="batch", practical="1").report(tmp_path)
+    page = words_of((tmp_path / "table-e.html").read_text("utf-8"))
+    assert "that of plate (where all its levels were measured) makes no practical" in page
+    assert "at every setting of the others that was measured it makes no practical" in page

@@ -181,7 +181,8 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
         parts.append(f"the choice{'s' * several} of {listed} matter{'s' * (not several)}")
     if small := named.pop(NO_DIFFERENCE, []):
         doubts = (
-            f" (not shown if {blocks_needed(e, facts)} is left out)" if e.lost_without else ""
+            " (where all its levels were measured)" * e.is_partial
+            + (f" (not shown if {blocks_needed(e, facts)} is left out)" if e.lost_without else "")
             for e in small
         )
         named_small = [_label(e, data) + doubt for e, doubt in zip(small, doubts, strict=True)]
@@ -280,9 +281,10 @@ def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
     every_factor = [e for facts in all_facts for e in effect_words.choices(data, facts)]
     together = {_label(e, data) for e in every_factor if not _may_be_chosen_alone(e)}
     if not together:
+        measured = " that was measured" * any(e.is_partial for e in every_factor)
         return (
-            "Each factor can be chosen independently: at every setting of the others it makes no "
-            "practical difference, or the same level is best."
+            f"Each factor can be chosen independently: at every setting of the others{measured} it "
+            "makes no practical difference, or the same level is best."
         )
     names = list(dict.fromkeys(_label(e, data) for e in every_factor))
     alone = [name for name in names if name not in together]

@@ -242,6 +242,11 @@ class Effect:
         return max(chosen, key=self.distance, default=self.largest_simple)
 
     @property
+    def is_partial(self) -> bool:
+        """Whether its levels are compared at some settings of the others alone: cells are empty."""
+        return ":" not in self.term and self.range is not None and None in self.mean
+
+    @property
     def depends_on_settings(self) -> bool:
         """Whether its simple effects are several, at settings of other factors."""
         return len({e.at for e in self.simple_effects}) > 1
