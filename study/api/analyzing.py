@@ -11,7 +11,7 @@ from study import api
 from study.api.folders import is_table
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import NUMBER, TYPED_COMMA, names_of, read_csv, read_tidy_csv
-from study.harness.design.study_file import SCORED, ResponseSpec
+from study.harness.design.study_file import SCORED, ResponseSpec, response_unit
 from study.harness.runner.job import held_out
 from study.harness.runner.record_analysis import analyze_records
 from study.reporting.content.analysis_content import analysis_blocks
@@ -150,10 +150,10 @@ def analyze(
         names = list(study.records[0].responses)
         if name not in names:
             raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, names)))
+        declared = by_name.get(name) or ResponseSpec(name, unit=response_unit(name))
         of_records = analyze_records(
-            study.design, study.records, by_name.get(name) or ResponseSpec(name, unit=""),
-            study.numerical, factors, options,
-        )  # fmt: skip
+            study.design, study.records, declared, study.numerical, factors, options
+        )
         return TableAnalysis.of(of_records)
     faults = []
     if response is None:
@@ -315,7 +315,9 @@ def fit_mixed_model(
     chosen = next((r for r in study.design.responses if r.name == response), None)
     chosen = study.design.responses[0] if response is None else chosen
     if chosen is not None:
-        options.setdefault("practical", chosen.practical)
+        given = options.get("practical")
+        limit = chosen.practical if given is None else threshold(given, chosen.unit)
+        options["practical"] = limit
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
     named = str(response) if chosen is None else chosen.name
     return mixed_model(study.table, named, names, **options)

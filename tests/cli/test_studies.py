@@ -135,6 +135,16 @@ def test_report_and_analyze_again_without_computing(done: Path) -> None:
     assert stamps(done) == before
 
 
+def test_a_practical_difference_is_read_in_the_unit_of_its_response(finished: Finished) -> None:
+    """500 Pa of a modulus in kPa were taken for 500 kPa, so that nothing could matter."""
+    asked = ("analyze", "results/small", "--response", "mu0", "--json", "--practical")
+    for size in ("500 Pa", "0.5 kPa", "0.5"):
+        effects = success(*asked, size, folder=finished.folder).json["effects"]
+        assert [effect["practical"] for effect in effects] == pytest.approx([0.5] * len(effects))
+    fault = refusal(*asked, "2 mm", folder=finished.folder).err
+    assert "practical: is in mm, which is not of the kind of kPa" in fault
+
+
 def test_why_explains_a_case(done: Path) -> None:
     case = sorted((done / "results" / "small" / "cases").iterdir())[0].name
     words = success("why", case[:8]).out

@@ -130,7 +130,7 @@ def _asked(
         given["model"],
         given["type"],
         rows.error,
-        ResponseScale(given["transform"], threshold(given["practical"]),
+        ResponseScale(given["transform"], threshold(given["practical"], response.unit),
                       given.get("u_num", u_num), given.get("tolerance")),
         records=True,
         specimens=given["specimens"],

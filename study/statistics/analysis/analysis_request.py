@@ -14,6 +14,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.contrast import Threshold
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.units import converted, naming
 from study.statistics.analysis.anova_table import (
     Anova,
     Effect,
@@ -31,23 +32,26 @@ _TEXT = re.compile(
 )
 
 
-def threshold(practical: Practical) -> Threshold | None:
-    """Read a practical difference: a number or a text.
+def threshold(practical: Practical, unit: str | None = None) -> Threshold | None:
+    """Read a practical difference, a number or a text, in the unit of its response where known.
 
     Examples
     --------
-    >>> threshold("10 % of mean"), threshold(".5e-3 pp").value
-    (Threshold(value=0.1, relative=True), 0.0005)
+    >>> threshold("10 % of mean"), threshold(".5e-3 pp").value, threshold("500 mN", "N").value
+    (Threshold(value=0.1, relative=True), 0.0005, 0.5)
     """
     if practical is None or isinstance(practical, Threshold):
         return practical
-    difference = _parse(practical) if isinstance(practical, str) else Threshold(float(practical))
+    if isinstance(practical, str):
+        difference = _parse(practical, unit)
+    else:
+        difference = Threshold(float(practical))
     if not (math.isfinite(difference.value) and difference.value > 0):
         raise InputError(Fault("practical", f"must be a positive difference, got {practical!r}"))
     return difference
 
 
-def _parse(text: str) -> Threshold:
+def _parse(text: str, response_unit: str | None) -> Threshold:
     match = _TEXT.match(text)
     if match is None:
         raise InputError(
@@ -60,7 +64,10 @@ def _parse(text: str) -> Threshold:
         raise InputError(
             Fault("practical", f"{text!r} can mean two things", "write 'pp' or '% of mean'")
         )
-    return Threshold(value)
+    if not unit or response_unit is None or (unit, response_unit) == ("pp", "%"):
+        return Threshold(value)
+    with naming("practical"):
+        return Threshold(converted(value, unit, response_unit))
 
 
 #: Smallest difference that matters, as it may be given; a number is in the unit of the response.
