@@ -150,7 +150,7 @@ def analyze(
         names = list(study.records[0].responses)
         if name not in names:
             raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, names)))
-        declared = by_name.get(name) or ResponseSpec(name, unit=response_unit(name))
+        declared = by_name.get(name) or ResponseSpec(name, unit=response_unit(name) or "")
         of_records = analyze_records(
             study.design, study.records, declared, study.numerical, factors, options
         )

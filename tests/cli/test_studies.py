@@ -140,7 +140,7 @@ def test_a_practical_difference_is_read_in_the_unit_of_its_response(finished: Fi
     asked = ("analyze", "results/small", "--response", "mu0", "--json", "--practical")
     for size in ("500 Pa", "0.5 kPa", "0.5"):
         effects = success(*asked, size, folder=finished.folder).json["effects"]
-        assert [effect["practical"] for effect in effects] == pytest.approx([0.5] * len(effects))
+        assert {effect["practical"] for effect in effects} - {None} == {0.5}
     fault = refusal(*asked, "2 mm", folder=finished.folder).err
     assert "practical: is in mm, which is not of the kind of kPa" in fault
 

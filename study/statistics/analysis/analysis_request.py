@@ -32,7 +32,7 @@ _TEXT = re.compile(
 )
 
 
-def threshold(practical: Practical, unit: str | None = None) -> Threshold | None:
+def threshold(practical: Practical, unit: str = "") -> Threshold | None:
     """Read a practical difference, a number or a text, in the unit of its response where known.
 
     Examples
@@ -51,7 +51,7 @@ def threshold(practical: Practical, unit: str | None = None) -> Threshold | None
     return difference
 
 
-def _parse(text: str, response_unit: str | None) -> Threshold:
+def _parse(text: str, response_unit: str) -> Threshold:
     match = _TEXT.match(text)
     if match is None:
         raise InputError(
@@ -64,7 +64,7 @@ def _parse(text: str, response_unit: str | None) -> Threshold:
         raise InputError(
             Fault("practical", f"{text!r} can mean two things", "write 'pp' or '% of mean'")
         )
-    if not unit or response_unit is None or (unit, response_unit) == ("pp", "%"):
+    if not unit or not response_unit or (unit, response_unit) == ("pp", "%"):
         return Threshold(value)
     with naming("practical"):
         return Threshold(converted(value, unit, response_unit))
