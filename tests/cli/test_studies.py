@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
@@ -141,7 +142,8 @@ def test_a_practical_difference_is_read_in_the_unit_of_its_response(finished: Fi
     for size in ("500 Pa", "0.5 kPa", "0.5"):
         effects = success(*asked, size, folder=finished.folder).json["effects"]
         assert {effect["practical"] for effect in effects} - {None} == {0.5}
-    fault = refusal(*asked, "2 mm", folder=finished.folder).err
+    with chdir(finished.folder):
+        fault = refusal(*asked, "2 mm").err
     assert "practical: is in mm, which is not of the kind of kPa" in fault
 
 
