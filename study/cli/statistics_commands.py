@@ -333,6 +333,7 @@ def _show_mixed(
         source, flags["--response"], listed(flags["--factors"]), options, results=results,
         decimal=flags["--decimal"] or ".",
     )  # fmt: skip
+    output.warn(model.notes)
     alpha = options.get("alpha", 0.05)
     document = {"method": "REML", "alpha": alpha, **vars(model)}
     response = flags["--response"] or ""

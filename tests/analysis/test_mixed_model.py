@@ -440,3 +440,34 @@ def test_unequal_scatter_withdraws_what_a_covariance_analysis_claims() -> None:
     (effect,) = found.effects
     assert effect.verdict == "cannot tell"
     assert "scatter unequally" in effect.why
+
+
+@pytest.mark.parametrize("runs", [2, 3])
+def test_runs_that_are_numbered_anew_on_every_day_are_asked_for(runs: int) -> None:
+    """A study of precision: run 1 of one day is no run of another, and its scatter was lost."""
+    rng = np.random.default_rng(5)
+    rows = [
+        {"day": f"d{day}", "run": run, "y": 100 + of_day + of_run + rng.normal(0, 0.5)}
+        for day in range(20)
+        for of_day in [rng.normal()]
+        for run in range(1, runs + 1)
+        for of_run in [rng.normal(0, 0.8)]
+        for _ in range(2)
+    ]
+    table, words = pd.DataFrame(rows), "if it is numbered anew in each day, name it day:run"
+    if runs == 2:
+        with pytest.raises(InputError, match=words):
+            study.mixed_model(table, "y", [], random=["day", "run"])
+    else:
+        assert study.mixed_model(table, "y", [], random=["day", "run"]).notes == (
+            f"run 1 is taken as the same run in every day; {words}",
+        )
+    nested = study.mixed_model(table, "y", [], random=["day", "day:run"])
+    assert not nested.notes
+    # balanced: the variances are those of the mean squares (Searle, Casella, McCulloch 1992, 4.4)
+    cells = table.groupby(["day", "run"]).y
+    within = cells.var().mean()
+    between = 2 * cells.mean().groupby("day").var().mean()
+    day = 2 * runs * cells.mean().groupby("day").mean().var()
+    expected = [(day - between) / (2 * runs), (between - within) / 2, within]
+    assert [part.sd**2 for part in nested.components] == pytest.approx(expected, rel=1e-6)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -125,6 +126,8 @@ class MixedModel:
     #: covariate.
     effects: tuple[Effect, ...] = ()
     contrasts: tuple[Contrast, ...] = ()
+    #: What the names of the random factors leave open.
+    notes: tuple[str, ...] = ()
 
 
 @one_thread
@@ -227,7 +230,30 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
             )
         ),
         cells.contrasts(contrasts, scale),
+        tuple(
+            f"{inner} {data.layout.levels[inner][0]} is taken as the same {inner} in every "
+            f"{outer}; {_numbered_anew(outer, inner)}"
+            for outer, inner in _recurring_numbers(data.layout, sources)
+        ),
     )
+
+
+def _recurring_numbers(layout: CellLayout, sources: Sequence[Term]) -> Iterator[tuple[str, str]]:
+    """Pairs of random factors of which the second has numbers for names, fewer than the first.
+
+    Runs that are numbered anew on every day are levels within the day, and look like levels that
+    cross the days.
+    """
+    single = [term[0] for term in sources if len(term) == 1]
+    for outer, inner in permutations(single, 2):
+        numbers = [str(level) for level in layout.levels[inner]]
+        is_fewer = len(numbers) < len(layout.levels[outer])
+        if is_fewer and all(map(str.isdigit, numbers)) and {outer, inner} not in map(set, sources):
+            yield outer, inner
+
+
+def _numbered_anew(outer: str, inner: str) -> str:
+    return f"if it is numbered anew in each {outer}, name it {outer}:{inner}"
 
 
 def _unequal_rows(cells: MixedCells, y: Array) -> Rival:
@@ -274,7 +300,9 @@ def fit_sources(data: Data, fixed: Factored, sources: Sequence[Term]) -> Restric
         place, levels = f"random factor {term_name(term)!r}", int(code.max()) + 1
         if levels < _FEWEST_LEVELS:
             rule = f"has {levels} levels: the scatter over them needs {_FEWEST_LEVELS}"
-            faults.append(Fault(place, rule))
+            pairs = _recurring_numbers(data.layout, sources)
+            anew = [_numbered_anew(*pair) for pair in pairs if term == pair[1:]]
+            faults.append(Fault(place, rule, *anew[:1]))
         elif levels == data.y.size:
             rule = "has a level of its own in every row, so it is the scatter within"
             faults.append(Fault(place, rule, "leave it out"))
