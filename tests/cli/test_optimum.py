@@ -283,3 +283,30 @@ def test_every_branch_of_a_set_is_traced() -> None:
                        for one in members])  # fmt: skip
         off = np.abs(logs @ [rule.exponents[f.name] for f in factors] - np.log(rule.value))
         assert off.max() <= np.log(rule.ratio) * (1 + 1e-9)
+
+
+def test_an_input_is_determined_where_others_make_up_for_each_other() -> None:
+    """Force k d (1 + a d^2) / (1 + b): k and b go to the ends of the runs, and a stays where it is.
+
+    The set is an ellipse in k / (1 + b) and a k / (1 + b), in which the force is linear.
+    """
+    factors = (NumericFactor("k", 1, 6), NumericFactor("a", 0.5, 2.5), NumericFactor("b", 0, 1))
+    depth, cube = np.linspace(0.1, 2, 15), hypercube(3, 60, 3)
+    k, a, b = (f.low + (f.high - f.low) * x for f, x in zip(factors, cube.T, strict=True))
+    basis = np.column_stack([depth, depth**3])
+    model = fit_curves(
+        Runs("force", factors, 2 * cube - 1, np.zeros(60)),
+        np.column_stack([k, k * a]) / (1 + b)[:, None] @ basis.T,
+    )
+    center = np.array([3.3, 3.3 * 1.2]) / 1.4
+    measured = basis @ center
+    largest = 0.01 * float(np.sqrt((measured**2).mean()))
+    found = agreeing(model, measured, np.full(3, np.nan), largest=largest)
+    np.testing.assert_array_equal(found.open_low, [True, False, True])
+    np.testing.assert_array_equal(found.open_high, [True, False, True])
+    turns = np.linspace(0, 2 * np.pi, 2001)
+    circle = np.sqrt(depth.size) * largest * np.array([np.cos(turns), np.sin(turns)])
+    edge = center[:, None] + np.linalg.solve(np.linalg.qr(basis)[1], circle)
+    ends = [factors[1].setting(float(end[1])) for end in (found.low, found.high)]
+    exact = edge[1] / edge[0]
+    assert ends == pytest.approx([exact.min(), exact.max()], abs=0.01)

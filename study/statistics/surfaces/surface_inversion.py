@@ -30,6 +30,10 @@ SEARCHES = 20
 NEGLIGIBLE = 1e-7
 #: a coded coordinate this near to an end of what was run stands there
 NEAR_END = 1e-3
+#: an input at an end of what was run limits another one where half of its range more would lower
+#: the sum of squares by this part of what agreeing curves may miss, which moves the end of the
+#: other one by a quarter of its distance from the best setting
+LIMITS = 0.5
 #: a power below this part of the largest one does not count
 COUNTS = 0.05
 #: step of the differences that give slopes, in coded units
@@ -119,9 +123,7 @@ def agreeing(
         for side, end in enumerate((search.low[j], search.high[j])):
             for branch in branches:
                 found = search.profile_end(int(j), float(end), branch, largest)
-                # whether a free coordinate stands at an end of what was run
-                room = np.minimum(found[-1] - search.low, search.high - found[-1])[search.free]
-                is_open[side, j] |= bool(room.min() < NEAR_END)
+                is_open[side, j] |= search.ends_with_the_runs(int(j), found[-1], rms, largest)
                 members += found[1:]
     points = np.array(members)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -262,6 +264,20 @@ class _Search:
             else:
                 outer = float(middle[j])
         return found
+
+    def ends_with_the_runs(self, j: int, at: Array, rms: float, largest: float) -> bool:
+        """Whether runs further out might move an end of an input: runs of it, or of another one.
+
+        Another input that stands at an end of what was run limits this one only if the sum of
+        squares would still fall beyond; where a third makes up for it, it stands there by chance.
+        """
+        below, above = at - self.low < NEAR_END, self.high - at < NEAR_END
+        if below[j] or above[j]:
+            return True
+        missed = self.model.value(at[None, :])[0] - self.measured
+        rise = 2.0 * self.slope(at, self.free).T @ missed
+        gain = np.where(below[self.free], rise, 0.0) - np.where(above[self.free], rise, 0.0)
+        return bool(gain.max() > LIMITS * self.measured.size * (largest**2 - rms**2))
 
     def combinations(
         self, at: Array, rms: float, largest: float, loose: Ints
