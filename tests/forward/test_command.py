@@ -29,7 +29,8 @@ from study.harness.external import answers, command, exchange
 from study.harness.external.answers import NoAnswer, values_of_files
 from study.harness.external.command import External
 from study.harness.runner.fit_problem import fit_key, fit_problem, request
-from study.harness.runner.fit_task import FitTask, fitted
+from study.harness.runner.fit_task import fitted
+from study.harness.runner.job import FitJob
 from tests.waiting import CAP_S, is_alive, until
 
 ROOT = Path(__file__).parents[2]
@@ -552,7 +553,7 @@ def test_the_program_of_a_fit_gets_the_parameters_of_the_user():
         request = {"displacement_mm": POINTS, "material": {"constants_MPa": {"C10": C10}}}
         measured = Curve(POINTS, forces({**request, **cell.own_tables()}))
         assert fit.method == "external"
-        found = fitted(FitTask(fit, (measured,)))
+        found = fitted(FitJob(fit, (measured,)))
         assert found.constants == pytest.approx({"C10": C10}, rel=1e-4), found.message
         keys[gain] = fit_key(fit, [measured])
     assert keys[1.0] != keys[3.0]

@@ -407,7 +407,7 @@ def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> Non
 def fit_of_a_study(path: Path, measured: Curve) -> FitResult:
     """Fit the curve of the first test as a study does, from a worker's plain data."""
     way = fitted_test("auto", load_calibration(path).tests[0].problem)
-    return fit_task.fitted(fit_task.FitTask(FitProblem(way.method, (way,)), (measured,)))
+    return fit_task.fitted(fit_task.FitJob(FitProblem(way.method, (way,)), (measured,)))
 
 
 @pytest.mark.parametrize("points", [60, 1000])

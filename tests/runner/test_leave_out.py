@@ -13,8 +13,8 @@ from study.harness.design.cell import Cell, CellProblem
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import fit_problem, together
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.fit_task import FitTask, fitted
-from study.harness.runner.job import Work
+from study.harness.runner.fit_task import fitted
+from study.harness.runner.job import FitJob, Work
 from study.harness.runner.tasks import Costs
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
@@ -66,7 +66,7 @@ def expanded(
 def constants(work: Work, key: str) -> FitResult:
     job = work.fits[key]
     start = None if job.start is None else constants(work, job.start.key)
-    return fitted(FitTask(job.problem, job.measured, start))
+    return fitted(FitJob(job.problem, job.measured, start))
 
 
 def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -> None:

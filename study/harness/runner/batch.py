@@ -32,7 +32,6 @@ from study.harness.record.store import Store
 from study.harness.runner.expansion import case_job
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.fit_task import FitTask
 from study.harness.runner.job import TRUTH_SUFFIX, CaseJob, FitJob, Work, fits_of
 from study.harness.runner.provenance import versions
 from study.harness.runner.refinement import base_size_mm
@@ -292,10 +291,10 @@ def _written(job: CaseJob, notes: Notes, outcome: Outcome, store: Store) -> Reco
     return record
 
 
-def _fit_task(job: FitJob, results: Results) -> FitTask:
+def _fit_task(job: FitJob, results: Results) -> FitJob:
     """Make what a worker gets of a fit, once the fit that starts it is known."""
-    start = None if job.start is None else FitResult.from_json(results[job.start.key])
-    return FitTask(job.problem, job.measured, start, job.noise)
+    begun = None if job.start is None else FitResult.from_json(results[job.start.key])
+    return replace(job, start=None, begun=begun)
 
 
 def _case_task(job: CaseJob, results: Results) -> CaseJob:

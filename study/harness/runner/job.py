@@ -148,17 +148,18 @@ class DataCache:
 
 @dataclass(frozen=True)
 class FitJob:
-    """One fit: its problem, its data, and the fit that gives its start values.
+    """One fit: its problem, its data, and the fit that gives its start values."""
 
-    ``noise`` is the seed and the number of a fit to the resampled residuals of its start.
-    """
-
-    key: str
     problem: FitProblem
+    #: The averaged curves that it is fitted to.
     measured: tuple[Curve, ...]
+    #: Outcome of the fit that starts it, or whose residuals are resampled, once that is done.
+    begun: FitResult | None = None
+    #: Seed and number of a fit to the resampled residuals of its start.
+    noise: tuple[int, int] | None = None
     start: FitJob | None = None
     label: str = ""
-    noise: tuple[int, int] | None = None
+    key: str = ""
 
     def resampled(self, seed: int, number: int) -> FitJob:
         """Make the fit to resampled residuals of this one."""
@@ -521,4 +522,5 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
     """Make a fit and those that give its start values."""
     before = start_problem(problem)
     start = None if before is None else fit_job(before, measured, label)
-    return FitJob(fit_key(problem, measured), problem, measured, start, label)
+    key = fit_key(problem, measured)
+    return FitJob(problem, measured, start=start, label=label, key=key)

@@ -26,7 +26,7 @@ from study.harness.execution.local import Loky
 from study.harness.execution.task import Document, Executor, Perform, Task
 from study.harness.external.command import External
 from study.harness.runner import case, fit_task, solve_task
-from study.harness.runner.fit_problem import FitProblem, FittedTest
+from study.harness.runner.fit_problem import FitPart, FitProblem
 from study.harness.runner.fit_summary import USUAL_EVALUATIONS
 from study.harness.runner.job import CaseJob, FitJob
 from study.harness.runner.provenance import versions
@@ -40,7 +40,7 @@ PING = "ping"
 #: what does a task, by its class
 KINDS: dict[type, Perform] = {
     CaseJob: case.perform,
-    fit_task.FitTask: fit_task.perform,
+    FitJob: fit_task.perform,
     solve_task.SolveTask: solve_task.perform,
     str: lambda task: {"status": "converged"},
 }
@@ -202,7 +202,7 @@ class Costs:
         names = problem.material.calibrated_names
         return _OVERHEAD_S + sum(self._test_seconds(test, names) for test in problem.tests)
 
-    def _test_seconds(self, test: FittedTest, names: Sequence[str]) -> float:
+    def _test_seconds(self, test: FitPart, names: Sequence[str]) -> float:
         """Seconds that one test of a fit takes: nothing where it has a closed form."""
         external = External.of(test.problem)
         if test.method == "external" and external is not None:
