@@ -292,13 +292,11 @@ def _written(job: CaseJob, notes: Notes, outcome: Outcome, store: Store) -> Reco
 
 
 def _fit_task(job: FitJob, results: Results) -> FitJob:
-    """Make what a worker gets of a fit, once the fit that starts it is known."""
     begun = None if job.start is None else FitResult.from_json(results[job.start.key])
     return replace(job, start=None, begun=begun)
 
 
 def _case_task(job: CaseJob, results: Results) -> CaseJob:
-    """Make what a worker gets of a case, once its fits are known."""
     return job.sent({fit.key: FitResult.from_json(results[fit.key]) for fit in job.fits})
 
 
@@ -338,6 +336,7 @@ def read_truths(root: Path, files: Mapping[str, str]) -> dict[str, Any]:
 
 def manifest_of(work: Work) -> ManifestDocument:
     """Say what a study is, before anything of it is computed."""
+    truths = read_truths(work.data.root, work.data.files())
     return {
         "name": work.design.name,
         "design": dump(work.design),
@@ -347,8 +346,8 @@ def manifest_of(work: Work) -> ManifestDocument:
         "blocks": list(work.blocks),
         "notes": list(work.data.notes()),
         "files": work.data.files(),
-        "virtual": work.virtual,
-        "truths": read_truths(work.data.root, work.data.files()),
+        "virtual": bool(truths),
+        "truths": truths,
         "versions": versions(),
         "timings": {},
     }

@@ -233,7 +233,6 @@ def located_cell(cell: Cell, places: Sequence[Path]) -> Cell:
 
 
 def _with_markers(problem: CellProblem, places: Sequence[Path]) -> CellProblem:
-    """Copy a problem with the file of its markers found."""
     spec, missing = problem.markers, list[Fault]()
     if spec is None:
         return problem
@@ -305,7 +304,6 @@ def data_root(
 
 
 def _holds(folder: Path, files: Iterable[MeasurementSpec]) -> bool:
-    """Whether a folder has a file for each of some specifications."""
     try:
         for spec in files:
             if spec.file is not None:

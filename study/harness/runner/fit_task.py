@@ -317,8 +317,6 @@ class InverseFem:
 
 @dataclass(frozen=True)
 class _UnitSolution:
-    """What is kept of a solution at a constant of 1 MPa."""
-
     status: str
     message: str
     newton_iterations: int
