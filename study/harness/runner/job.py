@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import ClassVar, Literal
 
 from study.ground.canonical import digest
 from study.ground.curve import Curve
@@ -160,6 +160,17 @@ class FitJob:
     start: FitJob | None = None
     label: str = ""
     key: str = ""
+    #: It shares nothing that a worker keeps.
+    group: ClassVar[str] = ""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Key of the fit that it waits for."""
+        return () if self.start is None else (self.start.key,)
+
+    def sent(self, outcomes: Mapping[str, FitResult]) -> FitJob:
+        """Copy for a worker, complete in itself."""
+        return replace(self, start=None, begun=next(iter(outcomes.values()), None))
 
     def resampled(self, seed: int, number: int) -> FitJob:
         """Make the fit to resampled residuals of this one."""
@@ -265,6 +276,11 @@ class CaseJob:
         """The fits that it waits for, each once."""
         every = (self.anchor, *(pair.fit for pair in self.directions))
         return tuple({fit.key: fit for fit in every if fit is not None}.values())
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Keys of these fits."""
+        return tuple(fit.key for fit in self.fits)
 
     def outcome(self, pair: ScorePair) -> FitResult | None:
         """Outcome of the fit of a direction; None where the constants are given."""

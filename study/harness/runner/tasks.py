@@ -237,11 +237,22 @@ class Costs:
             self._anchored.add(job.group)
         return _OVERHEAD_S + solves * solve_s
 
+    def seconds(self, job: FitJob | CaseJob) -> float:
+        """Seconds of a fit, or of a case without its fits."""
+        if isinstance(job, FitJob):
+            return self.fit_seconds(job.problem)
+        return self.case_seconds(job)
+
+    def MB(self, job: FitJob | CaseJob) -> float:  # noqa: N802
+        """Peak memory of a fit or of a case."""
+        if isinstance(job, FitJob):
+            return self.fit_memory_MB(job.problem)
+        return self.case_memory_MB(job)
+
     def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
         """Wall time on a number of workers."""
-        work = sum(self.fit_seconds(f.problem) for f in fits)
-        work += sum(self.case_seconds(c) for c in cases)
-        return work / jobs
+        work = sum(self.fit_seconds(fit.problem) for fit in fits)
+        return (work + sum(self.case_seconds(job) for job in cases)) / jobs
 
     def solve_seconds(self, problem: CellProblem, depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""
