@@ -15,7 +15,7 @@ import pytest
 
 from study import api
 from study.ground import errors
-from tests.cli.small import study
+from tests.cli.small import study, success
 from tests.pages import both_pages
 
 
@@ -125,8 +125,7 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path,
         api.run(design, results=tmp_path / "results", reports=None)
     monkeypatch.chdir(tmp_path)
     digest = api.plan(design).digest
-    done = study("run", design.name, "--json", "--jobs", 1, f"--allow-commands={digest}")
-    assert done.code == 0, done.err
+    done = success("run", design.name, "--json", "--jobs", 1, f"--allow-commands={digest}")
     assert_effects(done.json["verdicts"])
     record = api.load(tmp_path / "results" / "spring").records[0]
     assert "stiffness 800" in record.extra["rendered"]["input.txt"]
