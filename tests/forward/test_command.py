@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from study import api
 from study.api.opened_study import load as open_study
 from study.ground.curve import Curve
 from study.ground.errors import InputError, RefusedError
@@ -413,8 +414,6 @@ def test_a_study_runs_programs_that_were_allowed_and_finds_the_built_in_constant
 
 
 def test_a_function_in_python_that_is_not_given_is_asked_for(folder):
-    from study import api
-
     text = DESIGN.replace('model = "command"\nargv = [["python", "closed_form.py"]]\n'
                           'files = ["solvers/closed_form.py"]', 'model = "python"')  # fmt: skip
     (folder / "design.toml").write_text(text)
@@ -424,8 +423,6 @@ def test_a_function_in_python_that_is_not_given_is_asked_for(folder):
 
 def test_hostile_answers_are_statuses_of_their_cases(folder):
     """Through the public verb: every case ends, and says what was wrong."""
-    from study import api
-
     large = WRITES.format("displacement_mm,force_N\n1,1e29\n6,-1e29\n")
     text = f"import os, sys\nif sys.argv[1:]: os.mkfifo('curve.csv')\nelse: {large}"
     (folder / "solvers/closed_form.py").write_text(text)
