@@ -56,10 +56,11 @@ def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path: Path) -> None:
         nanny.wait(timeout=CAP_S)
 
 
-def test_workers_that_are_lost(tmp_path: Path) -> None:
-    """One costs what it was doing; a task that loses two is a failed case and says so.
+def test_what_is_lost_with_workers_and_with_the_scheduler(tmp_path: Path) -> None:
+    """A worker costs what it was doing; a task that loses two is a failed case and says so.
 
-    It may be what brings the machines down; others are done by the worker that comes.
+    It may be what brings the machines down; others are done by the worker that comes. One that
+    hangs holds nobody, and what is finished before the scheduler goes is kept.
     """
     with loopback(tmp_path) as made:
         tasks = [task(str(k), "process") for k in range(40)]
@@ -77,10 +78,23 @@ def test_workers_that_are_lost(tmp_path: Path) -> None:
         killer.start()
         found = {outcome.key: outcome for outcome in outcomes}
         killer.join()
-    assert found["slow"].status == "crashed"
-    assert "lost with its worker tcp://127.0.0.1" in found["slow"].message
-    assert found["slow"].message.endswith(", twice")
-    assert found["a"].status == "converged"
+        assert found["slow"].status == "crashed"
+        assert "lost with its worker tcp://127.0.0.1" in found["slow"].message
+        assert found["slow"].message.endswith(", twice")
+        assert found["a"].status == "converged"
+
+        outcomes = Cluster(perform, made.file).run([task("a"), task("b"), task("c")])
+        assert sorted(next(outcomes).key for _ in range(3)) == ["a", "b", "c"]
+        made.workers[-1].send_signal(signal.SIGSTOP)
+        assert list(outcomes) == []
+        made.workers[-1].send_signal(signal.SIGCONT)
+        outcomes = Cluster(perform, made.file).run([task("a"), task("b"), task("slow", "hang")])
+        assert sorted(next(outcomes).key for _ in range(2)) == ["a", "b"]
+        made.scheduler.kill()
+        with pytest.raises(SchedulerLostError, match="what is finished is kept") as lost:
+            next(outcomes)
+    assert "it resumes" in str(lost.value)
+    assert lost.value.exit_code == 130
 
 
 def begun(mark: Path) -> int:
@@ -94,26 +108,6 @@ def _lose_twice(made: Loopback, mark: Path) -> None:
         until(lambda k=k: begun(mark) > k)
         made.workers[-1].kill()
         made.start_worker()
-
-
-def test_a_worker_that_hangs_and_a_scheduler_that_is_lost_keep_what_is_finished(
-    tmp_path: Path,
-) -> None:
-    with loopback(tmp_path) as made:
-        outcomes = Cluster(perform, made.file).run([task("a"), task("b"), task("c")])
-        seen = [next(outcomes).key for _ in range(3)]
-        made.workers[0].send_signal(signal.SIGSTOP)
-        assert list(outcomes) == []
-        made.workers[0].send_signal(signal.SIGCONT)
-        assert sorted(seen) == ["a", "b", "c"]
-        outcomes = Cluster(perform, made.file).run([task("a"), task("b"), task("slow", "hang")])
-        seen = [next(outcomes).key, next(outcomes).key]
-        made.scheduler.kill()
-        with pytest.raises(SchedulerLostError, match="what is finished is kept") as lost:
-            next(outcomes)
-    assert sorted(seen) == ["a", "b"]
-    assert "it resumes" in str(lost.value)
-    assert lost.value.exit_code == 130
 
 
 def test_a_worker_without_the_package_is_refused(tmp_path: Path) -> None:

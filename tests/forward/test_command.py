@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from study import api
 from study.api.opened_study import load as open_study
 from study.ground.curve import Curve
 from study.ground.errors import InputError, RefusedError
@@ -29,7 +30,8 @@ from study.harness.external import answers, command, exchange
 from study.harness.external.answers import NoAnswer, values_of_files
 from study.harness.external.command import External
 from study.harness.runner.fit_problem import fit_key, fit_problem, request
-from study.harness.runner.fit_task import FitTask, fitted
+from study.harness.runner.fit_task import fitted
+from study.harness.runner.job import FitJob
 from tests.waiting import CAP_S, is_alive, until
 
 ROOT = Path(__file__).parents[2]
@@ -412,8 +414,6 @@ def test_a_study_runs_programs_that_were_allowed_and_finds_the_built_in_constant
 
 
 def test_a_function_in_python_that_is_not_given_is_asked_for(folder):
-    from study import api
-
     text = DESIGN.replace('model = "command"\nargv = [["python", "closed_form.py"]]\n'
                           'files = ["solvers/closed_form.py"]', 'model = "python"')  # fmt: skip
     (folder / "design.toml").write_text(text)
@@ -423,8 +423,6 @@ def test_a_function_in_python_that_is_not_given_is_asked_for(folder):
 
 def test_hostile_answers_are_statuses_of_their_cases(folder):
     """Through the public verb: every case ends, and says what was wrong."""
-    from study import api
-
     large = WRITES.format("displacement_mm,force_N\n1,1e29\n6,-1e29\n")
     text = f"import os, sys\nif sys.argv[1:]: os.mkfifo('curve.csv')\nelse: {large}"
     (folder / "solvers/closed_form.py").write_text(text)
@@ -552,7 +550,7 @@ def test_the_program_of_a_fit_gets_the_parameters_of_the_user():
         request = {"displacement_mm": POINTS, "material": {"constants_MPa": {"C10": C10}}}
         measured = Curve(POINTS, forces({**request, **cell.own_tables()}))
         assert fit.method == "external"
-        found = fitted(FitTask(fit, (measured,)))
+        found = fitted(FitJob(fit, (measured,)))
         assert found.constants == pytest.approx({"C10": C10}, rel=1e-4), found.message
         keys[gain] = fit_key(fit, [measured])
     assert keys[1.0] != keys[3.0]

@@ -57,7 +57,7 @@ def setting(indenter: str, specimen: str, nu: float = 0.4995) -> dict[str, Any]:
 
 def calibrated(document: dict[str, Any], measured: Curve) -> fit_task.FitResult:
     problem = fit_problem(Cell(CellProblem.of(document), "auto"))
-    return fit_task.fitted(fit_task.FitTask(problem, (measured,)))
+    return fit_task.fitted(fit_task.FitJob(problem, (measured,)))
 
 
 def virtual(config: dict[str, Any]) -> Curve:

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from study.ground.curve import Curve
 from study.harness.runner.fit_task import resampled, residuals_of
-from tests.cli.small import case_file, gauge, recorded, study
+from tests.cli.small import case_file, gauge, recorded, refusal, success
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -43,8 +43,7 @@ def written(folder: Path, specimens: list[np.ndarray], shear: np.ndarray) -> Pat
 
 def drawn(path: Path, count: int = 250) -> Any:
     more = ("--results", path.parent / "r", "--bootstrap", str(count), "--json")
-    found = study("calibrate", path, "--data", path.parent, *more)
-    assert found.code == 0, found.err
+    found = success("calibrate", path, "--data", path.parent, *more)
     return found.json["bootstrap"]
 
 
@@ -83,8 +82,7 @@ def test_specimens_are_drawn_whole(tmp_path: Path) -> None:
 def test_too_few_resamples_are_refused(tmp_path: Path) -> None:
     shear = np.linspace(0.05, 0.5, 12)
     path = written(tmp_path, [2 * C10_KPA * shear + 0.1 * np.sin(shear * 90)], shear)
-    refused = study("calibrate", path, "--data", tmp_path, "--bootstrap", "50")
-    assert refused.code == 2
+    refused = refusal("calibrate", path, "--data", tmp_path, "--bootstrap", "50")
     assert "at least 200 resamples" in refused.err
 
 

@@ -177,7 +177,7 @@ def test_energies_are_weighed(
     assert "AICc prefers reduced-polynomial-2" in said
 
 
-def test_specimens_pooled_each_and_left_out(tmp_path: Path) -> None:
+def test_specimens_pooled_each_left_out_and_equal(tmp_path: Path) -> None:
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, repeats=2,
           specimens={"A": 1.0, "B": 1.1, "C": 0.9})  # fmt: skip
     tests = [{"more": ', average = ["r"], block = "s"'}]
@@ -196,15 +196,11 @@ def test_specimens_pooled_each_and_left_out(tmp_path: Path) -> None:
     assert [c.specimen for c in held] == ["B"]
     # 0.95 predicts 1.1: 13.6 % too soft
     assert held[0].as_dict()["relative_rms_force_error"] == pytest.approx(13.6, abs=0.3)
-
-
-def test_equal_specimens_share_their_constants(tmp_path: Path) -> None:
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.05,
           specimens={"A": 1.0, "B": 1.0})  # fmt: skip
-    tests = [{"more": ', average = ["r"], block = "s"'}]
-    found = calibrated(case(tmp_path, tests, more='[calibration]\nspecimens = "each"\n'))
-    assert found.same_constants_p is not None
-    assert found.same_constants_p > 0.01
+    equal = calibrated(case(tmp_path, tests, more='[calibration]\nspecimens = "each"\n'))
+    assert equal.same_constants_p is not None
+    assert equal.same_constants_p > 0.01
 
 
 def test_tests_are_fitted_together_held_out_and_left_out(tmp_path: Path) -> None:
@@ -225,21 +221,22 @@ def test_tests_are_fitted_together_held_out_and_left_out(tmp_path: Path) -> None
     )
 
 
-def test_scatter_weights_are_one_over_the_error_of_the_mean(tmp_path: Path) -> None:
-    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, repeats=8)
-    found = calibrated(case(tmp_path, [{"weight": '"scatter"'}]))
-    # chi^2 / 38 of means over their own standard errors of 7 degrees of freedom: mean 7/5
-    assert 0.7 < found.fit.rss / found.fit.degrees_of_freedom < 2.8
-
-
-@pytest.mark.parametrize("weight", ["scatter", "relative"])
-def test_single_tests_are_weighed_by_the_noise_of_neighboring_rows(
-    tmp_path: Path, weight: str
+@pytest.mark.parametrize(
+    ("weight", "noise", "repeats", "points", "low", "high"),
+    [
+        # chi^2 / 38 of means over their own standard errors of 7 degrees of freedom: mean 7/5
+        ("scatter", 0.02, 8, "40", 0.7, 2.8),
+        # of single tests by the noise of neighboring rows: residuals have unit variance
+        ("scatter", 0.05, 1, '"raw"', 0.5, 2.0),
+        ("relative", 0.05, 1, '"raw"', 0.5, 2.0),
+    ],
+)
+def test_weights_are_one_over_the_noise(
+    tmp_path: Path, weight: str, noise: float, repeats: int, points: str, low: float, high: float
 ) -> None:
-    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.05)
-    found = calibrated(case(tmp_path, [{"weight": f'"{weight}"', "points": '"raw"'}]))
-    # weights are one over the noise: residuals have unit variance
-    assert 0.5 < found.fit.rss / found.fit.degrees_of_freedom < 2
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=noise, repeats=repeats)
+    found = calibrated(case(tmp_path, [{"weight": f'"{weight}"', "points": points}]))
+    assert low < found.fit.rss / found.fit.degrees_of_freedom < high
     assert found.fit.values[0] == pytest.approx(RP2["C10"], rel=0.05)
 
 
@@ -407,7 +404,7 @@ def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> Non
 def fit_of_a_study(path: Path, measured: Curve) -> FitResult:
     """Fit the curve of the first test as a study does, from a worker's plain data."""
     way = fitted_test("auto", load_calibration(path).tests[0].problem)
-    return fit_task.fitted(fit_task.FitTask(FitProblem(way.method, (way,)), (measured,)))
+    return fit_task.fitted(fit_task.FitJob(FitProblem(way.method, (way,)), (measured,)))
 
 
 @pytest.mark.parametrize("points", [60, 1000])

@@ -15,7 +15,8 @@ from study.harness.design.cell import Cell, CellProblem
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import FitProblem, fit_key, fit_problem
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.fit_task import FitTask, fitted
+from study.harness.runner.fit_task import fitted
+from study.harness.runner.job import FitJob
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import mesh_size
@@ -65,7 +66,7 @@ def test_closed_form_recovers_the_constants_of_exact_data(
 ) -> None:
     problem = calibration_of(config(model, "frictionless", order=order))
     assert problem.method == "closed-form"
-    found = fitted(FitTask(problem, (curve(model, truth),)))
+    found = fitted(FitJob(problem, (curve(model, truth),)))
     assert found.status == "converged", found.message
     # V40: noise-free recovery to 1e-10 of an analytic model; RP3 is the worst conditioned
     assert found.constants == pytest.approx(truth, rel=1e-7, abs=1e-12)
@@ -89,12 +90,12 @@ def test_equal_problems_of_one_constant_are_solved_once(monkeypatch: pytest.Monk
     problem = calibration_of(config("neo-hookean", "bonded"))
     base = curve("neo-hookean", {"C10": 8e-3})
     for share in (1.0, 2.5):
-        found = fitted(FitTask(problem, (bonded(base, share),)))
+        found = fitted(FitJob(problem, (bonded(base, share),)))
         assert found.constants == pytest.approx({"C10": share * 8e-3}, rel=2e-3)
         assert found.fit["solves"] == 1
     assert len(problems) == 1
     shallower = replace(base, displacement_mm=0.9 * base.displacement_mm)
-    fitted(FitTask(problem, (shallower,)))
+    fitted(FitJob(problem, (shallower,)))
     assert len(problems) == 2
 
 
@@ -112,7 +113,7 @@ def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
 
     monkeypatch.setattr(finite_element, "solve", stops)
     problem = calibration_of(of_two_constants())
-    found = fitted(FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),)))
+    found = fitted(FitJob(problem, (curve("neo-hookean", {"C10": 8e-3}),)))
     assert found.status == "not-converged"
     assert len(calls) > 2  # it tried shorter steps before it gave up
 
@@ -133,7 +134,7 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
     measured = bonded(curve("reduced-polynomial", truth))
     monkeypatch.setattr(finite_element, "solve", lost)
     problem = calibration_of(of_two_constants())
-    found = fitted(FitTask(problem, (measured,)))
+    found = fitted(FitJob(problem, (measured,)))
     assert found.status == "converged", found.message
     assert found.constants == pytest.approx(truth, rel=2e-3)
     # every simulation after the first is done twice
@@ -144,7 +145,7 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
 def test_a_failed_start_is_told_and_not_replaced_by_another() -> None:
     problem = calibration_of(config("mooney-rivlin", "bonded"))
     start = FitResult.from_json({"status": "crashed", "message": "crashed (signal 9), twice"})
-    task = FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),), start)
+    task = FitJob(problem, (curve("neo-hookean", {"C10": 8e-3}),), start)
     found = fitted(task)
     assert found.status == "crashed"
     assert "the fit that starts it" in found.message

@@ -51,7 +51,7 @@ def test_a_record_judges_its_fit_over_the_simulated_test(depth: float, stable: b
         "material": {"model": "reduced-polynomial", "order": 2, "incompressible": True},
     })  # fmt: skip
     cell = Cell(gauge, "auto")
-    pair = ScorePair("all", None, FitJob("fit", fit_problem(cell), ()), pressed_mm=depth)
+    pair = ScorePair("all", None, FitJob(fit_problem(cell), (), key="fit"), pressed_mm=depth)
     fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
     job = CaseJob(Case(Treatment({}, cell), None, cell, "case"), (pair,), "hash")
     task = job.sent({pair.fit_key: FitResult("converged", fit)})

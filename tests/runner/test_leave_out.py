@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from study.ground.errors import InputError
@@ -13,13 +12,11 @@ from study.harness.design.cell import Cell, CellProblem
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import fit_problem, together
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.fit_task import FitTask, fitted
-from study.harness.runner.job import Work
+from study.harness.runner.fit_task import fitted
+from study.harness.runner.job import FitJob, Work
 from study.harness.runner.tasks import Costs
-from study.mechanics.forward import closed_form
-from study.mechanics.material.material import Material
-from study.mechanics.setup.geometry import Cylinder
 from tests.cli.small import measured, pressed, responses
+from tests.runner.test_calibrate import write as write_tests
 
 BLOCK = 'block = "s"\n'
 SPECIMEN = 'leave_out = "specimen"'
@@ -35,13 +32,8 @@ HEIGHTS = """height = ["low", "high", "higher"]
 
 
 def write(path: Path, stiffness: dict[str, float]) -> None:
-    d = np.linspace(0, 12, 121)
-    material = Material("reduced-polynomial", {"C10": 7e-3, "C20": 1e-3}, poisson_ratio=0.4995)
-    force = closed_form.compression(Cylinder(25.0, 30.0), material, d).force_N
-    rows = ["s,d,f"]
-    for label, factor in stiffness.items():
-        rows += [f"{label},{x:.5f},{factor * y:.8f}" for x, y in zip(d, force, strict=True)]
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    constants = {"C10": 7e-3, "C20": 1e-3}
+    write_tests(path, "reduced-polynomial", constants, depth=12.0, specimens=stiffness)
 
 
 def expanded(
@@ -66,7 +58,7 @@ def expanded(
 def constants(work: Work, key: str) -> FitResult:
     job = work.fits[key]
     start = None if job.start is None else constants(work, job.start.key)
-    return fitted(FitTask(job.problem, job.measured, start))
+    return fitted(FitJob(job.problem, job.measured, start))
 
 
 def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -> None:

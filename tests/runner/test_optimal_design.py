@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.small import case_file, gauge, recorded, study
+from tests.cli.small import case_file, gauge, recorded, study, success
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -48,10 +48,9 @@ def written(folder: Path, tests: list[tuple[str, float]], rng: np.random.Generat
 
 
 def calibrated(path: Path) -> Any:
-    answer = study(
+    answer = success(
         "calibrate", path, "--data", path.parent, "--results", path.parent / "r", "--json"
     )
-    assert answer.code == 0, answer.err
     return answer.json
 
 
@@ -113,6 +112,5 @@ def test_the_terminal_says_it_and_is_silent_where_all_is_known(tmp_path: Path) -
     assert " would cut the standard errors of C10 from " in said
     assert "for every constant to be known to 10 %" in said
     written(tmp_path, [("tension", 1.0), ("equibiaxial", 0.8)], rng)
-    known = study(*arguments)
-    assert known.code == 0, known.err
+    known = success(*arguments)
     assert "next test" not in known.out

@@ -15,7 +15,7 @@ import pytest
 
 from study import api
 from study.ground import errors
-from tests.cli.small import study
+from tests.cli.small import study, success
 from tests.pages import both_pages
 
 
@@ -95,8 +95,8 @@ def run(text, folder, forward=spring, **more):
     )  # fmt: skip
 
 
-def program(folder, factors=FACTORS):
-    (folder / "design.toml").write_text(HEAD + PROGRAM + factors + DECLARED)
+def program(folder):
+    (folder / "design.toml").write_text(HEAD + PROGRAM + FACTORS + DECLARED)
     (folder / "input.txt.j2").write_text(TEMPLATE)
     (folder / "spring.py").write_text(CODE)
     return folder / "design.toml"
@@ -125,8 +125,7 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path,
         api.run(design, results=tmp_path / "results", reports=None)
     monkeypatch.chdir(tmp_path)
     digest = api.plan(design).digest
-    done = study("run", design.name, "--json", "--jobs", 1, f"--allow-commands={digest}")
-    assert done.code == 0, done.err
+    done = success("run", design.name, "--json", "--jobs", 1, f"--allow-commands={digest}")
     assert_effects(done.json["verdicts"])
     record = api.load(tmp_path / "results" / "spring").records[0]
     assert "stiffness 800" in record.extra["rendered"]["input.txt"]
@@ -165,49 +164,51 @@ def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, monkeypatch, cha
         api.plan(design)
 
 
-@pytest.mark.parametrize(
-    ("code", "said"),
-    [
-        ('json.dump({"peak": "many"}, open("out.json", "w"))', "is no number"),
-        ('json.dump({"peak": 1e999}, open("out.json", "w"))', "not a finite number|out.json"),
-        ('json.dump({"peak": "1e400"}, open("out.json", "w"))', "not a finite number"),
-        ('json.dump({"peak": "5 kg"}, open("out.json", "w"))', "is in kg"),
-        ('json.dump({"peek": 5}, open("out.json", "w"))', "did you mean 'peek'"),
-        ('open("out.json", "w").write("{}")', "no value 'peak'"),
-        ("pass", "wrote no out.json"),
-        ("raise SystemExit(3)", "return code 3"),
-        ('open("out.json", "w").write("[")', "out.json"),
-    ],
-)
-def test_a_program_without_an_answer_is_a_status_of_its_case(tmp_path, code, said):
-    design = program(tmp_path, SOFT_OR_STIFF)
-    path = tmp_path / "spring.py"
-    good = 'json.dump({"peak": {"value": peak, "unit": "m"}}, open("out.json", "w"))'
-    path.write_text(CODE.replace(good, f'if p["stiffness"] > 1000: {good}\nelse: {code}'))
-    found = api.run(design, results=tmp_path / "results", reports=None, allow_commands=True, jobs=1)
-    failed = [record for record in found.records if not record.converged]
-    assert len(found.records) == 2
-    (record,) = failed
-    assert re.search(said, record.message), record.message
-    assert record.levels["parameters.stiffness"] == "800 N/m"
-    assert record.solver["program"]["steps"]
+def with_deeds(folder, deeds):
+    """Run a program that does another thing in each case, by the number of the case."""
+    design, code = program(folder), CODE.split("json.dump")[0]
+    deed = f"parameters.deed = {list(range(len(deeds)))}\n"
+    text = design.read_text().replace("[forward]", "deed = 0\n[forward]")
+    design.write_text(text.replace(FACTORS, f"[factors]\n{deed}"))
+    (folder / "input.txt.j2").write_text(f"{TEMPLATE}deed {{{{ parameters.deed }}}}\n")
+    code += f"exec({deeds!r}[int(p['deed'])])\nprint('x =', x, 'm')\n"
+    (folder / "spring.py").write_text(code)
+    found = api.run(design, results=folder / "results", reports=None, allow_commands=True, jobs=1)
+    return sorted(found.records, key=lambda record: int(record.levels["parameters.deed"]))
 
 
-@pytest.mark.parametrize(
-    ("table", "peak"),
-    [
-        ("peak\n12.5\n", 12.5),
-        ("name,value\npeak,250\n", 250.0),
-        ("peak;x\n1.25e1 cm;2\n", 125.0),
-        ("peak,peak\n1,2\n", None),
-    ],
-)
-def test_numbers_of_a_table_that_a_program_writes_are_read_whole(tmp_path, table, peak):
-    design = program(tmp_path, SOFT_OR_STIFF)
-    design.write_text(design.read_text().replace("out.json", "out.csv"))
-    (tmp_path / "spring.py").write_text(f"open('out.csv', 'w').write({table!r})\nprint('x = 1 m')")
-    found = api.run(design, results=tmp_path / "results", reports=None, allow_commands=True, jobs=1)
-    assert [record.value("peak") for record in found.records] == [peak, peak], found.records
+def test_a_program_without_an_answer_is_a_status_of_its_case(tmp_path):
+    deeds = {
+        'json.dump({"peak": {"value": peak, "unit": "m"}}, open("out.json", "w"))': "",
+        'json.dump({"peak": "many"}, open("out.json", "w"))': "is no number",
+        'json.dump({"peak": 1e999}, open("out.json", "w"))': "not a finite number|out.json",
+        'json.dump({"peak": "1e400"}, open("out.json", "w"))': "not a finite number",
+        'json.dump({"peak": "5 kg"}, open("out.json", "w"))': "is in kg",
+        'json.dump({"peek": 5}, open("out.json", "w"))': "did you mean 'peek'",
+        'open("out.json", "w").write("{}")': "no value 'peak'",
+        "pass": "wrote no out.json",
+        "raise SystemExit(3)": "return code 3",
+        'open("out.json", "w").write("[")': "out.json",
+    }
+    good, *failed = with_deeds(tmp_path, list(deeds))
+    assert good.converged
+    for record, said in zip(failed, list(deeds.values())[1:], strict=True):
+        assert not record.converged
+        assert re.search(said, record.message), record.message
+        assert record.solver["program"]["steps"]
+
+
+def test_numbers_of_a_table_that_a_program_writes_are_read_whole(tmp_path, monkeypatch):
+    tables = {
+        "peak\n12.5\n": 12.5,
+        "name,value\npeak,250\n": 250.0,
+        "peak;x\n1.25e1 cm;2\n": 125.0,
+        "peak,peak\n1,2\n": None,
+    }
+    monkeypatch.setitem(globals(), "PROGRAM", PROGRAM.replace("out.json", "out.csv"))
+    deeds = [f"open('out.csv', 'w').write({table!r})" for table in tables]
+    found = with_deeds(tmp_path, deeds)
+    assert [record.value("peak") for record in found] == list(tables.values()), found
 
 
 @pytest.mark.parametrize(

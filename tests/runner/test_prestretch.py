@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from study import api
-from tests.cli.small import case_file, gauge, study
+from tests.cli.small import case_file, gauge, refusal, success
 
 SIZE = 'area = "25 mm^2"\nlength = "5 mm"\n'
 
@@ -32,8 +32,7 @@ def test_two_pre_stretches_tell_two_constants(tmp_path: Path) -> None:
         np.savetxt(tmp_path / f"{prestretch}.txt", np.column_stack([shear, stress]))
         tests += sheared(f"{prestretch}.txt", prestretch)
     path = case_file(tmp_path, gauge('model = "mooney-rivlin"\nincompressible = true', SIZE), tests)
-    answer = study("calibrate", str(path), "--data", str(tmp_path), "--json")
-    assert answer.code == 0, answer.err
+    answer = success("calibrate", str(path), "--data", str(tmp_path), "--json")
     found = {name: one["value"] for name, one in answer.json["parameters"].items()}
     assert found == pytest.approx({"C10": 3.0, "C01": 2.0}, rel=1e-7)
 
@@ -41,14 +40,12 @@ def test_two_pre_stretches_tell_two_constants(tmp_path: Path) -> None:
 def test_only_a_simple_shear_has_a_pre_stretch(tmp_path: Path) -> None:
     text = sheared("a.txt", 0.75).replace("simple-shear", "tension")
     path = case_file(tmp_path, gauge('model = "neo-hookean"\nincompressible = true', SIZE), text)
-    answer = study("calibrate", str(path), "--data", str(tmp_path))
-    assert answer.code == 2
+    answer = refusal("calibrate", str(path), "--data", str(tmp_path))
     assert "prestretch: belongs to a simple shear, not to tension" in answer.err
     foam = gauge('model = "ogden-hill"\norder = 1\npoisson_ratio = 0.3', SIZE)
     np.savetxt(tmp_path / "a.txt", np.column_stack([np.linspace(0, 0.3, 9), np.linspace(0, 1, 9)]))
     path.write_text(foam + sheared("a.txt", 0.75))
-    answer = study("calibrate", str(path), "--data", str(tmp_path))
-    assert answer.code == 2
+    answer = refusal("calibrate", str(path), "--data", str(tmp_path))
     assert "test.prestretch: has a free stretch of its own" in answer.err
 
 

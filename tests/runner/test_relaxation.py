@@ -13,7 +13,7 @@ from study.ground.errors import InputError
 from study.mechanics.material.material import Material
 from study.mechanics.material.relaxation import RelaxationTerm
 from study.mechanics.material.viscoelasticity import relaxing
-from tests.cli.small import CSV, case_file, gauge, recorded, responses, study
+from tests.cli.small import CSV, case_file, gauge, recorded, responses, study, success
 
 SERIES = (RelaxationTerm(0.3, 1.0), RelaxationTerm(0.2, 20.0))
 GEL = Material("neo-hookean", {"C10": 0.02}, poisson_ratio=0.49, relaxation=SERIES)
@@ -48,8 +48,7 @@ def test_constants_shares_and_times_come_back_through_the_command(tmp_path: Path
     tests += course(tmp_path, "sheared", "simple-shear", STRETCH - 1, GEL)
     series = 'relaxation = [{ time = ["0.2 s", "5 s"] }, { time = ["5 s", "100 s"] }]'
     path = calibration(tmp_path, NEO_HOOKEAN + series, tests)
-    answer = study("calibrate", str(path), "--data", str(tmp_path), "--json")
-    assert answer.code == 0, answer.err
+    answer = success("calibrate", str(path), "--data", str(tmp_path), "--json")
     found = answer.json
     assert found["status"] == "converged"
     values = {name: one["value"] for name, one in found["parameters"].items()}
@@ -63,8 +62,7 @@ def test_constants_shares_and_times_come_back_through_the_command(tmp_path: Path
     assert "40 kPa at once, 20 kPa after all relaxation" in text.out
     assert "time (s)" in (tmp_path / "case" / "calibration.svg").read_text()
     fitted = str(tmp_path / "case" / "calibration.json")
-    written = study("export", fitted, "--as", "abaqus", "--reports", str(tmp_path), "--json")
-    assert written.code == 0, written.err
+    written = success("export", fitted, "--as", "abaqus", "--reports", str(tmp_path), "--json")
     prony = written.json["text"].split("*Viscoelastic, time=prony\n")[1].splitlines()
     rows = [[float(v) for v in line.split(",")] for line in prony]
     assert np.array(rows) == pytest.approx(np.array([[0.3, 0, 1], [0.2, 0, 20]]), rel=1e-5)
@@ -158,8 +156,7 @@ def test_the_speed_of_a_test_is_a_factor(tmp_path: Path) -> None:
         path.read_text() + f'[factors]\n"test.speed" = {speeds}\n"material.C10" = '
         '["20 kPa", "40 kPa"]\n' + responses(peak_force="0.01 N") + CSV
     )
-    answer = study("run", str(design), "--results", str(tmp_path / "r"), "--json")
-    assert answer.code == 0, answer.err
+    answer = success("run", str(design), "--results", str(tmp_path / "r"), "--json")
     assert answer.json["cases"]["done"] == 6
     forces = [
         api.solve(path, overrides=[f'test.speed="{speed}"']).curve.force_N[-1] for speed in speeds

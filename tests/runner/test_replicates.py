@@ -21,8 +21,7 @@ from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import FitProblem, fit_problem
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.fit_task import FitTask
-from study.harness.runner.job import Work
+from study.harness.runner.job import FitJob, Work
 from study.harness.runner.study_refinement import refinement_work
 from study.harness.runner.tasks import Costs
 from study.mechanics.forward import closed_form
@@ -149,10 +148,10 @@ def fitted(
     noise_N = 0.02 * np.random.default_rng(seed).standard_normal(DEPTHS.size)  # noqa: N806
     problem = fit_problem(Cell(CellProblem.of(config), "auto"))
     measured = Curve(DEPTHS, EXACT + noise_N)
-    return problem, measured, fit_task.fitted(FitTask(problem, (measured,)))
+    return problem, measured, fit_task.fitted(FitJob(problem, (measured,)))
 
 
-def refit(task: FitTask) -> FitDocument:
+def refit(task: FitJob) -> FitDocument:
     found = fit_task.refitted(task)
     assert found.converged
     return found.fit
@@ -169,7 +168,7 @@ def test_the_scatter_of_refits_is_the_standard_error_of_the_fit(
     model: str, order: int | None
 ) -> None:
     problem, measured, base = fitted(model, order, seed=1)
-    found = [refit(FitTask(problem, (measured,), base, (2011, k))) for k in range(1, 121)]
+    found = [refit(FitJob(problem, (measured,), base, (2011, k))) for k in range(1, 121)]
     assert all(f["resampling"][0]["block"] == 1 for f in found)  # independent noise is seen so
     for name in base.fit["names"]:
         values = np.array([f["values"][name] for f in found])
@@ -184,7 +183,7 @@ def test_cells_fitted_to_one_curve_see_the_same_noise() -> None:
     tasks = []
     for poisson_ratio in (0.4995, 0.49):
         problem, measured, base = fitted("neo-hookean", None, 1, poisson_ratio)
-        tasks.append((FitTask(problem, (measured,), base), base))
+        tasks.append((FitJob(problem, (measured,), base), base))
     both = np.array(
         [
             [refit(replace(task, noise=(2011, k)))["mu0"] / base.fit["mu0"] for k in range(1, 31)]
@@ -202,8 +201,8 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
     for i in range(1, DEPTHS.size):
         drift[i] = 0.8 * drift[i - 1] + random.standard_normal()
     measured = Curve(DEPTHS, EXACT + 0.02 * drift)
-    base = fit_task.fitted(FitTask(problem, (measured,)))
-    found = [refit(FitTask(problem, (measured,), base, (2011, k))) for k in range(1, 101)]
+    base = fit_task.fitted(FitJob(problem, (measured,)))
+    found = [refit(FitJob(problem, (measured,), base, (2011, k))) for k in range(1, 101)]
     block = found[0]["resampling"][0]["block"]
     assert 5 < block <= 30
     # independent points: the force is of first degree in C10
@@ -220,7 +219,7 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
 def test_a_fit_that_failed_is_not_resampled() -> None:
     problem, measured, _ = fitted("neo-hookean", None, seed=1)
     failed = FitResult.without_answer("not-converged", "too stiff")
-    task = FitTask(problem, (measured,), failed, (2011, 1))
+    task = FitJob(problem, (measured,), failed, (2011, 1))
     found = fit_task.refitted(task)
     assert found.status == "not-converged"
     assert "too stiff" in found.message

@@ -190,4 +190,4 @@ def _third_order_fit(work: Work, space: str) -> FitResult:
 def _performed(work: Work, key: str) -> FitResult:
     job = work.fits[key]
     start = None if job.start is None else _performed(work, job.start.key)
-    return fit_task.fitted(fit_task.FitTask(job.problem, job.measured, start))
+    return fit_task.fitted(fit_task.FitJob(job.problem, job.measured, start))

@@ -12,7 +12,7 @@ import signal
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,6 @@ from study.harness.record.store import Store
 from study.harness.runner.expansion import case_job
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.fit_task import FitTask
 from study.harness.runner.job import TRUTH_SUFFIX, CaseJob, FitJob, Work, fits_of
 from study.harness.runner.provenance import versions
 from study.harness.runner.refinement import base_size_mm
@@ -228,7 +227,12 @@ def _compute(
             fits[fit.key] = fit
         else:
             stored[fit.key] = known
-    tasks = _tasks(fits.values(), {key: job for key, (job, _) in cases.items()})
+    costs, jobs = Costs(), dict[str, FitJob | CaseJob](fits)
+    jobs |= {key: job for key, (job, _) in cases.items()}
+    tasks = [  # what they are predicted to take gives their order
+        Task(key, partial(_sent, job), job.needs, job.group, costs.seconds(job), costs.MB(job))
+        for key, job in jobs.items()
+    ]
     began, failed, fits_done = time.monotonic(), 0, 0
     with contextlib.closing(executor.run(tasks, stored)) as outcomes:
         for count, outcome in enumerate(outcomes, 1):
@@ -243,33 +247,6 @@ def _compute(
                 failed += not _written(job, notes, outcome, store).converged
             seconds = time.monotonic() - began
             progress(Progress(count, len(tasks), failed, seconds, label, fits_done, len(fits)))
-
-
-def _tasks(fits: Collection[FitJob], cases: Mapping[str, CaseJob]) -> list[Task]:
-    """List fits and cases with what they are predicted to take, which gives their order."""
-    costs = Costs()
-    tasks = [
-        Task(
-            job.key,
-            partial(_fit_task, job),
-            (job.start.key,) if job.start else (),
-            seconds=costs.fit_seconds(job.problem),
-            memory_MB=costs.fit_memory_MB(job.problem),
-        )
-        for job in fits
-    ]
-    tasks += [
-        Task(
-            key,
-            partial(_case_task, job),
-            tuple(fit.key for fit in job.fits),
-            job.group,
-            costs.case_seconds(job),
-            costs.case_memory_MB(job),
-        )
-        for key, job in cases.items()
-    ]
-    return tasks
 
 
 def _written(job: CaseJob, notes: Notes, outcome: Outcome, store: Store) -> Record:
@@ -292,15 +269,8 @@ def _written(job: CaseJob, notes: Notes, outcome: Outcome, store: Store) -> Reco
     return record
 
 
-def _fit_task(job: FitJob, results: Results) -> FitTask:
-    """Make what a worker gets of a fit, once the fit that starts it is known."""
-    start = None if job.start is None else FitResult.from_json(results[job.start.key])
-    return FitTask(job.problem, job.measured, start, job.noise)
-
-
-def _case_task(job: CaseJob, results: Results) -> CaseJob:
-    """Make what a worker gets of a case, once its fits are known."""
-    return job.sent({fit.key: FitResult.from_json(results[fit.key]) for fit in job.fits})
+def _sent(job: FitJob | CaseJob, results: Results) -> FitJob | CaseJob:
+    return job.sent({key: FitResult.from_json(results[key]) for key in job.needs})
 
 
 @contextlib.contextmanager
@@ -339,6 +309,7 @@ def read_truths(root: Path, files: Mapping[str, str]) -> dict[str, Any]:
 
 def manifest_of(work: Work) -> ManifestDocument:
     """Say what a study is, before anything of it is computed."""
+    truths = read_truths(work.data.root, work.data.files())
     return {
         "name": work.design.name,
         "design": dump(work.design),
@@ -348,8 +319,8 @@ def manifest_of(work: Work) -> ManifestDocument:
         "blocks": list(work.blocks),
         "notes": list(work.data.notes()),
         "files": work.data.files(),
-        "virtual": work.virtual,
-        "truths": read_truths(work.data.root, work.data.files()),
+        "virtual": bool(truths),
+        "truths": truths,
         "versions": versions(),
         "timings": {},
     }

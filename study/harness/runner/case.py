@@ -278,7 +278,6 @@ def _of_parameters(job: CaseJob) -> tuple[Record, bytes]:
 
 
 def _rendered(files: Mapping[str, str]) -> dict[str, object]:
-    """Files that were rendered for a case, for its record."""
     return {"rendered": {k: text[:_RENDERED] for k, text in files.items()}} if files else {}
 
 
@@ -288,7 +287,6 @@ def _fitted(
     seconds: Mapping[str, float],
     extra: Mapping[str, object],
 ) -> Record:
-    """Record of a case with its fits, its constants averaged over the directions."""
     constants = response.averaged([_constants(job, pair) for pair in job.identified])
     record = job.record("converged", "", {**constants, **predicted}, extra, seconds)
     return replace(record, parameters=_parameters(job, constants), fit=_fits(job))
@@ -345,7 +343,6 @@ def _constants(job: CaseJob, pair: ScorePair) -> dict[str, ResponseDocument]:
 
 
 def _predict(job: CaseJob, direction: ScorePair) -> PredictedCurve:
-    """Predicted curve of the scored test with the constants of the fit."""
     fit = job.outcome(direction)
     if job.forward == "fit" and fit is not None and fit.prediction is not None:
         # the last solution of the fit is the prediction: same geometry, same constants
@@ -459,7 +456,6 @@ def _parameters(
 
 
 def _fits(job: CaseJob) -> dict[str, FitDocument] | None:
-    """Describe each fit, by the label of its specimen."""
     described: dict[str, FitDocument] = {}
     for direction in job.directions:
         fit, key = job.outcome(direction), direction.fit_key

@@ -38,7 +38,6 @@ from study.harness.runner.refinement import (
 from study.harness.runner.tasks import Costs
 from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
-    ConvergenceResult,
     NumericalUncertainty,
     assumed_order,
     grid_convergence,
@@ -230,26 +229,18 @@ class CaseSeries:
         ).noted()  # fmt: skip
 
     def _unanswered(self) -> Iterable[str]:
-        """Say which meshes gave no answer, and why."""
         for job in self.jobs:
-            record = self.records.get(job.case.case_id)
-            if record is None or not record.converged:
-                why = "it was not computed" if record is None else record.message
-                yield f"the mesh of {self._named(job)} gave no answer: {why}"
-            elif has_other_mesh(record):
-                size = self._named(job)
-                yield f"the mesh of {size} gave no answer: only a finer one did, on a second try"
-
-    def _named(self, job: CaseJob) -> str:
-        """Size of a mesh with its unit, or the parameter that stands for it."""
-        refinement = job.case.problem.refinement
-        unit = "mm" if refinement is None else f"({refinement.name})"
-        return f"{size_of(job):.4g} {unit}"
+            record, refinement = self.records.get(job.case.case_id), job.case.problem.refinement
+            if record is not None and record.converged and not has_other_mesh(record):
+                continue
+            why = "it was not computed" if record is None else record.message
+            if record is not None and record.converged:
+                why = "only a finer one did, on a second try"
+            unit = "mm" if refinement is None else f"({refinement.name})"
+            yield f"the mesh of {size_of(job):.4g} {unit} gave no answer: {why}"
 
 
-def refine_cases(
-    series: Sequence[CaseSeries], compute: Callable[[Sequence[CaseJob]], Sequence[Record | None]]
-) -> None:
+def refine_cases(series: Sequence[CaseSeries], compute: Compute) -> None:
     """Compute what is missing of every series, all of it together."""
     due = [(m, job) for m in series for job in m.every if job.case.case_id not in m.records]
     records = compute([job for _, job in due]) if due else ()
@@ -303,24 +294,19 @@ def force_at_places(record: Record) -> Array:
 
 def stored_convergence(rows: Sequence[NumericalUncertainty]) -> list[dict[str, object]]:
     """Judge every stored series of a study."""
-    return [
-        {"levels": dict(row.levels), "note": row.note}
-        | _stored(row).to_json()
-        | ({"formal_reason": row.formal_reason} if len(row.series) >= FEWEST else {})
-        for row in rows
-    ]
+    return [{"levels": dict(row.levels), "note": row.note, **_stored(row)} for row in rows]
 
 
-def _stored(row: NumericalUncertainty) -> ConvergenceResult:
-    if len(row.series) >= FEWEST:
-        return grid_convergence(
-            row.mesh_size, row.series, formal_order=row.formal_order, qoi=row.response,
-            unit=row.unit,
-        )  # fmt: skip
-    verdict = f"{len(row.series)} meshes have no order; u_num is that of the study"
-    return inconclusive(
-        row.response, row.unit, row.mesh_size, row.series, u_num=row.u_num, verdict=verdict
-    )
+def _stored(row: NumericalUncertainty) -> dict[str, object]:
+    sizes, values = row.mesh_size, row.series
+    if len(values) >= FEWEST:
+        result = grid_convergence(
+            sizes, values, formal_order=row.formal_order, qoi=row.response, unit=row.unit
+        )
+        return {**result.to_json(), "formal_reason": row.formal_reason}
+    verdict = f"{len(values)} meshes have no order; u_num is that of the study"
+    few = inconclusive(row.response, row.unit, sizes, values, u_num=row.u_num, verdict=verdict)
+    return few.to_json()
 
 
 # Refinement within a time budget, mesh by mesh, cheapest cells first.
@@ -348,9 +334,8 @@ def refine_within(
         spent = accumulate(prices[i] for i in order)
         ongoing = [ongoing[i] for i, total in zip(order, spent, strict=True) if total <= left]
         steps = [case_series.jobs[level] for case_series in ongoing]
-        for refined, step, answer in zip(
-            ongoing, steps, compute(steps) if steps else (), strict=True
-        ):
+        answers = compute(steps) if steps else ()
+        for refined, step, answer in zip(ongoing, steps, answers, strict=True):
             refined.records[step.case.case_id] = answer
     return ongoing
 

@@ -6,13 +6,13 @@ of resampled residuals follow: each step takes the values of the one before and 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import cast
 
+from study.ground.arrays import gathered
 from study.ground.canonical import digest, numbered
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell, CellProblem
@@ -123,19 +123,18 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     data = DataCache(data_root, tuple(tests.values()))
     blocks = _common_blocks(cells, data)
     places = folders(design.source, data_root)
-    # a replicate is named by what was written, not by where its surface was found
-    every_case = planned(design, blocks)
     # each forward model is looked for once for all cells that share it
     asked, model_of = units_asked(design), cache(partial(placed_model, places, allowed.function))
-    shared: dict[int, Computed] = {}
+    jobs_of: dict[int, Callable[[Case, Origin], CaseJob]] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
         place = id(case.cell)  # one for all blocks of a cell, kept alive by its cases
-        if place not in shared:
-            shared[place] = Computed.of(_located(case, places, model_of), asked)
-        return _job(case, data, design, origin, shared[place])
+        if place not in jobs_of:
+            jobs_of[place] = _jobs_of_cell(_located(case, places, model_of), data, design, asked)
+        return jobs_of[place](case, origin)
 
-    jobs = _anchored(job(case, origin) for case, origin in every_case)
+    # a replicate is named by what was written, not by where its surface was found
+    jobs = _anchored(job(case, origin) for case, origin in planned(design, blocks))
     every = (*jobs, *resampled(jobs, design))
     return Work(design, every, asked, blocks, data, allowed)
 
@@ -172,32 +171,6 @@ def relabeled(
         else:
             relabelled.append(replace(record, levels=dict(case.levels), block=case.block))
     return tuple(relabelled)
-
-
-@dataclass(frozen=True)
-class Computed:
-    """What a case computes before anything is measured: the same in every block of its cell."""
-
-    #: With its files found.
-    cell: Cell
-    problem: FitProblem
-    #: Where its predicted curves come from.
-    forward: Forward
-    #: What enters the names of its cases besides their content and their measurements.
-    names: tuple[object, ...]
-    #: Unit of every response that the records hold.
-    units: Mapping[str, str]
-
-    @classmethod
-    def of(cls, case: Case, units: Mapping[str, str]) -> Computed:
-        """Work out what the cases of a cell share, from one whose files were found."""
-        problem, cell = fit_problem(case.cell), case.cell
-        names = (
-            code_version(),
-            *(file.sha256 for file in placed_files(cell)),
-            *identity(cell.problem),
-        )
-        return cls(cell, problem, _forward_of(case, problem), (sorted(units), *names), units)
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -251,25 +224,28 @@ def _located(
 
 def case_job(case: Case, work: Work, origin: Origin) -> CaseJob:
     """Make the job of one more case of a study."""
-    computed = Computed.of(case, work.responses)
-    return _job(case, work.data, work.design, origin, computed)
+    return _jobs_of_cell(case, work.data, work.design, work.responses)(case, origin)
 
 
-def _job(
-    case: Case, data: DataCache, design: Design, origin: Origin, computed: Computed
-) -> CaseJob:
-    """Job of a case, from what it shares with those of its cell."""
-    placed = replace(case, cell=computed.cell)
-    pairs = tuple(score_pairs(placed, computed.problem, data, design))
-    content = [case.case_id, [pair.identity for pair in pairs], *computed.names]
-    return CaseJob(
-        placed, pairs, digest(content), computed.forward, origin,
-        study=design.name, units=computed.units,
-    )  # fmt: skip
+def _jobs_of_cell(
+    case: Case, data: DataCache, design: Design, units: Mapping[str, str]
+) -> Callable[[Case, Origin], CaseJob]:
+    """Find what makes the jobs of a cell: all that is not measured is the same in every block."""
+    cell, problem = case.cell, fit_problem(case.cell)
+    forward = _forward_of(case, problem)
+    files = (file.sha256 for file in placed_files(cell))
+    names = (sorted(units), code_version(), *files, *identity(cell.problem))
+
+    def job(each: Case, origin: Origin) -> CaseJob:
+        placed = replace(each, cell=cell)
+        pairs = tuple(score_pairs(placed, problem, data, design))
+        name = digest([each.case_id, [pair.identity for pair in pairs], *names])
+        return CaseJob(placed, pairs, name, forward, origin, study=design.name, units=units)
+
+    return job
 
 
 def _forward_of(case: Case, problem: FitProblem) -> Forward:
-    """Where the predicted curves of a case come from."""
     if problem.method in ("inverse-fem", "external") and problem.shares_scored_problem:
         return "fit"
     forward = case.problem.forward
@@ -280,28 +256,27 @@ def _forward_of(case: Case, problem: FitProblem) -> Forward:
     return "closed-form" if is_analytic or has_none else "simulation"
 
 
-def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
+def _anchored(jobs: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     """Give a cell's cases its anchor, which decides last digits: its first direction's fit."""
-    jobs = tuple(unanchored)
-    groups = []
-    for job in jobs:  # predictions, all of one depth, may start from another specimen's load steps
+
+    def group_of(job: CaseJob) -> str:
+        # predictions, all of one depth, may start from another specimen's load steps
         shares = (
             len({pair.depth_mm for pair in job.directions}) == 1
             and job.forward == "simulation"
             and not job.case.tested.setup.has_close_equilibria
         )
-        groups.append(digest([job.case.cell.content_key, job.depth_mm], 32) if shares else "")
-    solutions: Counter[str] = Counter()
-    first: dict[str, CaseJob] = {}
-    for job, group in zip(jobs, groups, strict=True):
-        solutions[group] += len(job.scored)
-        first.setdefault(group, job)
+        return digest([job.case.cell.content_key, job.depth_mm], 32) if shares else ""
+
+    grouped = [(group_of(job), job) for job in jobs]
+    cells = gathered(grouped)
+    solutions = {group: sum(len(job.scored) for job in cell) for group, cell in cells.items()}
     anchored = []
-    for job, group in zip(jobs, groups, strict=True):
-        if not group or solutions[group] < 2:
+    for group, job in grouped:
+        if group and solutions[group] > 1:
+            anchor = cells[group][0].directions[0].fit
+            name = digest([job.input_hash, None if anchor is None else anchor.key])
+            anchored.append(replace(job, group=group, anchor=anchor, input_hash=name))
+        else:
             anchored.append(job)
-            continue
-        anchor = first[group].directions[0].fit
-        name = digest([job.input_hash, None if anchor is None else anchor.key])
-        anchored.append(replace(job, group=group, anchor=anchor, input_hash=name))
     return tuple(anchored)

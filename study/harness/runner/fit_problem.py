@@ -31,6 +31,7 @@ from study.harness.external import command
 from study.harness.external.command import External
 from study.harness.external.exchange import PredictedCurve, PythonFunction
 from study.harness.runner.provenance import code_version
+from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.material.material import ENERGIES, is_dimensionless
 from study.mechanics.measurement.marker_states import read_markers
 from study.mechanics.measurement.measurement_section import MeasurementSpec
@@ -232,7 +233,6 @@ def located_cell(cell: Cell, places: Sequence[Path]) -> Cell:
 
 
 def _with_markers(problem: CellProblem, places: Sequence[Path]) -> CellProblem:
-    """Copy a problem with the file of its markers found."""
     spec, missing = problem.markers, list[Fault]()
     if spec is None:
         return problem
@@ -304,7 +304,6 @@ def data_root(
 
 
 def _holds(folder: Path, files: Iterable[MeasurementSpec]) -> bool:
-    """Whether a folder has a file for each of some specifications."""
     try:
         for spec in files:
             if spec.file is not None:
@@ -318,26 +317,32 @@ def _holds(folder: Path, files: Iterable[MeasurementSpec]) -> bool:
 
 def externals(problems: Iterable[ForwardCell]) -> list[External]:
     """Forward models of some problems that are not ours, each once."""
-    by_digest = {
-        model.digest: model for problem in problems if (model := External.of(problem)) is not None
-    }
-    return list(by_digest.values())
+    models = (External.of(problem) for problem in problems)
+    return list({model.digest: model for model in models if model is not None}.values())
 
 
 def identity(problem: ForwardCell) -> list[str]:
     """Name of the external forward model of a case; empty where there is none."""
-    external = External.of(problem)
-    return [] if external is None else [external.digest]
+    return [model.digest for model in externals([problem])]
 
 
 @dataclass(frozen=True)
-class FittedTest:
-    """One test of a fit, and how its curve is predicted."""
+class FitPart:
+    """One test of a fit: how its curve is predicted, and the curves measured in it."""
 
     #: ``"closed-form"``, ``"inverse-fem"`` or ``"external"``.
     method: str
     #: What enters, and nothing else: equal fits have equal names.
     problem: CellProblem
+    #: Of one or several specimens of equal size.
+    measured: tuple[MeasuredCurve, ...] = ()
+    #: The wanted problem, where this is a cheaper one.
+    wanted: CellProblem | None = None
+
+    @property
+    def curves(self) -> list[Curve]:
+        """Measured rows of its curves."""
+        return [each.curve for each in self.measured]
 
     @cached_property
     def name(self) -> list[object]:
@@ -352,7 +357,7 @@ class FitProblem:
 
     #: That of its test, ``"together"`` of several, or ``"none"``.
     method: str
-    tests: tuple[FittedTest, ...] = ()
+    tests: tuple[FitPart, ...] = ()
     #: Whether the calibrated test is also the one that is scored.
     shares_scored_problem: bool = False
 
@@ -376,7 +381,7 @@ def fit_problem(cell: Cell) -> FitProblem:
     return FitProblem(test.method, (test,), fitted == scored)
 
 
-def fitted_test(asked: str, problem: CellProblem) -> FittedTest:
+def fitted_test(asked: str, problem: CellProblem) -> FitPart:
     """Test of a fit by the method that a file asks for, with what enters it alone."""
     method = _method(asked, problem)
     if method == "closed-form":  # its mesh, depth, steps and base do not enter
@@ -387,7 +392,7 @@ def fitted_test(asked: str, problem: CellProblem) -> FittedTest:
     alone = problem.alone()
     if method == "external":  # its program may read what the user gives besides
         alone = replace(alone, parameters=problem.parameters, units=problem.units)
-    return FittedTest(method, alone)
+    return FitPart(method, alone)
 
 
 def together(cell: Cell, tests: Sequence[CellProblem]) -> FitProblem:

@@ -1,8 +1,4 @@
-"""Calibration of one material on one block, as a worker does it.
-
-A fit goes to a worker complete in itself: its problem (:mod:`study.harness.runner.fit_problem`),
-its measured curves, and the fit that gives its start values.
-"""
+"""Calibration of one material on one block, as a worker does it."""
 
 from __future__ import annotations
 
@@ -21,7 +17,6 @@ from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
 from study.harness.external.exchange import PredictedCurve
 from study.harness.record.document import FitDocument
-from study.harness.runner.fit_problem import FitProblem
 from study.harness.runner.fit_summary import (
     FitResult,
     InverseExternal,
@@ -29,6 +24,7 @@ from study.harness.runner.fit_summary import (
     prediction_of,
     status_of,
 )
+from study.harness.runner.job import FitJob
 from study.harness.runner.staged_fit import (
     FitPart,
     Predict,
@@ -64,34 +60,21 @@ _NEAR = 1e-9
 _SAFETY = 10.0
 
 
-@dataclass(frozen=True)
-class FitTask:
-    """A fit as it goes to a worker, complete in itself."""
-
-    problem: FitProblem
-    #: The averaged curves that it is fitted to.
-    measured: tuple[Curve, ...]
-    #: Outcome of the fit of :func:`start_problem`, or of the fit whose residuals are resampled.
-    start: FitResult | None = None
-    #: Seed and number of a fit to resampled residuals.
-    noise: tuple[int, int] | None = None
-
-
-def perform(task: FitTask) -> dict[str, object]:
+def perform(job: FitJob) -> dict[str, object]:
     """Fit the constants of one material, to resampled curves where it has a seed: for a worker."""
-    return (fitted if task.noise is None else refitted)(task).to_json()
+    return (fitted if job.noise is None else refitted)(job).to_json()
 
 
-def fitted(task: FitTask) -> FitResult:
+def fitted(job: FitJob) -> FitResult:
     """Fit the constants of one material to measured curves."""
     began = time.perf_counter()
-    start = task.start
+    start = job.begun
     if start is not None and not start.converged:  # it cannot be fitted alone
         why = f"the fit that starts it did not converge: {start.message}"
         return FitResult.without_answer(start.status, why)
-    parts = parts_of(task)
+    parts = parts_of(job)
     names, first = start_values(
-        parts[0].problem, task.measured, None if start is None else start.constants
+        parts[0].problem, job.measured, None if start is None else start.constants
     )
     search = StagedSearch(names, fitted_model)
 
@@ -102,16 +85,16 @@ def fitted(task: FitTask) -> FitResult:
     fitted_curves = [curve for part in parts for curve in part.measured]
     fit = named_open(with_serial_correlation(done.fit, fitted_curves), rivals)
     several = len(parts) > 1
-    facts = described(fit, parts[0].problem, task.measured[:1] if several else task.measured)
+    facts = described(fit, parts[0].problem, job.measured[:1] if several else job.measured)
     if fit.status.usable:
         # curves of one test are specimens or repeats: what they differ by is noise
         judged = adequacy(fit, fitted_curves, tests=() if several else [0] * len(fitted_curves))
         if judged.reasons:
             facts.update({"verdict": judged.verdict, "misfit": judged.sentence})
-    method = task.problem.method
+    method = job.problem.method
     facts.update({"message": done.message, "evaluations": done.evaluations, "method": method})
     predict, predicted = done.models[0], None
-    if isinstance(predict, InverseFem) and task.problem.method == "inverse-fem":
+    if isinstance(predict, InverseFem) and method == "inverse-fem":
         predicted = predict.predicted(done.fit.values)
         facts.update({"newton_iterations": predict.newton_iterations, "solves": predict.solves})
     if isinstance(predict, InverseExternal):
@@ -121,18 +104,15 @@ def fitted(task: FitTask) -> FitResult:
     return FitResult(status_of(done.fit), facts, predicted, 0.0 if start is None else start.seconds)
 
 
-def parts_of(task: FitTask) -> list[FitPart]:
+def parts_of(job: FitJob) -> list[FitPart]:
     """Parts of a fit, each with the measured curves that belong to it."""
-    tests = task.problem.tests
-    data = [
+    data = tuple(
         MeasuredCurve(f"curve {k}", curve, recordings=curve.recorded)
-        for k, curve in enumerate(task.measured, 1)
-    ]
-    groups = [data] if len(tests) == 1 else [[curve] for curve in data]
-    return [
-        FitPart(test.method, test.problem, tuple(group))
-        for test, group in zip(tests, groups, strict=True)
-    ]
+        for k, curve in enumerate(job.measured, 1)
+    )
+    tests = job.problem.tests
+    groups = [data] if len(tests) == 1 else [(curve,) for curve in data]
+    return [replace(test, measured=group) for test, group in zip(tests, groups, strict=True)]
 
 
 def start_values(
@@ -337,8 +317,6 @@ class InverseFem:
 
 @dataclass(frozen=True)
 class _UnitSolution:
-    """What is kept of a solution at a constant of 1 MPa."""
-
     status: str
     message: str
     newton_iterations: int
@@ -473,40 +451,31 @@ def resampled(residuals: Residuals, random: np.random.Generator) -> Array:
     return np.asarray(residuals.predicted_N + residuals.noise_N[drawn])
 
 
-def refitted(task: FitTask) -> FitResult:
+def refitted(job: FitJob) -> FitResult:
     """Fit the constants again to resampled curves."""
     began = time.perf_counter()
-    if task.start is None or task.noise is None:
+    if job.begun is None or job.noise is None:
         raise ValueError("a refit needs a fit, a seed and a number")
-    base, (seed, number) = task.start, task.noise
+    base, measured = job.begun, job.measured
     if not base.converged:
         why = f"the fit to the measured curve did not converge: {base.message}"
         return FitResult.without_answer(base.status, why)
     names = tuple(base.fit["names"])
     start = np.array([base.constants[name] for name in names])
-    parts = parts_of(task)
-    models = models_of(parts, names)
+    models = models_of(parts_of(job), names)
     predicted = [curve for model in models for curve in model(start)]
-    points = sum(len(curve) for curve in task.measured)
+    points = sum(len(curve) for curve in measured)
     share = points / max(1, points - len(names))
     residuals = [
         residuals_of(curve, model_curve.force_at(curve.displacement_mm), share)
-        for curve, model_curve in zip(task.measured, predicted, strict=True)
+        for curve, model_curve in zip(measured, predicted, strict=True)
     ]
-    left = iter(zip(task.measured, residuals, strict=True))
-    again = [
-        replace(
-            part,
-            measured=tuple(
-                replace(each, curve=_drawn(*next(left), seed, number)) for each in part.measured
-            ),
-        )
-        for part in parts
-    ]
+    drawn = (_drawn(*each, *job.noise) for each in zip(measured, residuals, strict=True))
+    again = parts_of(replace(job, measured=tuple(drawn)))
     made = iter(models)
     done = single_stage("resampled", again, start, StagedSearch(names, lambda *_: next(made)))
-    document = _described(done.fit, parts[0].problem.material, residuals)
-    document.update({"method": task.problem.method, "seconds": time.perf_counter() - began})
+    document = _described(done.fit, again[0].problem.material, residuals)
+    document.update({"method": job.problem.method, "seconds": time.perf_counter() - began})
     return FitResult(status_of(done.fit), document)
 
 
@@ -527,6 +496,7 @@ def _described(fit: Fit, section: MaterialSection, residuals: Sequence[Residuals
 
 def _drawn(measured: Curve, residuals: Residuals, seed: int, number: int) -> Curve:
     """One resample of one measured curve: numbers are the same for every cell fitted to it."""
-    name = digest([measured.displacement_mm.tolist(), measured.force_N.tolist()], 16)
+    d = measured.displacement_mm
+    name = digest([d.tolist(), measured.force_N.tolist()], 16)
     random = np.random.default_rng([seed, int(name, 16), number])
-    return Curve(measured.displacement_mm, resampled(residuals, random))
+    return Curve(d, resampled(residuals, random), recorded=measured.recorded)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from study.ground.arrays import gathered
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
@@ -23,7 +25,6 @@ from study.harness.record.folder import own_folder
 from study.harness.record.record import STATUSES, Record
 from study.harness.record.store import Store
 from study.harness.runner.expansion import seeded
-from study.harness.runner.job import Origin
 from study.harness.runner.provenance import versions
 from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import settings_run
@@ -142,13 +143,15 @@ def _check(
         raise InputError(faults)
 
 
+@dataclass(frozen=True)
 class _Run:
     """One row: its levels, block, values, and why it has no answer."""
 
-    def __init__(self, levels: dict[str, str], block: str | None) -> None:
-        self.levels, self.block = levels, block
-        self.values: dict[str, float] = {}
-        self.status, self.message = "converged", ""
+    levels: dict[str, str]
+    block: str | None
+    values: dict[str, float]
+    status: str = "converged"
+    message: str = ""
 
 
 def _rows(
@@ -159,24 +162,22 @@ def _rows(
     block: str | None,
     ranges: Sequence[NumericFactor],
 ) -> list[_Run]:
-    """Read the runs of a table."""
     rows = []
     settings = {_key(factor): table.numbers(factor.name).tolist() for factor in ranges}
+    answers = {name: table.numbers(name, _MISSING).tolist() for name in units}
     for k in range(len(table.lines)):
         levels = {_factor(name): _label(table.text(name)[k]) for name in columns}
         levels |= {key: level_label(values[k]) for key, values in settings.items()}
-        rows.append(_Run(levels, None if block is None else table.text(block)[k]))
-    for k, row in enumerate(rows):
-        said = "" if failed is None else table.text(failed)[k]
-        if said.lower() not in _GOOD:
-            row.status = said.lower() if said.lower() in STATUSES else "failed"
-            row.message = f"as the column {failed} says: {said}"
-    for name in units:
-        for row, value in zip(rows, table.numbers(name, _MISSING).tolist(), strict=True):
-            if value == value:
-                row.values[name] = value
-            elif row.status == "converged":
-                row.status, row.message = "failed", f"the table has no value of {name}"
+        values = {name: v[k] for name, v in answers.items() if not math.isnan(v[k])}
+        run = _Run(levels, None if block is None else table.text(block)[k], values)
+        word = "" if failed is None else table.text(failed)[k]
+        if word.lower() not in _GOOD:
+            status = word.lower() if word.lower() in STATUSES else "failed"
+            run = replace(run, status=status, message=f"as the column {failed} says: {word}")
+        elif missing := [name for name in units if name not in values]:
+            message = f"the table has no value of {missing[0]}"
+            run = replace(run, status="failed", message=message)
+        rows.append(run)
     return rows
 
 
@@ -246,7 +247,7 @@ def _design(
     }
     if spans or 1 < len(cells) < math.prod(map(len, labels.values())):
         tables["design"] = {"kind": "listed", "treatments": cells}
-    most = max(map(len, _by_cell(rows).values()))
+    most = max(Counter(map(_cell, rows)).values())
     if most > 1:
         parameters["replicate_number"] = 1
         tables["replicates"] = {"key": "parameters.replicate_number", "n": most}
@@ -262,11 +263,9 @@ def _numbers(levels: Sequence[str]) -> dict[str, float]:
     return numbers if all(map(math.isfinite, numbers.values())) else {}
 
 
-def _by_cell(rows: Sequence[_Run]) -> dict[tuple[object, ...], list[_Run]]:
-    found: dict[tuple[object, ...], list[_Run]] = defaultdict(list)
-    for row in rows:
-        found[tuple(sorted(row.levels.items())), row.block].append(row)
-    return found
+def _cell(run: _Run | Case) -> tuple[tuple[tuple[str, str], ...], str | None]:
+    """Levels and block: the order of the factors is no part of a cell."""
+    return tuple(sorted(run.levels.items())), run.block
 
 
 def _records(
@@ -276,22 +275,17 @@ def _records(
     units: Mapping[str, str],
     sha256: str,
 ) -> list[Record]:
-    """Record of every run, in the place of a case of the design."""
-    places: dict[tuple[object, ...], list[tuple[Case, Origin]]] = defaultdict(list)
-    for case, origin in seeded(cases(design, blocks), design):
-        places[tuple(sorted(case.levels.items())), case.block].append((case, origin))
-    made = []
-    for cell, own in _by_cell(rows).items():
-        for row, (case, origin) in zip(own, places[cell], strict=False):
-            values = row.values if row.status == "converged" else {}
-            made.append(
-                Record(
-                    case.case_id, design.name, dict(case.levels), case.block, row.status,
-                    row.message,
-                    {n: {"value": values.get(n), "unit": unit} for n, unit in units.items()},
-                    versions=versions(),
-                    input_hash=digest([case.case_id, sha256, row.values, row.status]),
-                    extra=origin.to_json(),
-                )
-            )  # fmt: skip
-    return made
+    every_case = seeded(cases(design, blocks), design)
+    places = gathered((_cell(case), (case, origin)) for case, origin in every_case)
+    return [
+        Record(
+            case.case_id, design.name, dict(case.levels), case.block, row.status, row.message,
+            {name: {"value": row.values.get(name) if row.status == "converged" else None,
+                    "unit": unit} for name, unit in units.items()},
+            versions=versions(),
+            input_hash=digest([case.case_id, sha256, row.values, row.status]),
+            extra=origin.to_json(),
+        )
+        for cell, runs in gathered((_cell(row), row) for row in rows).items()
+        for row, (case, origin) in zip(runs, places.get(cell, ()), strict=False)
+    ]  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import ClassVar, Literal
 
 from study.ground.canonical import digest
 from study.ground.curve import Curve
@@ -148,17 +148,29 @@ class DataCache:
 
 @dataclass(frozen=True)
 class FitJob:
-    """One fit: its problem, its data, and the fit that gives its start values.
+    """One fit: its problem, its data, and the fit that gives its start values."""
 
-    ``noise`` is the seed and the number of a fit to the resampled residuals of its start.
-    """
-
-    key: str
     problem: FitProblem
+    #: The averaged curves that it is fitted to.
     measured: tuple[Curve, ...]
+    #: Outcome of the fit that starts it, or whose residuals are resampled, once that is done.
+    begun: FitResult | None = None
+    #: Seed and number of a fit to the resampled residuals of its start.
+    noise: tuple[int, int] | None = None
     start: FitJob | None = None
     label: str = ""
-    noise: tuple[int, int] | None = None
+    key: str = ""
+    #: It shares nothing that a worker keeps.
+    group: ClassVar[str] = ""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Key of the fit that it waits for."""
+        return () if self.start is None else (self.start.key,)
+
+    def sent(self, outcomes: Mapping[str, FitResult]) -> FitJob:
+        """Copy for a worker, complete in itself."""
+        return replace(self, start=None, begun=next(iter(outcomes.values()), None))
 
     def resampled(self, seed: int, number: int) -> FitJob:
         """Make the fit to resampled residuals of this one."""
@@ -265,6 +277,11 @@ class CaseJob:
         every = (self.anchor, *(pair.fit for pair in self.directions))
         return tuple({fit.key: fit for fit in every if fit is not None}.values())
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Keys of these fits."""
+        return tuple(fit.key for fit in self.fits)
+
     def outcome(self, pair: ScorePair) -> FitResult | None:
         """Outcome of the fit of a direction; None where the constants are given."""
         return None if pair.fit is None else self.outcomes[pair.fit.key]
@@ -323,13 +340,6 @@ class Work:
         """What was done to measurements and surfaces that may not be what they seem."""
         mended = surface_notes(job.case.cell for job in self.jobs)
         return (*(note for note in self.data.notes() if is_caution(note)), *mended)
-
-    @property
-    def virtual(self) -> bool:
-        """Whether the measurements were generated."""
-        return any(
-            (self.data.root / f"{name}{TRUTH_SUFFIX}").is_file() for name in self.data.files()
-        )
 
     def plain(self) -> Work:
         """Leave the replicates out: the first mesh of a cell, the curve as measured."""
@@ -405,11 +415,10 @@ def _without_specimen(
         raise InputError(Fault("calibration.leave_out", rule, mend))
     pairs = []
     for fit_where, score_where in scored.sides:
-        where = dict((fit_where if calibrated is None else calibrated.fit) or {})
-        curves = tuple(fitted.curve(block, **where).curve for block in others)
-        fit = fit_job(problem, curves, case.label)
-        test = scored.curve(case.block, **dict(score_where or {}))
-        pairs.append(_pair(test, score_where, fit, f"all but {case.block}"))
+        where = fit_where if calibrated is None else calibrated.fit
+        curves = [_test(fitted, block, where).curve for block in others]
+        test = _test(scored, case.block, score_where)
+        pairs.append(_pair(case, problem, test, score_where, curves, f"all but {case.block}"))
     return pairs
 
 
@@ -422,15 +431,14 @@ def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePai
         mend = "make the tests a factor: presets with test and measurements"
         raise InputError(Fault("calibration.leave_out", rule, mend))
     curves = []
-    for test in others:
-        measured = data.scored(test)
+    for other in others:
+        measured = data.scored(other)
         if measured is None:
             raise InputError(Fault("measurements", "are missing for one of the tests"))
-        block = case.block if measured.block is not None else None
-        curves.append(measured.curve(block, **dict(measured.fit or {})).curve)
-    fit = fit_job(together(case.cell, others), tuple(curves), case.label)
+        curves.append(_test(measured, case.block, measured.fit).curve)
     where = scored.score or scored.fit
-    return _pair(scored.curve(case.block, **dict(where or {})), where, fit, "all other tests")
+    test = _test(scored, case.block, where)
+    return _pair(case, together(case.cell, others), test, where, curves, "all other tests")
 
 
 def name_of_test(problem: CellProblem) -> str:
@@ -484,30 +492,34 @@ def _fitted_pairs(
     """Pairs whose constants are given, or come from the curves that the study file selects."""
     given, other = problem.method == "none", data.calibrated(case.cell)
     if given or other is not None:
-        fit = None
-        if other is not None and not given:
-            block = case.block if other.block is not None else None
-            curve = other.curve(block, **dict(other.fit or {})).curve
-            fit = fit_job(problem, (curve,), case.label)
-        return [_pair(scored.pairs(case.block)[0][1], scored.score, fit)]
+        curves = [] if given or other is None else [_test(other, case.block, other.fit).curve]
+        return [_pair(case, problem, scored.pairs(case.block)[0][1], scored.score, curves)]
     out = []  # with ``swap`` fit and score also change places
     pairs = zip(scored.pairs(case.block), scored.sides, strict=True)
     for (fitted, test), (fit_where, score_where) in pairs:
-        fit = fit_job(problem, (fitted.curve,), case.label)
-        role = "fit" if fit_where == score_where else "score"
-        out.append(_pair(test, score_where, fit, _label(fit_where), role))
+        role, label = "fit" if fit_where == score_where else "score", _label(fit_where)
+        out.append(_pair(case, problem, test, score_where, [fitted.curve], label, role))
     return out
 
 
+def _test(measured: Measurements, block: str | None, where: Selection | None) -> MeasuredTest:
+    """Test of a block; the only one where the measurements have none."""
+    return measured.curve(None if measured.block is None else block, **dict(where or {}))
+
+
 def _pair(
+    case: Case,
+    problem: FitProblem,
     test: MeasuredTest,
-    score_where: Selection | None,
-    fit: FitJob | None,
+    where: Selection | None,
+    curves: Sequence[Curve],
     fit_label: str = "all",
     role: str = "score",
 ) -> ScorePair:
-    scatter = None if test.scatter_N is None else tuple(float(v) for v in test.scatter_N)
-    return ScorePair(_label(score_where), test.curve, fit, role, fit_label, scatter)
+    """Score of a test, with the fit to some curves; without them its constants are given."""
+    fit = fit_job(problem, tuple(curves), case.label) if curves else None
+    scatter = None if test.scatter_N is None else tuple(test.scatter_N.tolist())
+    return ScorePair(_label(where), test.curve, fit, role, fit_label, scatter)
 
 
 def _label(where: Selection | None) -> str:
@@ -521,4 +533,5 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
     """Make a fit and those that give its start values."""
     before = start_problem(problem)
     start = None if before is None else fit_job(before, measured, label)
-    return FitJob(fit_key(problem, measured), problem, measured, start, label)
+    key = fit_key(problem, measured)
+    return FitJob(problem, measured, start=start, label=label, key=key)

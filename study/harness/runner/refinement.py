@@ -46,7 +46,6 @@ from study.statistics.convergence.grid_convergence import (
 )
 
 if TYPE_CHECKING:
-    from study.harness.design.study_file import Converge
     from study.harness.runner.job import CaseJob
 
 
@@ -261,35 +260,28 @@ def refine(
 
 # Single numbers of a curve whose convergence is judged: peak force, root mean square, work.
 
-#: points of a curve that integrals over it take, between the solved steps by their tangents
+#: points of a curve that integrals over it take, between the solved steps by their tangents, so
+#: close that the number of load steps does not matter
 _POINTS = 400
 
 
-def _samples(curve: Curve) -> tuple[Array, Array]:
-    """Displacements and forces, so close that the number of load steps does not matter."""
-    d = np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
-    return d, curve.force_at(d)
-
-
-def peak_force(curve: Curve) -> float:
-    """Force at the last step, N."""
-    return float(curve.force_N[-1])
+def _places(curve: Curve) -> Array:
+    return np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
 
 
 def curve_rms(curve: Curve) -> float:
     """Root mean square of the force over the displacement, N: it stands for the whole curve."""
-    return float(np.sqrt(np.mean(_samples(curve)[1][1:] ** 2)))
+    return float(np.sqrt(np.mean(curve.force_at(_places(curve))[1:] ** 2)))
 
 
 def work(curve: Curve) -> float:
     """Work done on the specimen, N mm."""
-    d, force = _samples(curve)
-    return float(np.trapezoid(force, d))
+    return float(np.trapezoid(curve.force_at(_places(curve)), _places(curve)))
 
 
 #: quantities of a curve that a series can watch, with their units
 QUANTITIES: Mapping[str, tuple[Callable[[Curve], float], str]] = {
-    "peak_force": (peak_force, "N"),
+    "peak_force": (lambda curve: float(curve.force_N[-1]), "N"),
     "curve_rms": (curve_rms, "N"),
     "work": (work, "N mm"),
 }
@@ -488,11 +480,10 @@ def remarks(table: Sequence[ErrorSource]) -> list[str]:
     meshes = {row.quantity: row.relative for row in table if row.source == "mesh"}
     for row in table:
         mesh, relative = meshes.get(row.quantity), row.relative
-        if row.source == "mesh" or mesh is None or relative is None:
+        if row.source not in _REMARKS or mesh is None or relative is None:
             continue
         factor, text = _REMARKS[row.source]
-        least = max(mesh, 1e-9) if row.source == "solver tolerance" else mesh
-        if relative * factor > least:
+        if relative * factor > (max(mesh, 1e-9) if row.source == "solver tolerance" else mesh):
             sentences.append(f"{row.quantity}: {text.format(relative, mesh)}")
     return sentences
 
@@ -734,25 +725,20 @@ def _front(
     )
     if not value:
         return None
-    points = {name: _points(name, cell, judgement, value) for name, cell, judgement in members}
+    points = {
+        name: [
+            FrontPoint(
+                level.mesh_size_mm, abs(number - value) / abs(value), level.result.seconds,
+                name, level.result.dofs, level.result.memory_MB, number,
+            )
+            for level in series.good
+            for number in (QUANTITIES[judgement.main.qoi][0](level.result.curve),)
+        ]
+        for name, series, judgement in members
+    }  # fmt: skip
     ranked = cost_to_accuracy(points, accuracy)
     every = tuple(point for row in points.values() for point in row)
-    answer = _answer(ranked, accuracy, u, value)
-    return CostFront(value, u, accuracy, every, tuple(ranked), answer)
-
-
-def _points(
-    name: str, series: RefinementSeries, judgement: SeriesJudgement, reference: float
-) -> list[FrontPoint]:
-    function = QUANTITIES[judgement.main.qoi][0]
-    return [
-        FrontPoint(
-            level.mesh_size_mm, abs(value - reference) / abs(reference), level.result.seconds,
-            name, level.result.dofs, level.result.memory_MB, value,
-        )
-        for level in series.good
-        for value in (function(level.result.curve),)
-    ]  # fmt: skip
+    return CostFront(value, u, accuracy, every, tuple(ranked), _answer(ranked, accuracy, u, value))
 
 
 def _answer(

@@ -2,8 +2,7 @@
 
 The first steps of a fit are far from its end, so that the error of a coarse mesh, or of the
 equivalent cylinder in axisymmetric space, does not matter to them; on the wanted mesh one or
-two simulations are left. A stage that has no answer at its start begins again at a gentler one
-(:mod:`study.harness.runner.staged_fit`). Start values remain a function of the case alone.
+two simulations are left.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ from study.ground.curve import Curve
 from study.ground.errors import StoreError
 from study.harness.design.cell import CellProblem
 from study.harness.record.atomic_files import write_atomic
+from study.harness.runner.fit_problem import FitPart as FitPart
 from study.mechanics.calibration.fit import ResidualFunction, fit
 from study.mechanics.calibration.levenberg_marquardt import Iteration, Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
@@ -36,7 +36,6 @@ from study.mechanics.setup.setup import MESH_LEVELS
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
-    from study.mechanics.calibration.residual_function import MeasuredCurve
     from study.mechanics.material.energy import Energy
 
 
@@ -130,23 +129,6 @@ _COARSER = 2.25
 
 #: elements over the height below which a mesh is coarse already
 _FEW = 4.0
-
-
-@dataclass(frozen=True)
-class FitPart:
-    """One test of a fit: how it is predicted, and the curves measured in it."""
-
-    method: str
-    problem: CellProblem
-    #: Curves of this test, of one or several specimens of equal size.
-    measured: tuple[MeasuredCurve, ...]
-    #: The wanted problem, where this is a cheaper one.
-    wanted: CellProblem | None = None
-
-    @property
-    def curves(self) -> list[Curve]:
-        """Measured rows of its curves."""
-        return [each.curve for each in self.measured]
 
 
 @dataclass(frozen=True)

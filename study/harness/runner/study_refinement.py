@@ -125,8 +125,7 @@ def _series(
 
 def _beside(work: Work, base: CaseJob, case: Case, level: int = 0) -> CaseJob:
     """Job of a case on another mesh than the study's own."""
-    origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=level)
-    return case_job(case, work, origin)
+    return case_job(case, work, Origin(purpose=PURPOSE, of=base.case.case_id, level=level))
 
 
 def chosen(work: Work) -> list[CaseJob]:
@@ -147,7 +146,6 @@ def chosen(work: Work) -> list[CaseJob]:
 
 
 def _spread(jobs: Sequence[CaseJob], count: int) -> list[CaseJob]:
-    """Take a few from the first to the last."""
     return [jobs[round(i)] for i in np.linspace(0, len(jobs) - 1, min(count, len(jobs)))]
 
 
@@ -203,7 +201,6 @@ def _column(job: CaseJob) -> str:
 
 
 def _without(document: Mapping[str, object], table: str, *keys: str) -> Config:
-    """Copy a document without some keys of one of its tables."""
     left = {k: v for k, v in table_of(document, table).items() if k not in keys}
     return {**document, table: left}
 
@@ -326,23 +323,22 @@ def pairs(work: Work, records: Mapping[str, Record]) -> list[SpacePair]:
 
 def upcoming(work: Work, records: Mapping[str, Record], store: Store) -> list[CaseJob]:
     """List the cells whose cylinder is still to be solved, each at the cost of the cell's own."""
-    given = {job.case.case_id: _constants(records.get(job.case.case_id)) for job in in_blocks(work)}
+
+    def is_open(job: CaseJob) -> bool:
+        constants = _constants(records.get(job.case.case_id))
+        return not constants or store.read_solution(_task(job, constants).key) is None
+
     hopeful = [
-        job for job in in_blocks(work) if job.case.case_id not in records or given[job.case.case_id]
-    ]
-    return [
         job
-        for _, both in _chosen(hopeful)
-        for job in both
-        if not (constants := given[job.case.case_id])
-        or store.read_solution(_task(job, constants).key) is None
+        for job in in_blocks(work)
+        if (record := records.get(job.case.case_id)) is None or _constants(record)
     ]
+    return [job for _, both in _chosen(hopeful) for job in both if is_open(job)]
 
 
 def in_blocks(work: Work) -> list[CaseJob]:
     """List the cells whose specimen has no axis, in the first block of the study."""
-    cells = meshed_cells(work)
-    ours = [job for job in cells if job.case.problem.forward is None]
+    ours = (job for job in meshed_cells(work) if job.case.problem.forward is None)
     return [job for job in ours if job.case.tested.specimen.shape == "block"]
 
 
@@ -420,7 +416,6 @@ def refine(
 
 
 def _taken(series: Sequence[CaseSeries], store: Store) -> list[CaseSeries]:
-    """Series with what is stored of their cases."""
     jobs = (job for case_series in series for job in case_series.every)
     records = store.by_case({job.case.case_id: job.input_hash for job in jobs})
     return [case_series.taking(records) for case_series in series]
@@ -496,15 +491,13 @@ def _mesh_shares(work: Work, store: Store) -> Callable[[CaseJob], Array | None]:
     """Look up the relative u_num of a case: of its own column, or of its kind of discretization."""
     series = own_series(work)
     finest = bool(series)
-    series = _taken(series or chosen_series(work), store)
 
     def key(job: CaseJob) -> object:
-        """Levels of a case, whatever its block; or its kind of discretization."""
-        of_kind = discretization_key
-        return frozenset(job.case.levels.items()) if finest else of_kind(job.case.problem)
+        levels = frozenset(job.case.levels.items())  # whatever the block
+        return levels if finest else discretization_key(job.case.problem)
 
     shares: dict[object, Array | None] = {}
-    for case_series in series:
+    for case_series in _taken(series or chosen_series(work), store):
         share = case_series.shares()
         jobs = case_series.jobs if finest else (case_series.base,)
         shares |= {key(job): share.get(job.case.case_id) for job in jobs}

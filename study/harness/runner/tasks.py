@@ -26,7 +26,7 @@ from study.harness.execution.local import Loky
 from study.harness.execution.task import Document, Executor, Perform, Task
 from study.harness.external.command import External
 from study.harness.runner import case, fit_task, solve_task
-from study.harness.runner.fit_problem import FitProblem, FittedTest
+from study.harness.runner.fit_problem import FitPart, FitProblem
 from study.harness.runner.fit_summary import USUAL_EVALUATIONS
 from study.harness.runner.job import CaseJob, FitJob
 from study.harness.runner.provenance import versions
@@ -40,7 +40,7 @@ PING = "ping"
 #: what does a task, by its class
 KINDS: dict[type, Perform] = {
     CaseJob: case.perform,
-    fit_task.FitTask: fit_task.perform,
+    FitJob: fit_task.perform,
     solve_task.SolveTask: solve_task.perform,
     str: lambda task: {"status": "converged"},
 }
@@ -202,7 +202,7 @@ class Costs:
         names = problem.material.calibrated_names
         return _OVERHEAD_S + sum(self._test_seconds(test, names) for test in problem.tests)
 
-    def _test_seconds(self, test: FittedTest, names: Sequence[str]) -> float:
+    def _test_seconds(self, test: FitPart, names: Sequence[str]) -> float:
         """Seconds that one test of a fit takes: nothing where it has a closed form."""
         external = External.of(test.problem)
         if test.method == "external" and external is not None:
@@ -237,11 +237,22 @@ class Costs:
             self._anchored.add(job.group)
         return _OVERHEAD_S + solves * solve_s
 
+    def seconds(self, job: FitJob | CaseJob) -> float:
+        """Seconds of a fit, or of a case without its fits."""
+        if isinstance(job, FitJob):
+            return self.fit_seconds(job.problem)
+        return self.case_seconds(job)
+
+    def MB(self, job: FitJob | CaseJob) -> float:  # noqa: N802
+        """Peak memory of a fit or of a case."""
+        if isinstance(job, FitJob):
+            return self.fit_memory_MB(job.problem)
+        return self.case_memory_MB(job)
+
     def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
         """Wall time on a number of workers."""
-        work = sum(self.fit_seconds(f.problem) for f in fits)
-        work += sum(self.case_seconds(c) for c in cases)
-        return work / jobs
+        work = sum(self.fit_seconds(fit.problem) for fit in fits)
+        return (work + sum(self.case_seconds(job) for job in cases)) / jobs
 
     def solve_seconds(self, problem: CellProblem, depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""
