@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.structured import Mesh, extrude, rectangle
-from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Indenter, Specimen
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
@@ -30,22 +30,46 @@ YEOH = Material("reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, b
 LAYERS = Path(__file__).resolve().parents[2] / "validation" / "layers.csv"
 #: marks of what the long verification alone solves
 LONG = (pytest.mark.slow, pytest.mark.verify)
+NEEDLE, PUNCH = Cone(30, 1), Flat(3, 0.3)
+#: material of the hard-contact forces: C10 = 5 kPa, C20 = 1 kPa, K = 10 MPa
+RUBBER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0)
 #: gel of the reference figures: C10 = 5 kPa, K = 10 MPa
 GEL = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
 
 
+def long_verification(test):
+    """Leave a test out of the suite."""
+    return pytest.mark.slow(pytest.mark.verify(test))
+
+
 def compression(
-    specimen: Cylinder,
+    specimen: Specimen,
     displacement_mm: float,
     interface: str = "bonded",
     *,
+    base: str = "",
     material: Material = NEO_HOOKEAN,
     steps: int = 1,
     **model: object,
 ) -> Problem:
-    """Compression between two like plates."""
-    test = Test("compression", displacement_mm, interface, interface, steps=steps)  # type: ignore[arg-type]
-    return Problem(specimen, test, material, replace(Model(), **model))  # type: ignore[arg-type]
+    """Compression between two plates, alike where the lower one is not given."""
+    test = Test("compression", displacement_mm, interface, base or interface, steps=steps)
+    return Problem(specimen, test, material, replace(Model(), **model))
+
+
+def indentation(
+    indenter: Indenter,
+    depth: float,
+    *,
+    material: Material = RUBBER,
+    specimen: Specimen = Cylinder(25, 50),  # noqa: B008
+    steps: int = 10,
+    base: str = "bonded",
+    interface: str = "frictionless",
+    **model: object,
+) -> Problem:
+    test = Test("indentation", depth, interface, base, steps, indenter)
+    return Problem(specimen, test, material, replace(Model(), **model))
 
 
 def reached(problem: Problem, **given: Any) -> Solution:

@@ -115,7 +115,7 @@ OF_THE_SUITE = {"ogden-3-3d", "polynomial-incompressible-3d"}
         for case in CASES
     ],
 )
-def test_every_constant(case: str) -> None:
+def test_every_constant(case):
     """The remainder falls with slope 2; V41 allows 1.9 to 2.1 over three halvings."""
     problem = CASES[case]
     base = solve(problem, options=EXACT)
@@ -131,7 +131,7 @@ def test_every_constant(case: str) -> None:
     [*product(PROPORTIONAL.values(), SPACES), *product(LIMITED.values(), SPACES[:1])],
     ids=lambda value: value if isinstance(value, str) else value.model,
 )
-def test_one_modulus_scales_the_force(material: Material, space: str) -> None:
+def test_one_modulus_scales_the_force(material, space):
     """P01 differentiated: where one modulus sets all the others, F = modulus * gradient."""
     curve = solve(bonded(material, space), options=EXACT).curve
     modulus = material.names[0]

@@ -32,7 +32,7 @@ from study.mechanics.solver.finite_element_solution import check
 from study.mechanics.solver.solution_cost import estimate, expected_unknowns, memory_MB, unknowns
 from study.mechanics.solver.system import System
 from study.mechanics.surface.closed_surface import body
-from tests.fem.problems import GEL, LONG
+from tests.fem.problems import GEL, LONG, long_verification
 from tests.fem.surfaces import Shape, box, sphere, write
 
 COMPRESSED = (Cylinder(25, 30), Test("compression", 3, "bonded", "bonded", 5))
@@ -58,7 +58,7 @@ def pressed(specimen, indenter, depth: float = 2.0) -> tuple:
 
 
 def squeezed(specimen, interface: str, base: str) -> tuple:
-    return specimen, Test("compression", 1, interface, base, 1)  # type: ignore[arg-type]
+    return specimen, Test("compression", 1, interface, base, 1)
 
 
 ROUND, BOX = Cylinder(25, 30), Block(60, 50, 40)
@@ -115,7 +115,7 @@ def test_a_mesh_that_does_not_fit_is_refused_before_it_is_made(
 
 
 def surface(folder: Path, shape: Shape, **given: float) -> Surface:
-    return Surface(write(folder / "body.obj", shape), **given)  # type: ignore[arg-type]
+    return Surface(write(folder / "body.obj", shape), **given)
 
 
 @pytest.mark.parametrize("bonded", [False, pytest.param(True, marks=LONG)])
@@ -219,11 +219,10 @@ print(solution.dofs, peak_kB / 1024)
 """
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 @pytest.mark.parametrize("size_mm", [2.3, 1.4], ids=["30k", "120k"])
 @pytest.mark.skipif(not hasattr(resource, "RUSAGE_SELF"), reason="no peak memory is told")
-def test_memory_is_predicted(size_mm: float) -> None:
+def test_memory_is_predicted(size_mm):
     """Measured November 2026: 423 MB at 35653 unknowns, 1259 MB at 124698."""
     pytest.importorskip("pypardiso", reason="the memory is that of PARDISO")
     program = ONE_STEP.replace("SIZE", str(size_mm))

@@ -48,7 +48,7 @@ def tension(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def pulled(specimen: Cylinder | Block, depth: float, steps: int = 1, **model: object) -> Problem:
     test = Test("tension", depth, "bonded", "bonded", steps=steps)
-    return Problem(specimen, test, GEL, replace(Model(), **model))  # type: ignore[arg-type]
+    return Problem(specimen, test, GEL, replace(Model(), **model))
 
 
 @pytest.mark.parametrize(

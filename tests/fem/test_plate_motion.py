@@ -14,6 +14,7 @@ from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import NoEquilibrium, PrescribedMotion, solve
+from tests.fem.problems import long_verification
 
 from .problems import GEL
 
@@ -120,8 +121,7 @@ def test_forces_and_moments_of_plate_and_base_balance():
     assert curve.force_gradient["C10"][-1] == pytest.approx(change / 2e-5, rel=1e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 def test_a_shifted_plate_presses_with_its_axial_reaction_alone():
     thin = moved(0.01, FaceMotion(x_mm=1.0), specimen=Block(24, 24, 6),
                  model=replace(MODEL, mesh_size_mm=3.0))  # fmt: skip

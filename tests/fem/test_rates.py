@@ -16,7 +16,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.setup.setup import Model
 from tests.fem.known import Body, unit
 from tests.fem.manufactured import Manufactured
-from tests.fem.problems import LONG, MOONEY
+from tests.fem.problems import LONG, MOONEY, long_verification
 from tests.fem.problems import NEO_HOOKEAN as NEARLY
 
 OGDEN = Material(
@@ -59,13 +59,13 @@ RATES = [
 
 
 @pytest.mark.parametrize(("space", "order", "shape", "material"), RATES)
-def test_rates(space: str, order: str, shape: str, material: Material) -> None:
+def test_rates(space, order, shape, material):
     """Finest slope at least that of theory minus 0.1; Q1/P0 pressure excepted.
 
     A compressible solid (K = 2 mu) has the rates of theory without a pressure.
     """
     mixed = material is not SOFT
-    model = Model(space, order, shape, "mixed" if mixed else "displacement")  # type: ignore[arg-type]
+    model = Model(space, order, shape, "mixed" if mixed else "displacement")
     unstable = (order, shape) == ("linear", "tensor")
     wanted = THEORY[order][: 2 if unstable or not mixed else 3]
     for barrel in (0.0, 0.3) if space == "axisymmetric" and mixed else (0.0,):
@@ -75,7 +75,7 @@ def test_rates(space: str, order: str, shape: str, material: Material) -> None:
         assert (slopes[-1][: len(wanted)] >= np.array(wanted) - 0.1).all()
 
 
-def test_linear_displacements_lock() -> None:
+def test_linear_displacements_lock():
     """P1 at K = 1e4 mu: far below its rate where the mixed element keeps the full one.
 
     With the barreling: what the shears alone are interpolated by keeps the volume by itself.
@@ -84,7 +84,7 @@ def test_linear_displacements_lock() -> None:
     case = Manufactured(True, 0.05, stiff, pressed=False, barrel=0.1)
     found = {}
     for formulation in ("displacement", "mixed"):
-        model = Model("axisymmetric", "linear", "simplex", formulation)  # type: ignore[arg-type]
+        model = Model("axisymmetric", "linear", "simplex", formulation)
         found[formulation] = rates(case, model, steps=5)
         show("V13", model, *found[formulation])
     assert found["displacement"][1][-1][0] < 1.0
@@ -98,7 +98,7 @@ def inf_sup(space: str, order: str, shape: str, n: int) -> tuple[float, int]:
     The unit cylinder or cube is held all around: the constant pressure is one such mode, any
     other is a checkerboard. A is the H1 seminorm, M the mass of the pressure, B the divergence.
     """
-    made = unit(Model(space, order, shape), n, NEARLY)  # type: ignore[arg-type]
+    made = unit(Model(space, order, shape), n, NEARLY)
     s, dim = made.space, made.nodes.shape[1]
     A = np.zeros((s.n_displacement, s.n_displacement))
     B, M = np.zeros((s.n - s.n_displacement, s.n_displacement)), None
@@ -137,10 +137,9 @@ def held_all_around(made: Body) -> np.ndarray:
     return np.concatenate(dofs)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 @pytest.mark.parametrize(("space", "order", "shape"), PAIRS)
-def test_inf_sup(space: str, order: str, shape: str) -> None:
+def test_inf_sup(space, order, shape):
     """V14: stable pairs keep their constant; Q1/P0 has a checkerboard and loses its own."""
     meshes = (4, 8, 12) if space == "axisymmetric" else (2, 3, 4)
     found = [inf_sup(space, order, shape, n) for n in meshes]

@@ -34,7 +34,7 @@ def use(monkeypatch: pytest.MonkeyPatch, *, single: bool) -> None:
 
 
 def problem(loading: Loading, space: str, material: Material) -> Problem:
-    model = Model(space, "quadratic", mesh="coarse")  # type: ignore[arg-type]
+    model = Model(space, "quadratic", mesh="coarse")
     return Problem(Cylinder(25.0, 50.0), loading, material, model)
 
 
@@ -51,8 +51,8 @@ def problem(loading: Loading, space: str, material: Material) -> Problem:
     ],
 )
 def test_forces_and_their_derivatives_are_those_of_double_precision(
-    loading: Loading, space: str, material: Material, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    loading, space, material, monkeypatch
+):
     found = []
     for single in (True, False):
         use(monkeypatch, single=single)
@@ -62,8 +62,6 @@ def test_forces_and_their_derivatives_are_those_of_double_precision(
     one, two = (solution.curve for solution in found)
     # both end where the residual is 1e-8 of the reaction, somewhere else each
     np.testing.assert_allclose(one.force_N, two.force_N, rtol=2e-8)
-    assert one.stiffness_N_per_mm is not None
-    assert two.stiffness_N_per_mm is not None
     np.testing.assert_allclose(one.stiffness_N_per_mm, two.stiffness_N_per_mm, rtol=1e-5)
     for name, slope in two.force_gradient.items():
         scale = np.abs(slope).max()
@@ -84,9 +82,7 @@ def residual(pattern: Pattern, data: np.ndarray, x: np.ndarray, b: np.ndarray) -
     return float(np.linalg.norm(left) / np.linalg.norm(b))
 
 
-def test_single_precision_is_corrected_to_what_is_asked_for(
-    tangent: tuple[Pattern, np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_single_precision_is_corrected_to_what_is_asked_for(tangent, monkeypatch):
     pattern, data = tangent
     use(monkeypatch, single=True)
     solver = make_solver(pattern, "pardiso", corrected=True)
@@ -102,9 +98,7 @@ def test_single_precision_is_corrected_to_what_is_asked_for(
     solver.close()
 
 
-def test_what_single_precision_cannot_do_is_done_in_double(
-    tangent: tuple[Pattern, np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_single_precision_cannot_do_is_done_in_double(tangent, monkeypatch):
     """Pairs [[1, 1], [1, 1 + d]] whose d of some 1e-7 is gone in seven digits."""
     pattern, _ = tangent
     use(monkeypatch, single=True)

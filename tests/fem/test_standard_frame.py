@@ -43,7 +43,7 @@ def mesh(tmp_path: Path, shape: Shape, angle: float, shift: Array, **model: obje
     file = write(tmp_path / "body.obj", moved(shape, angle, shift))
     placed = Surface(file, press_x_mm=float(x), press_y_mm=float(y), clamp_below_mm=shift[2] + 1.0)
     test = Test("indentation", 0.4, "frictionless", "bonded", steps=1, indenter=Sphere(4))
-    settings = replace(Model(space="3d", element_order="linear", mesh="coarse"), **model)  # type: ignore[arg-type]
+    settings = replace(Model(space="3d", element_order="linear", mesh="coarse"), **model)
     made = build_mesh(Problem(placed, test, GEL, settings).setup)
     return replace(made, points=made.points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
 
@@ -53,7 +53,7 @@ def mesh(tmp_path: Path, shape: Shape, angle: float, shift: Array, **model: obje
     [scan(), box(12, 10, 6)],
     ids=["scan", "box"],
 )
-def test_position_orientation_and_order_change_no_element(tmp_path: Path, shape: Shape) -> None:
+def test_position_orientation_and_order_change_no_element(tmp_path, shape):
     first = mesh(tmp_path, shape, 0.0, np.zeros(3))
     for angle, shift in [
         (0.0, [0.1, -0.3, 0.7]),
@@ -65,7 +65,7 @@ def test_position_orientation_and_order_change_no_element(tmp_path: Path, shape:
         assert other.points == pytest.approx(first.points, abs=1e-9)
 
 
-def test_a_seed_gives_another_mesh_of_the_same_body(tmp_path: Path) -> None:
+def test_a_seed_gives_another_mesh_of_the_same_body(tmp_path):
     first, *others = (
         mesh(tmp_path, scan(), 0.0, np.zeros(3), mesh_seed=seed) for seed in (None, 1, 2, 1)
     )

@@ -74,10 +74,8 @@ def cylinder_pressure(la: float, outer: float, model: Model, n: int) -> float:
 @pytest.mark.parametrize("order", ["quadratic", "linear"])
 @pytest.mark.parametrize("la", [1.1, *(pytest.param(la, marks=LONG) for la in (1.5, 2.0))])
 @pytest.mark.parametrize("wall", [NEO, MR, 1.5, 2.0], ids=["NH", "MR", "B=1.5", "B=2"])
-def test_the_bound_of_a_thick_wall_holds_its_closed_form(
-    wall: Material | float, la: float, order: str
-) -> None:
-    model = Model("axisymmetric", order, "simplex")  # type: ignore[arg-type]
+def test_the_bound_of_a_thick_wall_holds_its_closed_form(wall, la, order):
+    model = Model("axisymmetric", order, "simplex")
     # straight sides of a curved wall are of second order whatever the element
     formal = 4.0 if isinstance(wall, float) and order == "quadratic" else 2.0
     if isinstance(wall, float):

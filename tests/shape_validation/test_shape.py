@@ -19,6 +19,7 @@ from study.laboratory.registration.rigid import RigidMotion, turned_about
 from study.laboratory.shape.boundary import DeformedMesh, surface_of, symmetry_of
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
 from study.reporting.output.accuracy_page import scan_answers
+from tests.fem.problems import long_verification
 from tests.fem.surfaces import write
 from tests.registration.bodies import egg, scan
 
@@ -85,9 +86,7 @@ def write_cloud(path: Path, points: Array) -> Path:
     return path
 
 
-def test_the_scan_of_the_closed_form_is_on_the_surface(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_scan_of_the_closed_form_is_on_the_surface(tmp_path, capsys):
     cloud = write_cloud(tmp_path / "scan.ply", MOTION(cylinder(RADIUS, HEIGHT, 1000, 1)))
     reports = tmp_path / "reports"
     command = ["shape", str(problem(tmp_path)), "--scan", str(cloud), "--reports", str(reports)]
@@ -106,9 +105,8 @@ def test_the_scan_of_the_closed_form_is_on_the_surface(
     assert "rotation about" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_a_body_that_is_larger_deviates_by_as_much(tmp_path: Path) -> None:
+@long_verification
+def test_a_body_that_is_larger_deviates_by_as_much(tmp_path):
     """0.3 mm more radius, the same height: every point of the side is 0.3 mm off."""
     cloud = MOTION(cylinder(RADIUS + 0.3, HEIGHT, 4000, 2))
     found = study.shape(problem(tmp_path), write_csv(tmp_path / "scan.csv", cloud))
@@ -118,7 +116,7 @@ def test_a_body_that_is_larger_deviates_by_as_much(tmp_path: Path) -> None:
     assert found.statistics.mean == pytest.approx(0.3 * side.mean(), abs=0.01)
 
 
-def test_noise_and_outliers_are_counted_and_do_no_harm(tmp_path: Path) -> None:
+def test_noise_and_outliers_are_counted_and_do_no_harm(tmp_path):
     rng = np.random.default_rng(3)
     points = cylinder(RADIUS, HEIGHT, 4000, 3, noise=0.05)
     strewn = rng.uniform(-200, 200, (200, 3))
@@ -134,7 +132,7 @@ def test_noise_and_outliers_are_counted_and_do_no_harm(tmp_path: Path) -> None:
     "space",
     ["axisymmetric", pytest.param("3d", marks=[pytest.mark.slow, pytest.mark.verify])],
 )
-def test_markers_inside_move_as_the_closed_form_says(tmp_path: Path, space: str) -> None:
+def test_markers_inside_move_as_the_closed_form_says(tmp_path, space):
     rng = np.random.default_rng(4)
     turn, r = 2 * np.pi * rng.random(20), 18 * np.sqrt(rng.random(20))
     rest = np.column_stack([r * np.cos(turn), r * np.sin(turn), rng.uniform(-14, 14, 20)])
@@ -154,7 +152,7 @@ def test_markers_inside_move_as_the_closed_form_says(tmp_path: Path, space: str)
     assert found.sizes[5:].max() < 0.02
 
 
-def test_a_vtu_file_says_the_same_as_its_problem(tmp_path: Path) -> None:
+def test_a_vtu_file_says_the_same_as_its_problem(tmp_path):
     file = problem(tmp_path)
     vtu = tmp_path / "solution.vtu"
     assert run(["solve", str(file), "--vtu", str(vtu), "--json"]) == 0
@@ -164,7 +162,7 @@ def test_a_vtu_file_says_the_same_as_its_problem(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["inline", "appended"])
-def test_a_vtu_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path, encoding: str) -> None:
+def test_a_vtu_file_that_unpacks_to_gigabytes_is_refused(tmp_path, encoding):
     part = zlib.compress(bytes(300_000_000))
     header = np.array([1, 300_000_000, 0, len(part)], dtype="<u4").tobytes()
     head = (
@@ -191,7 +189,7 @@ def moved_egg(folder: Path, motion: RigidMotion, name: str = "scan.csv") -> tupl
     return write_ply(folder / "egg.ply", surface), write_csv(folder / name, cloud)
 
 
-def test_a_surface_file_is_compared_too_and_marks_lie_on_it(tmp_path: Path) -> None:
+def test_a_surface_file_is_compared_too_and_marks_lie_on_it(tmp_path):
     surface, cloud = moved_egg(tmp_path, MOTION)
     marks = egg().points[:6] + 0.4 * egg().vertex_normals[:6]
     markers = write_csv(tmp_path / "marks.csv", MOTION(marks))
@@ -201,7 +199,7 @@ def test_a_surface_file_is_compared_too_and_marks_lie_on_it(tmp_path: Path) -> N
     assert found.markers.sizes == pytest.approx(0.4, rel=0.05)
 
 
-def test_the_known_pair_of_brain_surfaces(data_dir: Path) -> None:
+def test_the_known_pair_of_brain_surfaces(data_dir):
     """The collector of the data measured 0.309 mm on average and 2.461 mm at worst."""
     folder = data_dir / "brain_surface"
     if not folder.is_dir():
@@ -212,9 +210,7 @@ def test_the_known_pair_of_brain_surfaces(data_dir: Path) -> None:
     assert found.statistics.largest == pytest.approx(2.461, abs=5e-4)
 
 
-def test_a_scan_of_the_body_at_rest_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scan_of_the_body_at_rest_is_refused(tmp_path, capsys):
     cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(20.0, 30.0, 500, 7)))
     file = problem(tmp_path)
     assert run(["shape", str(file), "--scan", str(cloud), "--reports", str(tmp_path)]) == 3
@@ -223,7 +219,7 @@ def test_a_scan_of_the_body_at_rest_is_refused(
     assert found.statistics.rms > 0.5
 
 
-def test_a_mirrored_scan_is_refused(tmp_path: Path) -> None:
+def test_a_mirrored_scan_is_refused(tmp_path):
     surface, _ = moved_egg(tmp_path, MOTION)
     cloud = scan(egg(), 2000, np.random.default_rng(8)) * [1, -1, 1]
     with pytest.raises(InputError, match="is mirrored"):
@@ -231,9 +227,7 @@ def test_a_mirrored_scan_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "m"), (1e3, "um")])
-def test_a_scan_in_another_unit_is_refused_and_the_unit_is_named(
-    tmp_path: Path, factor: float, unit: str
-) -> None:
+def test_a_scan_in_another_unit_is_refused_and_the_unit_is_named(tmp_path, factor, unit):
     surface, _ = moved_egg(tmp_path, MOTION)
     cloud = write_csv(tmp_path / "unit.csv", factor * scan(egg(), 500, np.random.default_rng(9)))
     with pytest.raises(InputError, match=f"is it in {unit}"):
@@ -241,7 +235,7 @@ def test_a_scan_in_another_unit_is_refused_and_the_unit_is_named(
     assert study.shape(surface, cloud, unit=unit).statistics.largest < 1e-3
 
 
-def test_a_simulated_surface_with_a_hole_is_refused(tmp_path: Path) -> None:
+def test_a_simulated_surface_with_a_hole_is_refused(tmp_path):
     whole = egg()
     holed = TriangleSurface(whole.points, whole.triangles[3:])
     cloud = write_csv(tmp_path / "scan.csv", scan(whole, 500, np.random.default_rng(10)))
@@ -249,7 +243,7 @@ def test_a_simulated_surface_with_a_hole_is_refused(tmp_path: Path) -> None:
         study.shape(write_ply(tmp_path / "holed.ply", holed), cloud)
 
 
-def test_a_scan_with_holes_is_no_fault_and_what_it_shows_is_said(tmp_path: Path) -> None:
+def test_a_scan_with_holes_is_no_fault_and_what_it_shows_is_said(tmp_path):
     surface, _ = moved_egg(tmp_path, MOTION)
     cloud = scan(egg(), 4000, np.random.default_rng(11))
     part = write_csv(tmp_path / "part.csv", MOTION(cloud[cloud[:, 0] > 0]))
@@ -272,7 +266,7 @@ def test_a_scan_with_holes_is_no_fault_and_what_it_shows_is_said(tmp_path: Path)
         ("markers", "x,y,z,x0,y0,z0\n" + "1,2,3,1,2,3\n" * 3, "says nothing of points inside"),
     ],
 )
-def test_a_faulty_cloud_or_faulty_markers_are_refused(tmp_path, of_what, content, rule) -> None:
+def test_a_faulty_cloud_or_faulty_markers_are_refused(tmp_path, of_what, content, rule):
     surface, cloud = moved_egg(tmp_path, MOTION)
     if content is not None:
         (tmp_path / "faulty.csv").write_text(content)
@@ -280,7 +274,7 @@ def test_a_faulty_cloud_or_faulty_markers_are_refused(tmp_path, of_what, content
         study.shape(surface, **{"scan": cloud, of_what: tmp_path / "faulty.csv"})
 
 
-def test_a_cloud_without_a_surface_is_refused(tmp_path: Path) -> None:
+def test_a_cloud_without_a_surface_is_refused(tmp_path):
     surface, _ = moved_egg(tmp_path, MOTION)
     rng = np.random.default_rng(12)
     dense = scan(egg(), 550, rng) * [0.05, 1, 1]
@@ -289,7 +283,7 @@ def test_a_cloud_without_a_surface_is_refused(tmp_path: Path) -> None:
         study.shape(surface, write_csv(tmp_path / "dust.csv", np.vstack([dense, strewn])))
 
 
-def test_points_without_weight_are_set_aside_and_counted(tmp_path: Path) -> None:
+def test_points_without_weight_are_set_aside_and_counted(tmp_path):
     """A part of the table in the scan says nothing of the body, nor of its mean deviation."""
     surface, _ = moved_egg(tmp_path, MOTION)
     rng = np.random.default_rng(12)
@@ -335,7 +329,7 @@ def six_tetrahedra(cells: Ints) -> Ints:
 
 
 @pytest.mark.parametrize("kind", ["hexahedron", "tetra"])
-def test_a_whole_box_has_its_volume(kind: str) -> None:
+def test_a_whole_box_has_its_volume(kind):
     points, cells = box_mesh(3, np.array([-2.0, -1, 0]), np.array([2.0, 1, 3]))
     cells = cells if kind == "hexahedron" else six_tetrahedra(cells)
     mesh = DeformedMesh(points, 0.1 * points, kind, cells)
@@ -346,7 +340,7 @@ def test_a_whole_box_has_its_volume(kind: str) -> None:
     assert deformed.volume_mm3 == pytest.approx(24 * 1.1**3)
 
 
-def test_a_quarter_of_an_upper_half_becomes_the_whole() -> None:
+def test_a_quarter_of_an_upper_half_becomes_the_whole():
     points, cells = box_mesh(2, np.array([0.0, 0, 5]), np.array([2.0, 3, 10]))
     stretch = np.array([0.1, 0.1, -0.2])
     mesh = DeformedMesh(points, (points - [0, 0, 5]) * stretch, "hexahedron", cells)
@@ -356,7 +350,7 @@ def test_a_quarter_of_an_upper_half_becomes_the_whole() -> None:
     assert found.displacement[found.points[:, 2] == 0.0, 2] == pytest.approx(1.0)
 
 
-def test_a_section_becomes_a_ring_of_the_right_volume() -> None:
+def test_a_section_becomes_a_ring_of_the_right_volume():
     points = np.array([[1.0, 0, 0], [3, 0, 0], [3, 2, 0], [1, 2, 0]])
     mesh = DeformedMesh(points, np.zeros_like(points), "quad", np.array([[0, 1, 2, 3]]))
     found = surface_of(mesh)
@@ -365,7 +359,7 @@ def test_a_section_becomes_a_ring_of_the_right_volume() -> None:
     assert found.volume_mm3 == pytest.approx(16 * np.pi * share)
 
 
-def test_unknown_cells_are_refused() -> None:
+def test_unknown_cells_are_refused():
     mesh = DeformedMesh(np.eye(3), np.zeros((3, 3)), "wedge", np.zeros((1, 6), dtype=np.int64))
     with pytest.raises(InputError, match="cells of type 'wedge'"):
         surface_of(mesh)
