@@ -5,12 +5,7 @@ import pytest
 
 from study.ground.errors import InputError, RefusedError
 from study.mechanics.calibration.fit import fit
-from study.mechanics.calibration.lack_of_fit import (
-    agreement,
-    lack_of_fit,
-    pattern,
-    same_constants,
-)
+from study.mechanics.calibration.lack_of_fit import agreement, lack_of_fit, pattern, same_constants
 from study.mechanics.calibration.levenberg_marquardt import Status, levenberg_marquardt
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from tests.calibration.cylinder import predictor, virtual

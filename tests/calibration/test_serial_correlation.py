@@ -17,10 +17,7 @@ from tests.runner.test_calibrate import case
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-ENERGIES = {
-    "neo-hookean": {"C10": 7e-3},
-    "reduced-polynomial": {"C10": 7e-3, "C20": 1.5e-3},
-}
+ENERGIES = {"neo-hookean": {"C10": 7e-3}, "reduced-polynomial": {"C10": 7e-3, "C20": 1.5e-3}}
 ROWS, DEPTH = 60, 9.0
 
 

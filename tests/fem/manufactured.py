@@ -14,15 +14,7 @@ import numpy as np
 
 from study.mechanics.material.homogeneous import first_piola
 from study.mechanics.material.material import Material
-from tests.fem.known import (
-    Answer,
-    Body,
-    interpolated,
-    load_vector,
-    measure,
-    pressures,
-    solve,
-)
+from tests.fem.known import Answer, Body, interpolated, load_vector, measure, pressures, solve
 
 Array = np.ndarray
 _STEP = 1e-3

@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import (
-    Brain,
-    Flat,
-    Gravity,
-    Specimen,
-    Sphere,
-    Surface,
-)
+from study.mechanics.setup.geometry import Brain, Flat, Gravity, Specimen, Sphere, Surface
 from study.mechanics.setup.setup import Problem
 from study.mechanics.surface.closed_surface import body
 from tests.fem.problems import GEL, LONG, indentation, long_verification, reached

@@ -53,8 +53,7 @@ def in_block(material: Material, depth: float, order: str, mesh: str, space: str
 
 
 @pytest.mark.parametrize(
-    ("shape", "order", "mesh"),
-    [("simplex", "quadratic", "coarse"), ("tensor", "linear", "fine")],
+    ("shape", "order", "mesh"), [("simplex", "quadratic", "coarse"), ("tensor", "linear", "fine")]
 )
 def test_the_softest_energy_reaches_five_millimetres(shape, order, mesh):
     solution = reached(deep(GEL, shape, order, mesh))

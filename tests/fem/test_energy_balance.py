@@ -18,11 +18,7 @@ from study.mechanics.solver import load_path
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.newton import Options
-from study.mechanics.solver.solution import (
-    JUMP_SHARE,
-    Solution,
-    balanced,
-)
+from study.mechanics.solver.solution import JUMP_SHARE, Solution, balanced
 from tests.fem.homogeneous import held, system_of
 from tests.fem.problems import (
     LONG,

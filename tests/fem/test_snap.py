@@ -108,12 +108,7 @@ def test_a_block_under_a_deep_cone_snaps_and_goes_on():
 
 @long_verification
 @pytest.mark.parametrize(
-    ("element_order", "mesh"),
-    [
-        ("linear", "coarse"),
-        ("quadratic", "coarse"),
-        ("linear", "medium"),
-    ],
+    ("element_order", "mesh"), [("linear", "coarse"), ("quadratic", "coarse"), ("linear", "medium")]
 )
 def test_a_solid_under_a_flat_end_goes_on_to_its_radius(element_order, mesh):
     """Deeper than half the radius the surface slips over the edge, facet by facet."""

@@ -48,11 +48,7 @@ def mesh(tmp_path: Path, shape: Shape, angle: float, shift: Array, **model: obje
     return replace(made, points=made.points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [scan(), box(12, 10, 6)],
-    ids=["scan", "box"],
-)
+@pytest.mark.parametrize("shape", [scan(), box(12, 10, 6)], ids=["scan", "box"])
 def test_position_orientation_and_order_change_no_element(tmp_path, shape):
     first = mesh(tmp_path, shape, 0.0, np.zeros(3))
     for angle, shift in [

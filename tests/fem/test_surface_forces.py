@@ -198,8 +198,7 @@ def test_sizes_scale_in_a_refinement_series(disc):
 
 
 @pytest.mark.parametrize(
-    ("bonded", "base"),
-    [("bonded", "bonded"), pytest.param("bonded", "frictionless", marks=LONG)],
+    ("bonded", "base"), [("bonded", "bonded"), pytest.param("bonded", "frictionless", marks=LONG)]
 )
 @pytest.mark.parametrize("size", [3.4, pytest.param(1.8, marks=LONG)])
 def test_as_many_elements_as_quarters_have(disc, bonded, base, size):

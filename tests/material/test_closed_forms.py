@@ -10,13 +10,7 @@ from study.ground.errors import InputError
 from study.mechanics.material.homogeneous import LOADINGS, MODES, first_piola, response
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import stability
-from tests.material.modes import (
-    FOAM,
-    confined,
-    equibiaxial,
-    planar,
-    uniaxial,
-)
+from tests.material.modes import FOAM, confined, equibiaxial, planar, uniaxial
 
 ROOT = Path(__file__).resolve().parents[2]
 with open(ROOT / "validation" / "material_points.csv", newline="", encoding="utf-8") as _file:

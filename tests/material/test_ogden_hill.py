@@ -11,12 +11,7 @@ import pytest
 from study import api
 from study.ground.arrays import Array
 from study.ground.errors import InputError
-from study.mechanics.material.homogeneous import (
-    LOADINGS,
-    MODES,
-    first_piola,
-    response,
-)
+from study.mechanics.material.homogeneous import LOADINGS, MODES, first_piola, response
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import stability
 from tests.cli.small import study

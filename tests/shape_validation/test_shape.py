@@ -129,8 +129,7 @@ def test_noise_and_outliers_are_counted_and_do_no_harm(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "space",
-    ["axisymmetric", pytest.param("3d", marks=[pytest.mark.slow, pytest.mark.verify])],
+    "space", ["axisymmetric", pytest.param("3d", marks=[pytest.mark.slow, pytest.mark.verify])]
 )
 def test_markers_inside_move_as_the_closed_form_says(tmp_path, space):
     rng = np.random.default_rng(4)

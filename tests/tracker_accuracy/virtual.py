@@ -49,9 +49,7 @@ def pose_rows(
     known: list[list[object]] = []
     for k in range(poses):
         body = turned_about(
-            np.zeros(3),
-            np.radians(turn_deg) * rng.standard_normal(3),
-            rng.uniform(-400, 400, 3),
+            np.zeros(3), np.radians(turn_deg) * rng.standard_normal(3), rng.uniform(-400, 400, 3)
         )
         origin, x, y, marker = body(np.array([[0, 0, 0], [100.0, 0, 0], [0, 100.0, 0], arm]))
         place = frame.inverse(marker[None])[0] + noise_mm * rng.standard_normal(3)

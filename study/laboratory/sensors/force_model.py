@@ -12,15 +12,7 @@ import numpy as np
 from study.ground import diagnostics, units
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.ground.declaration import (
-    Bad,
-    Reads,
-    integer,
-    measured,
-    number,
-    section,
-    shown,
-)
+from study.ground.declaration import Bad, Reads, integer, measured, number, section, shown
 from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import CellProblem

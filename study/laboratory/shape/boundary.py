@@ -19,13 +19,7 @@ from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from study.mechanics.mesh.structured import MIDDLES
-from study.mechanics.surface.closed_surface import (
-    Edges,
-    Triangles,
-    inspect,
-    joined,
-    read_mesh,
-)
+from study.mechanics.surface.closed_surface import Edges, Triangles, inspect, joined, read_mesh
 
 if TYPE_CHECKING:
     from scipy.interpolate import LinearNDInterpolator

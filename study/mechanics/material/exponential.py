@@ -12,13 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.ground.arrays import Array
-from study.mechanics.material.energy import (
-    Constant,
-    Constants,
-    DeclaredConstants,
-    Law,
-    PointLaw,
-)
+from study.mechanics.material.energy import Constant, Constants, DeclaredConstants, Law, PointLaw
 from study.mechanics.material.polynomial import Curvatures, Form, InvariantEnergy, Slopes
 
 #: k a beyond which a state has no stress: e^500 is near the largest number there is

@@ -59,9 +59,7 @@ class NewtonSettings:
     def passing(self) -> NewtonSettings:
         """For a state that nobody asked for: it only leads to the next."""
         return replace(
-            self,
-            tolerance=max(self.tolerance, _PASSING_TOLERANCE),
-            gap=max(self.gap, _PASSING_GAP),
+            self, tolerance=max(self.tolerance, _PASSING_TOLERANCE), gap=max(self.gap, _PASSING_GAP)
         )
 
 
