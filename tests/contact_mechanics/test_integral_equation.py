@@ -1,12 +1,9 @@
 """Contact with a layer: published tables, closed forms of the half-space, slopes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from study.mechanics.forward import contact_law
-from study.mechanics.forward.contact_law import ContactForceLaw as ForceLaw
 from study.mechanics.forward.contact_law import Layer, contact_state, force_law, transform
 from study.mechanics.setup.geometry import Cone, Flat, Sphere
 from tests.fem.problems import layers
@@ -118,7 +115,7 @@ def test_dimitriadis():
         assert found[:4] == pytest.approx(values, abs=6e-4)
     layer, size = Layer(1.0, 0.5), 1e3
     depth = np.array([0.2, 0.3, 0.5]) ** 2 / size
-    laws: list[ForceLaw] = [
+    laws = [
         force_law(Sphere(size), layer, 1e-3, theory=theory, paraboloid=True)
         for theory in ("dimitriadis", "integral-equation")
     ]

@@ -1,7 +1,5 @@
 """What a solution says where every step converged and the answer is another one."""
 
-from __future__ import annotations
-
 import pytest
 
 import study

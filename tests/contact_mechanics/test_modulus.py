@@ -1,17 +1,11 @@
 """Moduli of curves: coverage of intervals, contact, limits, medians."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import binom
 
 from study.mechanics.forward.contact_law import Layer, force_law, limits
-from study.mechanics.indentation.indentation_modulus import (
-    CurveModulus,
-    fit_modulus,
-    median_estimate,
-)
+from study.mechanics.indentation.indentation_modulus import fit_modulus, median_estimate
 from study.mechanics.setup.geometry import Cone, Flat, Sphere
 
 TRUTH_MPA = 0.02
@@ -19,9 +13,7 @@ LAYER = Layer(10.0, 0.5)
 LAW = force_law(Sphere(5.0), LAYER, 1.2)
 
 
-def curve(
-    rng: np.random.Generator, n: int, correlation: float = 0.0, contact: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+def curve(rng, n, correlation=0.0, contact=0.0):
     """Force by the law, 2 % of the last one as noise of a given correlation."""
     d = np.linspace(0.5 / n, 0.5 + contact, n)
     noise = rng.normal(size=n)
@@ -31,7 +23,7 @@ def curve(
     return d, force + 0.02 * force[-1] * noise
 
 
-def fitted(d: np.ndarray, f: np.ndarray, **options: object) -> CurveModulus:
+def fitted(d, f, **options):
     asked = {"poisson_ratio": 0.5, "deepest_mm": 0.55, **options}
     return fit_modulus(d, f, LAW, **asked)
 

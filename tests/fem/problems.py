@@ -1,12 +1,8 @@
 """Problems and meshes that several tests of the solver share."""
 
-from __future__ import annotations
-
 import csv
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +10,10 @@ from numpy.typing import NDArray
 
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.structured import Mesh, extrude, rectangle
-from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Indenter, Specimen
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
-from study.mechanics.solver.solution import Solution
 
 FloatArray = NDArray[np.float64]
 
@@ -43,45 +38,43 @@ def long_verification(test):
 
 
 def compression(
-    specimen: Specimen,
-    displacement_mm: float,
-    interface: str = "bonded",
+    specimen,
+    displacement_mm,
+    interface="bonded",
     *,
-    base: str = "",
-    material: Material = NEO_HOOKEAN,
-    steps: int = 1,
-    **model: object,
-) -> Problem:
+    base="",
+    material=NEO_HOOKEAN,
+    steps=1,
+    **model,
+):
     """Compression between two plates, alike where the lower one is not given."""
     test = Test("compression", displacement_mm, interface, base or interface, steps=steps)
     return Problem(specimen, test, material, replace(Model(), **model))
 
 
 def indentation(
-    indenter: Indenter,
-    depth: float,
+    indenter,
+    depth,
     *,
-    material: Material = RUBBER,
-    specimen: Specimen = Cylinder(25, 50),  # noqa: B008
-    steps: int = 10,
-    base: str = "bonded",
-    interface: str = "frictionless",
-    **model: object,
-) -> Problem:
+    material=RUBBER,
+    specimen=Cylinder(25, 50),  # noqa: B008
+    steps=10,
+    base="bonded",
+    interface="frictionless",
+    **model,
+):
     test = Test("indentation", depth, interface, base, steps, indenter)
     return Problem(specimen, test, material, replace(Model(), **model))
 
 
-def reached(problem: Problem, **given: Any) -> Solution:
+def reached(problem, **given):
     """Solution without gradients, every step of which converged."""
     found = solve(problem, gradients=False, **given)
     assert found.converged, found.message
     return found
 
 
-def taylor_slopes(
-    problem: Problem, base: Solution, direction: FloatArray, lengths: Sequence[float]
-) -> FloatArray:
+def taylor_slopes(problem, base, direction, lengths):
     """Slopes in h of the largest |F(p + h dp) - F(p) - h g.dp|; exact gradients give 2."""
     names = problem.material.names
     rate = sum(base.curve.force_gradient[n] * d for n, d in zip(names, direction, strict=True))
@@ -93,14 +86,14 @@ def taylor_slopes(
     return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
 
 
-def grid(radius: float, height: float, nr: int, nz: int, shape: str = "simplex") -> Mesh:
+def grid(radius, height, nr, nz, shape="simplex"):
     """Square-grid mesh of the whole height; triangles are halves of its squares."""
     r, z = np.linspace(0, radius, nr + 1), np.linspace(0, height, nz + 1)
     points, cells = rectangle(r, z, shape)
     return Mesh(points, cells, False, radius / nr)
 
 
-def irregular(mesh: Mesh, seed: int = 0) -> Mesh:
+def irregular(mesh, seed=0):
     """Move the points inside by up to a quarter of the element size."""
     points = mesh.points.copy()
     low, high = points.min(axis=0), points.max(axis=0)
@@ -110,7 +103,7 @@ def irregular(mesh: Mesh, seed: int = 0) -> Mesh:
     return replace(mesh, points=points)
 
 
-def cube(n: int, shape: str = "simplex") -> Mesh:
+def cube(n, shape="simplex"):
     """Unit cube of distorted elements."""
     line = np.linspace(0, 1, n + 1)
     plane, faces = rectangle(line, line, shape)
@@ -118,7 +111,7 @@ def cube(n: int, shape: str = "simplex") -> Mesh:
     return irregular(Mesh(points, cells, False, 1 / n))
 
 
-def hooke(nu: float) -> Material:
+def hooke(nu):
     """Small-strain solid of shear modulus 1."""
     modulus = {"youngs_modulus": 2 * (1 + nu)}
     if nu == 0.5:
@@ -126,7 +119,7 @@ def hooke(nu: float) -> Material:
     return Material("linear-elastic", modulus, poisson_ratio=nu)
 
 
-def layers(problem: str) -> Iterator[tuple[float, float, float, float]]:
+def layers(problem):
     """Ratio, Poisson's ratio, value and relative uncertainty of each entry of a table."""
     with LAYERS.open(newline="", encoding="utf-8") as stream:
         for row in csv.DictReader(stream):

@@ -1,17 +1,14 @@
 """Cones and spheres that stick: theory of adhesive contact, gradients, no slip."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from study.mechanics.setup.geometry import Cone, Cylinder, Indenter, Sphere
+from study.mechanics.setup.geometry import Cone, Cylinder, Sphere
 from study.mechanics.setup.test_kind import StepSettings
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import Options
-from study.mechanics.solver.solution import Solution
 from tests.fem.problems import (
     GEL,
     LONG,
@@ -25,7 +22,7 @@ from tests.fem.problems import (
 )
 
 
-def pressed(indenter: Indenter, nu: float, interface: str, depth: float = 0.2) -> Solution:
+def pressed(indenter, nu, interface, depth=0.2):
     problem = indentation(
         indenter, depth, material=hooke(nu), interface=interface, steps=20, mesh="medium",
         element_order="quadratic",
@@ -33,7 +30,7 @@ def pressed(indenter: Indenter, nu: float, interface: str, depth: float = 0.2) -
     return reached(problem)
 
 
-def contact_radius(solution: Solution) -> float:
+def contact_radius(solution):
     """Halfway between the last point that touches and the first that does not, mm."""
     state, points = solution.warm.steps[-1].state, solution.warm.system.contact[0]
     radius = points.interpolated(solution.warm.system.space.nodes)[:, 0]

@@ -1,15 +1,12 @@
 """An indenter at a chosen place of a round body: where it meets the surface, and what it feels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Brain, Flat, Gravity, Specimen, Sphere, Surface
-from study.mechanics.setup.setup import Problem
+from study.mechanics.setup.geometry import Brain, Flat, Gravity, Sphere, Surface
 from study.mechanics.surface.closed_surface import body
 from tests.fem.problems import GEL, LONG, indentation, long_verification, reached
 from tests.fem.surfaces import box, sphere, write
@@ -17,12 +14,12 @@ from tests.fem.surfaces import box, sphere, write
 BRAIN = Brain(80, 60, 50, 4, clamp_below_mm=15, press_x_mm=10, press_y_mm=-14)
 
 
-def pressed(specimen: Specimen, depth: float, **model: object) -> Problem:
+def pressed(specimen, depth, **model):
     settings = {"space": "3d", "element_order": "linear", "mesh": "coarse", **model}
     return indentation(Sphere(8), depth, material=GEL, specimen=specimen, steps=1, **settings)
 
 
-def force(problem: Problem) -> tuple[float, float]:
+def force(problem):
     found = reached(problem)
     return float(found.curve.force_N[-1]), float(found.base_reaction_N[-1])
 

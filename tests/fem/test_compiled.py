@@ -1,7 +1,5 @@
 """Machine code on disk: found by a second process, never older than its sources."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -51,7 +49,7 @@ print(sum(assemble.stats.cache_hits.values()))
 """
 
 
-def run(folder: Path, *command: str, **variables: str) -> subprocess.CompletedProcess[str]:
+def run(folder, *command, **variables):
     """Run another process in a folder."""
     return subprocess.run(
         [sys.executable, *command], cwd=folder, env={**os.environ, **variables},
@@ -59,13 +57,13 @@ def run(folder: Path, *command: str, **variables: str) -> subprocess.CompletedPr
     )  # fmt: skip
 
 
-def result_and_hits(folder: Path) -> tuple[int, int]:
+def result_and_hits(folder):
     """Result of the caller, and whether it came from the cache."""
     result, hits = run(folder, "caller.py", XDG_CACHE_HOME=str(folder / "cache")).stdout.split()
     return int(result), int(hits)
 
 
-def program(folder: Path, caller: str = CALLER) -> None:
+def program(folder, caller=CALLER):
     """Write a kernel that calls another one, which answers 41."""
     shutil.copy(study.ground.compilation.__file__, folder / "compiled.py")
     (folder / "caller.py").write_text(caller)
@@ -91,7 +89,7 @@ def test_a_change_in_another_file_is_seen(tmp_path):
     assert result_and_hits(tmp_path / "third") == (84, 0)
 
 
-def together(folder: Path, dimensions: str) -> list[str]:
+def together(folder, dimensions):
     """Whether each of several processes at once found its signature on disk."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
     started = [
@@ -176,7 +174,7 @@ def test_whoever_can_replace_a_folder_can_write_it(tmp_path):
     assert fault_of(place) is None
 
 
-def digits(cache: Path) -> tuple[str, int]:
+def digits(cache):
     """Hash of the elements' stiffness, and how many kernels came from the cache."""
     root = Path(__file__).parents[2]
     found, hits = run(root, "-c", DIGITS, XDG_CACHE_HOME=str(cache)).stdout.split()

@@ -1,7 +1,5 @@
 """Bonded compression against tables and other codes (V24, V25, V26, V10, P01, P02, P08, P12)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -32,7 +30,7 @@ SHORT = [(1, 0.499, "quadratic"), (2, 0.5, "quadratic"), (8, 0.45, "quadratic"),
          (8, 0.4999, "quadratic")]  # fmt: skip
 
 
-def apparent_modulus(radius: float, nu: float, order: str) -> float:
+def apparent_modulus(radius, nu, order):
     """Ea/E of a disc of height 1."""
     shear = {"C10": 0.5}
     material = (

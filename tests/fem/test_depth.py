@@ -1,7 +1,5 @@
 """How deep a needle gets: every energy, every element, coarse to fine, in both spaces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,6 @@ from study.mechanics.element.function_space import discretize
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Block, Cone, Sphere
-from study.mechanics.setup.setup import Problem
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import Options
 from tests.fem.problems import GEL, LONG, NEEDLE, indentation, long_verification, reached
@@ -38,13 +35,13 @@ IN_BLOCK = [
 ]
 
 
-def deep(material: Material, shape: str, order: str, mesh: str) -> Problem:
+def deep(material, shape, order, mesh):
     return indentation(
         NEEDLE, 5.0, material=material, element_order=order, element_shape=shape, mesh=mesh
     )
 
 
-def in_block(material: Material, depth: float, order: str, mesh: str, space: str = "3d") -> Problem:
+def in_block(material, depth, order, mesh, space="3d"):
     return indentation(
         Cone(30, 1, 3), depth, material=material, specimen=Block(60, 60, 40),
         steps=max(1, round(depth / 0.4)), space=space, element_order=order, mesh=mesh,
@@ -142,7 +139,7 @@ def test_a_solid_needs_no_snap_under_the_needle():
     reached(problem, options=Options(snaps=False))
 
 
-def points_of_three(middles: sp.csr_matrix) -> ContactPoints:
+def points_of_three(middles):
     nodes, ones = np.arange(3)[:, None], np.ones((3, 1))
     stiff = np.full(3, 1e3)
     return ContactPoints(

@@ -1,9 +1,6 @@
 """Every energy through the discrete equations: Tables A and B, patches, tangents, symmetries."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -53,15 +50,15 @@ ALL = [*HYPERELASTIC, LINEAR]
 SPACES = ["axisymmetric", "3d"]
 
 
-def name(value: Any) -> str | None:
+def name(value):
     return f"{value.model}-{len(value.names)}" if isinstance(value, Material) else None
 
 
-def incompressible(material: Material) -> Material:
+def incompressible(material):
     return Material(material.model, material.constants, incompressible=True)
 
 
-def lateral(system: System, x: np.ndarray) -> np.ndarray:
+def lateral(system, x):
     """Stretch of the free side, where the reference radius (or side) is one."""
     side = np.abs(system.space.nodes[:, 0] - 1) < 1e-9
     return 1 + system.displacements(x)[side, 0]
@@ -117,7 +114,7 @@ def test_incompressible_limit(material):
 )
 def test_linear_elastic_is_hooke(space, formulation, nu):
     """Force E eps A and lateral strain -nu eps at any strain, in one iteration."""
-    kept: dict[str, Any] = {"incompressible": True} if nu == 0.5 else {"poisson_ratio": nu}
+    kept = {"incompressible": True} if nu == 0.5 else {"poisson_ratio": nu}
     material = Material("linear-elastic", {"youngs_modulus": 3.0}, **kept)
     area = np.pi if space == "axisymmetric" else 4.0
     system = system_of(material, space=space, formulation=formulation)
@@ -171,7 +168,7 @@ def test_newton_converges_quadratically(material):
     assert orders[-2:].max() >= 1.9, result.residuals
 
 
-def curve(material: Material, displacement: float = 4.0, **model: Any) -> Any:
+def curve(material, displacement=4.0, **model):
     problem = compression(Cylinder(25, 30), displacement, material=material, steps=2,
                           mesh="coarse", **model)  # fmt: skip
     return solve(problem, gradients=False, options=Options(side_contact=False)).curve
@@ -218,7 +215,7 @@ def test_equal_shear_modulus_gives_equal_initial_slope():
     np.testing.assert_allclose(slopes[:, 1], 2 * slopes[:, 0], rtol=3e-6)
 
 
-def hooke(material: Material) -> Material:
+def hooke(material):
     """Linear elastic material of the same mu0 and K."""
     mu, bulk = material.mu0, material.bulk
     modulus = 9 * bulk * mu / (3 * bulk + mu)
@@ -253,7 +250,7 @@ class Yeoh(ReducedPolynomial):
     name = "third-order"
     has_order = False
 
-    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+    def constant_names(self, order=1):
         """Three constants."""
         return ("C10", "C20", "C30")
 

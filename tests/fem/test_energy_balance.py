@@ -1,11 +1,8 @@
 """Stored energy, by its own sum, against the work of the test and against the stress."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +10,12 @@ import pytest
 from study.ground.curve import Curve
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Sphere
-from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.setup import Model
 from study.mechanics.solver import load_path
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.newton import Options
-from study.mechanics.solver.solution import JUMP_SHARE, Solution, balanced
+from study.mechanics.solver.solution import JUMP_SHARE, balanced
 from tests.fem.homogeneous import held, system_of
 from tests.fem.problems import (
     LONG,
@@ -97,7 +94,7 @@ def test_force_and_stiffness_are_the_derivatives_of_the_stored_energy(
         np.testing.assert_allclose(found, rate, atol=1e-6 * np.abs(rate).max() + rounding)
 
 
-def path(kind: str) -> Problem:
+def path(kind):
     material = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
     if kind == "compression":
         return compression(Cylinder(25.0, 30.0), 6.0, material=material, steps=10)
@@ -159,7 +156,7 @@ def test_a_small_jump_that_is_known_bends_no_interval():
     """
     lost = 0.002 * 16.0
     d = np.array([1.0, 2.0, 3.0, 4.0, 4.05, 5.0])
-    steps: Any = [
+    steps = [
         SimpleNamespace(
             state=SimpleNamespace(displacement_mm=x),
             gradients=SimpleNamespace(work_N=2 * x, work_slope_N_per_mm=2.0),
@@ -177,7 +174,7 @@ def test_a_small_jump_that_is_known_bends_no_interval():
     assert worst[(4.0,)] < 1e-12
 
 
-def snapping(c10: float, steps: int, mesh: str, ratio: float = 1.3) -> tuple[Solution, float]:
+def snapping(c10, steps, mesh, ratio=1.3):
     """Linear tetrahedra that pass a limit point under a needle, and where that is."""
     soft = Material("neo-hookean", {"C10": c10}, poisson_ratio=0.4995)
     problem = indentation(
@@ -249,7 +246,7 @@ def test_the_interpolation_error_of_few_steps_is_covered(pressed):
     """Two steps of a cone were .34 % off, said to be .03, and no step was added."""
     material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.4995)
 
-    def curve(steps: int, options: Options) -> Curve:
+    def curve(steps, options):
         problem = indentation(
             pressed, 2.0, material=material, specimen=Cylinder(12, 10), steps=steps, mesh="coarse"
         )
@@ -286,10 +283,10 @@ def test_an_interpolation_that_misses_its_tolerance_is_said(monkeypatch):
 
 
 def test_a_place_at_which_no_step_can_be_added_is_tried_once(monkeypatch):
-    tried: list[float] = []
+    tried = []
     insert = load_path.LoadPath._insert
 
-    def insert_all_but_the_first(path: load_path.LoadPath, displacement: float) -> bool:
+    def insert_all_but_the_first(path, displacement):
         tried.append(displacement)
         return displacement != tried[0] and insert(path, displacement)
 

@@ -1,7 +1,5 @@
 """V41 for every constant of every energy: Taylor tests of the force in bonded compression."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 
@@ -10,10 +8,8 @@ import pytest
 
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
-from study.mechanics.setup.setup import Problem
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import NewtonSettings, Options
-from study.mechanics.solver.solution import Solution
 from tests.fem.problems import LONG, compression
 
 NU, BULK = {"poisson_ratio": 0.495}, {"bulk_modulus": 1.0}
@@ -64,7 +60,7 @@ SPACES = ("axisymmetric", "3d")
 EXACT = Options(newton=NewtonSettings(tolerance=1e-11))
 
 
-def bonded(material: Material, space: str, **model: object) -> Problem:
+def bonded(material, space, **model):
     order = "linear" if space == "3d" else "quadratic"
     return compression(
         Cylinder(25, 30), 4.5, material=material, mesh_size_mm=9.0 if space == "3d" else 5.0,
@@ -72,7 +68,7 @@ def bonded(material: Material, space: str, **model: object) -> Problem:
     )  # fmt: skip
 
 
-def remainders(problem: Problem, base: Solution, name: str, change: float) -> np.ndarray:
+def remainders(problem, base, name, change):
     """|F(p + h dp) - F(p) - h g dp| over F for four halvings of h."""
     material, found = problem.material, []
     for h in (0.4, 0.2, 0.1, 0.05):
@@ -85,7 +81,7 @@ def remainders(problem: Problem, base: Solution, name: str, change: float) -> np
     return np.array(found)
 
 
-def step(material: Material, name: str) -> float:
+def step(material, name):
     """Change of a constant that is small enough for third order not to show."""
     if name.startswith("alpha"):
         return 0.5

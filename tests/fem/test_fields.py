@@ -1,9 +1,6 @@
 """Fields for ParaView: uniform states are known, cells are whole, files can be read."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 from xml.etree import ElementTree
 
 import meshio
@@ -24,7 +21,7 @@ ELEMENTS = [(o, s) for o in ("linear", "quadratic") for s in ("simplex", "tensor
 SMALL = Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.3)
 
 
-def volume(points: np.ndarray, cells: meshio.CellBlock) -> float:
+def volume(points, cells):
     """Area or volume of cells by their corners; negative where they are turned over."""
     n = {"tri": 3, "qua": 4, "tet": 4, "hex": 8}[cells.type[:3]]
     corner = points[cells.data[:, :n]]
@@ -133,7 +130,7 @@ def test_cells_fill_the_specimen_and_its_whole(space, order, shape):
     assert -forces[upper, axis].sum() == pytest.approx(solution.curve.force_N[-1], rel=2e-6)
 
 
-def pressed_N(path: Path, axis: int) -> float:  # noqa: N802
+def pressed_N(path, axis):  # noqa: N802
     """Axial component of the pressure of a file over its deformed surface, of the whole body."""
     read = meshio.read(path)
     (block,) = read.cells

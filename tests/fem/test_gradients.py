@@ -1,7 +1,5 @@
 """Gradients of the force (their Taylor tests: test_energy_gradients) and tangent stiffness."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

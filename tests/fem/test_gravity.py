@@ -1,7 +1,5 @@
 """A specimen under its own weight: closed form, equilibrium, energy, and gradients."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +20,7 @@ TALL = Cylinder(10, 40)
 SOLID = Model(space="3d", element_shape="tensor", mesh_size_mm=6.0)
 
 
-def column(direction: str = "down", **changes: object) -> Problem:
+def column(direction="down", **changes):
     """A column that nobody reaches: it slides on its base and its sides are free."""
     test = Test("indentation", 0.4, "frictionless", "frictionless", steps=2, indenter=Sphere(3),
                 gravity=Gravity(RHO, direction))  # fmt: skip
@@ -31,7 +29,7 @@ def column(direction: str = "down", **changes: object) -> Problem:
     return replace(problem, **changes)
 
 
-def between_plates(direction: str = "down", **changes: object) -> Problem:
+def between_plates(direction="down", **changes):
     test = Test("compression", 6.0, "bonded", "bonded", steps=6, gravity=Gravity(RHO, direction))
     return replace(Problem(TALL, test, GEL, Model(mesh_size_mm=6.0)), **changes)
 

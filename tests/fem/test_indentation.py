@@ -1,7 +1,5 @@
 """Indentation: layer tables, other codes' forces, complementarity, gradients, bad input."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

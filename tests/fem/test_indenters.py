@@ -1,22 +1,20 @@
 """Signed distance to indenters: exact, continuous, with the derivatives that Newton needs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from study.mechanics.contact.rigid_surface import Press, profile, signed_distance
-from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
+from study.mechanics.setup.geometry import Cone, Flat, Sphere
 
 INDENTERS = [Cone(30, 1), Cone(45, 0.5, 2), Flat(3, 0.3), Sphere(5)]
 IDS = ["cone", "cone with shaft", "flat", "sphere"]
 
 
-def press(indenter: Indenter) -> Press:
+def press(indenter):
     return Press(profile(indenter, far_mm=1e4), height_mm=10.0)
 
 
-def around(indenter: Indenter, dim: int, n: int = 400) -> np.ndarray:
+def around(indenter, dim, n=400):
     """Points within a millimetre of the surface, away from the joints of its pieces."""
     rng = np.random.default_rng(2011)
     rho, z = rng.uniform(0.02, 4, 40 * n), rng.uniform(9, 14, 40 * n)

@@ -1,22 +1,17 @@
 """Every energy at a material point: the compiled law against independent formulas (V06-V09)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from study.mechanics.element.point_law import WORK_ROWS, full_tangent, isochoric
-from study.mechanics.material.energy import Law
 from study.mechanics.material.homogeneous import first_piola
 from study.mechanics.material.material import Material
 from tests.fem import reference_law
 from tests.fem.problems import YEOH
 from tests.fem.test_energies import GENT, OGDEN1, OGDEN3, OTHERS, SKIN, TUBE, WAALS
 from tests.material.modes import confined
-
-Array = np.ndarray
 
 ALMOST_ZERO = Material("ogden", {"mu1": 1.0, "alpha1": 1e-7}, bulk_modulus=100.0)
 STEEP = Material(
@@ -33,11 +28,11 @@ HYPERELASTIC = [OGDEN1, OGDEN3, ALMOST_ZERO, STEEP, POLY3, YEOH, *OTHERS]
 ALL = [*HYPERELASTIC, LINEAR]
 
 
-def name(material: Material) -> str:
+def name(material):
     return f"{material.model}-{len(material.names)}-{material.values[-1]:g}"
 
 
-def evaluate(law: Law, F: Array, *, tangent: bool = True) -> tuple[Array, Array, float]:
+def evaluate(law, F, *, tangent=True):
     """Isochoric nominal stress, tangent and J of the compiled law."""
     P, A, work = np.zeros(9), np.zeros((9, 9)), np.zeros((WORK_ROWS, 9))
     f = np.ascontiguousarray(F, dtype=float).ravel()
@@ -47,7 +42,7 @@ def evaluate(law: Law, F: Array, *, tangent: bool = True) -> tuple[Array, Array,
     return P.reshape(3, 3), A, J
 
 
-def random_gradient(seed: int) -> Array:
+def random_gradient(seed):
     """Deformation gradient with J between 0.8 and 1.2."""
     rng = np.random.default_rng(seed)
     while True:
@@ -57,12 +52,12 @@ def random_gradient(seed: int) -> Array:
             return F * (rng.uniform(0.8, 1.2) / J) ** (1 / 3)
 
 
-def rotation(seed: int) -> Array:
+def rotation(seed):
     q, _ = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
     return q * np.sign(np.linalg.det(q))
 
 
-def close(got: Array, expected: Array, tolerance: float) -> None:
+def close(got, expected, tolerance):
     """Every entry agrees to a fraction of the largest."""
     np.testing.assert_allclose(got, expected, rtol=0, atol=tolerance * np.abs(expected).max())
 

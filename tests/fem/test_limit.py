@@ -1,7 +1,5 @@
 """A run ends where the specimen gives way, at a limit point or by swaying, and says so."""
 
-from __future__ import annotations
-
 import meshio
 import numpy as np
 import pytest
@@ -13,22 +11,21 @@ from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Block, Cylinder
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Interface, Test, buckling_strain
+from study.mechanics.setup.setup import Model
+from study.mechanics.setup.test_kind import Test, buckling_strain
 from study.mechanics.solver import load_path
 from study.mechanics.solver.equilibrium import is_unstable, least_stiffness, mirrored
 from study.mechanics.solver.finite_element_solution import follow, solve
 from study.mechanics.solver.linear_solver import pardiso_available
 from study.mechanics.solver.load_path import gives_way
 from study.mechanics.solver.newton import Options
-from study.mechanics.solver.system import State, System
 from tests.fem.problems import GEL, NEEDLE, compression, indentation, long_verification, reached
 
 #: softens without losing its ellipticity
 VARGA = Material("ogden", {"mu1": 1e-2, "alpha1": 1.0}, bulk_modulus=10.0)
 
 
-def needle(material: Material, depth: float) -> Problem:
+def needle(material, depth):
     return indentation(NEEDLE, depth, material=material, steps=6, mesh="coarse")
 
 
@@ -85,7 +82,7 @@ def test_factors_of_an_earlier_step_say_that_a_solid_stands(monkeypatch):
     """Solids use factors again; the last step had one factorization more, a fifth of the time."""
     looked_at = list[float]()
 
-    def spy(system: System, state: State) -> bool:
+    def spy(system, state):
         looked_at.append(state.displacement_mm)
         return is_unstable(system, state)
 
@@ -120,9 +117,9 @@ COLUMN = Block(width_mm=12.0, depth_mm=8.0, height_mm=90.0)
 
 
 def _column(
-    depth_mm: float, steps: int, interface: Interface = "bonded", base: Interface = "bonded",
-    *, specimen: Block | Cylinder = COLUMN, order: str = "quadratic", size_mm: float = 4.0,
-) -> Problem:  # fmt: skip
+    depth_mm, steps, interface = "bonded", base = "bonded",
+    *, specimen = COLUMN, order = "quadratic", size_mm = 4.0,
+):  # fmt: skip
     return compression(
         specimen, depth_mm, interface, base=base, material=SOFT, steps=steps, space="3d",
         element_shape="tensor", element_order=order, mesh_size_mm=size_mm,
@@ -196,7 +193,7 @@ def test_slender_columns_are_cautioned_about_before_solving():
     table = {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.45}
     material = MaterialSection.of(table)
 
-    def said(height: float, share: float, interface: Interface) -> bool:
+    def said(height, share, interface):
         test = Test("compression", share * height, interface, interface)
         column = CellProblem(Cylinder(5.0, height), test, material, Model(space="axisymmetric"))
         return any("buckles" in one for one in plausibility.cautions_of(column))

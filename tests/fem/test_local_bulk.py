@@ -1,7 +1,5 @@
 """The local bulk modulus of quadratic tetrahedra: exact rates, and no locking as nu goes to 0.5."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +7,7 @@ import pytest
 
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Indenter, Sphere
-from study.mechanics.setup.setup import Problem
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Sphere
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.internal_force import split_bulk
 from study.mechanics.solver.system import System
@@ -20,7 +17,7 @@ CONE, SPHERE, FLAT = Cone(30, 1, 3), Sphere(5.0), Flat(3, 0.3)
 RATIOS = (0.45, 0.49, 0.499, 0.4995, 0.4999, 0.49999, 0.499999, 0.5)
 
 
-def pressed(indenter: Indenter, depth: float, nu: float, space: str, mesh: str) -> Problem:
+def pressed(indenter, depth, nu, space, mesh):
     """Neo-Hookean gel of a Poisson's ratio, 0.5 included."""
     volume = {"incompressible": True} if nu == 0.5 else {"poisson_ratio": nu}
     return indentation(

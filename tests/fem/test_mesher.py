@@ -1,16 +1,12 @@
 """Meshes that a process makes once, and those that differ by a seed: same body, honest noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from study.mechanics.mesh.mesher import _LEAST_SHARE, _volumes, build_mesh
-from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Surface
-from study.mechanics.setup.setup import Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
 from tests.fem.problems import GEL, YEOH, compression, indentation
@@ -30,17 +26,17 @@ KINDS = [
 ]
 
 
-def problem(space: str, shape: str, test: str, specimen: object = None) -> Problem:
+def problem(space, shape, test, specimen=None):
     made = compression(Cylinder(25.0, 30.0), 1.0, material=GEL, space=space, element_shape=shape,
                        mesh="coarse")  # fmt: skip
     return replace(made, specimen=specimen or made.specimen, test=TESTS[test])
 
 
-def seeded(found: Problem, seed: int) -> Problem:
+def seeded(found, seed):
     return replace(found, model=replace(found.model, mesh_seed=seed))
 
 
-def volume(mesh: Mesh) -> float:
+def volume(mesh):
     """Volume of simplices, or of boxes by the corners of each."""
     return float(np.abs(_volumes(mesh, mesh.points)).mean(axis=0).sum())
 
@@ -103,7 +99,7 @@ def test_the_edge_of_a_flat_end_keeps_its_nodes():
         assert np.array_equal(moved.points[edge], regular.points[edge])
 
 
-def forces(seeds: int, size: float, order: str) -> np.ndarray:
+def forces(seeds, size, order):
     found = compression(Cylinder(25.0, 30.0), 3.0, material=GEL, steps=1, element_order=order,
                         mesh_size_mm=size)  # fmt: skip
     curves = [solve(seeded(found, seed), gradients=False).curve for seed in range(seeds)]

@@ -1,7 +1,5 @@
 """A plate that shifts, turns and lets the face slip: closed forms, symmetry, derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +20,7 @@ MODEL = Model(space="3d", element_shape="tensor", mesh_size_mm=10.0)
 CUBE = Block(20, 20, 20)
 
 
-def moved(depth: float, motion: FaceMotion | None = None, **changes: object) -> Problem:
+def moved(depth, motion=None, **changes):
     test = Test("plate-motion", depth, "bonded", "bonded", steps=1, motion=motion)
     return replace(Problem(CUBE, test, GEL, MODEL), **changes)
 

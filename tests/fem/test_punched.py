@@ -6,17 +6,13 @@ x 20 mm. On a cylinder of the same cross-section quadratic triangles and quadril
 of that (quadratic hexahedra, the same on two meshes).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from study.mechanics.contact.contact import constraints
 from study.mechanics.element.function_space import discretize
 from study.mechanics.mesh.mesher import _volumes, build_mesh
-from study.mechanics.mesh.structured import Mesh
-from study.mechanics.setup.geometry import Block, Cylinder, Flat, Specimen
-from study.mechanics.setup.setup import Problem
+from study.mechanics.setup.geometry import Block, Cylinder, Flat
 from tests.fem.problems import GEL, LONG, indentation, reached
 
 LEVELS = ("coarse", "medium", "fine")
@@ -25,21 +21,21 @@ ROUND = Cylinder(float(np.sqrt(1600 / np.pi)), 20)
 
 
 def punch(
-    specimen: Specimen = BLOCK, interface: str = "bonded", pressed: Flat | None = None,
-    depth: float = 0.3, **model: object,
-) -> Problem:  # fmt: skip
+    specimen = BLOCK, interface = "bonded", pressed = None,
+    depth = 0.3, **model,
+):  # fmt: skip
     return indentation(
         pressed or Flat(3.0), depth, material=GEL, specimen=specimen, steps=1, interface=interface,
         **{"space": "3d", "element_order": "linear", "element_shape": "tensor", **model},
     )  # fmt: skip
 
 
-def force(problem: Problem) -> float:
+def force(problem):
     found = reached(problem)
     return float(found.curve.force_N[-1])
 
 
-def on_circle(mesh: Mesh, radius: float) -> np.ndarray:
+def on_circle(mesh, radius):
     """Angles of the nodes on a circle on the loaded face."""
     rho = np.hypot(*mesh.points[:, :2].T)
     top = mesh.points[:, 2] == mesh.height_mm

@@ -4,8 +4,6 @@ The plane cases of the verification table need a space that the solver does not 
 element pair is tried in the two that it has, axisymmetric and 3D.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -14,7 +12,7 @@ from scipy.linalg import cholesky, eigh, solve_triangular
 
 from study.mechanics.material.material import Material
 from study.mechanics.setup.setup import Model
-from tests.fem.known import Body, unit
+from tests.fem.known import unit
 from tests.fem.manufactured import Manufactured
 from tests.fem.problems import LONG, MOONEY, long_verification
 from tests.fem.problems import NEO_HOOKEAN as NEARLY
@@ -32,7 +30,7 @@ THEORY = {"linear": (2, 1, 1), "quadratic": (3, 2, 2)}
 MESHES = {"axisymmetric": (4, 8, 16), "3d": (2, 4, 8)}
 
 
-def rates(case: Manufactured, model: Model, steps: int = 2) -> tuple[np.ndarray, np.ndarray]:
+def rates(case, model, steps=2):
     """Errors on the finest mesh, and the slope of each between successive meshes."""
     found = []
     for n in MESHES[model.space]:
@@ -44,7 +42,7 @@ def rates(case: Manufactured, model: Model, steps: int = 2) -> tuple[np.ndarray,
         return table[-1], np.log2(table[:-1] / table[1:])
 
 
-def show(what: str, model: Model, finest: np.ndarray, slopes: np.ndarray) -> None:
+def show(what, model, finest, slopes):
     names = f"{model.space:12} {model.element_order:9} {model.element_shape:7} {model.formulation}"
     orders = "; ".join(" ".join(f"{v:5.2f}" for v in row) for row in slopes)
     print(f"\n{what} {names:42} L2 u, H1 u, L2 p: rates {orders}  finest {finest}", end="")
@@ -92,7 +90,7 @@ def test_linear_displacements_lock():
     assert found["displacement"][0][0] > 5 * found["mixed"][0][0]
 
 
-def inf_sup(space: str, order: str, shape: str, n: int) -> tuple[float, int]:
+def inf_sup(space, order, shape, n):
     """Smallest nonzero beta of B A^-1 B^T q = beta^2 M q, and how many modes have beta = 0.
 
     The unit cylinder or cube is held all around: the constant pressure is one such mode, any
@@ -125,8 +123,8 @@ def inf_sup(space: str, order: str, shape: str, n: int) -> tuple[float, int]:
     return float(np.sqrt(squared[silent])), silent
 
 
-def held_all_around(made: Body) -> np.ndarray:
-    def rim(X: np.ndarray) -> np.ndarray:
+def held_all_around(made):
+    def rim(X):
         low = 0 if made.model.space == "3d" else 1  # the axis is no boundary
         return ((X[:, low:] < 1e-12).any(axis=1)) | ((X > 1 - 1e-12).any(axis=1))
 

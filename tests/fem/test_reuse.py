@@ -1,7 +1,5 @@
 """Solves by an older factorization: right to the tolerance, cheaper by counts, repeatable."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +8,10 @@ import pytest
 from study.mechanics.element.function_space import Pattern
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Cylinder
-from study.mechanics.setup.setup import Problem
 from study.mechanics.solver import newton
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.linear_solver import (
     KeptFactors,
-    LinearSolver,
     SingularMatrixError,
     SuperLU,
     fgmres,
@@ -30,14 +26,14 @@ NOWHERE = np.zeros(0, bool)
 SOLVERS = ["superlu", *(["pardiso"] if pardiso_available() else [])]
 
 
-def solid(size: float = 8.0, **test: object) -> Problem:
+def solid(size=8.0, **test):
     return compression(
         Cylinder(25, 50), 3.0, material=GEL, space="3d", element_order="quadratic",
         mesh_size_mm=size, **test,
     )  # fmt: skip
 
 
-def dense(pattern: Pattern, data: np.ndarray) -> np.ndarray:
+def dense(pattern, data):
     n = pattern.free.size
     upper = np.zeros((n, n))
     rows = np.repeat(np.arange(n), np.diff(pattern.indptr))
@@ -46,16 +42,14 @@ def dense(pattern: Pattern, data: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def system() -> System:
+def system():
     problem = solid(16.0)
     found = System.build(problem, build_mesh(problem.setup))
     found.assemble(found.start())
     return found
 
 
-def factorized(
-    system: System, worth: float, closed: np.ndarray = NOWHERE, name: str = "superlu"
-) -> tuple[LinearSolver, KeptFactors]:
+def factorized(system, worth, closed=NOWHERE, name="superlu"):
     """Factors of the system's tangent, worth so many back-substitutions."""
     solver = make_solver(system.pattern, name)
     kept = KeptFactors(solver, system.pattern)
@@ -105,7 +99,7 @@ def test_the_curve_does_not_depend_on_reuse(monkeypatch):
     problem = solid(8.0, steps=4)
     whole, made, curves = System.factorize, [], []
 
-    def counted(self: System) -> None:
+    def counted(self):
         made[-1] += 1
         whole(self)
 

@@ -1,10 +1,7 @@
 """A flat punch with a sharp edge: meshes alike around it, contact on the closed disc."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from study.mechanics.contact.collocation import contact_points
 from study.mechanics.contact.contact import Plane
@@ -13,15 +10,13 @@ from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.mesh.structured import half_hexagon
 from study.mechanics.setup.geometry import Cylinder, Flat
-from study.mechanics.setup.setup import Problem
 from study.mechanics.solver.finite_element_solution import solve
 from tests.fem.problems import indentation
 
-Array = NDArray[np.float64]
 SHAPES = ("simplex", "tensor")
 
 
-def punch(size: float, shape: str, order: str = "quadratic", edge: float = 0.0) -> Problem:
+def punch(size, shape, order="quadratic", edge=0.0):
     """Punch of radius 1 on a bonded layer of height 1, small strain, mu = 1."""
     material = Material("linear-elastic", {"youngs_modulus": 2.998}, poisson_ratio=0.499)
     return indentation(
@@ -30,7 +25,7 @@ def punch(size: float, shape: str, order: str = "quadratic", edge: float = 0.0) 
     )  # fmt: skip
 
 
-def around_edge(problem: Problem) -> Array:
+def around_edge(problem):
     """Mesh points around the edge, in elements."""
     mesh = build_mesh(problem.setup)
     return np.asarray((mesh.points - [1.0, 1.0]) / mesh.size_mm)

@@ -1,11 +1,9 @@
 """Factors in single precision: the same answers, and double precision where they cannot do it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from study.mechanics.element.function_space import Pattern, symmetric_product
+from study.mechanics.element.function_space import symmetric_product
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Cone, Cylinder
@@ -25,7 +23,7 @@ OGDEN = Material("ogden", {"mu1": 1e-2, "alpha1": 5.0}, bulk_modulus=10.0)
 NOWHERE = np.zeros(0, bool)
 
 
-def use(monkeypatch: pytest.MonkeyPatch, *, single: bool) -> None:
+def use(monkeypatch, *, single):
     """Have systems of every size in single precision, or none."""
     import study.mechanics.solver.linear_solver as module
 
@@ -33,7 +31,7 @@ def use(monkeypatch: pytest.MonkeyPatch, *, single: bool) -> None:
     monkeypatch.setattr(module, "_SINGLE", {True: limit, False: limit})
 
 
-def problem(loading: Loading, space: str, material: Material) -> Problem:
+def problem(loading, space, material):
     model = Model(space, "quadratic", mesh="coarse")
     return Problem(Cylinder(25.0, 50.0), loading, material, model)
 
@@ -69,7 +67,7 @@ def test_forces_and_their_derivatives_are_those_of_double_precision(
 
 
 @pytest.fixture(scope="module")
-def tangent() -> tuple[Pattern, np.ndarray]:
+def tangent():
     """Pattern and entries of a small solid's tangent."""
     asked = problem(PRESS, "3d", GEL)
     system = System.build(asked, build_mesh(asked.setup))
@@ -77,7 +75,7 @@ def tangent() -> tuple[Pattern, np.ndarray]:
     return system.pattern, system.data
 
 
-def residual(pattern: Pattern, data: np.ndarray, x: np.ndarray, b: np.ndarray) -> float:
+def residual(pattern, data, x, b):
     left = b - symmetric_product(pattern.indptr, pattern.indices, data, x)
     return float(np.linalg.norm(left) / np.linalg.norm(b))
 

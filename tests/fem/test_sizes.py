@@ -1,7 +1,5 @@
 """Sizes that a mesh generator asks for, place by place, in machine code."""
 
-from __future__ import annotations
-
 import ctypes
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Past limit points: creeping there, and the part of K that acts at every point."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +25,7 @@ TOUGHER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, incompressi
 BY_RATIO = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.4995)
 
 
-def needle(depth: float = 0.6, **changes: object) -> System:
+def needle(depth=0.6, **changes):
     problem = indentation(NEEDLE, depth, mesh="coarse", **changes)
     return System.build(problem, build_mesh(problem.setup))
 

@@ -1,32 +1,28 @@
 """gmsh is given one body however it lies: position, orientation and order change no element."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Sphere, Surface
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from tests.fem.problems import GEL
-from tests.fem.surfaces import Array, Shape, box, sphere, write
+from tests.fem.surfaces import box, sphere, write
 
 RNG = np.random.default_rng(2011)
 PLACE = np.array([1.0, 0.7])
 
 
-def scan() -> Shape:
+def scan():
     """Body without any symmetry."""
     points, triangles = sphere(8, 3)
     return points * (1.2 + 0.2 * np.sin(points[:, [1, 2, 0]] / 3)), triangles
 
 
-def moved(shape: Shape, angle: float, shift: Array) -> Shape:
+def moved(shape, angle, shift):
     """Turned about the vertical, moved, and written down in another order."""
     points, triangles = shape
     c, s = np.cos(angle), np.sin(angle)
@@ -36,7 +32,7 @@ def moved(shape: Shape, angle: float, shift: Array) -> Shape:
     return turned[order], np.roll(cells, 1, axis=1)
 
 
-def mesh(tmp_path: Path, shape: Shape, angle: float, shift: Array, **model: object) -> Mesh:
+def mesh(tmp_path, shape, angle, shift, **model):
     """Mesh of a moved body, pressed at the same of its places, in its first coordinates."""
     c, s = np.cos(angle), np.sin(angle)
     x, y = PLACE @ np.array([[c, s], [-s, c]]) + shift[:2]

@@ -1,10 +1,7 @@
 """Forces of specimens given as surfaces: those of cylinders and blocks, held by nothing more."""
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,19 +10,9 @@ from study.ground.errors import InputError
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.mesh.size_field import graded_table, table_callback
 from study.mechanics.mesh.solid import expected_unknowns
-from study.mechanics.setup.geometry import (
-    Block,
-    Cone,
-    Cylinder,
-    Flat,
-    Indenter,
-    Specimen,
-    Sphere,
-    Surface,
-)
-from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere, Surface
+from study.mechanics.setup.setup import Model
 from study.mechanics.solver.finite_element_solution import check, solve
-from study.mechanics.solver.solution import Solution
 from study.mechanics.solver.solution_cost import unknowns
 from study.mechanics.surface.closed_surface import body
 from tests.fem.problems import GEL, LONG, compression, indentation, reached
@@ -37,33 +24,31 @@ SEGMENTS = 64
 POLYGON = np.sin(2 * np.pi / SEGMENTS) / (2 * np.pi / SEGMENTS)
 
 
-def compressed(
-    specimen: Specimen, depth: float, interface: str, size: float, **more: object
-) -> Problem:
+def compressed(specimen, depth, interface, size, **more):
     return compression(
         specimen, depth, interface, material=GEL, **{"space": "3d", "mesh_size_mm": size, **more}
     )
 
 
-def indented(specimen: Specimen, indenter: Indenter, depth: float, base: str = "bonded") -> Problem:
+def indented(specimen, indenter, depth, base="bonded"):
     return indentation(
         indenter, depth, material=GEL, specimen=specimen, steps=1, base=base, space="3d",
         mesh="coarse",
     )  # fmt: skip
 
 
-def force(problem: Problem) -> tuple[float, Solution]:
+def force(problem):
     found = reached(problem)
     return float(found.curve.force_N[-1]), found
 
 
 @pytest.fixture
-def block(tmp_path: Path) -> Surface:
+def block(tmp_path):
     return Surface(write(tmp_path / "box.stl", box(10, 8, 6)))
 
 
 @pytest.fixture
-def disc(tmp_path: Path) -> Surface:
+def disc(tmp_path):
     return Surface(write(tmp_path / "disc.ply", cylinder(10, 12, SEGMENTS)))
 
 
@@ -225,7 +210,7 @@ def test_sizes_are_read_from_the_table(disc):
     assert rim / middle == pytest.approx(0.2 ** (2 / 3), rel=0.1)
 
 
-def refused(problem: Problem) -> str:
+def refused(problem):
     with pytest.raises(InputError) as caught:
         check(problem)
     return str(caught.value)

@@ -1,9 +1,5 @@
 """Threads change how long a simulation takes, and no digit of it."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
@@ -16,7 +12,7 @@ from study.mechanics.solver.system import System
 from tests.fem.problems import GEL, NEEDLE, compression, indentation
 
 
-def compressed(space: Any, formulation: Any = "mixed", size: float = 6.0) -> System:
+def compressed(space, formulation="mixed", size=6.0):
     problem = compression(
         Cylinder(25.0, 50.0), 2.0, material=GEL, space=space, formulation=formulation,
         mesh_size_mm=size,
@@ -53,7 +49,7 @@ def test_any_number_of_threads_gives_the_same_bits(space, formulation, monkeypat
     np.testing.assert_allclose(system.tangent.product(x), expected, atol=atol)
 
 
-def under_a_needle() -> System:
+def under_a_needle():
     """A graded mesh: many elements in little room, and large ones around it."""
     problem = indentation(NEEDLE, 5.0, material=GEL, space="3d", mesh="coarse")
     return System.build(problem, build_mesh(problem.setup))
@@ -84,7 +80,7 @@ def test_what_is_worked_on_at_once_shares_no_unknown(built, counts, monkeypatch)
 
 
 def test_an_error_in_a_part_is_not_lost(monkeypatch):
-    def loop(part: Any) -> float:
+    def loop(part):
         if part[0]:
             raise ZeroDivisionError
         return 1.0
@@ -94,7 +90,7 @@ def test_an_error_in_a_part_is_not_lost(monkeypatch):
         compilation.smallest([(np.array([0], np.uint32), np.array([1], np.uint32))], loop)
 
 
-def openblas() -> list[int]:
+def openblas():
     return [lib["num_threads"] for lib in threadpool_info() if lib["internal_api"] == "openblas"]
 
 

@@ -1,7 +1,5 @@
 """Slopes are limited where the cubic would overshoot, and nowhere else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
@@ -9,7 +7,7 @@ from scipy.interpolate import CubicHermiteSpline
 from study.laboratory.haptics.haptic_export import is_monotone, monotone_slopes
 
 
-def falls(knots: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+def falls(knots, values, slopes):
     """Whether the interpolant falls inside each interval: the minimum of its derivative."""
     derivative = CubicHermiteSpline(knots, values, slopes).derivative()
     # 400 places an interval; a parabola between two of them is lower by 1e-6 of its height

@@ -1,13 +1,9 @@
 """Stresses of homogeneous tests by their names, as the literature gives them."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array
 from study.mechanics.material.homogeneous import MODES, response
 from study.mechanics.material.material import Material
 
@@ -17,7 +13,7 @@ FOAM = Material(
 )
 
 
-def stress(mode: str, material: Material, stretch: ArrayLike) -> Array:
+def stress(mode, material, stretch):
     """Nominal stress in MPa, sides free but in the confined mode (V01 to V04, V06)."""
     return response(material, mode, stretch).stress.reshape(np.shape(stretch))
 

@@ -1,7 +1,5 @@
 """Loss of ellipticity: closed forms, and energies that never get there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -13,7 +11,7 @@ from study.mechanics.material.stability import always_elliptic, ellipticity, tan
 ANYWHERE = np.random.default_rng(5).lognormal(0.0, 0.7, (3, 2000))
 
 
-def ogden(alpha: float) -> Material:
+def ogden(alpha):
     return Material("ogden", {"mu1": 1.0, "alpha1": alpha}, incompressible=True)
 
 

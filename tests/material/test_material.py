@@ -17,7 +17,7 @@ from study.mechanics.material.ogden import ogden_terms
 from study.mechanics.material.polynomial import coefficient_table
 
 
-def every_kind_of(base: type) -> set[type]:
+def every_kind_of(base):
     """A class and all classes derived from it, at any depth."""
     return {base}.union(*(every_kind_of(one) for one in base.__subclasses__()))
 

@@ -1,15 +1,9 @@
 """Ogden and Hill's foam: the formula of Abaqus' manual, invariance, small strain, closed forms."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from study import api
-from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.mechanics.material.homogeneous import LOADINGS, MODES, first_piola, response
 from study.mechanics.material.material import Material
@@ -21,7 +15,7 @@ NU, CONSTANTS = FOAM.poisson_ratio, FOAM.constants
 RIGID = Material("ogden-hill", CONSTANTS, poisson_ratio=0.0)
 
 
-def states(count: int = 20) -> Array:
+def states(count=20):
     """Random deformation gradients, shape (3, 3, count)."""
     rng = np.random.default_rng(11)
     F = np.eye(3)[..., None] + rng.uniform(-0.3, 0.3, (3, 3, count))
@@ -29,7 +23,7 @@ def states(count: int = 20) -> Array:
     return F
 
 
-def manual(values: list[float], F: Array) -> float:
+def manual(values, F):
     """W of *Hyperfoam from its data line (Abaqus Theory Guide, hyperfoam), stretches of C."""
     terms = len(values) // 3
     stretch = np.sqrt(np.linalg.eigvalsh(F.T @ F))
@@ -42,7 +36,7 @@ def manual(values: list[float], F: Array) -> float:
     return total
 
 
-def by_differences(energy: Callable[[Array], float], F: Array, h: float = 1e-5) -> Array:
+def by_differences(energy, F, h=1e-5):
     """Derivative by every component, of fourth order."""
     out = np.empty((3, 3))
     for i in range(3):
@@ -143,7 +137,7 @@ def test_stability_counts_the_volume():
         assert bool(np.linalg.eigvalsh(H)[0] > 0) is wanted
 
 
-def problem(folder: Path, nu: float = NU, volume: str = "") -> Path:
+def problem(folder, nu=NU, volume=""):
     path = folder / "foam.toml"
     path.write_text(
         'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "100 mm^2"\nlength = "20 mm"\n'

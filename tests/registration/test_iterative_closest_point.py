@@ -1,7 +1,5 @@
 """Registered clouds and distances to surfaces: known motions come back, bounds hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import binom, t
@@ -12,12 +10,12 @@ from study.laboratory.registration.iterative_closest_point import (
     point_triangle,
     register,
 )
-from study.laboratory.registration.rigid import RigidMotion, isolated, rotation_vector, turned_about
+from study.laboratory.registration.rigid import isolated, rotation_vector, turned_about
 from tests.fem.problems import long_verification
 from tests.registration.bodies import ball, box, egg, scan
 
 
-def random_motion(rng: np.random.Generator) -> RigidMotion:
+def random_motion(rng):
     return turned_about(np.zeros(3), 0.4 * rng.standard_normal(3), 30 * rng.standard_normal(3))
 
 
@@ -55,7 +53,7 @@ def test_a_body_that_is_larger_all_around_lies_in_the_middle():
     assert away.std() < 0.08
 
 
-def coverage(scans: int, seed: int) -> np.ndarray:
+def coverage(scans, seed):
     """How often each of six parameters lies in its 95 % interval: noise, 30 % outliers."""
     rng = np.random.default_rng(seed)
     surface = egg()

@@ -1,7 +1,5 @@
 """Registration of paired points, fitted spheres, lines with errors in both quantities."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -23,7 +21,7 @@ from study.laboratory.registration.rigid import (
 from tests.registration.bodies import cap
 
 
-def motion(rng: np.random.Generator) -> tuple[np.ndarray, object]:
+def motion(rng):
     points = rng.uniform(-100, 100, (8, 3))
     return points, turned_about(np.zeros(3), rng.standard_normal(3), rng.uniform(-900, 900, 3))
 
@@ -195,7 +193,7 @@ def test_the_line_is_that_of_orthogonal_distance_regression():
     y = 1.02 * x - 0.4 + 0.8 * rng.standard_normal(15)
     x = x + 0.4 * rng.standard_normal(15)
 
-    def distances(unknown: np.ndarray) -> np.ndarray:
+    def distances(unknown):
         places = unknown[2:]
         return np.append((x - places) / 0.4, (y - unknown[1] - unknown[0] * places) / 0.8)
 

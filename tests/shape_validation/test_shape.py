@@ -1,7 +1,5 @@
 """``study shape`` end to end: scans of bodies whose deformed shape is known in closed form."""
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib
@@ -12,10 +10,9 @@ import pytest
 
 import study
 from study.cli.app import run
-from study.ground.arrays import Array, Ints
 from study.ground.errors import InputError
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
-from study.laboratory.registration.rigid import RigidMotion, turned_about
+from study.laboratory.registration.rigid import turned_about
 from study.laboratory.shape.boundary import DeformedMesh, surface_of, symmetry_of
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
 from study.reporting.output.accuracy_page import scan_answers
@@ -49,12 +46,12 @@ MOTION = turned_about(np.zeros(3), np.array([0.3, -0.2, 0.5]), np.array([40.0, -
 AS_IT_LIES = Options(register=False)
 
 
-def problem(folder: Path) -> Path:
+def problem(folder):
     (folder / "problem.toml").write_text(PROBLEM)
     return folder / "problem.toml"
 
 
-def cylinder(radius: float, height: float, n: int, seed: int, noise: float = 0.0) -> Array:
+def cylinder(radius, height, n, seed, noise=0.0):
     """Points spread evenly over a cylinder about z whose middle is the origin, mm."""
     rng = np.random.default_rng(seed)
     side = 2 * np.pi * radius * height
@@ -67,16 +64,16 @@ def cylinder(radius: float, height: float, n: int, seed: int, noise: float = 0.0
     return np.asarray(points + noise * rng.standard_normal((n, 3)))
 
 
-def write_csv(path: Path, points: Array, header: str = "x,y,z") -> Path:
+def write_csv(path, points, header="x,y,z"):
     path.write_text("\n".join([header, *(",".join(f"{v:.9g}" for v in row) for row in points)]))
     return path
 
 
-def write_ply(path: Path, surface: TriangleSurface) -> Path:
+def write_ply(path, surface):
     return Path(write(path, (surface.points, surface.triangles)))
 
 
-def write_cloud(path: Path, points: Array) -> Path:
+def write_cloud(path, points):
     """Text PLY without faces."""
     head = (
         f"ply\nformat ascii 1.0\nelement vertex {len(points)}\nproperty double x\n"
@@ -182,7 +179,7 @@ def test_a_vtu_file_that_unpacks_to_gigabytes_is_refused(tmp_path, encoding):
         study.shape(tmp_path / "large.vtu", cloud)
 
 
-def moved_egg(folder: Path, motion: RigidMotion, name: str = "scan.csv") -> tuple[Path, Path]:
+def moved_egg(folder, motion, name="scan.csv"):
     surface = egg()
     cloud = motion(scan(surface, 2000, np.random.default_rng(6)))
     return write_ply(folder / "egg.ply", surface), write_csv(folder / name, cloud)
@@ -308,7 +305,7 @@ CUBE = np.array(
 )
 
 
-def box_mesh(n: int, low: Array, high: Array) -> tuple[Array, Ints]:
+def box_mesh(n, low, high):
     """Hexahedra of a box."""
     grid = [np.linspace(a, b, n + 1) for a, b in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -321,7 +318,7 @@ def box_mesh(n: int, low: Array, high: Array) -> tuple[Array, Ints]:
     return points, np.array(cells)
 
 
-def six_tetrahedra(cells: Ints) -> Ints:
+def six_tetrahedra(cells):
     """Split hexahedra along their diagonal 0-6."""
     ways = [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)]
     return np.concatenate([cells[:, list(way)] for way in ways])

@@ -1,7 +1,5 @@
 """Closed surfaces: files, what is mended and what is refused; the brain-shaped one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +11,10 @@ from study.mechanics.contact.contact import pins, rigid_motions
 from study.mechanics.setup.geometry import Brain, Cone, Sphere, Surface
 from study.mechanics.surface.brain import brain_surface
 from study.mechanics.surface.closed_surface import Triangles, body, first_intersection
-from tests.fem.surfaces import Shape, box, cylinder, joined, sphere, write
+from tests.fem.surfaces import box, cylinder, joined, sphere, write
 
 
-def placed(shape: Shape, point: int, place: object) -> Shape:
+def placed(shape, point, place):
     """Put a point somewhere else."""
     points = shape[0].copy()
     points[point] = place
@@ -121,7 +119,7 @@ def test_turned_triangles_are_mended_and_said(tmp_path):
 
 BOX, BALL = box(10, 8, 6), sphere(5, 2)
 #: surfaces that enclose no body, and what is said of each
-REFUSED: dict[str, tuple[Shape, str]] = {
+REFUSED = {
     # triangle (1, 7, 5): corners (5, -4, 0), (5, 4, 6), (5, -4, 6)
     "hole": ((BOX[0], BOX[1][:-1]),
              "3 open edges around 1 hole, the largest near (5, -1.3333, 4) mm"),

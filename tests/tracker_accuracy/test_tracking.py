@@ -1,7 +1,5 @@
 """``study tracking`` end to end: what was put into virtual recordings is found again."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -68,14 +66,14 @@ MARKERS = "time,stage,ax,ay,az,bx,by,bz"
 LASER = "pose,ox,oy,oz,ax,ay,az,bx,by,bz"
 
 
-def distance_study(folder: Path, seed: int, drift: float = 0.0, **errors: int) -> Path:
+def distance_study(folder, seed, drift=0.0, **errors):
     rows = virtual.rows_of(Errors(seed, **errors), 50.0, drift_mm_per_h=drift)
     virtual.write(folder / "markers.csv", MARKERS, rows)
     (folder / "distance.toml").write_text(DISTANCE)
     return folder / "distance.toml"
 
 
-def displacement_study(folder: Path, sd: float, bow_mm: float = 0.0) -> Path:
+def displacement_study(folder, sd, bow_mm=0.0):
     errors = Errors(3, passes=3, samples=3, scale=1.0, stop_sd_mm=sd, sample_sd_mm=0.0)
     rows = virtual.rows_of(errors, bow_mm=bow_mm)
     virtual.write(folder / "stage.csv", "time,stop,commanded,x,y,z", rows)
@@ -83,7 +81,7 @@ def displacement_study(folder: Path, sd: float, bow_mm: float = 0.0) -> Path:
     return folder / "displacement.toml"
 
 
-def reference_study(folder: Path, seed: int, arm: np.ndarray, turn: float, noise: float) -> Path:
+def reference_study(folder, seed, arm, turn, noise):
     seen, known = virtual.pose_rows(seed, arm, turn, noise)
     virtual.write(folder / "poses.csv", "pose,x,y,z", seen)
     virtual.write(folder / "laser.csv", LASER, known)

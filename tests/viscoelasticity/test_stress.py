@@ -1,8 +1,5 @@
 """Finite viscoelasticity of homogeneous tests: closed forms, quadrature, limits, gradients."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +7,6 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
-from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.mechanics.material import viscoelasticity
 from study.mechanics.material.homogeneous import LOADINGS
@@ -27,7 +23,7 @@ TIME = np.r_[np.linspace(0, 0.5, 4), 0.5 + np.geomspace(0.01, 100, 15)]
 RAMP = np.minimum(TIME / 0.5, 1.0)
 
 
-def left(time: float, series: tuple[RelaxationTerm, ...] = SERIES) -> float:
+def left(time, series=SERIES):
     """Relaxation function, written once more."""
     return 1 - sum(t.share * (1 - np.exp(-time / t.time_s)) for t in series)
 
@@ -46,13 +42,13 @@ def test_small_strain_is_a_standard_linear_solid_in_ramp_and_hold():
     assert stress == pytest.approx(exact, rel=3e-6)
 
 
-def uniaxial_by_quadrature(time: float, rate: float, end: float) -> float:
+def uniaxial_by_quadrature(time, rate, end):
     """Convolution of a neo-Hookean solid in a ramp and hold, each direction by quadrature."""
     stretch = lambda s: 1 + rate * min(s, end)  # noqa: E731
 
-    def slope(direction: int) -> Callable[[float], float]:
+    def slope(direction):
         # Pi = 2 C10 (1 - (l^2 + 2 / l) / (3 l_A^2)), differentiated by hand
-        def one(s: float) -> float:
+        def one(s):
             x = stretch(s)
             trace, by_x = x**2 + 2 / x, 2 * x - 2 / x**2
             square, square_by_x = (x**2, 2 * x) if direction == 0 else (1 / x, -1 / x**2)
@@ -62,7 +58,7 @@ def uniaxial_by_quadrature(time: float, rate: float, end: float) -> float:
 
     until = min(time, end)
 
-    def convolved(direction: int) -> float:
+    def convolved(direction):
         change = slope(direction)
         return float(
             quad(lambda s: left(time - s) * change(s), 0, until, epsabs=1e-14, epsrel=1e-13)[0]
@@ -115,7 +111,7 @@ def test_a_slow_test_has_the_long_term_moduli(loading):
         assert solid.long_term_mu == pytest.approx(0.3 * solid.mu0, rel=1e-12)
 
 
-def by_differential_equations(solid: Material, time: Array, rate: float, end: float) -> Array:
+def by_differential_equations(solid, time, rate, end):
     """Uniaxial stress where the side is free and K finite, by implicit times of an ODE solver.
 
     The memories obey h' = Pi' - h / T; the free stretch is the root of the side's stress at every
@@ -124,21 +120,21 @@ def by_differential_equations(solid: Material, time: Array, rate: float, end: fl
     mu, bulk, series = 2 * solid.constants["C10"], solid.bulk, solid.relaxation
     stays = 1 - sum(t.share for t in series)
 
-    def pi(x: float, y: float) -> Array:
+    def pi(x, y):
         squares = np.array([x, y, y]) ** 2 * (x * y * y) ** (-2 / 3)
         return mu * (1 - squares.mean() / squares)
 
-    def kirchhoff(x: float, y: float, faded: Array) -> Array:
+    def kirchhoff(x, y, faded):
         J = x * y * y
         squares = np.array([x, y, y]) ** 2 * J ** (-2 / 3)
         inner = squares * ((stays + sum(t.share for t in series)) * pi(x, y) - faded)
         return inner - inner.mean() + bulk * J * (J - 1)
 
-    def side(x: float, faded: Array) -> float:
+    def side(x, faded):
         return brentq(lambda y: kirchhoff(x, y, faded)[1], 0.3, 2.0, xtol=1e-15)
 
     # what has faded of each term, f = s (Pi - h), grows as f' = (s Pi - f) / T
-    def change(t: float, state: Array) -> Array:
+    def change(t, state):
         faded = state.reshape(-1, 3)
         x = 1 + rate * min(t, end)
         now = pi(x, side(x, faded.sum(0)))
@@ -191,7 +187,7 @@ def test_gradients_are_those_of_differences(solid, loading, monkeypatch):
         measure = 1 - 0.3 * share
     found = relaxing(solid, loading, time, measure)
 
-    def moved(name: str, by: float) -> Array:
+    def moved(name, by):
         if name in solid.constants:
             return relaxing(
                 solid.with_constants({name: solid.constants[name] + by}), loading, time, measure

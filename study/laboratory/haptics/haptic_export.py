@@ -476,7 +476,7 @@ class ForceLaw(Keyed):
         elif self.is_monotone:
             lines += ["It never falls, with the slopes of the simulation."]
         else:
-            lines += ["The simulated force falls somewhere, and so does the self."]
+            lines += ["The simulated force falls somewhere, and so does the law."]
         return lines + [_range(constant) for constant in self.ranges]
 
     def force_at(
