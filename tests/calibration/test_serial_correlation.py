@@ -13,6 +13,7 @@ from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.calibration.serial_correlation import Series, intervals
 from tests.calibration.cylinder import AREA, predictor
+from tests.fem.problems import LONG
 from tests.runner.test_calibrate import case
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -30,7 +31,7 @@ def autoregression(rho, rng, rows=ROWS):
 
 
 MANY = [
-    pytest.param(model, points, rho, 1500, 0.92, 0.98, marks=[pytest.mark.slow, pytest.mark.verify])
+    pytest.param(model, points, rho, 1500, 0.92, 0.98, marks=LONG)
     for model in ENERGIES
     for points in (0, 60, 200, 1000)
     for rho in (0.0, 0.9)

@@ -91,7 +91,7 @@ def test_the_scale_of_inliers_has_settled():
 # Fitted spheres: the truth lies in the stated interval as often as it promises.
 
 
-SCANS = 200
+SCANS = 100
 
 
 @pytest.mark.parametrize(

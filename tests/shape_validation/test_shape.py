@@ -16,7 +16,7 @@ from study.laboratory.registration.rigid import turned_about
 from study.laboratory.shape.boundary import DeformedMesh, surface_of, symmetry_of
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
 from study.reporting.output.accuracy_page import scan_answers
-from tests.fem.problems import long_verification
+from tests.fem.problems import LONG, long_verification
 from tests.fem.surfaces import write
 from tests.registration.bodies import egg, scan
 
@@ -125,9 +125,7 @@ def test_noise_and_outliers_are_counted_and_do_no_harm(tmp_path):
     assert 0 < found.registration_uncertainty < 0.01
 
 
-@pytest.mark.parametrize(
-    "space", ["axisymmetric", pytest.param("3d", marks=[pytest.mark.slow, pytest.mark.verify])]
-)
+@pytest.mark.parametrize("space", ["axisymmetric", pytest.param("3d", marks=LONG)])
 def test_markers_inside_move_as_the_closed_form_says(tmp_path, space):
     rng = np.random.default_rng(4)
     turn, r = 2 * np.pi * rng.random(20), 18 * np.sqrt(rng.random(20))
@@ -159,7 +157,7 @@ def test_a_vtu_file_says_the_same_as_its_problem(tmp_path):
 
 @pytest.mark.parametrize("encoding", ["inline", "appended"])
 def test_a_vtu_file_that_unpacks_to_gigabytes_is_refused(tmp_path, encoding):
-    part = zlib.compress(bytes(300_000_000))
+    part = zlib.compress(bytes(300_000_000), 1)
     header = np.array([1, 300_000_000, 0, len(part)], dtype="<u4").tobytes()
     head = (
         '<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" '

@@ -192,16 +192,6 @@ def pseudo_jacobian(priors: Sequence[Prior], names: Sequence[str]) -> Array:
     return rows
 
 
-def known_covariance(priors: Sequence[Prior], names: Sequence[str], inverse: Array) -> Array:
-    """Covariance of the estimates by the errors of the priors alone."""
-    # Shapes: inverse (p, p); returns (p, p).
-    total = np.zeros_like(inverse)
-    for prior in priors:
-        moved = inverse[:, list(names).index(prior.name)] * prior.weight**2 * prior.uncertainty
-        total += np.outer(moved, moved)
-    return total
-
-
 @dataclass(frozen=True)
 class NuisanceParameter:
     """One nuisance parameter of a fit; mm, N, MPa, degrees or plain."""

@@ -194,8 +194,7 @@ def _collocation(
         (3, 9): np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
     }[(space.dim, k)]
     if share is None:
-        r = space.nodes[facets][:, :, 0]
-        share = _ring_shares(r)
+        share = _ring_shares(space.nodes[facets][:, :, 0])
     return _at_nodes(_nodal_areas(space, facets, areas[:, None] * share))
 
 

@@ -347,11 +347,6 @@ def gripping(
     return (points, *ties)
 
 
-def nothing_held(points: ContactPoints, dim: int) -> Glue:
-    """Return the glue of an indenter that has not touched yet."""
-    return Glue(np.zeros(points.size, dtype=bool), np.zeros((points.size, dim)))
-
-
 def hold(
     glue: Glue,
     contact: tuple[ContactPoints, ...],
@@ -456,20 +451,15 @@ def _face_rates(face: FaceCondition, space: Nodes, mesh: Mesh) -> dict[int, floa
     is_plane_of_symmetry = half and not is_top
     if not face.is_held or is_plane_of_symmetry:
         return rate
-    moved = face_motions(space, nodes) @ _motion(face)
+    further = face.besides
+    motion = np.zeros(BESIDES) if further is None else face.share_per_mm * further.components()
+    moved = face_motions(space, nodes) @ motion
     held = {int(n) * dim + i: float(moved[k, i]) for k, n in enumerate(nodes) for i in range(dim)}
     return {dof: held[dof] + rate.get(dof, 0.0) for dof in held}
 
 
 #: motions of a face besides that along the axis: two shifts, three small rotations, spread
 BESIDES = 6
-
-
-def _motion(face: FaceCondition) -> Array:
-    """Components of the motion of a face per unit of displacement, shape (6,)."""
-    if face.besides is None:
-        return np.zeros(BESIDES)
-    return face.share_per_mm * face.besides.components()
 
 
 def face_motions(space: Nodes, nodes: Ints) -> Array:

@@ -65,7 +65,13 @@ def build_mesh(setup: Setup) -> Mesh:
     mesh = regular_mesh(setup.specimen, test, replace(setup.model, mesh_seed=None))
     if seed is None:
         return mesh
-    return jittered(mesh, seed, _at_edge(setup.grading, mesh))
+    nodes, neighbors = _steps_allowed(mesh)
+    fixed = _at_edge(setup.grading, mesh)
+    if fixed is not None:
+        kept = ~fixed[nodes]
+        nodes, neighbors = nodes[kept], neighbors[kept]
+    moved = _random_steps(mesh.points, nodes, neighbors, np.random.default_rng(seed))
+    return replace(mesh, points=_tamed(mesh, moved))
 
 
 def _at_edge(grading: MeshGrading, mesh: Mesh) -> NDArray[np.bool_] | None:
@@ -135,17 +141,6 @@ _CORNERS: dict[tuple[int, int], list[tuple[int, ...]]] = {
     (3, 8): [(0, 1, 3, 4), (1, 2, 0, 5), (2, 3, 1, 6), (3, 0, 2, 7), (4, 7, 5, 0), (5, 4, 6, 1),
              (6, 5, 7, 2), (7, 6, 4, 3)],
 }  # fmt: skip
-
-
-def jittered(mesh: Mesh, seed: int, fixed: NDArray[np.bool_] | None = None) -> Mesh:
-    """Move the nodes of a mesh at random; element size, boundary and topology stay."""
-    # Shapes: fixed (n_points,).
-    nodes, neighbors = _steps_allowed(mesh)
-    if fixed is not None:
-        kept = ~fixed[nodes]
-        nodes, neighbors = nodes[kept], neighbors[kept]
-    moved = _random_steps(mesh.points, nodes, neighbors, np.random.default_rng(seed))
-    return replace(mesh, points=_tamed(mesh, moved))
 
 
 def _kind(mesh: Mesh) -> tuple[int, int]:
