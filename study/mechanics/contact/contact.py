@@ -15,7 +15,6 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from study.ground.arrays import Array, Flags, Ints
 from study.mechanics.element.function_space import _SAME, Nodes, at_level
@@ -296,11 +295,7 @@ class TiedPoints(ContactPoints):
     surface: Plane
 
     def evaluate(
-        self,
-        met: Meeting,
-        multiplier: Array,
-        closed: NDArray[np.bool_] | None = None,
-        glue: Glue | None = None,
+        self, met: Meeting, multiplier: Array, closed: Flags | None = None, glue: Glue | None = None
     ) -> ContactState:
         """Distance from the place where each point is held, and the force that holds it."""
         if glue is None:

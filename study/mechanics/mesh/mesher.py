@@ -11,9 +11,8 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import MeshError
 from study.mechanics.mesh.graded import indentation_mesh, sizes_of
 from study.mechanics.mesh.solid import surface_mesh, surface_mesh_size
@@ -74,7 +73,7 @@ def build_mesh(setup: Setup) -> Mesh:
     return replace(mesh, points=_tamed(mesh, moved))
 
 
-def _at_edge(grading: MeshGrading, mesh: Mesh) -> NDArray[np.bool_] | None:
+def _at_edge(grading: MeshGrading, mesh: Mesh) -> Flags | None:
     """Nodes that follow the edge of a flat end: they are part of what is modelled."""
     if not isinstance(grading, AroundContact) or not grading.indenter.has_face:
         return None

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Flags, Ints
 from study.ground.bounded_file import UnreadableError, open_regular
 from study.ground.compilation import kernel, part
 from study.ground.errors import Fault, InputError, UnitError
@@ -49,7 +48,7 @@ class Edges:
     shared: Ints
     #: shape (n_pairs,); whether the two run along their edge in opposite directions, as neighbors
     #: should.
-    agree: NDArray[np.bool_]
+    agree: Flags
 
     @classmethod
     def of(cls, triangles: Ints) -> Edges:
@@ -414,8 +413,8 @@ class Body(Triangles):
     """A checked surface that stands on z = 0 below its plate."""
 
     #: shape (m,); triangles that lie in the upper and in the lower plate.
-    top: NDArray[np.bool_]
-    base: NDArray[np.bool_]
+    top: Flags
+    base: Flags
     #: Position of z = 0 along the axis of the file.
     lowest_mm: float
     #: What was mended, and what looks strange.
@@ -557,7 +556,7 @@ def turned_up(points: Array, axis: str) -> Array:
 
 def _flattened(
     points: Array, triangles: Ints, height: float, tolerance: float
-) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[Array, Flags, Flags]:
     """Put the corners of all faces that touch a plate exactly into it."""
     surface = Triangles(points, triangles)
     level, z = surface.normals[:, 2], surface.corners[:, :, 2]
