@@ -25,6 +25,7 @@ YEOH = Material("reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, b
 LAYERS = Path(__file__).resolve().parents[2] / "validation" / "layers.csv"
 #: marks of what the long verification alone solves
 LONG = (pytest.mark.slow, pytest.mark.verify)
+SPECIMEN = Cylinder(25, 50)
 NEEDLE, PUNCH = Cone(30, 1), Flat(3, 0.3)
 #: material of the hard-contact forces: C10 = 5 kPa, C20 = 1 kPa, K = 10 MPa
 RUBBER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0)
@@ -38,31 +39,17 @@ def long_verification(test):
 
 
 def compression(
-    specimen,
-    displacement_mm,
-    interface="bonded",
-    *,
-    base="",
-    material=NEO_HOOKEAN,
-    steps=1,
-    **model,
+    specimen, depth, interface="bonded", *, base="", material=NEO_HOOKEAN, steps=1, **model
 ):
     """Compression between two plates, alike where the lower one is not given."""
-    test = Test("compression", displacement_mm, interface, base or interface, steps=steps)
+    test = Test("compression", depth, interface, base or interface, steps=steps)
     return Problem(specimen, test, material, replace(Model(), **model))
 
 
 def indentation(
-    indenter,
-    depth,
-    *,
-    material=RUBBER,
-    specimen=Cylinder(25, 50),  # noqa: B008
-    steps=10,
-    base="bonded",
-    interface="frictionless",
-    **model,
-):
+    indenter, depth, specimen=SPECIMEN, *, material=RUBBER, steps=10, base="bonded",
+    interface="frictionless", **model,
+):  # fmt: skip
     test = Test("indentation", depth, interface, base, steps, indenter)
     return Problem(specimen, test, material, replace(Model(), **model))
 
@@ -72,6 +59,11 @@ def reached(problem, **given):
     found = solve(problem, gradients=False, **given)
     assert found.converged, found.message
     return found
+
+
+def forces(problem, **given):
+    """Forces of a test every step of which converged, N."""
+    return reached(problem, **given).curve.force_N
 
 
 def taylor_slopes(problem, base, direction, lengths):

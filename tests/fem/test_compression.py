@@ -12,9 +12,9 @@ from study.mechanics.solver.newton import NewtonSettings, Options
 from tests.fem.problems import (
     GEL,
     LONG,
-    NEO_HOOKEAN,
     RP2,
     compression,
+    forces,
     grid,
     long_verification,
     reached,
@@ -32,17 +32,13 @@ SHORT = [(1, 0.499, "quadratic"), (2, 0.5, "quadratic"), (8, 0.45, "quadratic"),
 
 def apparent_modulus(radius, nu, order):
     """Ea/E of a disc of height 1."""
-    shear = {"C10": 0.5}
-    material = (
-        Material("neo-hookean", shear, incompressible=True)
-        if nu == 0.5
-        else Material("neo-hookean", shear, poisson_ratio=nu)
-    )
+    volume = {"incompressible": True} if nu == 0.5 else {"poisson_ratio": nu}
+    material = Material("neo-hookean", {"C10": 0.5}, **volume)
     # a strain of 1e-7 keeps the finite-strain correction below 1e-6
     problem = compression(
         Cylinder(radius, 1), 1e-7, material=material, element_order=order, mesh_size_mm=0.04
     )
-    force = solve(problem, gradients=False).curve.force_N[-1]
+    force = forces(problem)[-1]
     return float(force / (np.pi * radius**2 * 1e-7) / (2 * (1 + nu)))
 
 
@@ -74,7 +70,7 @@ FINITE_STRAIN = {
 def test_bonded_disc_at_finite_strain(radius):
     """V25 up to 10 %, before the free side of a flat disc has folded far."""
     problem = compression(Cylinder(radius, 1), 0.1, steps=2, mesh="fine")
-    force = solve(problem, gradients=False).curve.force_N / (np.pi * radius**2)
+    force = forces(problem) / (np.pi * radius**2)
     np.testing.assert_allclose(force, FINITE_STRAIN[radius][:2], rtol=0.01)
 
 
@@ -133,14 +129,11 @@ def test_forty_percent_with_side_contact(mesh):
 
 def test_3d_equals_axisymmetric():
     """V26 at equal mesh size: 0.5 %."""
-    forces = [
-        solve(
-            compression(Cylinder(25, 30), 3, material=GEL, steps=2, mesh="coarse", space=space),
-            gradients=False,
-        ).curve.force_N
+    flat, solid = (
+        forces(compression(Cylinder(25, 30), 3, material=GEL, steps=2, mesh="coarse", space=space))
         for space in ("axisymmetric", "3d")
-    ]
-    np.testing.assert_allclose(forces[1], forces[0], rtol=5e-3)
+    )
+    np.testing.assert_allclose(solid, flat, rtol=5e-3)
 
 
 @pytest.mark.parametrize(("order", "tolerance"), [("linear", 0.015), ("quadratic", 0.005)])
@@ -149,7 +142,7 @@ def test_hexahedra_have_the_force_of_two_other_codes(order, tolerance):
     bonded = compression(
         Cylinder(25, 50), 3, material=GEL, space="3d", element_order=order, element_shape="tensor"
     )
-    assert solve(bonded, gradients=False).curve.force_N[-1] == pytest.approx(4.485, rel=tolerance)
+    assert forces(bonded)[-1] == pytest.approx(4.485, rel=tolerance)
 
 
 def test_superlu_gives_the_same_answer():
@@ -161,25 +154,20 @@ def test_superlu_gives_the_same_answer():
 
 def test_number_of_steps_does_not_matter():
     """P08: elastic, so 3 and 9 increments end at the same force (same contact branch)."""
-    ends = [
-        solve(
-            compression(Cylinder(25, 30), 2.4, material=RP2, steps=n, mesh="coarse"),
-            gradients=False,
-        ).curve.force_N[-1]
+    few, many = (
+        forces(compression(Cylinder(25, 30), 2.4, material=RP2, steps=n, mesh="coarse"))[-1]
         for n in (3, 9)
-    ]
-    assert ends[0] == pytest.approx(ends[1], rel=1e-8)
+    )
+    assert few == pytest.approx(many, rel=1e-8)
 
 
 def test_block_stands_as_the_cylinder_of_its_area():
-    test = Test("compression", 0.5, "frictionless", "frictionless", steps=1)
-    block = Block(8, 6, 10)
-    forces = [
-        solve(Problem(block, test, NEO_HOOKEAN, Model(space, mesh="coarse"))).curve.force_N[-1]
+    flat, solid = (
+        forces(compression(Block(8, 6, 10), 0.5, "frictionless", space=space, mesh="coarse"))[-1]
         for space in ("axisymmetric", "3d")
-    ]
+    )
     # homogeneous: only the area counts
-    assert forces[1] == pytest.approx(forces[0], rel=1e-8)
+    assert solid == pytest.approx(flat, rel=1e-8)
 
 
 def test_constants_that_soften_without_end_are_unstable_before_any_mesh():
@@ -206,11 +194,12 @@ def test_a_solver_that_gives_up_blames_no_energy():
 def test_a_cylinder_has_its_cross_section_however_large_its_elements_are(size, shape, order):
     # a homogeneous field: the force is stress times area, 2 C10 (1/l^2 - l) pi R^2 for nu = 0.5
     soft = Material("neo-hookean", {"C10": 0.005}, incompressible=True)
-    test = Test("compression", 2.0, "frictionless", "frictionless", steps=1)
-    model = Model(space="3d", element_shape=shape, element_order=order, mesh_size_mm=10.0 * size)
-    found = solve(Problem(Cylinder(10, 20), test, soft, model), gradients=False)
+    problem = compression(
+        Cylinder(10, 20), 2.0, "frictionless", material=soft, space="3d", element_shape=shape,
+        element_order=order, mesh_size_mm=10.0 * size,
+    )  # fmt: skip
     exact = 2 * 0.005 * (1 / 0.9**2 - 0.9) * np.pi * 100
-    assert found.curve.force_N[-1] == pytest.approx(exact, rel=1e-6)
+    assert forces(problem)[-1] == pytest.approx(exact, rel=1e-6)
 
 
 @pytest.mark.parametrize("size", [0.98, 2.0])
@@ -223,8 +212,5 @@ def test_hexahedra_between_bonded_plates_do_not_fold_over(size):
     found = solve(Problem(cylinder, test, GEL, model), gradients=False)
     weight = STANDARD_GRAVITY * 980e-9 * cylinder.volume_mm3
     np.testing.assert_allclose(found.base_reaction_N - found.curve.force_N, weight, rtol=1e-6)
-    plane = solve(
-        Problem(cylinder, test, GEL, Model(element_shape="tensor", mesh_size_mm=1.0)),
-        gradients=False,
-    )
-    assert 0 < found.curve.force_N[-1] / plane.curve.force_N[-1] - 1 < 0.05
+    plane = forces(Problem(cylinder, test, GEL, Model(element_shape="tensor", mesh_size_mm=1.0)))
+    assert 0 < found.curve.force_N[-1] / plane[-1] - 1 < 0.05

@@ -15,6 +15,7 @@ from study.laboratory.registration.iterative_closest_point import TriangleSurfac
 from study.laboratory.registration.rigid import turned_about
 from study.laboratory.shape.boundary import DeformedMesh, surface_of, symmetry_of
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
+from study.mechanics.mesh.structured import extrude, rectangle
 from study.reporting.output.accuracy_page import scan_answers
 from tests.fem.problems import LONG, long_verification
 from tests.fem.surfaces import write
@@ -73,18 +74,8 @@ def write_ply(path, surface):
     return Path(write(path, (surface.points, surface.triangles)))
 
 
-def write_cloud(path, points):
-    """Text PLY without faces."""
-    head = (
-        f"ply\nformat ascii 1.0\nelement vertex {len(points)}\nproperty double x\n"
-        "property double y\nproperty double z\nend_header\n"
-    )
-    path.write_text(head + "".join(f"{x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in points))
-    return path
-
-
 def test_the_scan_of_the_closed_form_is_on_the_surface(tmp_path, capsys):
-    cloud = write_cloud(tmp_path / "scan.ply", MOTION(cylinder(RADIUS, HEIGHT, 1000, 1)))
+    cloud = Path(write(tmp_path / "scan.ply", (MOTION(cylinder(RADIUS, HEIGHT, 1000, 1)), [])))
     reports = tmp_path / "reports"
     command = ["shape", str(problem(tmp_path)), "--scan", str(cloud), "--reports", str(reports)]
     assert run([*command, "--json"]) == 0
@@ -177,14 +168,14 @@ def test_a_vtu_file_that_unpacks_to_gigabytes_is_refused(tmp_path, encoding):
         study.shape(tmp_path / "large.vtu", cloud)
 
 
-def moved_egg(folder, motion, name="scan.csv"):
+def moved_egg(folder):
     surface = egg()
-    cloud = motion(scan(surface, 2000, np.random.default_rng(6)))
-    return write_ply(folder / "egg.ply", surface), write_csv(folder / name, cloud)
+    cloud = MOTION(scan(surface, 2000, np.random.default_rng(6)))
+    return write_ply(folder / "egg.ply", surface), write_csv(folder / "scan.csv", cloud)
 
 
 def test_a_surface_file_is_compared_too_and_marks_lie_on_it(tmp_path):
-    surface, cloud = moved_egg(tmp_path, MOTION)
+    surface, cloud = moved_egg(tmp_path)
     marks = egg().points[:6] + 0.4 * egg().vertex_normals[:6]
     markers = write_csv(tmp_path / "marks.csv", MOTION(marks))
     found = study.shape(surface, cloud, markers=markers)
@@ -214,7 +205,7 @@ def test_a_scan_of_the_body_at_rest_is_refused(tmp_path, capsys):
 
 
 def test_a_mirrored_scan_is_refused(tmp_path):
-    surface, _ = moved_egg(tmp_path, MOTION)
+    surface, _ = moved_egg(tmp_path)
     cloud = scan(egg(), 2000, np.random.default_rng(8)) * [1, -1, 1]
     with pytest.raises(InputError, match="is mirrored"):
         study.shape(surface, write_csv(tmp_path / "mirror.csv", cloud))
@@ -222,7 +213,7 @@ def test_a_mirrored_scan_is_refused(tmp_path):
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "m"), (1e3, "um")])
 def test_a_scan_in_another_unit_is_refused_and_the_unit_is_named(tmp_path, factor, unit):
-    surface, _ = moved_egg(tmp_path, MOTION)
+    surface, _ = moved_egg(tmp_path)
     cloud = write_csv(tmp_path / "unit.csv", factor * scan(egg(), 500, np.random.default_rng(9)))
     with pytest.raises(InputError, match=f"is it in {unit}"):
         study.shape(surface, cloud)
@@ -238,7 +229,7 @@ def test_a_simulated_surface_with_a_hole_is_refused(tmp_path):
 
 
 def test_a_scan_with_holes_is_no_fault_and_what_it_shows_is_said(tmp_path):
-    surface, _ = moved_egg(tmp_path, MOTION)
+    surface, _ = moved_egg(tmp_path)
     cloud = scan(egg(), 4000, np.random.default_rng(11))
     part = write_csv(tmp_path / "part.csv", MOTION(cloud[cloud[:, 0] > 0]))
     found = study.shape(surface, part)
@@ -261,7 +252,7 @@ def test_a_scan_with_holes_is_no_fault_and_what_it_shows_is_said(tmp_path):
     ],
 )
 def test_a_faulty_cloud_or_faulty_markers_are_refused(tmp_path, of_what, content, rule):
-    surface, cloud = moved_egg(tmp_path, MOTION)
+    surface, cloud = moved_egg(tmp_path)
     if content is not None:
         (tmp_path / "faulty.csv").write_text(content)
     with pytest.raises(InputError, match=rule):
@@ -269,7 +260,7 @@ def test_a_faulty_cloud_or_faulty_markers_are_refused(tmp_path, of_what, content
 
 
 def test_a_cloud_without_a_surface_is_refused(tmp_path):
-    surface, _ = moved_egg(tmp_path, MOTION)
+    surface, _ = moved_egg(tmp_path)
     rng = np.random.default_rng(12)
     dense = scan(egg(), 550, rng) * [0.05, 1, 1]
     strewn = rng.uniform(-400, 400, (450, 3))
@@ -279,7 +270,7 @@ def test_a_cloud_without_a_surface_is_refused(tmp_path):
 
 def test_points_without_weight_are_set_aside_and_counted(tmp_path):
     """A part of the table in the scan says nothing of the body, nor of its mean deviation."""
-    surface, _ = moved_egg(tmp_path, MOTION)
+    surface, _ = moved_egg(tmp_path)
     rng = np.random.default_rng(12)
     body = scan(egg(), 2000, rng)
     noise = rng.normal(0, 0.002, body.shape)
@@ -296,36 +287,16 @@ def test_points_without_weight_are_set_aside_and_counted(tmp_path):
 # Surfaces of meshes of every kind of cell: closed, outward, of the right volume.
 
 
-#: Half a unit cube's nodes along an axis for the quadratic cell: corners, then middles.
-CUBE = np.array(
-    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
-    dtype=float,
-)
-
-
-def box_mesh(n, low, high):
-    """Hexahedra of a box."""
-    grid = [np.linspace(a, b, n + 1) for a, b in zip(low, high, strict=True)]
-    points = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange((n + 1) ** 3).reshape(n + 1, n + 1, n + 1)
-    corner = CUBE.astype(int)
-    cells = [
-        [number[i + a, j + b, k + c] for a, b, c in corner]
-        for i in range(n) for j in range(n) for k in range(n)
-    ]  # fmt: skip
-    return points, np.array(cells)
-
-
-def six_tetrahedra(cells):
-    """Split hexahedra along their diagonal 0-6."""
-    ways = [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)]
-    return np.concatenate([cells[:, list(way)] for way in ways])
+def box_mesh(n, low, high, shape="tensor"):
+    """Hexahedra or tetrahedra of a box."""
+    x, y, z = np.linspace(low, high, n + 1).T
+    return extrude(*rectangle(x, y, shape), z)
 
 
 @pytest.mark.parametrize("kind", ["hexahedron", "tetra"])
 def test_a_whole_box_has_its_volume(kind):
-    points, cells = box_mesh(3, np.array([-2.0, -1, 0]), np.array([2.0, 1, 3]))
-    cells = cells if kind == "hexahedron" else six_tetrahedra(cells)
+    shape = "tensor" if kind == "hexahedron" else "simplex"
+    points, cells = box_mesh(3, [-2, -1, 0], [2, 1, 3], shape)
     mesh = DeformedMesh(points, 0.1 * points, kind, cells)
     found = surface_of(mesh)
     assert str(symmetry_of(mesh)) == "whole body"
@@ -335,7 +306,7 @@ def test_a_whole_box_has_its_volume(kind):
 
 
 def test_a_quarter_of_an_upper_half_becomes_the_whole():
-    points, cells = box_mesh(2, np.array([0.0, 0, 5]), np.array([2.0, 3, 10]))
+    points, cells = box_mesh(2, [0, 0, 5], [2, 3, 10])
     stretch = np.array([0.1, 0.1, -0.2])
     mesh = DeformedMesh(points, (points - [0, 0, 5]) * stretch, "hexahedron", cells)
     found = surface_of(mesh)
