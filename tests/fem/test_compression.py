@@ -9,16 +9,7 @@ from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import NewtonSettings, Options
-from tests.fem.problems import (
-    GEL,
-    LONG,
-    RP2,
-    compression,
-    forces,
-    grid,
-    long_verification,
-    reached,
-)
+from tests.fem.problems import GEL, LONG, RP2, compression, forces, grid, long_verification, reached
 
 #: Table C: Ea/E of a bonded disc at small strain (other-code, corner-graded)
 TABLE_C = {

@@ -17,30 +17,16 @@ from tests.fem.homogeneous import TIGHT, driven, force, held, system_of
 from tests.fem.problems import MOONEY as MR
 from tests.fem.problems import NEO_HOOKEAN as NH
 from tests.fem.problems import RP2, YEOH, compression, cube, grid, reached
-from tests.material.modes import uniaxial
+from tests.material.modes import solid, uniaxial
 
 OGDEN1 = Material("ogden", {"mu1": 1.0, "alpha1": 4.0}, bulk_modulus=1e3)
-OGDEN3 = Material(
-    "ogden",
-    {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 5.0, "mu3": 0.1, "alpha3": -2.0},
-    bulk_modulus=1e3,
-)
-POLY2 = Material(
-    "polynomial",
-    {"C10": 0.35, "C01": 0.15, "C20": 0.03, "C11": 0.02, "C02": 0.01},
-    bulk_modulus=1e3,
-)
+OGDEN3 = solid("ogden", 0.6, 1.3, 0.3, 5.0, 0.1, -2.0, bulk_modulus=1e3)
+POLY2 = solid("polynomial", 0.35, 0.15, 0.03, 0.02, 0.01, bulk_modulus=1e3)
 LINEAR = Material("linear-elastic", {"youngs_modulus": 3.0}, bulk_modulus=1e3)
-BOYCE = Material(
-    "arruda-boyce", {"mu": 1.0 / 1.0745501271215558, "lambda_m": 3.0}, bulk_modulus=1e3
-)
+BOYCE = solid("arruda-boyce", 1.0 / 1.0745501271215558, 3.0, bulk_modulus=1e3)
 GENT = Material("gent", {"mu": 1.0, "Jm": 20.0}, bulk_modulus=1e3)
-TUBE = Material(
-    "extended-tube", {"Gc": 0.5 / 0.98, "Ge": 0.5, "beta": 0.6, "delta": 0.1}, bulk_modulus=1e3
-)
-WAALS = Material(
-    "van-der-waals", {"mu": 1.0, "lambda_m": 6.0, "a": 0.3, "beta": 0.2}, bulk_modulus=1e3
-)
+TUBE = solid("extended-tube", 0.5 / 0.98, 0.5, 0.6, 0.1, bulk_modulus=1e3)
+WAALS = solid("van-der-waals", 1.0, 6.0, 0.3, 0.2, bulk_modulus=1e3)
 SKIN = Material("veronda-westmann", {"C1": 1.0, "C2": 1.0}, bulk_modulus=1e3)
 FUNG = Material("fung", {"mu": 1.0, "b": 0.3}, bulk_modulus=1e3)
 OTHERS = [BOYCE, GENT, TUBE, WAALS, SKIN, FUNG]
@@ -178,8 +164,7 @@ def curve(material, displacement=4.0, **model):
     ("material", "same"),
     [
         (Material("ogden", {"mu1": 1.0, "alpha1": 2.0}, bulk_modulus=1e3), NH),
-        (Material("ogden", {"mu1": 0.8, "alpha1": 2.0, "mu2": 0.2, "alpha2": -2.0},
-                  bulk_modulus=1e3), MR),
+        (solid("ogden", 0.8, 2.0, 0.2, -2.0, bulk_modulus=1e3), MR),
         (Material("polynomial", {"C10": 0.5}, bulk_modulus=1e3), NH),
         (Material("polynomial", {"C10": 0.5, "C01": 0.0, "C20": 0.1}, bulk_modulus=1e3), RP2),
         (Material("reduced-polynomial", {"C10": 0.5}, bulk_modulus=1e3), NH),

@@ -26,15 +26,12 @@ from tests.fem.problems import (
     long_verification,
     reached,
 )
+from tests.material.modes import solid
 
 MATERIALS = {
     "polynomial": Material("mooney-rivlin", {"C10": 3e-3, "C01": 2e-3}, poisson_ratio=0.499),
-    "yeoh": Material(
-        "reduced-polynomial", {"C10": 5e-3, "C20": -4e-4, "C30": 2e-4}, poisson_ratio=0.49
-    ),
-    "ogden": Material(
-        "ogden", {"mu1": 4e-3, "alpha1": 3.0, "mu2": 5e-3, "alpha2": -1.5}, poisson_ratio=0.4995
-    ),
+    "yeoh": solid("reduced-polynomial", 5e-3, -4e-4, 2e-4, poisson_ratio=0.49),
+    "ogden": solid("ogden", 4e-3, 3.0, 5e-3, -1.5, poisson_ratio=0.4995),
     "linear": Material("linear-elastic", {"youngs_modulus": 0.02}, poisson_ratio=0.45),
     "soft": Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=5e-3),
     "stiff": Material("mooney-rivlin", {"C10": 4e-3, "C01": 1e-3}, bulk_modulus=10.0),

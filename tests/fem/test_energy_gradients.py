@@ -11,6 +11,7 @@ from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import NewtonSettings, Options
 from tests.fem.problems import LONG, compression
+from tests.material.modes import solid
 
 NU, BULK = {"poisson_ratio": 0.495}, {"bulk_modulus": 1.0}
 OGDEN3 = {"mu1": 6e-3, "alpha1": 1.3, "mu2": 3e-3, "alpha2": 5.0, "mu3": 1e-3, "alpha3": -2.0}
@@ -28,12 +29,8 @@ MATERIALS = {
     "ogden-3-incompressible": Material("ogden", OGDEN3, incompressible=True),
     "arruda-boyce": Material("arruda-boyce", {"mu": 1e-2, "lambda_m": 1.5}, **BULK),
     "gent": Material("gent", {"mu": 1e-2, "Jm": 3.0}, **BULK),
-    "extended-tube": Material(
-        "extended-tube", {"Gc": 5e-3, "Ge": 5e-3, "beta": 2.0, "delta": 0.4}, **NU
-    ),
-    "van-der-waals": Material(
-        "van-der-waals", {"mu": 1e-2, "lambda_m": 3.0, "a": 0.5, "beta": 0.4}, **BULK
-    ),
+    "extended-tube": solid("extended-tube", 5e-3, 5e-3, 2.0, 0.4, **NU),
+    "van-der-waals": solid("van-der-waals", 1e-2, 3.0, 0.5, 0.4, **BULK),
     "veronda-westmann": Material("veronda-westmann", {"C1": 1e-2, "C2": 1.0}, **BULK),
     "fung": Material("fung", {"mu": 1e-2, "b": 1.0}, **BULK),
     "linear-elastic": Material("linear-elastic", {"youngs_modulus": 3e-2}, bulk_modulus=0.05),
@@ -44,17 +41,12 @@ PROPORTIONAL = {
     "neo-hookean-incompressible": Material("neo-hookean", {"C10": 5e-3}, incompressible=True),
     "ogden": Material("ogden", {"mu1": 1e-2, "alpha1": 4.0}, **NU),
     "linear-elastic": Material("linear-elastic", {"youngs_modulus": 3e-2}, **NU),
-    "linear-elastic-incompressible": Material(
-        "linear-elastic", {"youngs_modulus": 3e-2}, incompressible=True
-    ),
+    "linear-elastic-incompressible": solid("linear-elastic", 3e-2, incompressible=True),
 }
 #: K follows mu0, and a limit of the stretches stands under a fraction
 LIMITED = {
-    "gent": Material("gent", {"mu": 1e-2, "Jm": 3.0}, **NU),
-    "arruda-boyce": Material("arruda-boyce", {"mu": 1e-2, "lambda_m": 1.5}, **NU),
-    "van-der-waals": Material(
-        "van-der-waals", {"mu": 1e-2, "lambda_m": 3.0, "a": 0.5, "beta": 0.4}, **NU
-    ),
+    name: replace(MATERIALS[name], bulk_modulus=None, **NU)
+    for name in ("gent", "arruda-boyce", "van-der-waals")
 }
 SPACES = ("axisymmetric", "3d")
 EXACT = Options(newton=NewtonSettings(tolerance=1e-11))

@@ -11,18 +11,13 @@ from study.mechanics.material.material import Material
 from tests.fem import reference_law
 from tests.fem.problems import YEOH
 from tests.fem.test_energies import GENT, OGDEN1, OGDEN3, OTHERS, SKIN, TUBE, WAALS
-from tests.material.modes import confined
+from tests.material.modes import confined, solid
 
 ALMOST_ZERO = Material("ogden", {"mu1": 1.0, "alpha1": 1e-7}, bulk_modulus=100.0)
-STEEP = Material(
-    "ogden", {"mu1": 0.5, "alpha1": 24.0, "mu2": 0.5, "alpha2": -9.0}, bulk_modulus=1e3
+STEEP = solid("ogden", 0.5, 24.0, 0.5, -9.0, bulk_modulus=1e3)
+POLY3 = solid(
+    "polynomial", 0.4, 0.1, 0.03, 0.05, 0.02, 0.01, 0.004, 0.003, 0.002, bulk_modulus=100.0
 )
-POLY3 = Material(
-    "polynomial",
-    {"C10": 0.4, "C01": 0.1, "C20": 0.03, "C11": 0.05, "C02": 0.02, "C30": 0.01, "C21": 0.004,
-     "C12": 0.003, "C03": 0.002},
-    bulk_modulus=100.0,
-)  # fmt: skip
 LINEAR = Material("linear-elastic", {"youngs_modulus": 3.0}, incompressible=True)
 HYPERELASTIC = [OGDEN1, OGDEN3, ALMOST_ZERO, STEEP, POLY3, YEOH, *OTHERS]
 ALL = [*HYPERELASTIC, LINEAR]
@@ -109,8 +104,7 @@ def test_at_rest():
         P, A, J = evaluate(material.law(), np.eye(3))
         assert J == 1.0
         assert np.abs(P).max() < 1e-15
-        linear = Material("linear-elastic", {"youngs_modulus": 3 * material.mu0},
-                          incompressible=True)  # fmt: skip
+        linear = solid("linear-elastic", 3 * material.mu0, incompressible=True)
         close(A, evaluate(linear.law(), np.eye(3))[1], 1e-14)
         for constant in material.names:
             rate, _, _ = evaluate(material.law_rate(constant), np.eye(3), tangent=False)

@@ -116,12 +116,9 @@ SOFT = Material("neo-hookean", {"C10": 0.01}, poisson_ratio=0.45)
 COLUMN = Block(width_mm=12.0, depth_mm=8.0, height_mm=90.0)
 
 
-def _column(
-    depth_mm, steps, interface = "bonded", base = "bonded",
-    *, specimen = COLUMN, order = "quadratic", size_mm = 4.0,
-):  # fmt: skip
+def _column(depth, steps, interface="bonded", base="bonded", order="quadratic", size_mm=4.0):
     return compression(
-        specimen, depth_mm, interface, base=base, material=SOFT, steps=steps, space="3d",
+        COLUMN, depth, interface, base=base, material=SOFT, steps=steps, space="3d",
         element_shape="tensor", element_order=order, mesh_size_mm=size_mm,
     )  # fmt: skip
 

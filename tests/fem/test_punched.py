@@ -13,17 +13,14 @@ from study.mechanics.contact.contact import constraints
 from study.mechanics.element.function_space import discretize
 from study.mechanics.mesh.mesher import _volumes, build_mesh
 from study.mechanics.setup.geometry import Block, Cylinder, Flat
-from tests.fem.problems import GEL, LONG, indentation, reached
+from tests.fem.problems import GEL, LONG, forces, indentation
 
 LEVELS = ("coarse", "medium", "fine")
 BLOCK, FORCE = Block(40, 40, 20), 0.0827
 ROUND = Cylinder(float(np.sqrt(1600 / np.pi)), 20)
 
 
-def punch(
-    specimen = BLOCK, interface = "bonded", pressed = None,
-    depth = 0.3, **model,
-):  # fmt: skip
+def punch(specimen=BLOCK, interface="bonded", pressed=None, depth=0.3, **model):
     return indentation(
         pressed or Flat(3.0), depth, material=GEL, specimen=specimen, steps=1, interface=interface,
         **{"space": "3d", "element_order": "linear", "element_shape": "tensor", **model},
@@ -31,8 +28,7 @@ def punch(
 
 
 def force(problem):
-    found = reached(problem)
-    return float(found.curve.force_N[-1])
+    return float(forces(problem)[-1])
 
 
 def on_circle(mesh, radius):

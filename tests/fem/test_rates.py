@@ -16,12 +16,8 @@ from tests.fem.known import unit
 from tests.fem.manufactured import Manufactured
 from tests.fem.problems import LONG, MOONEY, long_verification
 from tests.fem.problems import NEO_HOOKEAN as NEARLY
+from tests.fem.test_energies import OGDEN3 as OGDEN
 
-OGDEN = Material(
-    "ogden",
-    {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 5.0, "mu3": 0.1, "alpha3": -2.0},
-    bulk_modulus=1000.0,
-)
 SOFT = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=2.0)
 SPACES, ORDERS, SHAPES = ("axisymmetric", "3d"), ("linear", "quadratic"), ("simplex", "tensor")
 PAIRS = list(itertools.product(SPACES, ORDERS, SHAPES))

@@ -5,12 +5,19 @@ from functools import partial
 import numpy as np
 
 from study.mechanics.material.homogeneous import MODES, response
-from study.mechanics.material.material import Material
+from study.mechanics.material.material import Material, constant_names, energy_named
 
 #: a foam, whose volume change belongs to all of its energy
 FOAM = Material(
     "ogden-hill", {"mu1": 0.03, "alpha1": 4.0, "mu2": 0.01, "alpha2": -2.5}, poisson_ratio=0.2
 )
+
+
+def solid(model, *values, **volume):
+    """Material with its constants in the order of the energy."""
+    orders = (1, 2, 3) if energy_named(model).has_order else (None,)
+    names = next(n for o in orders if len(n := constant_names(model, o)) == len(values))
+    return Material(model, dict(zip(names, values, strict=True)), **volume)
 
 
 def stress(mode, material, stretch):
