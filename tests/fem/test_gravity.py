@@ -11,8 +11,7 @@ from study.mechanics.setup.geometry import STANDARD_GRAVITY, Block, Cylinder, Gr
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
-
-from .problems import GEL
+from tests.fem.problems import GEL
 
 RHO = 980.0
 PER_VOLUME = STANDARD_GRAVITY * RHO * 1e-9

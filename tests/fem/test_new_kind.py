@@ -14,9 +14,7 @@ from study.mechanics.setup.geometry import Block, Cone, Cylinder
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Compression, FaceCondition, Test
 from study.mechanics.solver.finite_element_solution import solve
-from tests.fem.problems import reached
-
-from .problems import GEL
+from tests.fem.problems import GEL, reached
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -12,9 +12,7 @@ from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import NoEquilibrium, PrescribedMotion, solve
-from tests.fem.problems import long_verification
-
-from .problems import GEL
+from tests.fem.problems import GEL, long_verification
 
 MODEL = Model(space="3d", element_shape="tensor", mesh_size_mm=10.0)
 CUBE = Block(20, 20, 20)
