@@ -67,8 +67,8 @@ def build_mesh(setup: Setup) -> Mesh:
     nodes, neighbors = _steps_allowed(mesh)
     fixed = _at_edge(setup.grading, mesh)
     if fixed is not None:
-        kept = ~fixed[nodes]
-        nodes, neighbors = nodes[kept], neighbors[kept]
+        movable = ~fixed[nodes]
+        nodes, neighbors = nodes[movable], neighbors[movable]
     moved = _random_steps(mesh.points, nodes, neighbors, np.random.default_rng(seed))
     return replace(mesh, points=_tamed(mesh, moved))
 
