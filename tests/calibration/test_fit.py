@@ -11,6 +11,7 @@ from study.mechanics.calibration.identifiability import profile
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from tests.calibration.cylinder import predictor, virtual
+from tests.fem.problems import LONG
 
 MR = "mooney-rivlin", ("C10", "C01")
 RP2 = "reduced-polynomial", ("C10", "C20")
@@ -83,7 +84,7 @@ def test_as_many_points_as_constants():
 
 @pytest.mark.parametrize(
     ("fits", "apart"),
-    [(500, 0.02), pytest.param(5000, 0.008, marks=[pytest.mark.slow, pytest.mark.verify])],
+    [(500, 0.02), pytest.param(5000, 0.008, marks=LONG)],
 )
 def test_coverage_of_intervals(fits, apart):
     """V42: two binomial standard deviations of 500 fits are 2 points."""

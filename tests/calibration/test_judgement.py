@@ -5,12 +5,7 @@ import pytest
 
 from study.ground.errors import InputError, RefusedError
 from study.mechanics.calibration.fit import fit
-from study.mechanics.calibration.lack_of_fit import (
-    agreement,
-    lack_of_fit,
-    pattern,
-    same_constants,
-)
+from study.mechanics.calibration.lack_of_fit import agreement, lack_of_fit, pattern, same_constants
 from study.mechanics.calibration.levenberg_marquardt import Status, levenberg_marquardt
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from tests.calibration.cylinder import predictor, virtual
@@ -27,7 +22,6 @@ def test_lack_of_fit_is_the_textbook_f_test():
     """
     residual = np.array([-1 / 6, 1 / 3, -1 / 6])
     found = lack_of_fit([(residual, np.full(3, np.sqrt(0.02)), 2)], 2)
-    assert found is not None
     assert (found.df, found.df_error) == (1, 3)
     assert found.statistic == pytest.approx(50 / 3, rel=1e-12)
     # F(1, 3) is the square of t(3), and F(1, 1) that of a Cauchy variable: both by arctan
@@ -62,11 +56,9 @@ def test_nothing_repeated_and_no_degrees_of_freedom():
 def test_pattern_tells_misfit_from_noise():
     rng = np.random.default_rng(2011)
     noise = pattern([rng.normal(size=100), rng.normal(size=100)])
-    assert noise is not None
     assert abs(noise.lag1) < 0.15  # two standard deviations of 1/sqrt(200)
     assert noise.p > 0.05
     wave = pattern([np.sin(np.linspace(0, 7, 100))])
-    assert wave is not None
     assert wave.lag1 > 0.95
     assert wave.p < 1e-10
     assert pattern([np.ones(4)]) is None
@@ -77,7 +69,6 @@ def test_runs_of_a_published_sequence():
     """Wald and Wolfowitz: 11 plus and 9 minus signs in 12 runs: expected 10.9, variance 4.6."""
     signs = np.array([1, 1, -1, -1, 1, -1, 1, 1, 1, -1, 1, -1, -1, 1, 1, -1, -1, -1, 1, 1])
     found = pattern([signs.astype(float)])
-    assert found is not None
     plus, minus = int((signs > 0).sum()), int((signs < 0).sum())
     assert found.runs == 1 + int(np.count_nonzero(np.diff(signs)))
     assert found.expected_runs == pytest.approx(1 + 2 * plus * minus / 20)

@@ -20,6 +20,7 @@ from study.mechanics.forward import closed_form
 from study.mechanics.material.homogeneous import response
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
+from tests.fem.problems import long_verification
 from tests.runner.test_calibrate import RP2, SPECIMEN, case, write
 
 RAW = {"points": '"raw"', "range": '["1 %", "30 %"]'}
@@ -169,8 +170,7 @@ def test_friction_between_two_plates_is_the_mixture_of_both(tmp_path):
     assert friction.shares["C10"] > 0.5  # bonded plates and a stiffer solid are much alike
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 def test_coverage_is_92_to_98_percent(tmp_path):
     """Share of intervals that hold the truth, offset, zero and radius drawn from their priors."""
     rng, hits, studies = np.random.default_rng(2011), np.zeros(2), 1000

@@ -12,6 +12,7 @@ from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import population, with_serial_correlation
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from tests.calibration.cylinder import AREA, predictor
+from tests.fem.problems import LONG
 from tests.runner.test_calibrate import case
 
 C10, SCATTER, NOISE_N = 7e-3, 0.15, 0.1
@@ -32,10 +33,7 @@ def specimen(c10, rng):
         # 30 studies at 95 %: fewer than 25 in one of 300; independent rows would reach 8
         (8, 30, 25 / 30, 1.0),
         # one binomial standard deviation of 1500 studies is 0.6 points
-        *(
-            pytest.param(n, 1500, 0.92, 0.98, marks=[pytest.mark.slow, pytest.mark.verify])
-            for n in (3, 8)
-        ),
+        *(pytest.param(n, 1500, 0.92, 0.98, marks=LONG) for n in (3, 8)),
     ],
 )
 def test_intervals_cover_the_population_and_the_next_specimen(specimens, studies, least, most):

@@ -13,14 +13,12 @@ from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.calibration.serial_correlation import Series, intervals
 from tests.calibration.cylinder import AREA, predictor
+from tests.fem.problems import LONG
 from tests.runner.test_calibrate import case
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-ENERGIES = {
-    "neo-hookean": {"C10": 7e-3},
-    "reduced-polynomial": {"C10": 7e-3, "C20": 1.5e-3},
-}
+ENERGIES = {"neo-hookean": {"C10": 7e-3}, "reduced-polynomial": {"C10": 7e-3, "C20": 1.5e-3}}
 ROWS, DEPTH = 60, 9.0
 
 
@@ -33,7 +31,7 @@ def autoregression(rho, rng, rows=ROWS):
 
 
 MANY = [
-    pytest.param(model, points, rho, 1500, 0.92, 0.98, marks=[pytest.mark.slow, pytest.mark.verify])
+    pytest.param(model, points, rho, 1500, 0.92, 0.98, marks=LONG)
     for model in ENERGIES
     for points in (0, 60, 200, 1000)
     for rho in (0.0, 0.9)
@@ -73,7 +71,6 @@ def test_long_recording_gives_the_error_that_its_correlation_is_known_to_give():
     error = autoregression(rho, rng, rows)
     residual = error - design @ (influence @ error)
     found = intervals([Series(residual, design, influence)])
-    assert found is not None
     assert found.correlation == pytest.approx(rho, abs=0.015)  # 3 sqrt((1 - rho^2) / n)
     # a slowly varying influence sees the spectrum at frequency 0: (1 + rho) / (1 - rho) = 9
     exact = 3 / np.linalg.norm(design)
@@ -87,7 +84,6 @@ def test_two_recordings_are_no_neighbors():
     one, two = rng.normal(size=(2, 2000))
     design = np.ones((2000, 1))
     apart = intervals([Series(e, design, design.T / 4000) for e in (one + 3, two - 3)])
-    assert apart is not None
     # each stands off by 3: 18 times the noise is common to neighbors, 9 / 10 of the variance
     assert apart.correlation == pytest.approx(0.9, abs=0.02)
 
@@ -103,7 +99,6 @@ def test_seven_rows_count_as_independent():
     measured = [MeasuredCurve("line", Curve(d, force))]
     plain = fit(predict, measured, ("k",), [1.0])
     found = with_serial_correlation(plain, measured)
-    assert found.serial is not None
     assert np.isnan(found.serial.correlation)
     assert found.serial.effective_rows == 7
     assert found.ci95 == pytest.approx(plain.ci95, rel=1e-8)
@@ -114,14 +109,12 @@ def test_a_certain_covariance_leaves_the_quantile_of_students_t_up_to_the_normal
     """Two rows, one constant: 1 degree of freedom, and as many more as is certain of the whole."""
     rows = [Series(np.array([1.0, -1.0]), np.ones((2, 1)), np.full((1, 2), 0.5))]
     alone = intervals(rows)
-    assert alone is not None
     variance = alone.covariance[0, 0]
     # quantiles at 97.5 %: of a Cauchy distribution, of the next from tables, then of the normal
     tables = {1: math.tan(0.475 * math.pi), 2: 4.302652729911275, 5: 2.570581835636314,
               30: 2.042272456301238, 120: 1.979930405052777, 1000: 1.962339080826408}  # fmt: skip
     for nu in [1, 2, 5, 30, 120, 1000, *np.logspace(4, 300, 75)]:
         found = intervals(rows, other_covariance=np.array([[variance * (math.sqrt(nu) - 1)]]))
-        assert found is not None
         # Cornish and Fisher's expansion about the normal (Abramowitz and Stegun 1964, 26.7.5)
         z = 1.959963984540054
         second = (5 * z**5 + 16 * z**3 + 3 * z) / 96
@@ -138,9 +131,7 @@ def test_the_interval_of_a_mixture_holds_95_percent_of_normal_errors(certain):
         design = np.ones((rows, 1))
         series = [Series(rng.normal(size=rows), design, design.T / rows)]
         alone = intervals(series)
-        assert alone is not None
         found = intervals(series, other_covariance=certain * alone.covariance)
-        assert found is not None
         z = found.half_width[0] / np.sqrt(found.mixture.covariance[:, 0, 0])
         inside = found.mixture.weight @ [math.erf(t / math.sqrt(2)) for t in z]
         assert inside == pytest.approx(0.95, rel=1e-11)
@@ -152,7 +143,6 @@ def test_the_interval_of_a_mixture_of_cauchy_errors_holds_95_percent():
     influence = np.linalg.pinv(design)
     error = rng.normal(size=8)
     found = intervals([Series(error - design @ (influence @ error), design, influence)])
-    assert found is not None
     for i in range(7):
         t = found.half_width[i] / np.sqrt(found.mixture.covariance[:, i, i])
         assert found.mixture.weight @ np.arctan(t) * 2 / np.pi == pytest.approx(0.95, rel=1e-12)

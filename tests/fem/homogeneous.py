@@ -1,28 +1,20 @@
 """Homogeneous states through the discrete equations, and systems with other constraints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
-import numpy as np
-
 from study.mechanics.element.function_space import Pattern
-from study.mechanics.material.material import Material
-from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.solver.internal_force import Tangent
 from study.mechanics.solver.linear_solver import KeptFactors, make_solver
-from study.mechanics.solver.newton import NewtonResult, NewtonSettings, solve_step
+from study.mechanics.solver.newton import NewtonSettings, solve_step
 from study.mechanics.solver.system import State, System
 from tests.fem.problems import compression, cube, grid, irregular
-
-Array = np.ndarray
 
 #: K (J - 1) at each point leaves 3e-12 of the force to rounding where K is 1000 mu
 TIGHT = NewtonSettings(tolerance=1e-11)
 
 
-def system_of(material: Material, mesh: Mesh | None = None, **model: object) -> System:
+def system_of(material, mesh=None, **model):
     """Unit cylinder or cube of distorted elements between frictionless plates."""
     if mesh is None:
         shape = str(model.get("element_shape", "simplex"))
@@ -32,7 +24,7 @@ def system_of(material: Material, mesh: Mesh | None = None, **model: object) -> 
     return System.build(problem, mesh, folding=False)
 
 
-def driven(system: System, displacement: float, pieces: int) -> NewtonResult:
+def driven(system, displacement, pieces):
     """Converged state at a displacement, tension (negative) too, in equal steps."""
     state = system.start()
     for number in range(1, pieces + 1):
@@ -43,14 +35,13 @@ def driven(system: System, displacement: float, pieces: int) -> NewtonResult:
     return result
 
 
-def force(system: System, result: NewtonResult) -> float:
+def force(system, result):
     """Force on the upper plate, positive in compression."""
-    assert result.assembly is not None
     reactions = result.assembly.internal[system.constraints.dofs]
     return float(system.force_scale * reactions @ system.prescribed(1.0))
 
 
-def held(system: System, dofs: Array, values: Array) -> System:
+def held(system, dofs, values):
     """Return the same discretization with other prescribed unknowns."""
     pattern = Pattern.build(system.space.dofs, system.space.n, dofs)
     return replace(

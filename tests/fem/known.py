@@ -6,15 +6,11 @@ manufactured solutions, thick spheres and cylinders, a punch that sticks to noth
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from study.mechanics.element import function_space
-from study.mechanics.element.function_space import Discretization
-from study.mechanics.material.material import Material
 from study.mechanics.mesh import structured
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.setup import Model
@@ -33,18 +29,18 @@ class Body:
     system: System
 
     @property
-    def space(self) -> Discretization:
+    def space(self):
         return self.system.space
 
     @property
-    def nodes(self) -> Array:
+    def nodes(self):
         return self.space.nodes
 
-    def basis(self, order: int = 8) -> Any:
+    def basis(self, order=8):
         """Scalar basis of one displacement component, with as exact a quadrature as asked."""
         return function_space.basis_of(self.system.mesh, self.model, order)
 
-    def facet_basis(self, on: Callable[[Array], Array]) -> Any:
+    def facet_basis(self, on):
         """The same on the boundary facets where ``on`` is true."""
         from skfem import FacetBasis
 
@@ -52,7 +48,7 @@ class Body:
         facets = basis.mesh.facets_satisfying(on, boundaries_only=True)
         return FacetBasis(basis.mesh, basis.elem, facets=facets, intorder=8)
 
-    def dofs_where(self, chosen: Callable[[Array], Array], axis: int) -> Array:
+    def dofs_where(self, chosen, axis):
         """Displacement unknowns along one axis of the nodes where ``chosen(nodes)`` is true.
 
         A bubble is no node, even where its element's centroid is chosen.
@@ -62,7 +58,7 @@ class Body:
         return self.nodes.shape[1] * np.flatnonzero(chosen(self.nodes) & real) + axis
 
     @property
-    def _bubbles(self) -> int:
+    def _bubbles(self):
         mini = (
             self.model.element_order == "linear"
             and self.model.element_shape == "simplex"
@@ -74,22 +70,22 @@ class Body:
 ELEMENT = ("space", "element_order", "element_shape", "formulation")
 
 
-def body(points: Array, cells: Array, model: Model, material: Material) -> Body:
+def body(points, cells, model, material):
     element = {name: getattr(model, name) for name in ELEMENT}
     return Body(model, system_of(material, Mesh(points, cells, False, 1.0), **element))
 
 
-def rectangle(r: Array, z: Array, model: Model) -> tuple[Array, Array]:
+def rectangle(r, z, model):
     return structured.rectangle(np.asarray(r), np.asarray(z), model.element_shape)
 
 
-def unit_cube(n: int, model: Model) -> tuple[Array, Array]:
+def unit_cube(n, model):
     line = np.linspace(0, 1, n + 1)
     plane, faces = structured.rectangle(line, line, model.element_shape)
     return structured.extrude(plane, faces, line)
 
 
-def unit(model: Model, n: int, material: Material) -> Body:
+def unit(model, n, material):
     """Unit cylinder or unit cube of n cells a side."""
     line = np.linspace(0, 1, n + 1)
     mesh = rectangle(line, line, model) if model.space == "axisymmetric" else unit_cube(n, model)
@@ -104,9 +100,7 @@ class Answer:
     forces: Array
 
 
-def solve(
-    made: Body, dofs: Array, values: Array, load: Array | None = None, *, steps: int = 1
-) -> Answer:
+def solve(made, dofs, values, load=None, *, steps=1):
     """Equilibrium in equal steps to prescribed values and a dead load, shape (n,)."""
     load = np.zeros(made.space.n) if load is None else load
     dofs, first = np.unique(dofs, return_index=True)
@@ -120,13 +114,7 @@ def solve(
     return Answer(state.x, system.internal.gathered())
 
 
-def load_vector(
-    made: Body,
-    force: Callable[[Array], Array],
-    volume_source: Callable[[Array], Array] | None,
-    traction: Callable[[Array], Array],
-    on: Callable[[Array], Array],
-) -> Array:
+def load_vector(made, force, volume_source, traction, on):
     """Loads of a body force (dim, ...), a source of volume and a traction on facets ``on``."""
     out = np.zeros(made.space.n)
     basis = made.basis()
@@ -141,7 +129,7 @@ def load_vector(
     return out
 
 
-def _add(out: Array, made: Body, basis: Any, force: Callable[[Array], Array]) -> None:
+def _add(out, made, basis, force):
     x, dx = np.asarray(basis.global_coordinates()), measure(made, basis)
     dim = made.nodes.shape[1]
     f = force(x)
@@ -151,7 +139,7 @@ def _add(out: Array, made: Body, basis: Any, force: Callable[[Array], Array]) ->
             np.add.at(out, dim * basis.element_dofs[local] + i, (f[i] * value * dx).sum(axis=1))
 
 
-def measure(made: Body, basis: Any) -> Array:
+def measure(made, basis):
     """Volume or area of the quadrature points, all around the axis."""
     dx = np.array(basis.dx)
     if made.model.space == "axisymmetric":
@@ -159,13 +147,13 @@ def measure(made: Body, basis: Any) -> Array:
     return dx
 
 
-def pressures(made: Body, basis: Any, x: Array) -> Array:
+def pressures(made, basis, x):
     """Pressure at the quadrature points."""
     shape, numbers = function_space.pressure_of(basis, made.model)
     return np.asarray((shape * x[made.space.n_displacement + numbers][:, None, :]).sum(axis=2))
 
 
-def interpolated(made: Body, basis: Any, x: Array) -> list[Any]:
+def interpolated(made, basis, x):
     """Components of the displacement on a basis, with their gradients."""
     nodal = x[: made.space.n_displacement].reshape(-1, made.nodes.shape[1])
     return [basis.interpolate(np.ascontiguousarray(column)) for column in nodal.T]

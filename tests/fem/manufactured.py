@@ -14,17 +14,8 @@ import numpy as np
 
 from study.mechanics.material.homogeneous import first_piola
 from study.mechanics.material.material import Material
-from tests.fem.known import (
-    Answer,
-    Body,
-    interpolated,
-    load_vector,
-    measure,
-    pressures,
-    solve,
-)
+from tests.fem.known import interpolated, load_vector, measure, pressures, solve
 
-Array = np.ndarray
 _STEP = 1e-3
 
 
@@ -44,15 +35,15 @@ class Manufactured:
     barrel: float = 0.0
 
     @cached_property
-    def _incompressible(self) -> Material:
+    def _incompressible(self):
         """Material whose stress has no pressure: what J = 1 leaves."""
         return Material(self.material.model, self.material.constants, incompressible=True)
 
     @property
-    def dim(self) -> int:
+    def dim(self):
         return 2 if self.axisymmetric else 3
 
-    def displacement(self, x: Array) -> Array:
+    def displacement(self, x):
         a = self.amplitude
         if self.axisymmetric:
             r = x[0] * self.hoop(x)
@@ -63,17 +54,17 @@ class Manufactured:
         third = x[2] + 0.5 * a * np.sin(np.pi * first)
         return np.stack([first - x[0], second - x[1], third - x[2]])
 
-    def hoop(self, x: Array) -> Array:
+    def hoop(self, x):
         """Hoop stretch of the axisymmetric field, r / R."""
         return (1 + self.barrel * np.cos(2 * np.pi * x[1])) ** -0.5
 
-    def pressure(self, x: Array) -> Array:
+    def pressure(self, x):
         if not self.pressed:
             return 0 * x[0]
         p = np.cos(np.pi * x[0] / 2) * np.sin(np.pi * x[1]) + 0.3
         return p if self.axisymmetric else p * np.cos(np.pi * x[2] / 3)
 
-    def gradient(self, x: Array) -> Array:
+    def gradient(self, x):
         """du_i/dX_j, shape (dim, dim, ...), in closed form."""
         a, pi = self.amplitude, np.pi
         zero = 0 * x[0]
@@ -93,7 +84,7 @@ class Manufactured:
             np.stack([third, third * shear, zero]),
         ])  # fmt: skip
 
-    def _nominal(self, x: Array) -> Array:
+    def _nominal(self, x):
         """Nominal stress with the hoop component, shape (3, 3, ...)."""
         F = np.zeros((3, 3, *x.shape[1:]))
         F[: self.dim, : self.dim] = self.gradient(x)
@@ -106,7 +97,7 @@ class Manufactured:
         stress = first_piola(self._incompressible, F)
         return stress + self.pressure(x) * cofactor
 
-    def body_force(self, x: Array) -> Array:
+    def body_force(self, x):
         """-Div P by differences of fourth order (rounding and truncation below 1e-9)."""
         out = np.zeros_like(x)
         for j in range(self.dim):
@@ -121,11 +112,11 @@ class Manufactured:
             out[1] -= P[1, 0] / x[0]
         return out
 
-    def traction(self, x: Array) -> Array:
+    def traction(self, x):
         """P N on the upper face."""
         return self._nominal(x)[: self.dim, self.dim - 1]
 
-    def solve(self, made: Body, *, steps: int = 2) -> Answer:
+    def solve(self, made, *, steps=2):
         """Displacements are held everywhere but on the upper face, which is pulled."""
         top = self.dim - 1
         held, values = [], []
@@ -140,7 +131,7 @@ class Manufactured:
         source = None
         if made.space.pressure_shape.shape[2]:
 
-            def source(x: Array) -> Array:
+            def source(x):
                 return -self.pressure(x) / self.material.bulk
 
         load = load_vector(
@@ -148,7 +139,7 @@ class Manufactured:
         )
         return solve(made, np.concatenate(held), np.concatenate(values), load, steps=steps)
 
-    def errors(self, made: Body, x: Array) -> tuple[float, float, float]:
+    def errors(self, made, x):
         """Norms of the error: L2 of the displacement, H1 seminorm of it, L2 of the pressure."""
         basis = made.basis()
         at, dx = np.asarray(basis.global_coordinates()), measure(made, basis)
@@ -159,7 +150,7 @@ class Manufactured:
         u, gradient, p = (float(np.sqrt((square * dx).sum())) for square in squares)
         return u, gradient, p
 
-    def _held(self, X: Array) -> Array:
+    def _held(self, X):
         low = X[:, -1] < 1e-12
         if self.axisymmetric:
             return low | (X[:, 0] > 1 - 1e-12)

@@ -1,12 +1,8 @@
 """Problems and meshes that several tests of the solver share."""
 
-from __future__ import annotations
-
 import csv
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +10,10 @@ from numpy.typing import NDArray
 
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.structured import Mesh, extrude, rectangle
-from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
-from study.mechanics.solver.solution import Solution
 
 FloatArray = NDArray[np.float64]
 
@@ -30,34 +25,48 @@ YEOH = Material("reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, b
 LAYERS = Path(__file__).resolve().parents[2] / "validation" / "layers.csv"
 #: marks of what the long verification alone solves
 LONG = (pytest.mark.slow, pytest.mark.verify)
+SPECIMEN = Cylinder(25, 50)
+NEEDLE, PUNCH = Cone(30, 1), Flat(3, 0.3)
+#: material of the hard-contact forces: C10 = 5 kPa, C20 = 1 kPa, K = 10 MPa
+RUBBER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0)
 #: gel of the reference figures: C10 = 5 kPa, K = 10 MPa
 GEL = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
 
 
+def long_verification(test):
+    """Leave a test out of the suite."""
+    return pytest.mark.slow(pytest.mark.verify(test))
+
+
 def compression(
-    specimen: Cylinder,
-    displacement_mm: float,
-    interface: str = "bonded",
-    *,
-    material: Material = NEO_HOOKEAN,
-    steps: int = 1,
-    **model: object,
-) -> Problem:
-    """Compression between two like plates."""
-    test = Test("compression", displacement_mm, interface, interface, steps=steps)  # type: ignore[arg-type]
-    return Problem(specimen, test, material, replace(Model(), **model))  # type: ignore[arg-type]
+    specimen, depth, interface="bonded", *, base="", material=NEO_HOOKEAN, steps=1, **model
+):
+    """Compression between two plates, alike where the lower one is not given."""
+    test = Test("compression", depth, interface, base or interface, steps=steps)
+    return Problem(specimen, test, material, replace(Model(), **model))
 
 
-def reached(problem: Problem, **given: Any) -> Solution:
+def indentation(
+    indenter, depth, specimen=SPECIMEN, *, material=RUBBER, steps=10, base="bonded",
+    interface="frictionless", **model,
+):  # fmt: skip
+    test = Test("indentation", depth, interface, base, steps, indenter)
+    return Problem(specimen, test, material, replace(Model(), **model))
+
+
+def reached(problem, **given):
     """Solution without gradients, every step of which converged."""
     found = solve(problem, gradients=False, **given)
     assert found.converged, found.message
     return found
 
 
-def taylor_slopes(
-    problem: Problem, base: Solution, direction: FloatArray, lengths: Sequence[float]
-) -> FloatArray:
+def forces(problem, **given):
+    """Forces of a test every step of which converged, N."""
+    return reached(problem, **given).curve.force_N
+
+
+def taylor_slopes(problem, base, direction, lengths):
     """Slopes in h of the largest |F(p + h dp) - F(p) - h g.dp|; exact gradients give 2."""
     names = problem.material.names
     rate = sum(base.curve.force_gradient[n] * d for n, d in zip(names, direction, strict=True))
@@ -69,14 +78,14 @@ def taylor_slopes(
     return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
 
 
-def grid(radius: float, height: float, nr: int, nz: int, shape: str = "simplex") -> Mesh:
+def grid(radius, height, nr, nz, shape="simplex"):
     """Square-grid mesh of the whole height; triangles are halves of its squares."""
     r, z = np.linspace(0, radius, nr + 1), np.linspace(0, height, nz + 1)
     points, cells = rectangle(r, z, shape)
     return Mesh(points, cells, False, radius / nr)
 
 
-def irregular(mesh: Mesh, seed: int = 0) -> Mesh:
+def irregular(mesh, seed=0):
     """Move the points inside by up to a quarter of the element size."""
     points = mesh.points.copy()
     low, high = points.min(axis=0), points.max(axis=0)
@@ -86,7 +95,7 @@ def irregular(mesh: Mesh, seed: int = 0) -> Mesh:
     return replace(mesh, points=points)
 
 
-def cube(n: int, shape: str = "simplex") -> Mesh:
+def cube(n, shape="simplex"):
     """Unit cube of distorted elements."""
     line = np.linspace(0, 1, n + 1)
     plane, faces = rectangle(line, line, shape)
@@ -94,7 +103,7 @@ def cube(n: int, shape: str = "simplex") -> Mesh:
     return irregular(Mesh(points, cells, False, 1 / n))
 
 
-def hooke(nu: float) -> Material:
+def hooke(nu):
     """Small-strain solid of shear modulus 1."""
     modulus = {"youngs_modulus": 2 * (1 + nu)}
     if nu == 0.5:
@@ -102,7 +111,7 @@ def hooke(nu: float) -> Material:
     return Material("linear-elastic", modulus, poisson_ratio=nu)
 
 
-def layers(problem: str) -> Iterator[tuple[float, float, float, float]]:
+def layers(problem):
     """Ratio, Poisson's ratio, value and relative uncertainty of each entry of a table."""
     with LAYERS.open(newline="", encoding="utf-8") as stream:
         for row in csv.DictReader(stream):

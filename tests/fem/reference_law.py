@@ -6,17 +6,12 @@ sums, products and inverses only, so that tiny imaginary parts are carried exact
 ``Im P(F + i h D) / h`` is the derivative to rounding, at equal stretches too.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
-from study.mechanics.material.material import Material
-
-Array = np.ndarray
 STEP = 1e-40
 
 
-def logarithm(A: Array) -> Array:
+def logarithm(A):
     """Matrix logarithm by inverse scaling and squaring (Higham 2008, sec. 11.5)."""
     scale = 1
     while np.abs(A.real - np.eye(3)).max() > 0.05:
@@ -29,7 +24,7 @@ def logarithm(A: Array) -> Array:
     return 2 * scale * total
 
 
-def square_root(A: Array) -> Array:
+def square_root(A):
     """Principal square root by the iteration of Denman and Beavers (Higham 2008, sec. 6.3)."""
     Y, Z = A, np.eye(3, dtype=complex)
     for _ in range(12):
@@ -37,7 +32,7 @@ def square_root(A: Array) -> Array:
     return Y
 
 
-def exponential_ratio(A: Array) -> Array:
+def exponential_ratio(A):
     """(exp(A) - 1) A^-1 as a series, by halving the argument."""
     halvings = max(0, int(np.ceil(np.log2(np.abs(A).max() / 0.25 + 1e-300))))
     B = A / 2**halvings
@@ -51,9 +46,7 @@ def exponential_ratio(A: Array) -> Array:
     return ratio
 
 
-def invariant_slopes(
-    model: str, values: dict[str, complex], i1: complex, i2: complex
-) -> tuple[complex, complex]:
+def invariant_slopes(model, values, i1, i2):
     """dW/dI1 and dW/dI2 as the manuals of FEBio and Abaqus and the papers print them."""
     if model == "arruda-boyce":
         f = i1 / values["lambda_m"] ** 2
@@ -84,9 +77,9 @@ def invariant_slopes(
     return w1, w2
 
 
-def stress(material: Material, F: Array, constants: dict[str, complex] | None = None) -> Array:
+def stress(material, F, constants=None):
     """Isochoric nominal stress, shape (3, 3), complex."""
-    values: dict[str, complex] = dict(constants or material.constants)
+    values = dict(constants or material.constants)
     eye = np.eye(3)
     if material.small_strain:
         mu = values["youngs_modulus"] / 3
@@ -113,7 +106,7 @@ def stress(material: Material, F: Array, constants: dict[str, complex] | None = 
     return np.linalg.inv(F).T @ dev
 
 
-def tangent(material: Material, F: Array) -> Array:
+def tangent(material, F):
     """dP/dF, shape (9, 9), by complex steps."""
     columns = []
     for n in range(9):
@@ -123,7 +116,7 @@ def tangent(material: Material, F: Array) -> Array:
     return np.column_stack(columns)
 
 
-def constant_derivative(material: Material, F: Array, name: str) -> Array:
+def constant_derivative(material, F, name):
     """dP/dconstant by a complex step."""
     values = {**material.constants, name: material.constants[name] + 1j * STEP}
     return stress(material, F, values).imag / STEP

@@ -1,16 +1,9 @@
 """Closed surfaces for tests, and the files they are written to."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 
-Array = np.ndarray
-Shape = tuple[Array, Array]
 
-
-def box(width: float, depth: float, height: float) -> Shape:
+def box(width, depth, height):
     """Twelve triangles of a box that stands on z = 0 about the z axis."""
     w, d = width / 2, depth / 2
     points = np.array([[x, y, z] for z in (0.0, height) for y in (-d, d) for x in (-w, w)])
@@ -19,7 +12,7 @@ def box(width: float, depth: float, height: float) -> Shape:
     return points, np.array(triangles)
 
 
-def cylinder(radius: float, height: float, segments: int) -> Shape:
+def cylinder(radius, height, segments):
     """Prism with a regular polygon as its base; the radius is that of its corners."""
     n, t = segments, np.arange(segments) * 2 * np.pi / segments
     ring = radius * np.column_stack([np.cos(t), np.sin(t)])
@@ -32,12 +25,12 @@ def cylinder(radius: float, height: float, segments: int) -> Shape:
     return points, np.array(triangles)
 
 
-def sphere(radius: float, divisions: int) -> Shape:
+def sphere(radius, divisions):
     """Octahedron divided so often, its points pushed out onto a sphere about the origin."""
     points = [np.array(v, float) for v in np.vstack([np.eye(3), -np.eye(3)])]
     cells = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
     for _ in range(divisions):
-        middles: dict[tuple[int, int], int] = {}
+        middles = {}
         finer = []
         for a, b, c in cells:
             x, y, z = (_middle(points, middles, *pair) for pair in ((a, b), (b, c), (c, a)))
@@ -46,7 +39,7 @@ def sphere(radius: float, divisions: int) -> Shape:
     return radius * np.array(points), np.array(cells)
 
 
-def _middle(points: list[Array], middles: dict[tuple[int, int], int], a: int, b: int) -> int:
+def _middle(points, middles, a, b):
     key = (min(a, b), max(a, b))
     if key not in middles:
         between = points[a] + points[b]
@@ -55,7 +48,7 @@ def _middle(points: list[Array], middles: dict[tuple[int, int], int], a: int, b:
     return middles[key]
 
 
-def joined(*shapes: Shape) -> Shape:
+def joined(*shapes):
     """Several surfaces in one file."""
     shift, points, triangles = 0, [], []
     for own, cells in shapes:
@@ -65,7 +58,7 @@ def joined(*shapes: Shape) -> Shape:
     return np.vstack(points), np.vstack(triangles)
 
 
-def write(path: Path, shape: Shape, *, text: bool = False) -> str:
+def write(path, shape, *, text=False):
     """Write STL (binary unless ``text``), OBJ or PLY; the name, as a specimen takes it."""
     points, triangles = shape
     writer = {".stl": _ascii_stl if text else _binary_stl, ".obj": _obj, ".ply": _ply}[path.suffix]
@@ -73,14 +66,14 @@ def write(path: Path, shape: Shape, *, text: bool = False) -> str:
     return str(path)
 
 
-def _binary_stl(points: Array, triangles: Array) -> bytes:
+def _binary_stl(points, triangles):
     facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     rows = np.zeros(len(triangles), dtype=facet)
     rows["corners"] = points[triangles]
     return b"solid, but binary".ljust(80) + np.uint32(len(rows)).tobytes() + rows.tobytes()
 
 
-def _ascii_stl(points: Array, triangles: Array) -> bytes:
+def _ascii_stl(points, triangles):
     lines = ["solid specimen"]
     for corners in points[triangles]:
         lines += ["facet normal 0 0 0", "outer loop"]
@@ -89,13 +82,13 @@ def _ascii_stl(points: Array, triangles: Array) -> bytes:
     return "\n".join([*lines, "endsolid specimen", ""]).encode()
 
 
-def _obj(points: Array, triangles: Array) -> bytes:
+def _obj(points, triangles):
     lines = ["v " + " ".join(repr(float(v)) for v in point) for point in points]
     lines += ["f " + " ".join(str(int(v) + 1) for v in cell) for cell in triangles]
     return ("\n".join(lines) + "\n").encode()
 
 
-def _ply(points: Array, triangles: Array) -> bytes:
+def _ply(points, triangles):
     head = [
         *("ply", "format ascii 1.0", f"element vertex {len(points)}"),
         *(f"property double {axis}" for axis in "xyz"),

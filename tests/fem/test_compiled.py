@@ -1,7 +1,5 @@
 """Machine code on disk: found by a second process, never older than its sources."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -9,10 +7,9 @@ import sys
 from functools import partial
 from pathlib import Path
 
-import pytest
-
 import study.ground.compilation
 from study.ground.compilation import fault_of
+from tests.fem.problems import long_verification
 
 CALLEE = """
 from compiled import kernel
@@ -52,7 +49,7 @@ print(sum(assemble.stats.cache_hits.values()))
 """
 
 
-def run(folder: Path, *command: str, **variables: str) -> subprocess.CompletedProcess[str]:
+def run(folder, *command, **variables):
     """Run another process in a folder."""
     return subprocess.run(
         [sys.executable, *command], cwd=folder, env={**os.environ, **variables},
@@ -60,20 +57,20 @@ def run(folder: Path, *command: str, **variables: str) -> subprocess.CompletedPr
     )  # fmt: skip
 
 
-def result_and_hits(folder: Path) -> tuple[int, int]:
+def result_and_hits(folder):
     """Result of the caller, and whether it came from the cache."""
     result, hits = run(folder, "caller.py", XDG_CACHE_HOME=str(folder / "cache")).stdout.split()
     return int(result), int(hits)
 
 
-def program(folder: Path, caller: str = CALLER) -> None:
+def program(folder, caller=CALLER):
     """Write a kernel that calls another one, which answers 41."""
     shutil.copy(study.ground.compilation.__file__, folder / "compiled.py")
     (folder / "caller.py").write_text(caller)
     (folder / "callee.py").write_text(CALLEE.format(answer=41))
 
 
-def test_a_change_in_another_file_is_seen(tmp_path: Path) -> None:
+def test_a_change_in_another_file_is_seen(tmp_path):
     """A callee of another file and a constant of one without kernels are compiled into them.
 
     Numba alone would go on with the old answer: the caller's file is the same.
@@ -92,7 +89,7 @@ def test_a_change_in_another_file_is_seen(tmp_path: Path) -> None:
     assert result_and_hits(tmp_path / "third") == (84, 0)
 
 
-def together(folder: Path, dimensions: str) -> list[str]:
+def together(folder, dimensions):
     """Whether each of several processes at once found its signature on disk."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
     started = [
@@ -107,9 +104,8 @@ def together(folder: Path, dimensions: str) -> list[str]:
     return [hits for _, hits in found]
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_of_processes_at_once_one_compiles(tmp_path: Path) -> None:
+@long_verification
+def test_of_processes_at_once_one_compiles(tmp_path):
     """The others wait, and no process loses the entry of another in a kernel's index."""
     shutil.copy(study.ground.compilation.__file__, tmp_path / "compiled.py")
     (tmp_path / "total.py").write_text(SIGNATURES)
@@ -117,9 +113,7 @@ def test_of_processes_at_once_one_compiles(tmp_path: Path) -> None:
     assert together(tmp_path, "123") == ["1", "1", "1"]
 
 
-def test_a_folder_that_cannot_be_locked_is_used_without(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_cannot_be_locked_is_used_without(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setattr(study.ground.compilation, "cache_folder", lambda: tmp_path / "file")
     with study.ground.compilation.only_process("work"):
@@ -138,7 +132,7 @@ for index in pathlib.Path(sys.argv[1]).rglob("*.nbi"):
 """
 
 
-def test_a_cache_that_others_can_write_is_not_read(tmp_path: Path) -> None:
+def test_a_cache_that_others_can_write_is_not_read(tmp_path):
     """Its files are run: a planted one would have the rights of whoever starts a study."""
     program(tmp_path, CALLER.replace("callee import answer", "callee import *"))
     temporary = tmp_path / "temporary"
@@ -166,7 +160,7 @@ def test_a_cache_that_others_can_write_is_not_read(tmp_path: Path) -> None:
     assert not (cache / "ran").exists()
 
 
-def test_whoever_can_replace_a_folder_can_write_it(tmp_path: Path) -> None:
+def test_whoever_can_replace_a_folder_can_write_it(tmp_path):
     place = tmp_path / "parent" / "study"
     place.mkdir(parents=True, mode=0o700)
     place.chmod(0o700)
@@ -180,16 +174,15 @@ def test_whoever_can_replace_a_folder_can_write_it(tmp_path: Path) -> None:
     assert fault_of(place) is None
 
 
-def digits(cache: Path) -> tuple[str, int]:
+def digits(cache):
     """Hash of the elements' stiffness, and how many kernels came from the cache."""
     root = Path(__file__).parents[2]
     found, hits = run(root, "-c", DIGITS, XDG_CACHE_HOME=str(cache)).stdout.split()
     return found, int(hits)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_the_process_that_compiles_gets_the_same_digits(tmp_path: Path) -> None:
+@long_verification
+def test_the_process_that_compiles_gets_the_same_digits(tmp_path):
     """A study stopped in its first minute and resumed holds cases of both processes."""
     compiled, none = digits(tmp_path)
     found, hits = digits(tmp_path)

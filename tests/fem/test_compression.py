@@ -1,7 +1,5 @@
 """Bonded compression against tables and other codes (V24, V25, V26, V10, P01, P02, P08, P12)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import NewtonSettings, Options
-from tests.fem.problems import GEL, LONG, NEO_HOOKEAN, RP2, compression, grid, reached
+from tests.fem.problems import GEL, LONG, RP2, compression, forces, grid, long_verification, reached
 
 #: Table C: Ea/E of a bonded disc at small strain (other-code, corner-graded)
 TABLE_C = {
@@ -23,19 +21,15 @@ SHORT = [(1, 0.499, "quadratic"), (2, 0.5, "quadratic"), (8, 0.45, "quadratic"),
          (8, 0.4999, "quadratic")]  # fmt: skip
 
 
-def apparent_modulus(radius: float, nu: float, order: str) -> float:
+def apparent_modulus(radius, nu, order):
     """Ea/E of a disc of height 1."""
-    shear = {"C10": 0.5}
-    material = (
-        Material("neo-hookean", shear, incompressible=True)
-        if nu == 0.5
-        else Material("neo-hookean", shear, poisson_ratio=nu)
-    )
+    volume = {"incompressible": True} if nu == 0.5 else {"poisson_ratio": nu}
+    material = Material("neo-hookean", {"C10": 0.5}, **volume)
     # a strain of 1e-7 keeps the finite-strain correction below 1e-6
     problem = compression(
         Cylinder(radius, 1), 1e-7, material=material, element_order=order, mesh_size_mm=0.04
     )
-    force = solve(problem, gradients=False).curve.force_N[-1]
+    force = forces(problem)[-1]
     return float(force / (np.pi * radius**2 * 1e-7) / (2 * (1 + nu)))
 
 
@@ -49,7 +43,7 @@ DISCS = [
 
 
 @pytest.mark.parametrize(("ratio", "nu", "order"), DISCS)
-def test_bonded_disc(ratio: int, nu: float, order: str) -> None:
+def test_bonded_disc(ratio, nu, order):
     # MINI is of first order at the corner: 0.4 % with this mesh
     tolerance = 1e-3 if order == "quadratic" else 4e-3
     assert apparent_modulus(ratio, nu, order) == pytest.approx(TABLE_C[ratio][nu], rel=tolerance)
@@ -64,17 +58,16 @@ FINITE_STRAIN = {
 
 
 @pytest.mark.parametrize("radius", list(FINITE_STRAIN))
-def test_bonded_disc_at_finite_strain(radius: float) -> None:
+def test_bonded_disc_at_finite_strain(radius):
     """V25 up to 10 %, before the free side of a flat disc has folded far."""
     problem = compression(Cylinder(radius, 1), 0.1, steps=2, mesh="fine")
-    force = solve(problem, gradients=False).curve.force_N / (np.pi * radius**2)
+    force = forces(problem) / (np.pi * radius**2)
     np.testing.assert_allclose(force, FINITE_STRAIN[radius][:2], rtol=0.01)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 @pytest.mark.parametrize("radius", list(FINITE_STRAIN))
-def test_bonded_disc_at_twenty_percent(radius: float) -> None:
+def test_bonded_disc_at_twenty_percent(radius):
     """V25 whole: a uniform mesh, since a graded one stops without side contact."""
     problem = compression(Cylinder(radius, 1), 0.2, steps=20)
     mesh = grid(radius, 1, round(48 * radius), 48)
@@ -84,9 +77,8 @@ def test_bonded_disc_at_twenty_percent(radius: float) -> None:
     np.testing.assert_allclose(force, FINITE_STRAIN[radius], rtol=0.01)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_a_disc_that_snaps_is_pressed_on() -> None:
+@long_verification
+def test_a_disc_that_snaps_is_pressed_on():
     """The plate's next increment spreads through a specimen at its limit point without drag."""
     problem = compression(Cylinder(2, 1), 0.3, steps=10)
     mesh = grid(2, 1, 64, 32)
@@ -97,7 +89,7 @@ def test_a_disc_that_snaps_is_pressed_on() -> None:
 
 
 @pytest.mark.parametrize(("n", "expected"), [(17, 3.713846), (34, 3.707414)])
-def test_same_mesh_as_four_other_codes(n: int, expected: float) -> None:
+def test_same_mesh_as_four_other_codes(n, expected):
     problem = compression(Cylinder(25, 50), 2.5, material=GEL)
     solution = solve(problem, mesh=grid(25, 50, n, 2 * n))
     assert solution.curve.force_N[-1] == pytest.approx(expected, abs=6e-7)
@@ -107,7 +99,7 @@ def test_same_mesh_as_four_other_codes(n: int, expected: float) -> None:
 OTHER_CODES = {1.5: 2.1762, 3.0: 4.485, 4.5: 6.933, 6.0: 9.525, 7.5: 12.314, 15.0: 29.12}
 
 
-def test_force_curve_of_other_codes() -> None:
+def test_force_curve_of_other_codes():
     problem = compression(Cylinder(25, 50), 15, material=GEL, steps=10, mesh="fine")
     curve = solve(problem, gradients=False).curve
     # the issue's bar for hard-contact forces on the fine mesh is 0.5 %
@@ -117,7 +109,7 @@ def test_force_curve_of_other_codes() -> None:
 
 
 @pytest.mark.parametrize("mesh", ["coarse", pytest.param("medium", marks=LONG), "fine"])
-def test_forty_percent_with_side_contact(mesh: str) -> None:
+def test_forty_percent_with_side_contact(mesh):
     """Reduced polynomial 2 to 20 mm of 50: hard-contact forces at 3, 7.5 and 18 mm."""
     material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0)
     problem = compression(Cylinder(25, 50), 20, material=material, steps=40, mesh=mesh)
@@ -126,58 +118,50 @@ def test_forty_percent_with_side_contact(mesh: str) -> None:
     np.testing.assert_allclose(force, [4.5150, 12.831, 48.80], rtol=5e-3)
 
 
-def test_3d_equals_axisymmetric() -> None:
+def test_3d_equals_axisymmetric():
     """V26 at equal mesh size: 0.5 %."""
-    forces = [
-        solve(
-            compression(Cylinder(25, 30), 3, material=GEL, steps=2, mesh="coarse", space=space),
-            gradients=False,
-        ).curve.force_N
+    flat, solid = (
+        forces(compression(Cylinder(25, 30), 3, material=GEL, steps=2, mesh="coarse", space=space))
         for space in ("axisymmetric", "3d")
-    ]
-    np.testing.assert_allclose(forces[1], forces[0], rtol=5e-3)
+    )
+    np.testing.assert_allclose(solid, flat, rtol=5e-3)
 
 
 @pytest.mark.parametrize(("order", "tolerance"), [("linear", 0.015), ("quadratic", 0.005)])
-def test_hexahedra_have_the_force_of_two_other_codes(order: str, tolerance: float) -> None:
+def test_hexahedra_have_the_force_of_two_other_codes(order, tolerance):
     """Extrapolated; the linear pair on a medium mesh is 1 % stiff."""
     bonded = compression(
         Cylinder(25, 50), 3, material=GEL, space="3d", element_order=order, element_shape="tensor"
     )
-    assert solve(bonded, gradients=False).curve.force_N[-1] == pytest.approx(4.485, rel=tolerance)
+    assert forces(bonded)[-1] == pytest.approx(4.485, rel=tolerance)
 
 
-def test_superlu_gives_the_same_answer() -> None:
+def test_superlu_gives_the_same_answer():
     problem = compression(Cylinder(25, 50), 2.5, material=RP2, mesh="coarse")
     fallback = solve(problem, options=Options(linear_solver="superlu"))
     assert fallback.solver == "superlu"
     np.testing.assert_allclose(fallback.curve.force_N, solve(problem).curve.force_N, rtol=1e-9)
 
 
-def test_number_of_steps_does_not_matter() -> None:
+def test_number_of_steps_does_not_matter():
     """P08: elastic, so 3 and 9 increments end at the same force (same contact branch)."""
-    ends = [
-        solve(
-            compression(Cylinder(25, 30), 2.4, material=RP2, steps=n, mesh="coarse"),
-            gradients=False,
-        ).curve.force_N[-1]
+    few, many = (
+        forces(compression(Cylinder(25, 30), 2.4, material=RP2, steps=n, mesh="coarse"))[-1]
         for n in (3, 9)
-    ]
-    assert ends[0] == pytest.approx(ends[1], rel=1e-8)
+    )
+    assert few == pytest.approx(many, rel=1e-8)
 
 
-def test_block_stands_as_the_cylinder_of_its_area() -> None:
-    test = Test("compression", 0.5, "frictionless", "frictionless", steps=1)
-    block = Block(8, 6, 10)
-    forces = [
-        solve(Problem(block, test, NEO_HOOKEAN, Model(space, mesh="coarse"))).curve.force_N[-1]
+def test_block_stands_as_the_cylinder_of_its_area():
+    flat, solid = (
+        forces(compression(Block(8, 6, 10), 0.5, "frictionless", space=space, mesh="coarse"))[-1]
         for space in ("axisymmetric", "3d")
-    ]
+    )
     # homogeneous: only the area counts
-    assert forces[1] == pytest.approx(forces[0], rel=1e-8)
+    assert solid == pytest.approx(flat, rel=1e-8)
 
 
-def test_constants_that_soften_without_end_are_unstable_before_any_mesh() -> None:
+def test_constants_that_soften_without_end_are_unstable_before_any_mesh():
     soft = Material("reduced-polynomial", {"C10": 5e-3, "C20": -6e-3}, bulk_modulus=10.0)
     solution = solve(compression(Cylinder(25, 30), 20, material=soft, steps=10, mesh="coarse"))
     assert solution.status == "unstable"
@@ -185,7 +169,7 @@ def test_constants_that_soften_without_end_are_unstable_before_any_mesh() -> Non
     assert solution.dofs == len(solution.curve) == 0
 
 
-def test_a_solver_that_gives_up_blames_no_energy() -> None:
+def test_a_solver_that_gives_up_blames_no_energy():
     impatient = Options(newton=NewtonSettings(max_iterations=1, max_switching=1), snaps=False)
     problem = compression(Cylinder(25, 30), 6, material=GEL, steps=2, mesh="coarse")
     solution = solve(problem, options=impatient)
@@ -198,20 +182,19 @@ def test_a_solver_that_gives_up_blames_no_energy() -> None:
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
 @pytest.mark.parametrize("shape", ["tensor", "simplex"])
 @pytest.mark.parametrize("size", [0.7, 3.0])
-def test_a_cylinder_has_its_cross_section_however_large_its_elements_are(
-    size: float, shape: str, order: str
-) -> None:
+def test_a_cylinder_has_its_cross_section_however_large_its_elements_are(size, shape, order):
     # a homogeneous field: the force is stress times area, 2 C10 (1/l^2 - l) pi R^2 for nu = 0.5
     soft = Material("neo-hookean", {"C10": 0.005}, incompressible=True)
-    test = Test("compression", 2.0, "frictionless", "frictionless", steps=1)
-    model = Model(space="3d", element_shape=shape, element_order=order, mesh_size_mm=10.0 * size)  # type: ignore[arg-type]
-    found = solve(Problem(Cylinder(10, 20), test, soft, model), gradients=False)
+    problem = compression(
+        Cylinder(10, 20), 2.0, "frictionless", material=soft, space="3d", element_shape=shape,
+        element_order=order, mesh_size_mm=10.0 * size,
+    )  # fmt: skip
     exact = 2 * 0.005 * (1 / 0.9**2 - 0.9) * np.pi * 100
-    assert found.curve.force_N[-1] == pytest.approx(exact, rel=1e-6)
+    assert forces(problem)[-1] == pytest.approx(exact, rel=1e-6)
 
 
 @pytest.mark.parametrize("size", [0.98, 2.0])
-def test_hexahedra_between_bonded_plates_do_not_fold_over(size: float) -> None:
+def test_hexahedra_between_bonded_plates_do_not_fold_over(size):
     # from a size of .98 of the radius on the square in the disc reached over its rim; the weight
     # is that of the true cylinder, and a crude mesh is too stiff by little
     test = Test("compression", 1.0, "bonded", "bonded", steps=2, gravity=Gravity(980.0, "down"))
@@ -220,8 +203,5 @@ def test_hexahedra_between_bonded_plates_do_not_fold_over(size: float) -> None:
     found = solve(Problem(cylinder, test, GEL, model), gradients=False)
     weight = STANDARD_GRAVITY * 980e-9 * cylinder.volume_mm3
     np.testing.assert_allclose(found.base_reaction_N - found.curve.force_N, weight, rtol=1e-6)
-    plane = solve(
-        Problem(cylinder, test, GEL, Model(element_shape="tensor", mesh_size_mm=1.0)),
-        gradients=False,
-    )
-    assert 0 < found.curve.force_N[-1] / plane.curve.force_N[-1] - 1 < 0.05
+    plane = forces(Problem(cylinder, test, GEL, Model(element_shape="tensor", mesh_size_mm=1.0)))
+    assert 0 < found.curve.force_N[-1] / plane[-1] - 1 < 0.05

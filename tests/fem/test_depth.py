@@ -1,7 +1,5 @@
 """How deep a needle gets: every energy, every element, coarse to fine, in both spaces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +11,10 @@ from study.mechanics.contact.contact import ContactPoints, Plane
 from study.mechanics.element.function_space import discretize
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Block, Cone, Cylinder, Sphere
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test
+from study.mechanics.setup.geometry import Block, Cone, Sphere
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import Options
-from tests.fem.problems import GEL, LONG, reached
+from tests.fem.problems import GEL, LONG, NEEDLE, indentation, long_verification, reached
 
 ENERGIES = {
     "neo-hookean": GEL,
@@ -39,33 +35,30 @@ IN_BLOCK = [
 ]
 
 
-def deep(material: Material, shape: str, order: str, mesh: str) -> Problem:
-    test = Test("indentation", 5.0, "frictionless", "bonded", 10, Cone(30, 1))
-    model = Model("axisymmetric", order, shape, mesh=mesh)  # type: ignore[arg-type]
-    return Problem(Cylinder(25, 50), test, material, model)
+def deep(material, shape, order, mesh):
+    return indentation(
+        NEEDLE, 5.0, material=material, element_order=order, element_shape=shape, mesh=mesh
+    )
 
 
-def in_block(material: Material, depth: float, order: str, mesh: str, space: str = "3d") -> Problem:
-    steps = max(1, round(depth / 0.4))
-    test = Test("indentation", depth, "frictionless", "bonded", steps, Cone(30, 1, 3))
-    model = Model(space, order, mesh=mesh, mesh_ratio=1.3)  # type: ignore[arg-type]
-    return Problem(Block(60, 60, 40), test, material, model)
+def in_block(material, depth, order, mesh, space="3d"):
+    return indentation(
+        Cone(30, 1, 3), depth, material=material, specimen=Block(60, 60, 40),
+        steps=max(1, round(depth / 0.4)), space=space, element_order=order, mesh=mesh,
+        mesh_ratio=1.3,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("shape", "order", "mesh"),
-    [
-        ("simplex", "quadratic", "coarse"),
-        ("tensor", "linear", "fine"),
-    ],
+    ("shape", "order", "mesh"), [("simplex", "quadratic", "coarse"), ("tensor", "linear", "fine")]
 )
-def test_the_softest_energy_reaches_five_millimetres(shape: str, order: str, mesh: str) -> None:
+def test_the_softest_energy_reaches_five_millimetres(shape, order, mesh):
     solution = reached(deep(GEL, shape, order, mesh))
     assert "snapped" not in solution.message
 
 
 @pytest.mark.parametrize("steps", [10, 30])
-def test_a_jump_between_two_load_steps_is_told_with_its_place(steps: int) -> None:
+def test_a_jump_between_two_load_steps_is_told_with_its_place(steps):
     """Plain Newton crosses a limit point at 2.8 mm; the force falls and 1 % of the work is lost.
 
     All Newton sees is that every step converged. The place does not depend on the load steps.
@@ -92,9 +85,7 @@ def test_a_jump_between_two_load_steps_is_told_with_its_place(steps: int) -> Non
         pytest.param("3d", "quadratic", "medium", 0.02, marks=LONG),
     ],
 )
-def test_a_softening_energy_reaches_its_depth(
-    space: str, order: str, mesh: str, apart: float
-) -> None:
+def test_a_softening_energy_reaches_its_depth(space, order, mesh, apart):
     solution = reached(in_block(SOFTENING, 4.0, order, mesh, space))
     assert "snapped" not in solution.message
     # 0.511 N on six meshes of quadratic triangles, coarse to fine, within 0.1 %
@@ -102,7 +93,7 @@ def test_a_softening_energy_reaches_its_depth(
 
 
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
-def test_a_shallow_needle_needs_no_larger_mesh(order: str) -> None:
+def test_a_shallow_needle_needs_no_larger_mesh(order):
     """Elements of the size of the contact all over the tip took 6 GB at a fiftieth of 2 mm."""
     deep, shallow = (
         build_mesh(in_block(GEL, depth, order, "coarse").setup).cells.shape[0]
@@ -111,7 +102,7 @@ def test_a_shallow_needle_needs_no_larger_mesh(order: str) -> None:
     assert shallow < 2 * deep
 
 
-def test_quadratic_tetrahedra_are_looked_at_in_more_points_under_an_indenter() -> None:
+def test_quadratic_tetrahedra_are_looked_at_in_more_points_under_an_indenter():
     problem = in_block(SOFTENING, 4.0, "quadratic", "coarse")
     mesh = build_mesh(problem.setup)
     usual, stretched = (
@@ -122,36 +113,33 @@ def test_quadratic_tetrahedra_are_looked_at_in_more_points_under_an_indenter() -
     assert stretched.sum() == pytest.approx(usual.sum(), rel=1e-12)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 @pytest.mark.parametrize("alpha", [1.3, 1.8])
 @pytest.mark.parametrize("size", [0.25, 0.3, 0.35, 0.4, 0.5])
-def test_linear_triangles_of_any_size_reach_their_depth(alpha: float, size: float) -> None:
+def test_linear_triangles_of_any_size_reach_their_depth(alpha, size):
     material = Material("ogden", {"mu1": 0.0154, "alpha1": alpha}, poisson_ratio=0.4995)
     problem = in_block(material, 4.0, "linear", "fine", "axisymmetric")
     problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
     reached(problem)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 @pytest.mark.parametrize("energy", ENERGIES)
 @pytest.mark.parametrize(("shape", "order", "mesh"), [*MESHES, *IN_BLOCK])
-def test_every_energy_reaches_its_depth(energy: str, shape: str, order: str, mesh: str) -> None:
+def test_every_energy_reaches_its_depth(energy, shape, order, mesh):
     if shape == "block":
         reached(in_block(ENERGIES[energy], 4.0, order, mesh))
     else:
         reached(deep(ENERGIES[energy], shape, order, mesh))
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_a_solid_needs_no_snap_under_the_needle() -> None:
+@long_verification
+def test_a_solid_needs_no_snap_under_the_needle():
     problem = in_block(ENERGIES["ogden"], 1.6, "quadratic", "coarse")
     reached(problem, options=Options(snaps=False))
 
 
-def points_of_three(middles: sp.csr_matrix) -> ContactPoints:
+def points_of_three(middles):
     nodes, ones = np.arange(3)[:, None], np.ones((3, 1))
     stiff = np.full(3, 1e3)
     return ContactPoints(
@@ -168,7 +156,7 @@ def points_of_three(middles: sp.csr_matrix) -> ContactPoints:
         ([True, True, False], True, False),
     ],
 )
-def test_a_corner_goes_with_its_mid_sides(own: list[bool], closed: bool, led: bool) -> None:
+def test_a_corner_goes_with_its_mid_sides(own, closed, led):
     rows = sp.csr_matrix(([True, True], ([0, 0], [1, 2])), (3, 3))
     multipliers = np.where(own, 1.0, -1.0)
     points = points_of_three(rows)
@@ -181,13 +169,11 @@ def test_a_corner_goes_with_its_mid_sides(own: list[bool], closed: bool, led: bo
     assert (kept[1:] >= 0).all()
 
 
-def test_every_corner_has_the_mid_sides_of_its_edges() -> None:
-    test = Test("indentation", 0.5, "frictionless", "bonded", 2, Sphere(3.0))
-    problem = Problem(Block(20, 20, 10), test, GEL, Model("3d", mesh="coarse"))
+def test_every_corner_has_the_mid_sides_of_its_edges():
+    problem = indentation(Sphere(3.0), 0.5, specimen=Block(20, 20, 10), space="3d", mesh="coarse")
     mesh = build_mesh(problem.setup)
     space = discretize(mesh, problem.model)
     (points,) = contact_points(problem, space, mesh)
-    assert points.middles is not None
     places = space.nodes[points.nodes[:, 0]]
     around = np.diff(points.middles.indptr)
     assert set(around[around > 0]) <= set(range(2, 12))
@@ -199,7 +185,7 @@ def test_every_corner_has_the_mid_sides_of_its_edges() -> None:
         assert around[far] > 0
 
 
-def test_an_energy_that_is_no_longer_elliptic_says_so() -> None:
+def test_an_energy_that_is_no_longer_elliptic_says_so():
     """An exponent of nearly zero is Hencky's energy: no mesh carries it under a needle."""
     hencky = Material("ogden", {"mu1": 0.01228, "alpha1": -0.019}, poisson_ratio=0.4995)
     found = solve(in_block(hencky, 4.0, "quadratic", "coarse", "axisymmetric"), gradients=False)

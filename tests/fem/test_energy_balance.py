@@ -1,40 +1,37 @@
 """Stored energy, by its own sum, against the work of the test and against the stress."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from study.ground.curve import Curve
 from study.mechanics.material.material import Material
-from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test as Loading
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Sphere
+from study.mechanics.setup.setup import Model
 from study.mechanics.solver import load_path
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.newton import Options
-from study.mechanics.solver.solution import (
-    JUMP_SHARE,
-    Solution,
-    balanced,
-)
+from study.mechanics.solver.solution import JUMP_SHARE, balanced
 from tests.fem.homogeneous import held, system_of
-from tests.fem.problems import LONG, reached
+from tests.fem.problems import (
+    LONG,
+    NEEDLE,
+    PUNCH,
+    compression,
+    indentation,
+    long_verification,
+    reached,
+)
+from tests.material.modes import solid
 
 MATERIALS = {
     "polynomial": Material("mooney-rivlin", {"C10": 3e-3, "C01": 2e-3}, poisson_ratio=0.499),
-    "yeoh": Material(
-        "reduced-polynomial", {"C10": 5e-3, "C20": -4e-4, "C30": 2e-4}, poisson_ratio=0.49
-    ),
-    "ogden": Material(
-        "ogden", {"mu1": 4e-3, "alpha1": 3.0, "mu2": 5e-3, "alpha2": -1.5}, poisson_ratio=0.4995
-    ),
+    "yeoh": solid("reduced-polynomial", 5e-3, -4e-4, 2e-4, poisson_ratio=0.49),
+    "ogden": solid("ogden", 4e-3, 3.0, 5e-3, -1.5, poisson_ratio=0.4995),
     "linear": Material("linear-elastic", {"youngs_modulus": 0.02}, poisson_ratio=0.45),
     "soft": Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=5e-3),
     "stiff": Material("mooney-rivlin", {"C10": 4e-3, "C01": 1e-3}, bulk_modulus=10.0),
@@ -57,8 +54,8 @@ SYSTEMS = [
 
 @pytest.mark.parametrize(("space", "order", "shape", "formulation", "name"), SYSTEMS)
 def test_force_and_stiffness_are_the_derivatives_of_the_stored_energy(
-    space: str, order: str, shape: str, formulation: str, name: str
-) -> None:
+    space, order, shape, formulation, name
+):
     """Central differences along a random motion: energy and forces, forces, tangent and constants.
 
     The mixed form is stationary in the pressures, too. Differences over 1e-6 leave some 1e-8.
@@ -94,20 +91,20 @@ def test_force_and_stiffness_are_the_derivatives_of_the_stored_energy(
         np.testing.assert_allclose(found, rate, atol=1e-6 * np.abs(rate).max() + rounding)
 
 
-def path(kind: str) -> Problem:
+def path(kind):
     material = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
     if kind == "compression":
-        test = Loading("compression", 6.0, "bonded", "bonded")
-        return Problem(Cylinder(25.0, 30.0), test, material, Model())
+        return compression(Cylinder(25.0, 30.0), 6.0, material=material, steps=10)
     indenter, depth = {
         "needle": (Cone(30.0, 1.0, 3.0), 4.0),
-        "punch": (Flat(3.0, 0.3), 2.0),
+        "punch": (PUNCH, 2.0),
         "sphere": (Sphere(5.0), 3.0),
-        "bonded needle": (Cone(30.0, 1.0), 1.5),
+        "bonded needle": (NEEDLE, 1.5),
     }[kind]
     held = "bonded" if kind == "bonded needle" else "frictionless"
-    test = Loading("indentation", depth, held, "bonded", indenter=indenter)
-    return Problem(Block(60.0, 60.0, 40.0), test, material, Model())
+    return indentation(
+        indenter, depth, material=material, specimen=Block(60.0, 60.0, 40.0), interface=held
+    )
 
 
 @pytest.mark.parametrize(
@@ -115,7 +112,7 @@ def path(kind: str) -> Problem:
     ["compression", "needle", "bonded needle"]
     + [pytest.param(kind, marks=LONG) for kind in ("punch", "sphere")],
 )
-def test_work_is_stored_where_nothing_snaps(kind: str) -> None:
+def test_work_is_stored_where_nothing_snaps(kind):
     """Ten load steps leave at most 0.1 % to interpolation; the curve does just that work."""
     solution = reached(path(kind))
     assert solution.energy.jumps_mm == ()
@@ -126,7 +123,7 @@ def test_work_is_stored_where_nothing_snaps(kind: str) -> None:
     assert work == pytest.approx(energy.stored_Nmm[-1] + energy.stabilization_Nmm[-1], rel=1e-6)
 
 
-def test_a_warm_start_has_the_same_points() -> None:
+def test_a_warm_start_has_the_same_points():
     """Curves of one cell are compared point by point, whatever was added where it bends."""
     problem, options = path("sphere"), Options(curve_error=2e-4)
     base = solve(problem, options=options)
@@ -137,24 +134,26 @@ def test_a_warm_start_has_the_same_points() -> None:
 
 
 @pytest.mark.parametrize("steps", [6, pytest.param(24, marks=LONG)])
-def test_an_indenter_that_sticks_gives_no_false_alarm(steps: int) -> None:
+def test_an_indenter_that_sticks_gives_no_false_alarm(steps):
     """Points are held one after the other; on linear triangles that bends the curve at first."""
     material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.499)
-    test = Loading("indentation", 1.0, "bonded", "bonded", steps=steps, indenter=Cone(40.0, 0.5))
-    model = Model("axisymmetric", "linear", "simplex", mesh="coarse")
-    solution = reached(Problem(Cylinder(20.0, 15.0), test, material, model))
+    problem = indentation(
+        Cone(40.0, 0.5), 1.0, material=material, specimen=Cylinder(20.0, 15.0), steps=steps,
+        interface="bonded", element_order="linear", mesh="coarse",
+    )  # fmt: skip
+    solution = reached(problem)
     assert solution.energy.jumps_mm == ()
     assert solution.energy.largest_mismatch < 0.01
 
 
-def test_a_small_jump_that_is_known_bends_no_interval() -> None:
+def test_a_small_jump_that_is_known_bends_no_interval():
     """A force of 2 d that loses .2 % of the energy at d = 4 stays within its two branches.
 
     Taken for work, the loss would bend the short interval by more than 10 % of the force.
     """
     lost = 0.002 * 16.0
     d = np.array([1.0, 2.0, 3.0, 4.0, 4.05, 5.0])
-    steps: Any = [
+    steps = [
         SimpleNamespace(
             state=SimpleNamespace(displacement_mm=x),
             gradients=SimpleNamespace(work_N=2 * x, work_slope_N_per_mm=2.0),
@@ -172,20 +171,20 @@ def test_a_small_jump_that_is_known_bends_no_interval() -> None:
     assert worst[(4.0,)] < 1e-12
 
 
-def snapping(c10: float, steps: int, mesh: str, ratio: float = 1.3) -> tuple[Solution, float]:
+def snapping(c10, steps, mesh, ratio=1.3):
     """Linear tetrahedra that pass a limit point under a needle, and where that is."""
     soft = Material("neo-hookean", {"C10": c10}, poisson_ratio=0.4995)
-    test = Loading("indentation", 4.0, "frictionless", "bonded", steps, Cone(30, 1, 3))
-    model = Model("3d", "linear", mesh=mesh, mesh_ratio=ratio)  # type: ignore[arg-type]
-    problem = Problem(Block(60, 60, 40), test, soft, model)
+    problem = indentation(
+        Cone(30, 1, 3), 4.0, material=soft, specimen=Block(60, 60, 40), steps=steps, space="3d",
+        element_order="linear", mesh=mesh, mesh_ratio=ratio,
+    )  # fmt: skip
     found = solve(problem, gradients=False, options=Options(curve_error=5e-4))
     (jump,) = found.energy.jumps_mm
     return found, jump
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_a_curve_with_a_jump_does_not_depend_on_its_load_steps() -> None:
+@long_verification
+def test_a_curve_with_a_jump_does_not_depend_on_its_load_steps():
     """A limit point at 3.2 mm: ten load steps against forty.
 
     Missing work in the interval of the jump once bent it by 5 %, and moved what a study
@@ -202,9 +201,8 @@ def test_a_curve_with_a_jump_does_not_depend_on_its_load_steps() -> None:
     assert np.abs(few / many - 1)[d > 3.0].max() < 2e-3
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_the_way_back_from_a_landing_stays_on_its_branch(monkeypatch: pytest.MonkeyPatch) -> None:
+@long_verification
+def test_the_way_back_from_a_landing_stays_on_its_branch(monkeypatch):
     """Past the jump energy adds up from state to state; a state that loses some is not kept."""
     found, jump = snapping(6e-3, 10, "medium")
     places = found.curve.displacement_mm
@@ -221,9 +219,8 @@ def test_the_way_back_from_a_landing_stays_on_its_branch(monkeypatch: pytest.Mon
     assert jump + 0.1 < without.curve.displacement_mm[without.curve.displacement_mm > jump][0]
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_a_jump_between_two_load_steps_is_told_from_both_sides() -> None:
+@long_verification
+def test_a_jump_between_two_load_steps_is_told_from_both_sides():
     """Right before this limit point nothing converges: a little before it is written down.
 
     Else the interval that holds the jump is bent by it: .07 percentage points of the response.
@@ -242,13 +239,14 @@ def test_a_jump_between_two_load_steps_is_told_from_both_sides() -> None:
 
 
 @pytest.mark.parametrize("pressed", [Cone(45, 0.3), pytest.param(Sphere(10), marks=LONG)])
-def test_the_interpolation_error_of_few_steps_is_covered(pressed: Indenter) -> None:
+def test_the_interpolation_error_of_few_steps_is_covered(pressed):
     """Two steps of a cone were .34 % off, said to be .03, and no step was added."""
     material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.4995)
 
-    def curve(steps: int, options: Options) -> Curve:
-        test = Loading("indentation", 2.0, "frictionless", "bonded", steps, pressed)
-        problem = Problem(Cylinder(12, 10), test, material, Model(mesh="coarse"))
+    def curve(steps, options):
+        problem = indentation(
+            pressed, 2.0, material=material, specimen=Cylinder(12, 10), steps=steps, mesh="coarse"
+        )
         return solve(problem, gradients=False, options=options).curve
 
     d = np.linspace(0.0, 2.0, 401)[1:]
@@ -262,9 +260,7 @@ def test_the_interpolation_error_of_few_steps_is_covered(pressed: Indenter) -> N
         assert few.relative_interpolation_error() <= 5e-4, steps
 
 
-def test_an_interpolation_that_misses_its_tolerance_is_said(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_interpolation_that_misses_its_tolerance_is_said(monkeypatch):
     """One round of added steps does not reach what is asked for: the rest is in the message."""
     monkeypatch.setattr(load_path, "_ROUNDS", 1)
     problem = path("sphere")
@@ -283,20 +279,17 @@ def test_an_interpolation_that_misses_its_tolerance_is_said(
     assert "between its points" in later.message
 
 
-def test_a_place_at_which_no_step_can_be_added_is_tried_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    tried: list[float] = []
+def test_a_place_at_which_no_step_can_be_added_is_tried_once(monkeypatch):
+    tried = []
     insert = load_path.LoadPath._insert
 
-    def insert_all_but_the_first(path: load_path.LoadPath, displacement: float) -> bool:
+    def insert_all_but_the_first(path, displacement):
         tried.append(displacement)
         return displacement != tried[0] and insert(path, displacement)
 
     monkeypatch.setattr(load_path.LoadPath, "_insert", insert_all_but_the_first)
     solid = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.49)
-    test = Loading("compression", 9.0, "bonded", "bonded", steps=3)
-    problem = Problem(Cylinder(25.0, 30.0), test, solid, Model("axisymmetric", mesh_size_mm=10.0))
+    problem = compression(Cylinder(25.0, 30.0), 9.0, material=solid, steps=3, mesh_size_mm=10.0)
     solution = solve(problem, gradients=False, options=Options(curve_error=1e-5))
     assert solution.converged
     assert len(tried) > 3

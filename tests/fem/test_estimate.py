@@ -1,12 +1,9 @@
 """Costs are predicted from what will really be solved."""
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,15 +22,15 @@ from study.mechanics.setup.geometry import (
     Sphere,
     Surface,
 )
-from study.mechanics.setup.setup import Model, Problem, Setup
+from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver import solution_cost
 from study.mechanics.solver.finite_element_solution import check
 from study.mechanics.solver.solution_cost import estimate, expected_unknowns, memory_MB, unknowns
 from study.mechanics.solver.system import System
 from study.mechanics.surface.closed_surface import body
-from tests.fem.problems import GEL, LONG
-from tests.fem.surfaces import Shape, box, sphere, write
+from tests.fem.problems import GEL, LONG, long_verification
+from tests.fem.surfaces import box, sphere, write
 
 COMPRESSED = (Cylinder(25, 30), Test("compression", 3, "bonded", "bonded", 5))
 INDENTED = (Block(60, 60, 40), Test("indentation", 2, "frictionless", "bonded", 5, Cone(30, 1, 3)))
@@ -53,12 +50,12 @@ def test_unknowns_are_counted(specimen_and_test, space, order, shape):
         assert estimate(problem.setup).dofs == pytest.approx(real, rel=0.12)
 
 
-def pressed(specimen, indenter, depth: float = 2.0) -> tuple:
+def pressed(specimen, indenter, depth=2.0):
     return specimen, Test("indentation", depth, "frictionless", "bonded", 1, indenter)
 
 
-def squeezed(specimen, interface: str, base: str) -> tuple:
-    return specimen, Test("compression", 1, interface, base, 1)  # type: ignore[arg-type]
+def squeezed(specimen, interface, base):
+    return specimen, Test("compression", 1, interface, base, 1)
 
 
 ROUND, BOX = Cylinder(25, 30), Block(60, 50, 40)
@@ -114,8 +111,8 @@ def test_a_mesh_that_does_not_fit_is_refused_before_it_is_made(
     assert estimate(tiny.setup).memory_MB > 16e3
 
 
-def surface(folder: Path, shape: Shape, **given: float) -> Surface:
-    return Surface(write(folder / "body.obj", shape), **given)  # type: ignore[arg-type]
+def surface(folder, shape, **given):
+    return Surface(write(folder / "body.obj", shape), **given)
 
 
 @pytest.mark.parametrize("bonded", [False, pytest.param(True, marks=LONG)])
@@ -160,7 +157,7 @@ def test_an_axis_that_misses_a_body_is_refused(tmp_path):
         expected_unknowns(Problem(tip, test, GEL, Model("3d")).setup)
 
 
-def made(monkeypatch) -> list[Setup]:
+def made(monkeypatch):
     """Setups whose meshes are made from now on."""
     meshed = []
     monkeypatch.setattr(
@@ -219,11 +216,10 @@ print(solution.dofs, peak_kB / 1024)
 """
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 @pytest.mark.parametrize("size_mm", [2.3, 1.4], ids=["30k", "120k"])
 @pytest.mark.skipif(not hasattr(resource, "RUSAGE_SELF"), reason="no peak memory is told")
-def test_memory_is_predicted(size_mm: float) -> None:
+def test_memory_is_predicted(size_mm):
     """Measured November 2026: 423 MB at 35653 unknowns, 1259 MB at 124698."""
     pytest.importorskip("pypardiso", reason="the memory is that of PARDISO")
     program = ONE_STEP.replace("SIZE", str(size_mm))

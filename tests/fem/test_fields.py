@@ -1,9 +1,6 @@
 """Fields for ParaView: uniform states are known, cells are whole, files can be read."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 from xml.etree import ElementTree
 
 import meshio
@@ -24,7 +21,7 @@ ELEMENTS = [(o, s) for o in ("linear", "quadratic") for s in ("simplex", "tensor
 SMALL = Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.3)
 
 
-def volume(points: np.ndarray, cells: meshio.CellBlock) -> float:
+def volume(points, cells):
     """Area or volume of cells by their corners; negative where they are turned over."""
     n = {"tri": 3, "qua": 4, "tet": 4, "hex": 8}[cells.type[:3]]
     corner = points[cells.data[:, :n]]
@@ -41,7 +38,7 @@ def volume(points: np.ndarray, cells: meshio.CellBlock) -> float:
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
 @pytest.mark.parametrize(("order", "shape"), ELEMENTS)
 @pytest.mark.parametrize("formulation", ["mixed", "displacement"])
-def test_uniform_compression(space, order, shape, formulation, tmp_path: Path) -> None:
+def test_uniform_compression(space, order, shape, formulation, tmp_path):
     """Frictionless compression: the axial stress is F / (deformed area), the others vanish."""
     specimen = Cylinder(1.0, 1.0) if space == "axisymmetric" else Block(1.0, 1.0, 1.0)
     problem = compression(
@@ -75,7 +72,7 @@ def test_uniform_compression(space, order, shape, formulation, tmp_path: Path) -
     np.testing.assert_allclose(found.nodal["contact_pressure_MPa"][below], 0.0)
 
 
-def test_small_strain_stress() -> None:
+def test_small_strain_stress():
     """Uniaxial strain energy aside: sigma = E eps, J = 1 + (1 - 2 nu) eps."""
     problem = compression(Cylinder(1.0, 1.0), 1e-3, "frictionless", material=SMALL)
     solution = solve(problem, gradients=False)
@@ -87,14 +84,14 @@ def test_small_strain_stress() -> None:
     assert solution.equilibria.contact[-1].area_mm2 == pytest.approx(np.pi, rel=1e-6)
 
 
-def test_without_an_answer_there_are_no_fields(tmp_path: Path) -> None:
+def test_without_an_answer_there_are_no_fields(tmp_path):
     soft = Material("reduced-polynomial", {"C10": 1.0, "C20": -5.0}, bulk_modulus=1000.0)
     unstable = solve(compression(Cylinder(1.0, 1.0), 0.6, material=soft))
     with pytest.raises(InputError, match="no step converged"):
         write_vtu(unstable, tmp_path / "out.vtu")
 
 
-def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:
+def test_a_folder_that_does_not_exist(tmp_path):
     solution = solve(compression(Cylinder(1.0, 1.0), 0.05, mesh_size_mm=0.5), gradients=False)
     with pytest.raises(StoreError, match=r"out\.vtu: could not be written \(No such file"):
         solving.write_vtu(solution, tmp_path / "nowhere" / "out.vtu")
@@ -102,7 +99,7 @@ def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
 @pytest.mark.parametrize(("order", "shape"), ELEMENTS)
-def test_cells_fill_the_specimen_and_its_whole(space, order, shape) -> None:
+def test_cells_fill_the_specimen_and_its_whole(space, order, shape):
     specimen = Cylinder(1.0, 1.0) if space == "axisymmetric" else Block(1.0, 1.2, 1.0)
     problem = compression(
         specimen, 0.1, space=space, element_order=order, element_shape=shape, mesh_size_mm=0.4
@@ -133,7 +130,7 @@ def test_cells_fill_the_specimen_and_its_whole(space, order, shape) -> None:
     assert -forces[upper, axis].sum() == pytest.approx(solution.curve.force_N[-1], rel=2e-6)
 
 
-def pressed_N(path: Path, axis: int) -> float:  # noqa: N802
+def pressed_N(path, axis):  # noqa: N802
     """Axial component of the pressure of a file over its deformed surface, of the whole body."""
     read = meshio.read(path)
     (block,) = read.cells
@@ -154,7 +151,7 @@ def pressed_N(path: Path, axis: int) -> float:  # noqa: N802
 
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
 @pytest.mark.parametrize(("order", "shape"), ELEMENTS)
-def test_the_integral_of_the_pressure_is_the_force(space, order, shape, tmp_path: Path) -> None:
+def test_the_integral_of_the_pressure_is_the_force(space, order, shape, tmp_path):
     """On a plane face exactly; on a curved one as well as facets follow it."""
     specimen = Cylinder(1.0, 1.0) if space == "axisymmetric" else Block(2.0, 2.0, 1.0)
     plates = compression(
@@ -170,7 +167,7 @@ def test_the_integral_of_the_pressure_is_the_force(space, order, shape, tmp_path
 
 
 @pytest.mark.parametrize("indenter", [None, Cone(60.0)])
-def test_pressure_of_nodes_is_no_shear(indenter: Cone | None) -> None:
+def test_pressure_of_nodes_is_no_shear(indenter):
     """The largest of the fields is the peak pressure; a held face and an axis bear shear, too."""
     problem = compression(Cylinder(1.0, 1.0), 0.2, mesh_size_mm=0.2)
     if indenter is not None:
@@ -182,7 +179,7 @@ def test_pressure_of_nodes_is_no_shear(indenter: Cone | None) -> None:
     assert float(pressure.max()) == pytest.approx(peak, rel=1e-9)
 
 
-def test_a_series_has_every_step_and_what_holds_the_body(tmp_path: Path) -> None:
+def test_a_series_has_every_step_and_what_holds_the_body(tmp_path):
     problem = compression(Cylinder(1.0, 1.0), 0.2, steps=3, mesh_size_mm=0.4)
     solution = solve(problem, gradients=False)
     solving.write_vtu(solution, tmp_path / "run.pvd")

@@ -1,7 +1,5 @@
 """Gradients of the force (their Taylor tests: test_energy_gradients) and tangent stiffness."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +8,11 @@ import pytest
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test as Loading
 from study.mechanics.solver import sensitivity
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.load_path import LoadPath
 from study.mechanics.solver.newton import Options
-from tests.fem.problems import LONG, compression
+from tests.fem.problems import LONG, compression, indentation
 
 MATERIALS = [
     Material("mooney-rivlin", {"C10": 3e-3, "C01": 2e-3}, poisson_ratio=0.4995),
@@ -24,7 +20,7 @@ MATERIALS = [
 ]
 
 
-def test_warm_start_changes_nothing() -> None:
+def test_warm_start_changes_nothing():
     problem = compression(Cylinder(25, 30), 3, material=MATERIALS[0], steps=3, mesh="coarse")
     base = solve(problem)
     other = replace(problem, material=MATERIALS[0].with_constants([3.6e-3, 1.5e-3]))
@@ -33,7 +29,7 @@ def test_warm_start_changes_nothing() -> None:
     assert sum(warm.newton_iterations) < sum(cold.newton_iterations)
 
 
-def test_a_warm_start_holds_the_points_that_the_earlier_solve_held() -> None:
+def test_a_warm_start_holds_the_points_that_the_earlier_solve_held():
     """The folded side of a bonded solid has a point that never settles and is held though it pulls.
 
     Released in the later solve, it changed sides for 20 iterations.
@@ -44,7 +40,6 @@ def test_a_warm_start_holds_the_points_that_the_earlier_solve_held() -> None:
         space="3d", element_order="quadratic", mesh_size_mm=5.5,
     )  # fmt: skip
     base = solve(problem)
-    assert base.warm is not None
     system, state = base.warm.system, base.warm.steps[-1].state
     assert any(held.any() for held in system.held_against_wish(state))
     moved = replace(problem, material=material.with_constants(np.array([3.228e-3, 2.92e-3])))
@@ -55,15 +50,13 @@ def test_a_warm_start_holds_the_points_that_the_earlier_solve_held() -> None:
     between = LoadPath(system, problem, Options(), False, None, None)._halfway(
         state, state, state.displacement_mm
     )
-    assert between is not None
     assert between.iterations <= 2
 
 
-def test_stiffness_is_the_slope_of_the_curve() -> None:
+def test_stiffness_is_the_slope_of_the_curve():
     problem = compression(Cylinder(25, 30), 0.6, material=MATERIALS[1], steps=12, mesh="coarse")
     curve = solve(problem).curve
     d, f, k = curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm
-    assert k is not None
     central = (f[:-4] - 8 * f[1:-3] + 8 * f[3:-1] - f[4:]) / (12 * (d[1] - d[0]))
     # fourth-order differences on steps of 0.2 % strain
     np.testing.assert_allclose(k[2:-2], central, rtol=1e-6)
@@ -80,7 +73,7 @@ CONFIGURATIONS = {
 @pytest.mark.parametrize(
     "name", [*list(CONFIGURATIONS)[:3], pytest.param("needle in 3D", marks=LONG)]
 )
-def test_a_curve_has_one_slope_whatever_is_asked_for(name: str) -> None:
+def test_a_curve_has_one_slope_whatever_is_asked_for(name):
     """dF/dd of a second specimen, warm and without gradients, is that of forces on one mesh.
 
     The tangent is exact, so that what differs is the curvature over 2e-5 of the depth (some
@@ -88,34 +81,34 @@ def test_a_curve_has_one_slope_whatever_is_asked_for(name: str) -> None:
     """
     indenter, depth, space, shape = CONFIGURATIONS[name]
     order = "linear" if space == "3d" else "quadratic"
-    model = Model(space, order, shape, mesh="coarse")  # type: ignore[arg-type]
-    test = Loading("indentation", depth, "frictionless", "bonded", steps=4, indenter=indenter)
     first = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
-    problem = Problem(Block(60.0, 60.0, 40.0), test, first, model)
+    problem = indentation(
+        indenter, depth, material=first, specimen=Block(60.0, 60.0, 40.0), steps=4, space=space,
+        element_order=order, element_shape=shape, mesh="coarse",
+    )  # fmt: skip
     mesh = build_mesh(problem.setup)
     base = solve(problem, mesh=mesh)
     second = replace(problem, material=first.with_constants([5.4e-3]))
     later = solve(second, gradients=False, warm=base, mesh=mesh).curve.stiffness_N_per_mm
     alone = solve(second, gradients=False, mesh=mesh).curve.stiffness_N_per_mm
     asked = solve(second, mesh=mesh).curve.stiffness_N_per_mm
-    assert later is not None
-    assert alone is not None
-    assert asked is not None
     # two states within Newton's tolerance of 1e-8 have slopes that differ by up to 1e-5
     np.testing.assert_allclose(alone, asked, rtol=5e-5)
     np.testing.assert_allclose(later, asked, rtol=5e-5)
     nearby = [
-        replace(second, test=replace(test, displacement_mm=depth * (1 + h))) for h in (-1e-5, 1e-5)
+        replace(second, test=replace(second.test, displacement_mm=depth * (1 + h)))
+        for h in (-1e-5, 1e-5)
     ]
     low, high = (solve(p, gradients=False, mesh=mesh).curve.force_N[-1] for p in nearby)
     assert asked.size >= 4
     np.testing.assert_allclose(asked[-1], (high - low) / (2e-5 * depth), rtol=1e-4)
 
 
-def test_derivatives_that_do_not_converge_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_derivatives_that_do_not_converge_are_said(monkeypatch):
     """Without corrections the springs of the contact keep a part of every derivative."""
-    test = Loading("indentation", 1.0, "frictionless", "bonded", 2, Sphere(5.0))
-    problem = Problem(Cylinder(12, 10), test, MATERIALS[0], Model(mesh="coarse"))
+    problem = indentation(
+        Sphere(5.0), 1.0, material=MATERIALS[0], specimen=Cylinder(12, 10), steps=2, mesh="coarse"
+    )
     right = solve(problem)
     assert right.message == "every step converged"
     # fewer than are needed: the tangent is factorized once more and serves for the rest

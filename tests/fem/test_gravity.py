@@ -1,7 +1,5 @@
 """A specimen under its own weight: closed form, equilibrium, energy, and gradients."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +11,7 @@ from study.mechanics.setup.geometry import STANDARD_GRAVITY, Block, Cylinder, Gr
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
-
-from .problems import GEL
+from tests.fem.problems import GEL
 
 RHO = 980.0
 PER_VOLUME = STANDARD_GRAVITY * RHO * 1e-9
@@ -22,7 +19,7 @@ TALL = Cylinder(10, 40)
 SOLID = Model(space="3d", element_shape="tensor", mesh_size_mm=6.0)
 
 
-def column(direction: str = "down", **changes: object) -> Problem:
+def column(direction="down", **changes):
     """A column that nobody reaches: it slides on its base and its sides are free."""
     test = Test("indentation", 0.4, "frictionless", "frictionless", steps=2, indenter=Sphere(3),
                 gravity=Gravity(RHO, direction))  # fmt: skip
@@ -31,7 +28,7 @@ def column(direction: str = "down", **changes: object) -> Problem:
     return replace(problem, **changes)
 
 
-def between_plates(direction: str = "down", **changes: object) -> Problem:
+def between_plates(direction="down", **changes):
     test = Test("compression", 6.0, "bonded", "bonded", steps=6, gravity=Gravity(RHO, direction))
     return replace(Problem(TALL, test, GEL, Model(mesh_size_mm=6.0)), **changes)
 

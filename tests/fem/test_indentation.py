@@ -1,7 +1,5 @@
 """Indentation: layer tables, other codes' forces, complementarity, gradients, bad input."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,31 +8,22 @@ import pytest
 from study.ground.errors import InputError
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Sphere
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.system import System
-from tests.fem.problems import LONG, hooke, reached, taylor_slopes
-
-#: material of the hard-contact forces: C10 = 5 kPa, C20 = 1 kPa, K = 10 MPa
-RUBBER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0)
-NEEDLE, PUNCH = Cone(30, 1), Flat(3, 0.3)
-
-
-def indentation(
-    indenter: Indenter,
-    depth: float,
-    *,
-    material: Material = RUBBER,
-    specimen: Cylinder | Block = Cylinder(25, 50),  # noqa: B008
-    steps: int = 10,
-    base: str = "bonded",
-    interface: str = "frictionless",
-    **model: object,
-) -> Problem:
-    test = Test("indentation", depth, interface, base, steps, indenter)  # type: ignore[arg-type]
-    return Problem(specimen, test, material, replace(Model(), **model))  # type: ignore[arg-type]
+from tests.fem.problems import (
+    LONG,
+    NEEDLE,
+    PUNCH,
+    RUBBER,
+    hooke,
+    indentation,
+    long_verification,
+    reached,
+    taylor_slopes,
+)
 
 
 # --- EXTERNAL: V29, Table D: integral equation for a flat punch on a bonded layer, h = 1
@@ -43,7 +32,7 @@ def indentation(
     [(0.1, 0.5, 1.12599), (0.4, 0.495, 1.67356), (1.0, 0.5, 3.61874), (1.0, 0.45, 3.09141),
      (1.0, 0.30, 2.48352), (2.0, 0.5, 9.14945)],
 )  # fmt: skip
-def test_flat_punch_on_a_bonded_layer(radius: float, nu: float, kappa: float) -> None:
+def test_flat_punch_on_a_bonded_layer(radius, nu, kappa):
     depth = 1e-3 * radius
     layer = Cylinder(8 * max(1.0, radius), 1.0)
     problem = indentation(
@@ -65,9 +54,7 @@ def test_flat_punch_on_a_bonded_layer(radius: float, nu: float, kappa: float) ->
         (Cone(60), 0.28026, 1.26435, "medium", 1e-2),
     ],
 )
-def test_sphere_and_cone_on_a_bonded_layer(
-    indenter: Indenter, x: float, ratio: float, mesh: str, apart: float
-) -> None:
+def test_sphere_and_cone_on_a_bonded_layer(indenter, x, ratio, mesh, apart):
     depth = x**2 / 10 if isinstance(indenter, Sphere) else x / np.sqrt(3)
     problem = indentation(
         indenter, depth, material=hooke(0.5), specimen=Cylinder(8, 1), steps=1, mesh=mesh
@@ -88,25 +75,23 @@ def test_sphere_and_cone_on_a_bonded_layer(
     ],
     ids=["cone", "punch"],
 )
-def test_hard_contact_forces(indenter: Indenter, steps: int, expected: dict[int, float]) -> None:
+def test_hard_contact_forces(indenter, steps, expected):
     force = solve(indentation(indenter, 3, steps=steps, mesh="fine"), gradients=False).curve.force_N
     assert {k: force[k] for k in expected} == pytest.approx(expected, rel=5e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
 @pytest.mark.parametrize("shape", ["simplex", "tensor"])
 @pytest.mark.parametrize("mesh", ["coarse", "medium", "fine"])
-def test_every_element_reaches_the_depth(mesh: str, shape: str, order: str) -> None:
+def test_every_element_reaches_the_depth(mesh, shape, order):
     """As those under a cone do (``test_depth``)."""
     reached(indentation(PUNCH, 3.0, mesh=mesh, element_shape=shape, element_order=order))
 
 
-def test_complementarity_and_balance() -> None:
+def test_complementarity_and_balance():
     """V37: no penetration, no pull, no pressure at a distance; the base carries the force."""
     solution = solve(indentation(NEEDLE, 1.5, steps=5, mesh="coarse"))
-    assert solution.warm is not None
     system, step = solution.warm.system, solution.warm.steps[-1]
     touch = system.touching(step.state)[0]
     assert touch.active.any()
@@ -116,9 +101,7 @@ def test_complementarity_and_balance() -> None:
     np.testing.assert_allclose(solution.base_reaction_N, solution.curve.force_N, rtol=1e-7)
 
 
-def test_forces_do_not_depend_on_the_stiffness_of_the_regularization(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_forces_do_not_depend_on_the_stiffness_of_the_regularization(monkeypatch):
     from study.mechanics.contact import contact
 
     problem = indentation(NEEDLE, 1.0, steps=4, mesh="coarse")
@@ -136,7 +119,7 @@ def test_forces_do_not_depend_on_the_stiffness_of_the_regularization(
     ],
     ids=lambda m: m.model,
 )
-def test_taylor_through_contact(material: Material) -> None:
+def test_taylor_through_contact(material):
     """V41 with an active set that stays the same over the increments."""
     problem = indentation(NEEDLE, 1.2, steps=4, mesh="coarse", material=material)
     direction = np.array([0.3, -0.2])[: len(material.names)] * material.values
@@ -144,7 +127,7 @@ def test_taylor_through_contact(material: Material) -> None:
     assert 1.9 <= slopes.min() <= slopes.max() <= 2.1
 
 
-def test_a_bonded_punch_is_stiffer_and_no_contact_problem() -> None:
+def test_a_bonded_punch_is_stiffer_and_no_contact_problem():
     forces = [
         solve(indentation(Flat(3), 0.3, steps=2, mesh="coarse", interface=i)).curve.force_N[-1]
         for i in ("frictionless", "bonded")
@@ -153,16 +136,13 @@ def test_a_bonded_punch_is_stiffer_and_no_contact_problem() -> None:
     assert forces[0] < forces[1] < 1.05 * forces[0]
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 @pytest.mark.parametrize("shape", ["simplex", "tensor"])
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
 @pytest.mark.parametrize(
     ("indenter", "depth"), [(NEEDLE, 2.0), (PUNCH, 1.0)], ids=["cone", "punch"]
 )
-def test_3d_agrees_with_axisymmetric(
-    indenter: Indenter, depth: float, order: str, shape: str
-) -> None:
+def test_3d_agrees_with_axisymmetric(indenter, depth, order, shape):
     problem = indentation(
         indenter, 0.4 * depth, steps=4, mesh="medium", mesh_ratio=1.3, element_order=order,
         element_shape=shape,
@@ -183,12 +163,12 @@ def test_3d_agrees_with_axisymmetric(
         (indentation(Flat(3, 4), 1), "edge_radius"),
     ],
 )
-def test_impossible_indentations_are_refused(problem: Problem, words: str) -> None:
+def test_impossible_indentations_are_refused(problem, words):
     with pytest.raises(InputError, match=words):
         solve(problem)
 
 
-def test_an_incompressible_body_without_diagonal_is_solved() -> None:
+def test_an_incompressible_body_without_diagonal_is_solved():
     """Discontinuous pressures leave zeros on the diagonal, where pivots alone fail (V29)."""
     problem = indentation(
         Flat(0.2), 2e-4, material=hooke(0.5), specimen=Cylinder(8, 1), steps=1, mesh="fine",
@@ -201,15 +181,13 @@ def test_an_incompressible_body_without_diagonal_is_solved() -> None:
 
 @pytest.mark.parametrize("pressed", [Sphere(4.0), Cone(45.0, 0.5), Cone(60.0, 0.0)])
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
-def test_a_first_contact_is_seen_by_meshes_as_coarse_as_the_contact(
-    space: str, pressed: Indenter
-) -> None:
+def test_a_first_contact_is_seen_by_meshes_as_coarse_as_the_contact(space, pressed):
     """Elements of 3.5 mm: quadratic ones felt nothing, or let the tip pass and then stopped."""
     problem = Problem(
         Cylinder(10.0, 15.0),
         Test("indentation", 1.0, "frictionless", "bonded", 10, pressed),
         Material("neo-hookean", {"C10": 0.005}, poisson_ratio=0.4999),
-        Model(space, "quadratic", mesh_size_mm=3.5),  # type: ignore[arg-type]
+        Model(space, "quadratic", mesh_size_mm=3.5),
     )
     found = reached(problem)
     assert (np.diff(found.curve.force_N, prepend=0.0) > 0).all()
@@ -219,12 +197,11 @@ def test_a_first_contact_is_seen_by_meshes_as_coarse_as_the_contact(
     assert 0.2 * other < found.curve.force_N[-1] < 2 * other
 
 
-def test_the_point_on_the_axis_yields_to_the_first_that_touches() -> None:
+def test_the_point_on_the_axis_yields_to_the_first_that_touches():
     """On meshes that see the contact it changes no digit: it is closed before the first touch."""
     problem = indentation(Sphere(4.0), 0.5, mesh="coarse")
     system = System.build(problem, build_mesh(problem.setup))
     (points,), nodes = system.contact, system.space.nodes
-    assert points.first_touch is not None
     assert np.flatnonzero(points.first_touch) == points.size - 1
     for depth, alone in ((1e-6, True), (0.4, False)):
         met = points.meet(nodes, np.zeros_like(nodes), depth)
@@ -235,7 +212,7 @@ def test_the_point_on_the_axis_yields_to_the_first_that_touches() -> None:
 
 # --- CLOSED FORM: Hertz 1881: contact of a sphere with a half-space
 @pytest.mark.parametrize(("order", "off"), [("quadratic", 0.03), ("linear", 0.05)])
-def test_pressure_and_area_under_a_sphere_are_those_of_hertz(order: str, off: float) -> None:
+def test_pressure_and_area_under_a_sphere_are_those_of_hertz(order, off):
     nu, radius, depth = 0.3, 10.0, 0.1
     problem = indentation(
         Sphere(radius), depth, material=hooke(nu), specimen=Cylinder(60, 60), steps=2,

@@ -1,22 +1,20 @@
 """Signed distance to indenters: exact, continuous, with the derivatives that Newton needs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from study.mechanics.contact.rigid_surface import Press, profile, signed_distance
-from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
+from study.mechanics.setup.geometry import Cone, Flat, Sphere
 
 INDENTERS = [Cone(30, 1), Cone(45, 0.5, 2), Flat(3, 0.3), Sphere(5)]
 IDS = ["cone", "cone with shaft", "flat", "sphere"]
 
 
-def press(indenter: Indenter) -> Press:
+def press(indenter):
     return Press(profile(indenter, far_mm=1e4), height_mm=10.0)
 
 
-def around(indenter: Indenter, dim: int, n: int = 400) -> np.ndarray:
+def around(indenter, dim, n=400):
     """Points within a millimetre of the surface, away from the joints of its pieces."""
     rng = np.random.default_rng(2011)
     rho, z = rng.uniform(0.02, 4, 40 * n), rng.uniform(9, 14, 40 * n)
@@ -30,7 +28,7 @@ def around(indenter: Indenter, dim: int, n: int = 400) -> np.ndarray:
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("indenter", INDENTERS, ids=IDS)
-def test_normal_and_hessian_are_derivatives_of_the_gap(indenter: Indenter, dim: int) -> None:
+def test_normal_and_hessian_are_derivatives_of_the_gap(indenter, dim):
     surface, x = press(indenter), around(indenter, dim)
     _, normal, hessian = surface.gap(x, 0.0)
     h = 1e-6
@@ -48,7 +46,7 @@ def test_normal_and_hessian_are_derivatives_of_the_gap(indenter: Indenter, dim: 
 
 
 @pytest.mark.parametrize("indenter", INDENTERS, ids=IDS)
-def test_normals_have_unit_length_and_the_gap_is_continuous(indenter: Indenter) -> None:
+def test_normals_have_unit_length_and_the_gap_is_continuous(indenter):
     surface = press(indenter)
     normal = surface.gap(around(indenter, 3), 0.0)[1]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=1e-12)
@@ -57,7 +55,7 @@ def test_normals_have_unit_length_and_the_gap_is_continuous(indenter: Indenter) 
     assert np.abs(np.diff(gap)).max() <= 1.001e-3  # a distance changes no faster than its point
 
 
-def test_distances_known_by_hand() -> None:
+def test_distances_known_by_hand():
     flat = profile(Flat(3, 0.3), far_mm=1e4)
     gap = signed_distance(flat, np.array([1.0, 3.5, 3.0]), np.array([-0.2, 1.0, 0.0]))[0]
     corner = np.hypot(0.3, 0.3) - 0.3  # from the point below the shaft to the rounded edge
@@ -68,7 +66,7 @@ def test_distances_known_by_hand() -> None:
 
 
 @pytest.mark.parametrize("indenter", [Cone(30, 1, 3), Flat(3, 0.3), Flat(3), Sphere(5)])
-def test_a_point_thrown_across_the_axis_has_a_gap(indenter: Indenter) -> None:
+def test_a_point_thrown_across_the_axis_has_a_gap(indenter):
     """Seen in iterates that fail: an infinite gap made the forces of the next one NaN."""
     z = np.array([51.0, 49.9, 48.0, 40.0])
     across, on = (np.column_stack([np.full(4, r), z]) for r in (-0.1, 0.0))

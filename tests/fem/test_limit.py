@@ -1,9 +1,5 @@
 """A run ends where the specimen gives way, at a limit point or by swaying, and says so."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import meshio
 import numpy as np
 import pytest
@@ -13,31 +9,27 @@ from study.harness.design import plausibility
 from study.harness.design.cell import CellProblem
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Block, Cone, Cylinder
+from study.mechanics.setup.geometry import Block, Cylinder
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Interface, Test, buckling_strain
+from study.mechanics.setup.setup import Model
+from study.mechanics.setup.test_kind import Test, buckling_strain
 from study.mechanics.solver import load_path
 from study.mechanics.solver.equilibrium import is_unstable, least_stiffness, mirrored
 from study.mechanics.solver.finite_element_solution import follow, solve
 from study.mechanics.solver.linear_solver import pardiso_available
 from study.mechanics.solver.load_path import gives_way
 from study.mechanics.solver.newton import Options
-from study.mechanics.solver.system import State, System
-from tests.fem.problems import GEL, reached
+from tests.fem.problems import GEL, NEEDLE, compression, indentation, long_verification, reached
 
 #: softens without losing its ellipticity
 VARGA = Material("ogden", {"mu1": 1e-2, "alpha1": 1.0}, bulk_modulus=10.0)
 
 
-def needle(material: Material, depth: float) -> Problem:
-    test = Test("indentation", depth, "frictionless", "bonded", steps=6, indenter=Cone(30.0, 1.0))
-    return Problem(
-        Cylinder(25.0, 50.0), test, material, Model("axisymmetric", "quadratic", mesh="coarse")
-    )
+def needle(material, depth):
+    return indentation(NEEDLE, depth, material=material, steps=6, mesh="coarse")
 
 
-def test_a_needle_in_a_softening_body_stops_at_a_limit_point() -> None:
+def test_a_needle_in_a_softening_body_stops_at_a_limit_point():
     """At 2.79, 2.86 and 2.89 mm on the coarse, medium and fine mesh."""
     solution = solve(needle(VARGA, 5.0), gradients=False, options=Options(snaps=False))
     assert solution.status == "not-converged"
@@ -46,9 +38,8 @@ def test_a_needle_in_a_softening_body_stops_at_a_limit_point() -> None:
     assert "press less deep" in solution.message
 
 
-def test_a_body_that_stiffens_does_not_give_way() -> None:
+def test_a_body_that_stiffens_does_not_give_way():
     solution = reached(needle(GEL, 3.0))
-    assert solution.warm is not None
     steps = [step.state for step in solution.warm.steps]
     assert all(gives_way(solution.warm.system, steps[0], later) == "" for later in steps)
 
@@ -59,18 +50,19 @@ def test_a_body_that_stiffens_does_not_give_way() -> None:
      (Cylinder(10.0, 15.0), Material("ogden", {"mu1": 1e-2, "alpha1": -12.0}, incompressible=True),
       0.4, 0.06)],
 )  # fmt: skip
-def test_a_mesh_too_coarse_for_its_deformation_is_named(
-    specimen: Cylinder, material: Material, share: float, excess: float
-) -> None:
+def test_a_mesh_too_coarse_for_its_deformation_is_named(specimen, material, share, excess):
     """Linear triangles hold their volume in the mean alone: force and energy add up, and are wrong.
 
     The truth is that of quadratic triangles, which are silent.
     """
-    loading = Test("compression", share * specimen.height_mm, "bonded", "bonded", steps=10)
     forces, notes = [], []
     for order, mesh in (("linear", "coarse"), ("quadratic", "medium")):
-        model = Model("axisymmetric", order, mesh=mesh)  # type: ignore[arg-type]
-        found = reached(Problem(specimen, loading, material, model))
+        found = reached(
+            compression(
+                specimen, share * specimen.height_mm, material=material, steps=10,
+                element_order=order, mesh=mesh,
+            )
+        )  # fmt: skip
         forces.append(found.curve.force_N[-1])
         notes.append(found.message)
     assert forces[0] > (1 + excess) * forces[1]
@@ -78,44 +70,43 @@ def test_a_mesh_too_coarse_for_its_deformation_is_named(
     assert notes[1] == "every step converged"
 
 
-def test_a_snap_that_takes_much_of_the_energy_is_doubted() -> None:
+def test_a_snap_that_takes_much_of_the_energy_is_doubted():
     """A surface that snaps loses some 1 %: this one lost 19 %, and its force is another's."""
     material = Material("ogden", {"mu1": 1e-2, "alpha1": -12.0}, poisson_ratio=0.49)
-    loading = Test("compression", 4.0, "bonded", "bonded", steps=10)
-    found = reached(Problem(Cylinder(10.0, 10.0), loading, material, Model(mesh="medium")))
+    found = reached(compression(Cylinder(10.0, 10.0), 4.0, material=material, steps=10))
     assert found.energy.largest_mismatch > 0.05
     assert "% of the energy was lost: it may be the elements" in found.message
 
 
-def test_factors_of_an_earlier_step_say_that_a_solid_stands(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_factors_of_an_earlier_step_say_that_a_solid_stands(monkeypatch):
     """Solids use factors again; the last step had one factorization more, a fifth of the time."""
     looked_at = list[float]()
 
-    def spy(system: System, state: State) -> bool:
+    def spy(system, state):
         looked_at.append(state.displacement_mm)
         return is_unstable(system, state)
 
     monkeypatch.setattr(load_path, "is_unstable", spy)
-    loading = Test("compression", 2.0, "bonded", "bonded", steps=5)
-    model = Model("3d", "quadratic", "tensor", mesh_size_mm=3.4)
-    found = reached(Problem(Block(20.0, 20.0, 20.0), loading, GEL, model))
+    problem = compression(
+        Block(20.0, 20.0, 20.0), 2.0, material=GEL, steps=5, space="3d", element_shape="tensor",
+        mesh_size_mm=3.4,
+    )  # fmt: skip
+    found = reached(problem)
     assert looked_at == []
-    assert found.warm is not None
     assert not any(is_unstable(found.warm.system, step.state) for step in found.warm.steps)
 
 
-def test_a_motion_that_the_load_does_not_excite_ends_a_run_with_factors_of_earlier_steps() -> None:
+def test_a_motion_that_the_load_does_not_excite_ends_a_run_with_factors_of_earlier_steps():
     """Between slippery plates the load moves the body evenly alone: its corrections see no crease.
 
     Factors of the last step itself have the negative pivot; its last factorization was of another.
     """
-    loading = Test("compression", 4.794, "frictionless", "frictionless", steps=10)
-    model = Model("3d", "linear", "tensor", mesh_size_mm=1.0)
-    found = solve(Problem(Block(12.0, 12.0, 10.0), loading, VARGA, model), gradients=False)
+    problem = compression(
+        Block(12.0, 12.0, 10.0), 4.794, "frictionless", material=VARGA, steps=10, space="3d",
+        element_order="linear", element_shape="tensor", mesh_size_mm=1.0,
+    )  # fmt: skip
+    found = solve(problem, gradients=False)
     assert found.status == "unstable"
-    assert found.instability is not None
     assert found.instability.displacement_mm == pytest.approx(4.74, rel=0.01)
 
 
@@ -125,15 +116,11 @@ SOFT = Material("neo-hookean", {"C10": 0.01}, poisson_ratio=0.45)
 COLUMN = Block(width_mm=12.0, depth_mm=8.0, height_mm=90.0)
 
 
-def _column(
-    depth_mm: float, steps: int, interface: Interface = "bonded", base: Interface = "bonded",
-    *, specimen: Block | Cylinder = COLUMN, order: str = "quadratic", size_mm: float = 4.0,
-) -> Problem:  # fmt: skip
-    test = Test("compression", depth_mm, interface, base, steps=steps)
-    model = Model(
-        space="3d", element_shape="tensor", element_order=order, mesh_size_mm=size_mm  # type: ignore[arg-type]
+def _column(depth, steps, interface="bonded", base="bonded", order="quadratic", size_mm=4.0):
+    return compression(
+        COLUMN, depth, interface, base=base, material=SOFT, steps=steps, space="3d",
+        element_shape="tensor", element_order=order, mesh_size_mm=size_mm,
     )  # fmt: skip
-    return Problem(specimen, test, SOFT, model)
 
 
 @pytest.mark.parametrize(
@@ -141,26 +128,21 @@ def _column(
     [("bonded", "bonded", "auto"), ("frictionless", "bonded", "auto"),
      ("frictionless", "frictionless", "superlu")],
 )  # fmt: skip
-def test_a_quarter_of_a_column_is_refused_at_eulers_load(
-    interface: Interface, base: Interface, solver: str
-) -> None:
+def test_a_quarter_of_a_column_is_refused_at_eulers_load(interface, base, solver):
     critical = buckling_strain(Test("compression", 1.0, interface, base), COLUMN)
-    assert critical is not None
     depth = 1.25 * critical * COLUMN.height_mm
     options = Options(linear_solver=solver)
     found = solve(_column(depth, 5, interface, base), gradients=False, options=options)
     assert found.status == "unstable"
-    assert found.instability is not None
     assert found.instability.sway == "y"  # the thin direction
     assert found.instability.displacement_mm == pytest.approx(0.8 * depth, rel=0.03)
     assert found.curve.displacement_mm[-1] == found.reached_mm < found.instability.unstable_mm
     assert np.abs(found.instability.mode[:, 1]).max() == pytest.approx(1.0, abs=0.02)
 
 
-def test_the_whole_straight_column_loses_stability_where_its_quarter_says() -> None:
+def test_the_whole_straight_column_loses_stability_where_its_quarter_says():
     problem = _column(4.0, 10, order="linear")
     part = solve(problem, gradients=False).instability
-    assert part is not None
     quarter = build_mesh(problem.setup)
     whole, _ = mirrored(quarter, np.zeros(quarter.points.shape), (1, 1, 1), COLUMN.height_mm)
     edges = whole.points[whole.cells[:, [1, 3, 4]]] - whole.points[whole.cells[:, :1]]
@@ -169,14 +151,12 @@ def test_the_whole_straight_column_loses_stability_where_its_quarter_says() -> N
     assert (volumes > 0).all() or (volumes < 0).all()
     found = solve(problem, gradients=False, mesh=whole)
     assert found.status == "unstable"
-    assert found.instability is not None
     assert found.instability.sway == ""
     assert found.instability.displacement_mm == pytest.approx(part.displacement_mm, rel=1e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_the_branch_behind_is_followed_on_the_whole_body() -> None:
+@long_verification
+def test_the_branch_behind_is_followed_on_the_whole_body():
     problem = _column(4.5, 3, order="linear")
     euler = np.pi**2 * 2 * 1.45 * 2 * 0.01 * (12 * 8**3 / 12) / (90 / 2) ** 2
     found = follow(problem, gradients=False)
@@ -192,28 +172,25 @@ SOLVERS = ("pardiso", "superlu") if pardiso_available() else ("superlu",)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_motions_that_pressures_hold_are_no_way_to_give_way(solver: str) -> None:
+def test_motions_that_pressures_hold_are_no_way_to_give_way(solver):
     """Few elements, all incompressible: compliances of zero, whose rounding has any sign."""
     material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, incompressible=True)
-    test = Test("compression", 3.0, steps=2)
     for size_mm in (5.0, 3.0):
-        model = Model("axisymmetric", "linear", mesh_size_mm=size_mm)
-        found = solve(
-            Problem(Cylinder(10.0, 10.0), test, material, model),
-            options=Options(linear_solver=solver),
-        )
+        problem = compression(
+            Cylinder(10.0, 10.0), 3.0, "frictionless", material=material, steps=2,
+            element_order="linear", mesh_size_mm=size_mm,
+        )  # fmt: skip
+        found = solve(problem, options=Options(linear_solver=solver))
         assert found.converged, found.message
-        system = found.warm.system if found.warm else None
-        assert system is not None
         # the softest way moves the whole body: no stiffness of rounding
-        assert 0 < least_stiffness(system)[0] < 100.0
+        assert 0 < least_stiffness(found.warm.system)[0] < 100.0
 
 
-def test_slender_columns_are_cautioned_about_before_solving() -> None:
+def test_slender_columns_are_cautioned_about_before_solving():
     table = {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.45}
     material = MaterialSection.of(table)
 
-    def said(height: float, share: float, interface: Interface) -> bool:
+    def said(height, share, interface):
         test = Test("compression", share * height, interface, interface)
         column = CellProblem(Cylinder(5.0, height), test, material, Model(space="axisymmetric"))
         return any("buckles" in one for one in plausibility.cautions_of(column))
@@ -224,7 +201,7 @@ def test_slender_columns_are_cautioned_about_before_solving() -> None:
     assert not said(6.0, 0.30, "frictionless")
 
 
-def test_a_buckled_column_is_drawn_and_written_with_its_mode(tmp_path: Path) -> None:
+def test_a_buckled_column_is_drawn_and_written_with_its_mode(tmp_path):
     found = solve(_column(5.0, 4, order="linear", size_mm=8.0), gradients=False)
     assert found.instability is not None
     solving.write_picture(found, tmp_path / "bent.svg")

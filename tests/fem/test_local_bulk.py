@@ -1,7 +1,5 @@
 """The local bulk modulus of quadratic tetrahedra: exact rates, and no locking as nu goes to 0.5."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,35 +7,27 @@ import pytest
 
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Indenter, Sphere
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Sphere
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.internal_force import split_bulk
 from study.mechanics.solver.system import System
-from tests.fem.problems import reached
-from tests.fem.test_indentation import NEEDLE, indentation
+from tests.fem.problems import NEEDLE, indentation, long_verification, reached
 
 CONE, SPHERE, FLAT = Cone(30, 1, 3), Sphere(5.0), Flat(3, 0.3)
 RATIOS = (0.45, 0.49, 0.499, 0.4995, 0.4999, 0.49999, 0.499999, 0.5)
 
 
-def of_ratio(nu: float) -> Material:
+def pressed(indenter, depth, nu, space, mesh):
     """Neo-Hookean gel of a Poisson's ratio, 0.5 included."""
-    constants = {"C10": 5e-3}
-    if nu == 0.5:
-        return Material("neo-hookean", constants, incompressible=True)
-    return Material("neo-hookean", constants, poisson_ratio=nu)
-
-
-def pressed(indenter: Indenter, depth: float, nu: float, space: str, mesh: str) -> Problem:
-    test = Test("indentation", depth, "frictionless", "bonded", 4, indenter)
-    model = Model(space, mesh=mesh, mesh_ratio=1.3)  # type: ignore[arg-type]
-    return Problem(Cylinder(33.85, 40), test, of_ratio(nu), model)
+    volume = {"incompressible": True} if nu == 0.5 else {"poisson_ratio": nu}
+    return indentation(
+        indenter, depth, material=Material("neo-hookean", {"C10": 5e-3}, **volume),
+        specimen=Cylinder(33.85, 40), steps=4, space=space, mesh=mesh, mesh_ratio=1.3,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("bulk", [1e-3, 1.0, 1e3, 1e9, np.inf])
-def test_the_local_bulk_modulus_is_bounded(bulk: float) -> None:
+def test_the_local_bulk_modulus_is_bounded(bulk):
     local, compliance = split_bulk(bulk, 2.0)
     assert 0 < local <= min(bulk, 2.0)
     # both parts together are K; 1 / compliance is rounded at 1e-16 of K
@@ -49,9 +39,8 @@ def test_the_local_bulk_modulus_is_bounded(bulk: float) -> None:
     assert split_bulk(bulk, 0.0) == (0.0, 1 / bulk)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-def test_quadratic_tetrahedra_do_not_lock_at_nearly_constant_volume() -> None:
+@long_verification
+def test_quadratic_tetrahedra_do_not_lock_at_nearly_constant_volume():
     """An unbounded share of K gave +7.8 % at 0.499999 under a sphere.
 
     A shallow one: the meshes of 2 mm take minutes. Forces of the two spaces differ by the error
@@ -81,11 +70,8 @@ def test_quadratic_tetrahedra_do_not_lock_at_nearly_constant_volume() -> None:
         pytest.param(FLAT, 1.0, "medium", 0.005, id="flat-medium"),
     ],
 )
-@pytest.mark.slow
-@pytest.mark.verify
-def test_no_poissons_ratio_locks(
-    indenter: Indenter, depth: float, nu: float, mesh: str, tolerance: float
-) -> None:
+@long_verification
+def test_no_poissons_ratio_locks(indenter, depth, nu, mesh, tolerance):
     problem = pressed(indenter, depth, nu, "3d", mesh)
     plane = replace(problem.model, space="axisymmetric", mesh="fine")
     expected = solve(replace(problem, model=plane), gradients=False).curve.force_N[-1]
@@ -93,7 +79,7 @@ def test_no_poissons_ratio_locks(
     assert found.curve.force_N[-1] == pytest.approx(expected, rel=tolerance)
 
 
-def test_which_elements_have_a_local_bulk_modulus() -> None:
+def test_which_elements_have_a_local_bulk_modulus():
     """Quadratic solids under an indenter have one; plane and linear elements have none."""
     shares = {}
     for space in ("axisymmetric", "3d"):

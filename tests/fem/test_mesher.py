@@ -1,20 +1,15 @@
 """Meshes that a process makes once, and those that differ by a seed: same body, honest noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from study.mechanics.mesh.mesher import _LEAST_SHARE, _volumes, build_mesh
-from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Surface
-from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
-from tests.fem.problems import GEL, YEOH, compression
+from tests.fem.problems import GEL, YEOH, compression, indentation
 from tests.fem.surfaces import cylinder, sphere, write
 
 TESTS = {
@@ -31,25 +26,23 @@ KINDS = [
 ]
 
 
-def problem(space: str, shape: str, test: str, specimen: object = None) -> Problem:
+def problem(space, shape, test, specimen=None):
     made = compression(Cylinder(25.0, 30.0), 1.0, material=GEL, space=space, element_shape=shape,
                        mesh="coarse")  # fmt: skip
     return replace(made, specimen=specimen or made.specimen, test=TESTS[test])
 
 
-def seeded(found: Problem, seed: int) -> Problem:
+def seeded(found, seed):
     return replace(found, model=replace(found.model, mesh_seed=seed))
 
 
-def volume(mesh: Mesh) -> float:
+def volume(mesh):
     """Volume of simplices, or of boxes by the corners of each."""
     return float(np.abs(_volumes(mesh, mesh.points)).mean(axis=0).sum())
 
 
 @pytest.mark.parametrize(("space", "shape", "test"), KINDS)
-def test_nodes_move_the_body_stays_and_the_elements_stay_sound(
-    space: str, shape: str, test: str
-) -> None:
+def test_nodes_move_the_body_stays_and_the_elements_stay_sound(space, shape, test):
     regular = build_mesh(problem(space, shape, test).setup)
     moved = build_mesh(seeded(problem(space, shape, test), 7).setup)
     assert np.array_equal(moved.cells, regular.cells)
@@ -72,7 +65,7 @@ def test_nodes_move_the_body_stays_and_the_elements_stay_sound(
     assert 0.04 < np.median(step) / size < 0.3
 
 
-def test_a_seed_gives_its_mesh_and_no_other() -> None:
+def test_a_seed_gives_its_mesh_and_no_other():
     one = problem("axisymmetric", "simplex", "plates")
     names = [build_mesh(seeded(one, seed).setup).digest() for seed in (1, 1, 2)]
     assert names[0] == names[1] != names[2]
@@ -80,7 +73,7 @@ def test_a_seed_gives_its_mesh_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("body", ["disc", "sphere"])
-def test_a_specimen_from_a_file_keeps_its_surface(body: str, tmp_path: Path) -> None:
+def test_a_specimen_from_a_file_keeps_its_surface(body, tmp_path):
     shape, size = (cylinder(10, 12, 32), 3.0) if body == "disc" else (sphere(10, 2), 2.0)
     specimen = Surface(write(tmp_path / "body.stl", shape))
     found = replace(problem("3d", "simplex", "plates", specimen), test=Test("compression", 1.0))
@@ -93,7 +86,7 @@ def test_a_specimen_from_a_file_keeps_its_surface(body: str, tmp_path: Path) -> 
     assert other.height_mm == regular.height_mm
 
 
-def test_the_edge_of_a_flat_end_keeps_its_nodes() -> None:
+def test_the_edge_of_a_flat_end_keeps_its_nodes():
     for space, count in (("axisymmetric", 1), ("3d", 5)):
         regular = build_mesh(problem(space, "simplex", "flat", Block(60.0, 60.0, 40.0)).setup)
         moved = build_mesh(
@@ -106,7 +99,7 @@ def test_the_edge_of_a_flat_end_keeps_its_nodes() -> None:
         assert np.array_equal(moved.points[edge], regular.points[edge])
 
 
-def forces(seeds: int, size: float, order: str) -> np.ndarray:
+def forces(seeds, size, order):
     found = compression(Cylinder(25.0, 30.0), 3.0, material=GEL, steps=1, element_order=order,
                         mesh_size_mm=size)  # fmt: skip
     curves = [solve(seeded(found, seed), gradients=False).curve for seed in range(seeds)]
@@ -114,7 +107,7 @@ def forces(seeds: int, size: float, order: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
-def test_the_scatter_falls_with_the_element_size(order: str) -> None:
+def test_the_scatter_falls_with_the_element_size(order):
     """Bonded rims are singular, so that the noise falls slowly.
 
     With 16 seeds and sizes of ratio 3.4 it fell by 4.2 (linear) and 2.7 (quadratic).
@@ -126,19 +119,16 @@ def test_the_scatter_falls_with_the_element_size(order: str) -> None:
     assert 1e-5 * coarse.mean() < coarse.std(ddof=1) < 0.005 * coarse.mean()
 
 
-NEEDLE = Problem(
-    Cylinder(25.0, 50.0), Test("indentation", 1.0, indenter=Cone(30.0, 1.0)), GEL,
-    Model("axisymmetric", "quadratic", mesh="coarse"),
-)  # fmt: skip
+NEEDLE = indentation(Cone(30.0, 1.0), 1.0, material=GEL, mesh="coarse")
 
 
-def test_a_material_or_the_number_of_steps_asks_for_no_new_mesh() -> None:
+def test_a_material_or_the_number_of_steps_asks_for_no_new_mesh():
     made = build_mesh(NEEDLE.setup)
     assert build_mesh(replace(NEEDLE, material=YEOH).setup) is made
     assert build_mesh(replace(NEEDLE, test=replace(NEEDLE.test, steps=3)).setup) is made
 
 
-def test_whatever_shapes_a_mesh_asks_for_another() -> None:
+def test_whatever_shapes_a_mesh_asks_for_another():
     made = build_mesh(NEEDLE.setup)
     deeper = replace(NEEDLE, test=replace(NEEDLE.test, displacement_mm=2.0))
     finer = replace(NEEDLE, model=replace(NEEDLE.model, mesh="medium"))

@@ -1,9 +1,6 @@
 """A kind of test that the package does not have: fem solves it without knowing its name."""
 
-from __future__ import annotations
-
 import ast
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +14,7 @@ from study.mechanics.setup.geometry import Block, Cone, Cylinder
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Compression, FaceCondition, Test
 from study.mechanics.solver.finite_element_solution import solve
-from tests.fem.problems import reached
-
-from .problems import GEL
+from tests.fem.problems import GEL, reached
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -27,28 +22,28 @@ ROOT = Path(__file__).resolve().parents[2]
 class Tension(Compression):
     """Bonded plates go apart: faces, contacts and faults differ from those of a compression."""
 
-    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+    def faces(self, test):
         return FaceCondition("top", self.sense, True), FaceCondition("base", 0.0, True)
 
-    def contacts(self, test: Test) -> tuple[()]:
+    def contacts(self, test):
         return ()
 
-    def stretches(self, test: Test, height_mm: float) -> np.ndarray:
+    def stretches(self, test, height_mm):
         return np.linspace(1.0, 1 + test.depth_mm / height_mm, 41)
 
-    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+    def faults(self, test, height_mm, half_width_mm):
         if "frictionless" in (test.interface, test.base):
             yield Fault("test.interface", "a plate pulls only what it is bonded to", "bond it")
 
 
 @pytest.fixture(autouse=True)
-def tension(monkeypatch: pytest.MonkeyPatch) -> None:
+def tension(monkeypatch):
     monkeypatch.setitem(test_kind.TEST_KINDS, "tension", Tension(sense=1.0))
 
 
-def pulled(specimen: Cylinder | Block, depth: float, steps: int = 1, **model: object) -> Problem:
+def pulled(specimen, depth, steps=1, **model):
     test = Test("tension", depth, "bonded", "bonded", steps=steps)
-    return Problem(specimen, test, GEL, replace(Model(), **model))  # type: ignore[arg-type]
+    return Problem(specimen, test, GEL, replace(Model(), **model))
 
 
 @pytest.mark.parametrize(
@@ -98,7 +93,7 @@ def test_every_kind_of_test_holds_the_specimen(loading):
     assert any(face.face == "base" and face.axial == 0 for face in faces)
 
 
-def named_kinds(folder: Path) -> list[str]:
+def named_kinds(folder):
     """Places that ask a test or a section for the name of its kind."""
     return [
         f"{path.name}:{node.lineno}"

@@ -1,7 +1,5 @@
 """A plate that shifts, turns and lets the face slip: closed forms, symmetry, derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,14 +12,13 @@ from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import NoEquilibrium, PrescribedMotion, solve
-
-from .problems import GEL
+from tests.fem.problems import GEL, long_verification
 
 MODEL = Model(space="3d", element_shape="tensor", mesh_size_mm=10.0)
 CUBE = Block(20, 20, 20)
 
 
-def moved(depth: float, motion: FaceMotion | None = None, **changes: object) -> Problem:
+def moved(depth, motion=None, **changes):
     test = Test("plate-motion", depth, "bonded", "bonded", steps=1, motion=motion)
     return replace(Problem(CUBE, test, GEL, MODEL), **changes)
 
@@ -120,8 +117,7 @@ def test_forces_and_moments_of_plate_and_base_balance():
     assert curve.force_gradient["C10"][-1] == pytest.approx(change / 2e-5, rel=1e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 def test_a_shifted_plate_presses_with_its_axial_reaction_alone():
     thin = moved(0.01, FaceMotion(x_mm=1.0), specimen=Block(24, 24, 6),
                  model=replace(MODEL, mesh_size_mm=3.0))  # fmt: skip

@@ -6,42 +6,32 @@ x 20 mm. On a cylinder of the same cross-section quadratic triangles and quadril
 of that (quadratic hexahedra, the same on two meshes).
 """
 
-from __future__ import annotations
-
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from study.mechanics.contact.contact import constraints
 from study.mechanics.element.function_space import discretize
 from study.mechanics.mesh.mesher import _volumes, build_mesh
-from study.mechanics.mesh.structured import Mesh
-from study.mechanics.setup.geometry import Block, Cylinder, Flat, Specimen
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test
-from tests.fem.problems import GEL, LONG, reached
+from study.mechanics.setup.geometry import Block, Cylinder, Flat
+from tests.fem.problems import GEL, LONG, forces, indentation
 
 LEVELS = ("coarse", "medium", "fine")
 BLOCK, FORCE = Block(40, 40, 20), 0.0827
 ROUND = Cylinder(float(np.sqrt(1600 / np.pi)), 20)
 
 
-def punch(
-    specimen: Specimen = BLOCK, interface: str = "bonded", pressed: Flat | None = None,
-    depth: float = 0.3, **model: object,
-) -> Problem:  # fmt: skip
-    test = Test("indentation", depth, interface, "bonded", 1, pressed or Flat(3.0))  # type: ignore[arg-type]
-    settings = Model("3d", "linear", "tensor")
-    return Problem(specimen, test, GEL, replace(settings, **model))  # type: ignore[arg-type]
+def punch(specimen=BLOCK, interface="bonded", pressed=None, depth=0.3, **model):
+    return indentation(
+        pressed or Flat(3.0), depth, material=GEL, specimen=specimen, steps=1, interface=interface,
+        **{"space": "3d", "element_order": "linear", "element_shape": "tensor", **model},
+    )  # fmt: skip
 
 
-def force(problem: Problem) -> float:
-    found = reached(problem)
-    return float(found.curve.force_N[-1])
+def force(problem):
+    return float(forces(problem)[-1])
 
 
-def on_circle(mesh: Mesh, radius: float) -> np.ndarray:
+def on_circle(mesh, radius):
     """Angles of the nodes on a circle on the loaded face."""
     rho = np.hypot(*mesh.points[:, :2].T)
     top = mesh.points[:, 2] == mesh.height_mm
@@ -66,7 +56,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("problem", SHAPES.values(), ids=SHAPES)
-def test_elements_are_sound_and_fill_the_specimen(problem: Problem) -> None:
+def test_elements_are_sound_and_fill_the_specimen(problem):
     mesh, specimen = build_mesh(problem.setup), problem.specimen
     corners = _volumes(mesh, mesh.points)
     assert corners.min() > 0
@@ -77,7 +67,7 @@ def test_elements_are_sound_and_fill_the_specimen(problem: Problem) -> None:
         quarter = specimen.width_mm * specimen.depth_mm * specimen.height_mm / 4
     assert space.weights.sum() == pytest.approx(quarter, rel=1e-9)
     assert space.weights.min() > 0
-    edge = problem.test.indenter.radius_mm - problem.test.indenter.edge_radius_mm  # type: ignore[union-attr]
+    edge = problem.test.indenter.radius_mm - problem.test.indenter.edge_radius_mm
     found = on_circle(mesh, edge)
     assert found.size >= 5
     np.testing.assert_allclose(found, np.linspace(0, np.pi / 2, found.size), atol=1e-12)
@@ -85,7 +75,7 @@ def test_elements_are_sound_and_fill_the_specimen(problem: Problem) -> None:
 
 @pytest.mark.parametrize("specimen", [BLOCK, ROUND], ids=["block", "cylinder"])
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
-def test_what_is_held_is_the_disc(specimen: Specimen, order: str) -> None:
+def test_what_is_held_is_the_disc(specimen, order):
     problem = punch(specimen, element_order=order)
     mesh = build_mesh(problem.setup)
     space = discretize(mesh, problem.model)
@@ -100,7 +90,7 @@ def test_what_is_held_is_the_disc(specimen: Specimen, order: str) -> None:
     assert np.isin(driven, space.facets[under]).all()
 
 
-def test_a_series_is_refined_everywhere_alike() -> None:
+def test_a_series_is_refined_everywhere_alike():
     meshes = [build_mesh(punch(mesh=level).setup) for level in LEVELS]
     assert [mesh.size_mm for mesh in meshes] == pytest.approx([0.225, 0.15, 0.1])
     counts = [len(mesh.cells) for mesh in meshes]
@@ -114,7 +104,7 @@ def test_a_series_is_refined_everywhere_alike() -> None:
         assert (beside > 0.2 * mesh.size_mm).all()
 
 
-def test_linear_hexahedra_converge_from_above() -> None:
+def test_linear_hexahedra_converge_from_above():
     """Measured: 3.8, 1.7 and 0.9 %; a staircase of nodes gave -3.9, -6.8 and -0.8 %."""
     coarse, medium, fine = (force(punch(mesh=level)) / FORCE - 1 for level in LEVELS)
     assert 0.05 > coarse > 1.5 * medium > 2 * fine > 0
@@ -124,18 +114,18 @@ def test_linear_hexahedra_converge_from_above() -> None:
 @pytest.mark.parametrize(
     "mesh", ["coarse", pytest.param("medium", marks=LONG), pytest.param("fine", marks=LONG)]
 )
-def test_quadratic_hexahedra_are_right_on_every_mesh(mesh: str) -> None:
+def test_quadratic_hexahedra_are_right_on_every_mesh(mesh):
     """Measured: -0.10 and -0.08 % on coarse and medium; the reference is known to 0.1 %."""
     assert force(punch(mesh=mesh, element_order="quadratic")) == pytest.approx(FORCE, rel=0.003)
 
 
-def test_a_frictionless_punch_meets_the_same_disc() -> None:
+def test_a_frictionless_punch_meets_the_same_disc():
     """An incompressible half-space does not move sideways under it (Spence 1968)."""
     held, free = (force(punch(interface=how, mesh="coarse")) for how in ("bonded", "frictionless"))
     assert 0.995 < free / held <= 1.0
 
 
-def test_a_seed_leaves_the_circle_where_it_is() -> None:
+def test_a_seed_leaves_the_circle_where_it_is():
     regular, moved = (build_mesh(punch(mesh="medium", mesh_seed=seed).setup) for seed in (None, 3))
     assert moved.digest() != regular.digest()
     np.testing.assert_array_equal(on_circle(moved, 3.0), on_circle(regular, 3.0))

@@ -4,8 +4,6 @@ The plane cases of the verification table need a space that the solver does not 
 element pair is tried in the two that it has, axisymmetric and 3D.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -14,16 +12,12 @@ from scipy.linalg import cholesky, eigh, solve_triangular
 
 from study.mechanics.material.material import Material
 from study.mechanics.setup.setup import Model
-from tests.fem.known import Body, unit
+from tests.fem.known import unit
 from tests.fem.manufactured import Manufactured
-from tests.fem.problems import LONG, MOONEY
+from tests.fem.problems import LONG, MOONEY, long_verification
 from tests.fem.problems import NEO_HOOKEAN as NEARLY
+from tests.fem.test_energies import OGDEN3 as OGDEN
 
-OGDEN = Material(
-    "ogden",
-    {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 5.0, "mu3": 0.1, "alpha3": -2.0},
-    bulk_modulus=1000.0,
-)
 SOFT = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=2.0)
 SPACES, ORDERS, SHAPES = ("axisymmetric", "3d"), ("linear", "quadratic"), ("simplex", "tensor")
 PAIRS = list(itertools.product(SPACES, ORDERS, SHAPES))
@@ -32,7 +26,7 @@ THEORY = {"linear": (2, 1, 1), "quadratic": (3, 2, 2)}
 MESHES = {"axisymmetric": (4, 8, 16), "3d": (2, 4, 8)}
 
 
-def rates(case: Manufactured, model: Model, steps: int = 2) -> tuple[np.ndarray, np.ndarray]:
+def rates(case, model, steps=2):
     """Errors on the finest mesh, and the slope of each between successive meshes."""
     found = []
     for n in MESHES[model.space]:
@@ -44,7 +38,7 @@ def rates(case: Manufactured, model: Model, steps: int = 2) -> tuple[np.ndarray,
         return table[-1], np.log2(table[:-1] / table[1:])
 
 
-def show(what: str, model: Model, finest: np.ndarray, slopes: np.ndarray) -> None:
+def show(what, model, finest, slopes):
     names = f"{model.space:12} {model.element_order:9} {model.element_shape:7} {model.formulation}"
     orders = "; ".join(" ".join(f"{v:5.2f}" for v in row) for row in slopes)
     print(f"\n{what} {names:42} L2 u, H1 u, L2 p: rates {orders}  finest {finest}", end="")
@@ -59,13 +53,13 @@ RATES = [
 
 
 @pytest.mark.parametrize(("space", "order", "shape", "material"), RATES)
-def test_rates(space: str, order: str, shape: str, material: Material) -> None:
+def test_rates(space, order, shape, material):
     """Finest slope at least that of theory minus 0.1; Q1/P0 pressure excepted.
 
     A compressible solid (K = 2 mu) has the rates of theory without a pressure.
     """
     mixed = material is not SOFT
-    model = Model(space, order, shape, "mixed" if mixed else "displacement")  # type: ignore[arg-type]
+    model = Model(space, order, shape, "mixed" if mixed else "displacement")
     unstable = (order, shape) == ("linear", "tensor")
     wanted = THEORY[order][: 2 if unstable or not mixed else 3]
     for barrel in (0.0, 0.3) if space == "axisymmetric" and mixed else (0.0,):
@@ -75,7 +69,7 @@ def test_rates(space: str, order: str, shape: str, material: Material) -> None:
         assert (slopes[-1][: len(wanted)] >= np.array(wanted) - 0.1).all()
 
 
-def test_linear_displacements_lock() -> None:
+def test_linear_displacements_lock():
     """P1 at K = 1e4 mu: far below its rate where the mixed element keeps the full one.
 
     With the barreling: what the shears alone are interpolated by keeps the volume by itself.
@@ -84,7 +78,7 @@ def test_linear_displacements_lock() -> None:
     case = Manufactured(True, 0.05, stiff, pressed=False, barrel=0.1)
     found = {}
     for formulation in ("displacement", "mixed"):
-        model = Model("axisymmetric", "linear", "simplex", formulation)  # type: ignore[arg-type]
+        model = Model("axisymmetric", "linear", "simplex", formulation)
         found[formulation] = rates(case, model, steps=5)
         show("V13", model, *found[formulation])
     assert found["displacement"][1][-1][0] < 1.0
@@ -92,13 +86,13 @@ def test_linear_displacements_lock() -> None:
     assert found["displacement"][0][0] > 5 * found["mixed"][0][0]
 
 
-def inf_sup(space: str, order: str, shape: str, n: int) -> tuple[float, int]:
+def inf_sup(space, order, shape, n):
     """Smallest nonzero beta of B A^-1 B^T q = beta^2 M q, and how many modes have beta = 0.
 
     The unit cylinder or cube is held all around: the constant pressure is one such mode, any
     other is a checkerboard. A is the H1 seminorm, M the mass of the pressure, B the divergence.
     """
-    made = unit(Model(space, order, shape), n, NEARLY)  # type: ignore[arg-type]
+    made = unit(Model(space, order, shape), n, NEARLY)
     s, dim = made.space, made.nodes.shape[1]
     A = np.zeros((s.n_displacement, s.n_displacement))
     B, M = np.zeros((s.n - s.n_displacement, s.n_displacement)), None
@@ -125,8 +119,8 @@ def inf_sup(space: str, order: str, shape: str, n: int) -> tuple[float, int]:
     return float(np.sqrt(squared[silent])), silent
 
 
-def held_all_around(made: Body) -> np.ndarray:
-    def rim(X: np.ndarray) -> np.ndarray:
+def held_all_around(made):
+    def rim(X):
         low = 0 if made.model.space == "3d" else 1  # the axis is no boundary
         return ((X[:, low:] < 1e-12).any(axis=1)) | ((X > 1 - 1e-12).any(axis=1))
 
@@ -137,10 +131,9 @@ def held_all_around(made: Body) -> np.ndarray:
     return np.concatenate(dofs)
 
 
-@pytest.mark.slow
-@pytest.mark.verify
+@long_verification
 @pytest.mark.parametrize(("space", "order", "shape"), PAIRS)
-def test_inf_sup(space: str, order: str, shape: str) -> None:
+def test_inf_sup(space, order, shape):
     """V14: stable pairs keep their constant; Q1/P0 has a checkerboard and loses its own."""
     meshes = (4, 8, 12) if space == "axisymmetric" else (2, 3, 4)
     found = [inf_sup(space, order, shape, n) for n in meshes]

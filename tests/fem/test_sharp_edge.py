@@ -1,12 +1,7 @@
 """A flat punch with a sharp edge: meshes alike around it, contact on the closed disc."""
 
-from __future__ import annotations
-
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from study.mechanics.contact.collocation import contact_points
 from study.mechanics.contact.contact import Plane
@@ -15,30 +10,29 @@ from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.mesh.structured import half_hexagon
 from study.mechanics.setup.geometry import Cylinder, Flat
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
+from tests.fem.problems import indentation
 
-Array = NDArray[np.float64]
 SHAPES = ("simplex", "tensor")
 
 
-def punch(size: float, shape: str, order: str = "quadratic", edge: float = 0.0) -> Problem:
+def punch(size, shape, order="quadratic", edge=0.0):
     """Punch of radius 1 on a bonded layer of height 1, small strain, mu = 1."""
-    test = Test("indentation", 1e-3, "frictionless", "bonded", 1, Flat(1.0, edge))
     material = Material("linear-elastic", {"youngs_modulus": 2.998}, poisson_ratio=0.499)
-    model = replace(Model(), element_shape=shape, element_order=order, mesh_size_mm=size)  # type: ignore[arg-type]
-    return Problem(Cylinder(10, 1), test, material, model)
+    return indentation(
+        Flat(1.0, edge), 1e-3, material=material, specimen=Cylinder(10, 1), steps=1,
+        element_shape=shape, element_order=order, mesh_size_mm=size,
+    )  # fmt: skip
 
 
-def around_edge(problem: Problem) -> Array:
+def around_edge(problem):
     """Mesh points around the edge, in elements."""
     mesh = build_mesh(problem.setup)
     return np.asarray((mesh.points - [1.0, 1.0]) / mesh.size_mm)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_meshes_of_a_series_are_alike_around_the_edge(shape: str) -> None:
+def test_meshes_of_a_series_are_alike_around_the_edge(shape):
     """One pattern, in elements, on every mesh; a whole number of cells may move lines by 1 %."""
     half = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
     grid = np.array([(x, z) for x in half for z in half[:3]])
@@ -53,7 +47,7 @@ def test_meshes_of_a_series_are_alike_around_the_edge(shape: str) -> None:
 
 
 @pytest.mark.parametrize("halvings", [0, 1, 3])
-def test_half_hexagon_fills_its_area_with_even_triangles(halvings: int) -> None:
+def test_half_hexagon_fills_its_area_with_even_triangles(halvings):
     points, cells, rim = half_hexagon(0.5, halvings)
     corners = points[cells]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -73,7 +67,7 @@ def test_half_hexagon_fills_its_area_with_even_triangles(halvings: int) -> None:
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
-def test_the_closed_disc_touches_and_no_point_of_it_is_left_out(order: str, shape: str) -> None:
+def test_the_closed_disc_touches_and_no_point_of_it_is_left_out(order, shape):
     problem = punch(0.05, shape, order)
     mesh = build_mesh(problem.setup)
     space = discretize(mesh, problem.model)
@@ -89,11 +83,11 @@ def test_the_closed_disc_touches_and_no_point_of_it_is_left_out(order: str, shap
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_force_comes_from_above_with_every_node_in_contact(shape: str) -> None:
+def test_the_force_comes_from_above_with_every_node_in_contact(shape):
     """V29, Table D: a/h = 1, nu = 0.499."""
     solution = solve(punch(0.05, shape), gradients=False)
     found = solution.curve.force_N[-1] / (4e-3 / 0.501)
     assert 3.60438 < found < 3.60438 * 1.002
     assert solution.newton_iterations[0] <= 5  # nothing opens and closes again
-    system, state = solution.warm.system, solution.warm.steps[-1].state  # type: ignore[union-attr]
+    system, state = solution.warm.system, solution.warm.steps[-1].state
     assert system.assemble(state).contact[0].active.all()

@@ -1,11 +1,9 @@
 """Factors in single precision: the same answers, and double precision where they cannot do it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from study.mechanics.element.function_space import Pattern, symmetric_product
+from study.mechanics.element.function_space import symmetric_product
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Cone, Cylinder
@@ -25,7 +23,7 @@ OGDEN = Material("ogden", {"mu1": 1e-2, "alpha1": 5.0}, bulk_modulus=10.0)
 NOWHERE = np.zeros(0, bool)
 
 
-def use(monkeypatch: pytest.MonkeyPatch, *, single: bool) -> None:
+def use(monkeypatch, *, single):
     """Have systems of every size in single precision, or none."""
     import study.mechanics.solver.linear_solver as module
 
@@ -33,8 +31,8 @@ def use(monkeypatch: pytest.MonkeyPatch, *, single: bool) -> None:
     monkeypatch.setattr(module, "_SINGLE", {True: limit, False: limit})
 
 
-def problem(loading: Loading, space: str, material: Material) -> Problem:
-    model = Model(space, "quadratic", mesh="coarse")  # type: ignore[arg-type]
+def problem(loading, space, material):
+    model = Model(space, "quadratic", mesh="coarse")
     return Problem(Cylinder(25.0, 50.0), loading, material, model)
 
 
@@ -51,8 +49,8 @@ def problem(loading: Loading, space: str, material: Material) -> Problem:
     ],
 )
 def test_forces_and_their_derivatives_are_those_of_double_precision(
-    loading: Loading, space: str, material: Material, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    loading, space, material, monkeypatch
+):
     found = []
     for single in (True, False):
         use(monkeypatch, single=single)
@@ -62,8 +60,6 @@ def test_forces_and_their_derivatives_are_those_of_double_precision(
     one, two = (solution.curve for solution in found)
     # both end where the residual is 1e-8 of the reaction, somewhere else each
     np.testing.assert_allclose(one.force_N, two.force_N, rtol=2e-8)
-    assert one.stiffness_N_per_mm is not None
-    assert two.stiffness_N_per_mm is not None
     np.testing.assert_allclose(one.stiffness_N_per_mm, two.stiffness_N_per_mm, rtol=1e-5)
     for name, slope in two.force_gradient.items():
         scale = np.abs(slope).max()
@@ -71,7 +67,7 @@ def test_forces_and_their_derivatives_are_those_of_double_precision(
 
 
 @pytest.fixture(scope="module")
-def tangent() -> tuple[Pattern, np.ndarray]:
+def tangent():
     """Pattern and entries of a small solid's tangent."""
     asked = problem(PRESS, "3d", GEL)
     system = System.build(asked, build_mesh(asked.setup))
@@ -79,14 +75,12 @@ def tangent() -> tuple[Pattern, np.ndarray]:
     return system.pattern, system.data
 
 
-def residual(pattern: Pattern, data: np.ndarray, x: np.ndarray, b: np.ndarray) -> float:
+def residual(pattern, data, x, b):
     left = b - symmetric_product(pattern.indptr, pattern.indices, data, x)
     return float(np.linalg.norm(left) / np.linalg.norm(b))
 
 
-def test_single_precision_is_corrected_to_what_is_asked_for(
-    tangent: tuple[Pattern, np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_single_precision_is_corrected_to_what_is_asked_for(tangent, monkeypatch):
     pattern, data = tangent
     use(monkeypatch, single=True)
     solver = make_solver(pattern, "pardiso", corrected=True)
@@ -102,9 +96,7 @@ def test_single_precision_is_corrected_to_what_is_asked_for(
     solver.close()
 
 
-def test_what_single_precision_cannot_do_is_done_in_double(
-    tangent: tuple[Pattern, np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_single_precision_cannot_do_is_done_in_double(tangent, monkeypatch):
     """Pairs [[1, 1], [1, 1 + d]] whose d of some 1e-7 is gone in seven digits."""
     pattern, _ = tangent
     use(monkeypatch, single=True)

@@ -1,11 +1,7 @@
 """Forces of specimens given as surfaces: those of cylinders and blocks, held by nothing more."""
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,23 +10,12 @@ from study.ground.errors import InputError
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.mesh.size_field import graded_table, table_callback
 from study.mechanics.mesh.solid import expected_unknowns
-from study.mechanics.setup.geometry import (
-    Block,
-    Cone,
-    Cylinder,
-    Flat,
-    Indenter,
-    Specimen,
-    Sphere,
-    Surface,
-)
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere, Surface
+from study.mechanics.setup.setup import Model
 from study.mechanics.solver.finite_element_solution import check, solve
-from study.mechanics.solver.solution import Solution
 from study.mechanics.solver.solution_cost import unknowns
 from study.mechanics.surface.closed_surface import body
-from tests.fem.problems import GEL, LONG, reached
+from tests.fem.problems import GEL, LONG, compression, indentation, reached
 from tests.fem.surfaces import box, cylinder, sphere, write
 from tests.material.modes import uniaxial
 
@@ -39,41 +24,35 @@ SEGMENTS = 64
 POLYGON = np.sin(2 * np.pi / SEGMENTS) / (2 * np.pi / SEGMENTS)
 
 
-def compressed(
-    specimen: Specimen,
-    depth: float,
-    interface: str,
-    size: float,
-    *,
-    base: str = "",
-    **model: object,
-) -> Problem:
-    test = Test("compression", depth, interface, base or interface, steps=1)  # type: ignore[arg-type]
-    settings = replace(Model(space="3d", mesh_size_mm=size), **model)  # type: ignore[arg-type]
-    return Problem(specimen, test, GEL, settings)
+def compressed(specimen, depth, interface, size, **more):
+    return compression(
+        specimen, depth, interface, material=GEL, **{"space": "3d", "mesh_size_mm": size, **more}
+    )
 
 
-def indented(specimen: Specimen, indenter: Indenter, depth: float, base: str = "bonded") -> Problem:
-    test = Test("indentation", depth, "frictionless", base, steps=1, indenter=indenter)  # type: ignore[arg-type]
-    return Problem(specimen, test, GEL, Model(space="3d", mesh="coarse"))
+def indented(specimen, indenter, depth, base="bonded"):
+    return indentation(
+        indenter, depth, material=GEL, specimen=specimen, steps=1, base=base, space="3d",
+        mesh="coarse",
+    )  # fmt: skip
 
 
-def force(problem: Problem) -> tuple[float, Solution]:
+def force(problem):
     found = reached(problem)
     return float(found.curve.force_N[-1]), found
 
 
 @pytest.fixture
-def block(tmp_path: Path) -> Surface:
+def block(tmp_path):
     return Surface(write(tmp_path / "box.stl", box(10, 8, 6)))
 
 
 @pytest.fixture
-def disc(tmp_path: Path) -> Surface:
+def disc(tmp_path):
     return Surface(write(tmp_path / "disc.ply", cylinder(10, 12, SEGMENTS)))
 
 
-def test_frictionless_plates_give_the_closed_form(block: Surface, disc: Surface) -> None:
+def test_frictionless_plates_give_the_closed_form(block, disc):
     stress = -float(uniaxial(GEL, 0.9))
     found, solution = force(compressed(block, 0.6, "frictionless", 3.0))
     # an affine field on any mesh: the pins carry nothing, and a binary STL has seven digits
@@ -102,9 +81,8 @@ SEVERAL = (1, 2, 3, 4, 5, 6)
     ],
 )
 def test_one_size_is_as_stiff_in_the_whole_as_in_a_quarter(
-    tmp_path: Path, height: float, order: str, size: float, seeds: tuple[int | None, ...],
-    apart: float,
-) -> None:  # fmt: skip
+    tmp_path, height, order, size, seeds, apart
+):
     # measured: 1.4, 0.6, 1.4, 0.9, 0.6, 0.1 and 0.5 %; with elements of one size it was 7.5 % and
     # 0.5 % at 2.5 mm, and the squat one 4.6 % stiffer while its size followed its volume alone
     disc = Surface(write(tmp_path / "disc.stl", cylinder(10, height, SEGMENTS)))
@@ -116,14 +94,14 @@ def test_one_size_is_as_stiff_in_the_whole_as_in_a_quarter(
     assert abs(float(np.mean(whole)) / (POLYGON * quarter) - 1) < apart
 
 
-def test_plates_that_differ(block: Surface) -> None:
+def test_plates_that_differ(block):
     reference, _ = force(compressed(Block(10, 8, 6), 0.6, "bonded", 1.5, base="frictionless"))
     found, solution = force(compressed(block, 0.6, "bonded", 2.0, base="frictionless"))
     assert 0 < found / reference - 1 < 0.012  # one bonded rim instead of two
     assert solution.base_reaction_N[-1] == pytest.approx(found, rel=1e-7)
 
 
-def test_a_mixed_linear_pair_and_another_axis(tmp_path: Path) -> None:
+def test_a_mixed_linear_pair_and_another_axis(tmp_path):
     points, triangles = box(10, 8, 6)
     turned = (points[:, [2, 0, 1]], triangles)  # its z is the file's x
     file = Surface(write(tmp_path / "lying.obj", turned), axis="x")
@@ -144,11 +122,9 @@ def test_a_mixed_linear_pair_and_another_axis(tmp_path: Path) -> None:
         pytest.param(Cone(45, 0.5), 0.5, "frictionless", {"mesh": "medium"}, 0.005, marks=LONG),
     ],
 )
-def test_an_indented_box_is_a_block(
-    block: Surface, indenter: Indenter, depth: float, interface: str, mesh: Any, apart: float
-) -> None:
+def test_an_indented_box_is_a_block(block, indenter, depth, interface, mesh, apart):
     problem = indented(block, indenter, depth)
-    test = replace(problem.test, interface=interface, steps=4)  # type: ignore[arg-type]
+    test = replace(problem.test, interface=interface, steps=4)
     problem = replace(problem, test=test, model=Model(space="3d", **mesh))
     reference, _ = force(replace(problem, specimen=Block(10, 8, 6)))
     found, solution = force(problem)
@@ -156,7 +132,7 @@ def test_an_indented_box_is_a_block(
     assert solution.base_reaction_N[-1] == pytest.approx(found, rel=1e-6)
 
 
-def test_a_specimen_that_is_not_balanced_is_said(tmp_path: Path) -> None:
+def test_a_specimen_that_is_not_balanced_is_said(tmp_path):
     points, triangles = box(10, 8, 6)
     points[[5, 7], 2] = 9.0  # a wedge: a sphere would push it sideways off a frictionless base
     wedge = Surface(write(tmp_path / "wedge.obj", (points, triangles)))
@@ -166,7 +142,7 @@ def test_a_specimen_that_is_not_balanced_is_said(tmp_path: Path) -> None:
     assert "not balanced as it stands" in found.message
 
 
-def test_a_round_top_is_pressed_by_contact(tmp_path: Path) -> None:
+def test_a_round_top_is_pressed_by_contact(tmp_path):
     # with one division fewer the facets of the ball lie a tenth of the depth below it, and equally
     # good meshes give 11 to 20 % less than a ball; with this one 2 to 8 %
     dome = Surface(write(tmp_path / "ball.stl", sphere(5, 4)), clamp_below_mm=0.0)
@@ -177,7 +153,7 @@ def test_a_round_top_is_pressed_by_contact(tmp_path: Path) -> None:
     assert solution.base_reaction_N[-1] == pytest.approx(found, rel=1e-6)
 
 
-def test_straight_sides_lose_no_volume(tmp_path: Path) -> None:
+def test_straight_sides_lose_no_volume(tmp_path):
     ball = Surface(write(tmp_path / "ball.stl", sphere(5, 4)), clamp_below_mm=0.0)
     mesh = build_mesh(compressed(ball, 0.1, "frictionless", 1.5).setup)
     edges = mesh.points[mesh.cells[:, 1:]] - mesh.points[mesh.cells[:, :1]]
@@ -185,7 +161,7 @@ def test_straight_sides_lose_no_volume(tmp_path: Path) -> None:
     assert (mesh.points[:, 2].min(), mesh.points[:, 2].max()) == (0, 10)
 
 
-def test_elements_that_cannot_follow_the_shape(tmp_path: Path) -> None:
+def test_elements_that_cannot_follow_the_shape(tmp_path):
     ball = Surface(write(tmp_path / "ball.stl", sphere(5, 4)), clamp_below_mm=0.0)
     found = solve(compressed(ball, 0.1, "frictionless", 3.0), gradients=False)
     assert found.status == "mesh-failed"
@@ -194,26 +170,23 @@ def test_elements_that_cannot_follow_the_shape(tmp_path: Path) -> None:
     build_mesh(compressed(ball, 0.1, "frictionless", 0.9 * size).setup)  # what is advised works
 
 
-def test_sizes_scale_in_a_refinement_series(disc: Surface) -> None:
+def test_sizes_scale_in_a_refinement_series(disc):
     meshes = [build_mesh(compressed(disc, 0.6, "frictionless", h).setup) for h in (4.0, 2.0)]
     # eight times the elements, less what the surface costs a coarse mesh
     assert 4 < len(meshes[1].cells) / len(meshes[0].cells) < 9
     problem = compressed(disc, 0.6, "frictionless", 2.0)
     assert 2 / 3 < expected_unknowns(problem.setup) / unknowns(problem.setup, meshes[1]) < 1.6
-    named = [replace(problem, model=Model(space="3d", mesh=m)) for m in ("coarse", "medium")]  # type: ignore[arg-type]
+    named = [replace(problem, model=Model(space="3d", mesh=m)) for m in ("coarse", "medium")]
     assert build_mesh(named[0].setup).size_mm / build_mesh(named[1].setup).size_mm == pytest.approx(
         1.5
     )
 
 
 @pytest.mark.parametrize(
-    ("bonded", "base"),
-    [("bonded", "bonded"), pytest.param("bonded", "frictionless", marks=LONG)],
+    ("bonded", "base"), [("bonded", "bonded"), pytest.param("bonded", "frictionless", marks=LONG)]
 )
 @pytest.mark.parametrize("size", [3.4, pytest.param(1.8, marks=LONG)])
-def test_as_many_elements_as_quarters_have(
-    disc: Surface, bonded: str, base: str, size: float
-) -> None:
+def test_as_many_elements_as_quarters_have(disc, bonded, base, size):
     parts = 8 if base == bonded else 4  # the quarter between like plates is cut in half
     whole = compressed(disc, 0.6, bonded, size, base=base)
     mesh = build_mesh(whole.setup)
@@ -222,7 +195,7 @@ def test_as_many_elements_as_quarters_have(
     assert 2 / 3 < expected_unknowns(whole.setup) / unknowns(whole.setup, mesh) < 1.5
 
 
-def test_sizes_are_read_from_the_table(disc: Surface) -> None:
+def test_sizes_are_read_from_the_table(disc):
     """The size that gmsh is told is that of the formula: h times the cube root of both shares."""
     table = graded_table(body(disc), 2.0, (0.0, 12.0))
     numbers, ask = np.array(table.numbers()), table_callback().ctypes
@@ -237,13 +210,13 @@ def test_sizes_are_read_from_the_table(disc: Surface) -> None:
     assert rim / middle == pytest.approx(0.2 ** (2 / 3), rel=0.1)
 
 
-def refused(problem: Problem) -> str:
+def refused(problem):
     with pytest.raises(InputError) as caught:
         check(problem)
     return str(caught.value)
 
 
-def test_what_a_surface_cannot_do(block: Surface, tmp_path: Path) -> None:
+def test_what_a_surface_cannot_do(block, tmp_path):
     problem = compressed(block, 0.6, "bonded", 2.0)
     flat = replace(problem, model=Model(space="axisymmetric", element_shape="tensor"))
     assert "no axis of symmetry" in refused(flat)
@@ -260,6 +233,6 @@ def test_what_a_surface_cannot_do(block: Surface, tmp_path: Path) -> None:
     assert "beyond 4 mm" in refused(indented(block, Flat(5, 0.5), 0.3))
 
 
-def test_a_wrong_unit_is_too_large_for_any_machine(block: Surface) -> None:
+def test_a_wrong_unit_is_too_large_for_any_machine(block):
     said = refused(compressed(replace(block, unit="m"), 0.6, "bonded", 2.0))
     assert "or check specimen.unit" in said

@@ -1,10 +1,5 @@
 """Threads change how long a simulation takes, and no digit of it."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
@@ -12,25 +7,22 @@ from threadpoolctl import threadpool_info
 from study.ground import compilation
 from study.mechanics.element import function_space
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Cone, Cylinder
-from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test
+from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.solver.system import System
-from tests.fem.problems import GEL
+from tests.fem.problems import GEL, NEEDLE, compression, indentation
 
 
-def compressed(space: Any, formulation: Any = "mixed", size: float = 6.0) -> System:
-    model = Model(space, "quadratic", formulation=formulation, mesh_size_mm=size)
-    test = Test("compression", 2.0, "bonded", "bonded")
-    problem = Problem(Cylinder(25.0, 50.0), test, GEL, model)
+def compressed(space, formulation="mixed", size=6.0):
+    problem = compression(
+        Cylinder(25.0, 50.0), 2.0, material=GEL, space=space, formulation=formulation,
+        mesh_size_mm=size,
+    )  # fmt: skip
     return System.build(problem, build_mesh(problem.setup))
 
 
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
 @pytest.mark.parametrize("formulation", ["mixed", "displacement"])
-def test_any_number_of_threads_gives_the_same_bits(
-    space: Any, formulation: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_any_number_of_threads_gives_the_same_bits(space, formulation, monkeypatch):
     """And those of all elements at once but for the order of sums."""
     whole = compressed(space, formulation)  # a small body is no work for threads
     assert len(whole.internal.phases) == 1
@@ -57,10 +49,9 @@ def test_any_number_of_threads_gives_the_same_bits(
     np.testing.assert_allclose(system.tangent.product(x), expected, atol=atol)
 
 
-def under_a_needle() -> System:
+def under_a_needle():
     """A graded mesh: many elements in little room, and large ones around it."""
-    test = Test("indentation", 5.0, "frictionless", "bonded", indenter=Cone(30.0, 1.0))
-    problem = Problem(Cylinder(25.0, 50.0), test, GEL, Model("3d", "quadratic", mesh="coarse"))
+    problem = indentation(NEEDLE, 5.0, material=GEL, space="3d", mesh="coarse")
     return System.build(problem, build_mesh(problem.setup))
 
 
@@ -73,9 +64,7 @@ def under_a_needle() -> System:
     ],
     ids=["axisymmetric", "3d", "graded"],
 )
-def test_what_is_worked_on_at_once_shares_no_unknown(
-    built: Callable[[], System], counts: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_worked_on_at_once_shares_no_unknown(built, counts, monkeypatch):
     monkeypatch.setattr(function_space, "_COUNTS", (4,))
     monkeypatch.setattr(function_space, "_WORTH", 50)
     system = built()
@@ -90,8 +79,8 @@ def test_what_is_worked_on_at_once_shares_no_unknown(
     assert all(part.size > 0.4 * larger for part in phases[0])
 
 
-def test_an_error_in_a_part_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    def loop(part: Any) -> float:
+def test_an_error_in_a_part_is_not_lost(monkeypatch):
+    def loop(part):
         if part[0]:
             raise ZeroDivisionError
         return 1.0
@@ -101,11 +90,11 @@ def test_an_error_in_a_part_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None
         compilation.smallest([(np.array([0], np.uint32), np.array([1], np.uint32))], loop)
 
 
-def openblas() -> list[int]:
+def openblas():
     return [lib["num_threads"] for lib in threadpool_info() if lib["internal_api"] == "openblas"]
 
 
-def test_vectors_are_added_up_alone_and_only_for_a_while() -> None:
+def test_vectors_are_added_up_alone_and_only_for_a_while():
     before = openblas()
     with compilation.vectors_alone():
         assert set(openblas()) <= {1}

@@ -1,15 +1,11 @@
 """Stresses of homogeneous tests by their names, as the literature gives them."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array
 from study.mechanics.material.homogeneous import MODES, response
-from study.mechanics.material.material import Material
+from study.mechanics.material.material import Material, constant_names, energy_named
 
 #: a foam, whose volume change belongs to all of its energy
 FOAM = Material(
@@ -17,7 +13,14 @@ FOAM = Material(
 )
 
 
-def stress(mode: str, material: Material, stretch: ArrayLike) -> Array:
+def solid(model, *values, **volume):
+    """Material with its constants in the order of the energy."""
+    orders = (1, 2, 3) if energy_named(model).has_order else (None,)
+    names = next(n for o in orders if len(n := constant_names(model, o)) == len(values))
+    return Material(model, dict(zip(names, values, strict=True)), **volume)
+
+
+def stress(mode, material, stretch):
     """Nominal stress in MPa, sides free but in the confined mode (V01 to V04, V06)."""
     return response(material, mode, stretch).stress.reshape(np.shape(stretch))
 

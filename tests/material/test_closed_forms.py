@@ -10,13 +10,7 @@ from study.ground.errors import InputError
 from study.mechanics.material.homogeneous import LOADINGS, MODES, first_piola, response
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import stability
-from tests.material.modes import (
-    FOAM,
-    confined,
-    equibiaxial,
-    planar,
-    uniaxial,
-)
+from tests.material.modes import FOAM, confined, equibiaxial, planar, solid, uniaxial
 
 ROOT = Path(__file__).resolve().parents[2]
 with open(ROOT / "validation" / "material_points.csv", newline="", encoding="utf-8") as _file:
@@ -75,12 +69,8 @@ MATERIALS = [
     Material("yeoh", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, poisson_ratio=0.49),
     Material("arruda-boyce", {"mu": 0.8, "lambda_m": 2.5}, poisson_ratio=0.49),
     Material("gent", {"mu": 0.8, "Jm": 12.0}, poisson_ratio=0.49),
-    Material(
-        "extended-tube", {"Gc": 0.4, "Ge": 0.5, "beta": 0.6, "delta": 0.2}, poisson_ratio=0.49
-    ),
-    Material(
-        "van-der-waals", {"mu": 0.7, "lambda_m": 5.0, "a": 0.3, "beta": 0.2}, poisson_ratio=0.49
-    ),
+    solid("extended-tube", 0.4, 0.5, 0.6, 0.2, poisson_ratio=0.49),
+    solid("van-der-waals", 0.7, 5.0, 0.3, 0.2, poisson_ratio=0.49),
     Material("veronda-westmann", {"C1": 0.4, "C2": 1.7}, poisson_ratio=0.49),
     Material("fung", {"mu": 0.6, "b": 0.4}, incompressible=True),
     Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.4),

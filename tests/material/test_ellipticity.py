@@ -1,7 +1,5 @@
 """Loss of ellipticity: closed forms, and energies that never get there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -13,11 +11,11 @@ from study.mechanics.material.stability import always_elliptic, ellipticity, tan
 ANYWHERE = np.random.default_rng(5).lognormal(0.0, 0.7, (3, 2000))
 
 
-def ogden(alpha: float) -> Material:
+def ogden(alpha):
     return Material("ogden", {"mu1": 1.0, "alpha1": alpha}, incompressible=True)
 
 
-def test_a_neo_hookean_solid_has_the_squares_of_its_stretches() -> None:
+def test_a_neo_hookean_solid_has_the_squares_of_its_stretches():
     """W = C (l1^2 + l2^2 + l3^2 - 3): alpha = 2 C l^2, beta + sqrt(alpha gamma) = C (l1 + l2)^2."""
     rubber = Material("neo-hookean", {"C10": 1.5}, incompressible=True)
     bar = ANYWHERE / np.cbrt(ANYWHERE.prod(axis=0))
@@ -26,7 +24,7 @@ def test_a_neo_hookean_solid_has_the_squares_of_its_stretches() -> None:
     np.testing.assert_allclose(ellipticity(rubber, ANYWHERE), wanted, rtol=1e-9)
 
 
-def test_the_undeformed_state_has_the_shear_modulus() -> None:
+def test_the_undeformed_state_has_the_shear_modulus():
     """alpha = mu and beta + sqrt(alpha gamma) = 2 mu there, for every energy."""
     for material in (ogden(-0.02), ogden(9.0), ogden(1.5)):
         found = ellipticity(material, np.ones((3, 1)))
@@ -34,7 +32,7 @@ def test_the_undeformed_state_has_the_shear_modulus() -> None:
 
 
 @pytest.mark.parametrize("alpha", [1e-3, -1e-3])
-def test_hencky_gives_way_at_a_ratio_of_stretches(alpha: float) -> None:
+def test_hencky_gives_way_at_a_ratio_of_stretches(alpha):
     """W = mu sum (ln l)^2: d tanh d = 1 with d half the logarithm of the ratio."""
     d = brentq(lambda d: d * np.tanh(d) - 1, 0.5, 2.0)
     for share, lost in ((0.999, False), (1.001, True)):
@@ -58,9 +56,7 @@ def test_hencky_gives_way_at_a_ratio_of_stretches(alpha: float) -> None:
         ("ogden", {"mu1": 1.0, "alpha1": 0.5, "mu2": 0.1, "alpha2": -4.0}, False, True),
     ],
 )
-def test_what_is_known_without_looking(
-    model: str, constants: dict[str, float], elliptic: bool, stable: bool
-) -> None:
+def test_what_is_known_without_looking(model, constants, elliptic, stable):
     """Where ellipticity or Drucker's criterion is said to be known, a scan finds the same."""
     material = Material(model, constants, incompressible=True)
     assert always_elliptic(material) is elliptic
@@ -72,7 +68,7 @@ def test_what_is_known_without_looking(
         assert (np.linalg.eigvalsh(np.moveaxis(d, -1, 0)) > 0).all()
 
 
-def test_a_change_of_volume_does_not_count() -> None:
+def test_a_change_of_volume_does_not_count():
     material = ogden(0.5)
     np.testing.assert_allclose(
         ellipticity(material, 1.3 * ANYWHERE), ellipticity(material, ANYWHERE), rtol=1e-9

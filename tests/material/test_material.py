@@ -12,17 +12,12 @@ import study.mechanics.material as room
 from study.ground.errors import InputError
 from study.mechanics.material.energy import Energy, poisson_from_bulk
 from study.mechanics.material.input_file import convert
-from study.mechanics.material.material import (
-    MODELS,
-    Material,
-    constant_names,
-    energy_named,
-)
+from study.mechanics.material.material import MODELS, Material, constant_names, energy_named
 from study.mechanics.material.ogden import ogden_terms
 from study.mechanics.material.polynomial import coefficient_table
 
 
-def every_kind_of(base: type) -> set[type]:
+def every_kind_of(base):
     """A class and all classes derived from it, at any depth."""
     return {base}.union(*(every_kind_of(one) for one in base.__subclasses__()))
 

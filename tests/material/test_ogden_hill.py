@@ -1,22 +1,11 @@
 """Ogden and Hill's foam: the formula of Abaqus' manual, invariance, small strain, closed forms."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from study import api
-from study.ground.arrays import Array
 from study.ground.errors import InputError
-from study.mechanics.material.homogeneous import (
-    LOADINGS,
-    MODES,
-    first_piola,
-    response,
-)
+from study.mechanics.material.homogeneous import LOADINGS, MODES, first_piola, response
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import stability
 from tests.cli.small import study
@@ -26,7 +15,7 @@ NU, CONSTANTS = FOAM.poisson_ratio, FOAM.constants
 RIGID = Material("ogden-hill", CONSTANTS, poisson_ratio=0.0)
 
 
-def states(count: int = 20) -> Array:
+def states(count=20):
     """Random deformation gradients, shape (3, 3, count)."""
     rng = np.random.default_rng(11)
     F = np.eye(3)[..., None] + rng.uniform(-0.3, 0.3, (3, 3, count))
@@ -34,7 +23,7 @@ def states(count: int = 20) -> Array:
     return F
 
 
-def manual(values: list[float], F: Array) -> float:
+def manual(values, F):
     """W of *Hyperfoam from its data line (Abaqus Theory Guide, hyperfoam), stretches of C."""
     terms = len(values) // 3
     stretch = np.sqrt(np.linalg.eigvalsh(F.T @ F))
@@ -47,7 +36,7 @@ def manual(values: list[float], F: Array) -> float:
     return total
 
 
-def by_differences(energy: Callable[[Array], float], F: Array, h: float = 1e-5) -> Array:
+def by_differences(energy, F, h=1e-5):
     """Derivative by every component, of fourth order."""
     out = np.empty((3, 3))
     for i in range(3):
@@ -61,7 +50,7 @@ def by_differences(energy: Callable[[Array], float], F: Array, h: float = 1e-5) 
 
 
 @pytest.mark.parametrize("poisson_ratio", [NU, 0.0, 0.45, -0.2])
-def test_abaqus_has_the_same_stress_at_20_states(tmp_path: Path, poisson_ratio: float) -> None:
+def test_abaqus_has_the_same_stress_at_20_states(tmp_path, poisson_ratio):
     """From the exported text."""
     path = problem(tmp_path, nu=poisson_ratio)
     answer = study("export", str(path), "--as", "abaqus", "--reports", str(tmp_path), "--json")
@@ -77,7 +66,7 @@ def test_abaqus_has_the_same_stress_at_20_states(tmp_path: Path, poisson_ratio: 
 
 
 @pytest.mark.parametrize("foam", [FOAM, RIGID])
-def test_small_strain_is_hookes_law(foam: Material) -> None:
+def test_small_strain_is_hookes_law(foam):
     nu, mu = foam.poisson_ratio or 0.0, 0.04
     young = 2 * mu * (1 + nu)
     moduli = {
@@ -98,7 +87,7 @@ def test_small_strain_is_hookes_law(foam: Material) -> None:
 
 
 @pytest.mark.parametrize("foam", [FOAM, RIGID])
-def test_uniaxial_stress_is_its_closed_form(foam: Material) -> None:
+def test_uniaxial_stress_is_its_closed_form(foam):
     """One Poisson's ratio: l2 = l^-nu exactly, and P = sum 2 mu/alpha (l^a - J^-ab) / l."""
     nu = foam.poisson_ratio or 0.0
     stretch = np.linspace(0.3, 2.0, 9)
@@ -114,7 +103,7 @@ def test_uniaxial_stress_is_its_closed_form(foam: Material) -> None:
 
 
 @pytest.mark.parametrize("name", MODES)
-def test_sides_are_free_in_every_mode(name: str) -> None:
+def test_sides_are_free_in_every_mode(name):
     stretch = np.array([0.6, 0.9, 1.3])
     found = response(FOAM, name, stretch)
     mode = MODES[name]
@@ -126,7 +115,7 @@ def test_sides_are_free_in_every_mode(name: str) -> None:
             assert abs(P[mode.free_axis, mode.free_axis]) < 1e-13
 
 
-def test_stability_counts_the_volume() -> None:
+def test_stability_counts_the_volume():
     assert stability(FOAM, [0.5, 2.0]).stable
     # negative exponents alone give way in tension: H loses its sign with l^alpha
     soft = Material("ogden-hill", {"mu1": 0.05, "alpha1": 2.0, "mu2": -0.04, "alpha2": 8.0},
@@ -139,7 +128,6 @@ def test_stability_counts_the_volume() -> None:
         free = float(response(soft, "uniaxial", [side]).free_stretch[0])
         sides, eye = np.array([[side], [free], [free]]), np.eye(3)
         foam = soft.compressible
-        assert foam is not None
         H = np.array(
             [
                 foam.kirchhoff_slope(soft.constants, soft.compressibility, sides, u)[:, 0]
@@ -149,7 +137,7 @@ def test_stability_counts_the_volume() -> None:
         assert bool(np.linalg.eigvalsh(H)[0] > 0) is wanted
 
 
-def problem(folder: Path, nu: float = NU, volume: str = "") -> Path:
+def problem(folder, nu=NU, volume=""):
     path = folder / "foam.toml"
     path.write_text(
         'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "100 mm^2"\nlength = "20 mm"\n'
@@ -160,7 +148,7 @@ def problem(folder: Path, nu: float = NU, volume: str = "") -> Path:
     return path
 
 
-def test_a_foam_is_solved_and_calibrated(tmp_path: Path) -> None:
+def test_a_foam_is_solved_and_calibrated(tmp_path):
     """Constants of two terms come back from compression, shear and tension of the same foam."""
     answer = study("solve", str(problem(tmp_path)), "--json")
     assert answer.code == 0, answer.err
@@ -203,7 +191,7 @@ def test_a_foam_is_solved_and_calibrated(tmp_path: Path) -> None:
         (("mu = [", 'relaxation = [{ share = 0.1, time = "1 s" }]\nmu = ['), "isochoric energy"),
     ],
 )  # fmt: skip
-def test_what_a_foam_cannot_be_is_told(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+def test_what_a_foam_cannot_be_is_told(tmp_path, change, words):
     path = problem(tmp_path)
     path.write_text(path.read_text().replace(*change, 1))
     with pytest.raises(InputError, match=words):

@@ -66,7 +66,7 @@ def test_biot_limits():
 
 
 @pytest.mark.parametrize("name", ["C00", "C000", "C010", "D10"])
-def test_no_constant_has_two_names(name: str) -> None:
+def test_no_constant_has_two_names(name):
     with pytest.raises(InputError, match="is not a polynomial constant"):
         index_pair(name)
     assert not is_constant(name)

@@ -1,15 +1,12 @@
 """Bodies and scans of them whose truth is known: they are made here."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from study.ground.arrays import Array
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
 
 
-def directions(n: int) -> Array:
+def directions(n):
     """Unit vectors spread evenly (a Fibonacci spiral), shape (n, 3)."""
     k = np.arange(n) + 0.5
     polar, turn = np.arccos(1 - 2 * k / n), np.pi * (1 + 5**0.5) * k
@@ -18,7 +15,7 @@ def directions(n: int) -> Array:
     )
 
 
-def egg(n: int = 500) -> TriangleSurface:
+def egg(n=500):
     """Closed surface of about 80 x 60 x 44 mm without any symmetry, nor that of a mirror."""
     d = directions(n)
     triangles = outward(d, ConvexHull(d).simplices)
@@ -27,13 +24,13 @@ def egg(n: int = 500) -> TriangleSurface:
     return TriangleSurface(d * np.array([40.0, 30.0, 22.0]) * bulge, triangles)
 
 
-def ball(radius: float, n: int = 2000) -> TriangleSurface:
+def ball(radius, n=2000):
     """Sphere about the origin, its vertices on it."""
     d = directions(n)
     return TriangleSurface(radius * d, outward(d, ConvexHull(d).simplices))
 
 
-def outward(points: Array, triangles: Array) -> Array:
+def outward(points, triangles):
     """Triangles of a body that holds the origin and is seen from there, turned outward."""
     faces = TriangleSurface(points, triangles)
     inward = (faces.crossed * faces.corners.mean(axis=1)).sum(axis=1) < 0
@@ -42,7 +39,7 @@ def outward(points: Array, triangles: Array) -> Array:
     return turned
 
 
-def box(width: float, depth: float, height: float) -> TriangleSurface:
+def box(width, depth, height):
     """Box with a corner at the origin: twelve triangles."""
     corners = np.array(
         [[x, y, z] for z in (0, height) for y in (0, depth) for x in (0, width)], dtype=float
@@ -51,16 +48,14 @@ def box(width: float, depth: float, height: float) -> TriangleSurface:
     return TriangleSurface(corners, triangles)
 
 
-def scan(surface: TriangleSurface, n: int, rng: np.random.Generator, noise: float = 0.0) -> Array:
+def scan(surface, n, rng, noise=0.0):
     """Points spread evenly over a surface, with normal noise in every direction, mm."""
     chosen = rng.choice(len(surface.triangles), n, p=surface.areas / surface.areas.sum())
     places = np.einsum("nk,nkj->nj", rng.dirichlet([1, 1, 1], n), surface.corners[chosen])
     return np.asarray(places + noise * rng.standard_normal((n, 3)))
 
 
-def cap(
-    center: Array, radius: float, share: float, n: int, noise: float, rng: np.random.Generator
-) -> Array:
+def cap(center, radius, share, n, noise, rng):
     """Scan of a cap that covers a share of a sphere, noise along the normal, mm."""
     z = 1 - 2 * share * rng.random(n)
     turn, s = 2 * np.pi * rng.random(n), np.sqrt(1 - z**2)

@@ -1,9 +1,6 @@
 """Closed surfaces: files, what is mended and what is refused; the brain-shaped one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,10 +11,10 @@ from study.mechanics.contact.contact import pins, rigid_motions
 from study.mechanics.setup.geometry import Brain, Cone, Sphere, Surface
 from study.mechanics.surface.brain import brain_surface
 from study.mechanics.surface.closed_surface import Triangles, body, first_intersection
-from tests.fem.surfaces import Shape, box, cylinder, joined, sphere, write
+from tests.fem.surfaces import box, cylinder, joined, sphere, write
 
 
-def placed(shape: Shape, point: int, place: object) -> Shape:
+def placed(shape, point, place):
     """Put a point somewhere else."""
     points = shape[0].copy()
     points[point] = place
@@ -27,7 +24,7 @@ def placed(shape: Shape, point: int, place: object) -> Shape:
 @pytest.mark.parametrize(
     ("suffix", "text"), [(".stl", False), (".stl", True), (".ply", False), (".obj", False)]
 )
-def test_every_format_gives_the_same_body(tmp_path: Path, suffix: str, text: bool) -> None:
+def test_every_format_gives_the_same_body(tmp_path, suffix, text):
     path = tmp_path / f"box{suffix}"
     write(path, box(10, 8, 16))  # a file that changes is read again
     assert body(Surface(str(path))).height_mm == pytest.approx(16)
@@ -43,7 +40,7 @@ def test_every_format_gives_the_same_body(tmp_path: Path, suffix: str, text: boo
 @pytest.mark.parametrize(
     ("axis", "height"), [("z", 6), ("-z", 6), ("x", 10), ("-x", 10), ("y", 8), ("-y", 8)]
 )
-def test_any_axis_may_point_up(tmp_path: Path, axis: str, height: float) -> None:
+def test_any_axis_may_point_up(tmp_path, axis, height):
     file = write(tmp_path / "box.obj", box(10, 8, 6))
     found = body(Surface(file, axis=axis))
     assert found.height_mm == pytest.approx(height)
@@ -52,7 +49,7 @@ def test_any_axis_may_point_up(tmp_path: Path, axis: str, height: float) -> None
     assert found.touches("top")
 
 
-def test_an_axis_that_points_down_puts_the_top_below(tmp_path: Path) -> None:
+def test_an_axis_that_points_down_puts_the_top_below(tmp_path):
     points, triangles = box(10, 8, 6)
     points[4:, :2] *= 0.5  # a frustum, narrow above
     file = write(tmp_path / "frustum.obj", (points, triangles))
@@ -60,7 +57,7 @@ def test_an_axis_that_points_down_puts_the_top_below(tmp_path: Path) -> None:
     assert body(Surface(file, axis="-z")).plate_area_mm2("base") == pytest.approx(20)
 
 
-def test_unit_and_place_do_not_matter(tmp_path: Path) -> None:
+def test_unit_and_place_do_not_matter(tmp_path):
     points, triangles = box(10, 8, 6)
     file = write(tmp_path / "box.ply", (points / 25.4 + [3, -2, 5], triangles))
     found = body(Surface(file, unit="in"))
@@ -73,9 +70,7 @@ def test_unit_and_place_do_not_matter(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("far", [1e3, 1e7, -1e9])
-def test_a_sound_body_far_from_the_origin_of_its_file_faces_outward(
-    tmp_path: Path, far: float
-) -> None:
+def test_a_sound_body_far_from_the_origin_of_its_file_faces_outward(tmp_path, far):
     points, triangles = box(10, 8, 6)
     place = np.array([far, -far, 0.5 * far])
     found = body(Surface(write(tmp_path / "far.obj", (points + place, triangles))))
@@ -85,7 +80,7 @@ def test_a_sound_body_far_from_the_origin_of_its_file_faces_outward(
     assert found.area_mm2 == pytest.approx(2 * (80 + 60 + 48), rel=1e-6)
 
 
-def test_a_place_beside_a_surface_is_refused_with_the_range(tmp_path: Path) -> None:
+def test_a_place_beside_a_surface_is_refused_with_the_range(tmp_path):
     points, triangles = box(10, 8, 6)
     file = write(tmp_path / "box.obj", (points + [100, 20, 0], triangles))
     with pytest.raises(InputError) as caught:
@@ -102,7 +97,7 @@ def test_a_place_beside_a_surface_is_refused_with_the_range(tmp_path: Path) -> N
         body(Surface(file, axis="-z", press_y_mm=20.0))
 
 
-def test_an_implausible_size_is_said(tmp_path: Path) -> None:
+def test_an_implausible_size_is_said(tmp_path):
     file = write(tmp_path / "box.obj", box(10, 8, 6))
     assert "is it really in m?" in body(Surface(file, unit="m")).notes[0]
     assert "1e+04 x 8000 x 6000 mm" in body(Surface(file, unit="m")).notes[0]
@@ -110,7 +105,7 @@ def test_an_implausible_size_is_said(tmp_path: Path) -> None:
         body(Surface(file, unit="kPa"))
 
 
-def test_turned_triangles_are_mended_and_said(tmp_path: Path) -> None:
+def test_turned_triangles_are_mended_and_said(tmp_path):
     points, triangles = box(10, 8, 6)
     one = triangles.copy()
     one[3] = one[3, ::-1]
@@ -124,7 +119,7 @@ def test_turned_triangles_are_mended_and_said(tmp_path: Path) -> None:
 
 BOX, BALL = box(10, 8, 6), sphere(5, 2)
 #: surfaces that enclose no body, and what is said of each
-REFUSED: dict[str, tuple[Shape, str]] = {
+REFUSED = {
     # triangle (1, 7, 5): corners (5, -4, 0), (5, 4, 6), (5, -4, 6)
     "hole": ((BOX[0], BOX[1][:-1]),
              "3 open edges around 1 hole, the largest near (5, -1.3333, 4) mm"),
@@ -147,21 +142,20 @@ REFUSED: dict[str, tuple[Shape, str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_a_surface_that_encloses_no_body_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_surface_that_encloses_no_body_is_refused(tmp_path, name):
     shape, said = REFUSED[name]
     with pytest.raises(InputError) as caught:
         body(Surface(write(tmp_path / "surface.obj", shape)))
     assert said in str(caught.value)
 
 
-def test_one_pair_of_crossing_triangles_is_named() -> None:
+def test_one_pair_of_crossing_triangles_is_named():
     points = np.array(
         [[0, 0, 0], [4, 0, 0], [0, 4, 0], [1, 1, -1], [1, 1, 1], [9, 9, 0], [7, 7, 7], [8, 7, 7]]
         + [[7, 8, 7]],
         dtype=float,
     )
     found = first_intersection(points, np.array([[6, 7, 8], [3, 4, 5], [0, 1, 2]]))
-    assert found is not None
     first, second, place, count = found
     assert (first, second, count) == (1, 2, 1)
     assert place[2] == pytest.approx(0)
@@ -169,7 +163,7 @@ def test_one_pair_of_crossing_triangles_is_named() -> None:
     assert first_intersection(above, np.array([[6, 7, 8], [3, 4, 5], [0, 1, 2]])) is None
 
 
-def test_overlapping_triangles_in_one_plane() -> None:
+def test_overlapping_triangles_in_one_plane():
     points = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [4, 4, 0], [1, 1, 0]], dtype=float)
     neighbors = np.array([[0, 1, 2], [1, 3, 2]])
     assert first_intersection(points, neighbors) is None  # they share an edge
@@ -205,7 +199,7 @@ def test_overlapping_triangles_in_one_plane() -> None:
         ("box.step", b"ISO-10303-21;", "must end in .stl, .ply, .obj"),
     ],
 )
-def test_files_that_are_no_surfaces(tmp_path: Path, name: str, content: bytes, said: str) -> None:
+def test_files_that_are_no_surfaces(tmp_path, name, content, said):
     path = tmp_path / name
     with pytest.raises(InputError, match="cannot be read"):
         body(Surface(str(path)))
@@ -214,7 +208,7 @@ def test_files_that_are_no_surfaces(tmp_path: Path, name: str, content: bytes, s
         body(Surface(str(path)))
 
 
-def test_a_file_cut_or_changed_anywhere_ends_in_words(tmp_path: Path) -> None:
+def test_a_file_cut_or_changed_anywhere_ends_in_words(tmp_path):
     rng, refusals = np.random.default_rng(7), 0
     for k in range(150):
         path = tmp_path / f"shape{('.stl', '.ply', '.obj')[k % 3]}"
@@ -230,7 +224,7 @@ def test_a_file_cut_or_changed_anywhere_ends_in_words(tmp_path: Path) -> None:
     assert refusals > 100
 
 
-def test_thirty_thousand_triangles(tmp_path: Path) -> None:
+def test_thirty_thousand_triangles(tmp_path):
     file = write(tmp_path / "sphere.stl", sphere(5, 6))
     found = body(Surface(file))
     assert len(found.triangles) == 32768
@@ -238,7 +232,7 @@ def test_thirty_thousand_triangles(tmp_path: Path) -> None:
     assert not found.touches("top")
 
 
-def test_faces_nearly_in_a_plate_are_put_into_it(tmp_path: Path) -> None:
+def test_faces_nearly_in_a_plate_are_put_into_it(tmp_path):
     points, triangles = box(10, 8, 6)
     points[4:, 2] += [0, 2e-4, -1e-4, 3e-4]  # 5e-5 of the height: a scanned face
     found = body(Surface(write(tmp_path / "rough.obj", (points, triangles))))
@@ -250,7 +244,7 @@ def test_faces_nearly_in_a_plate_are_put_into_it(tmp_path: Path) -> None:
     assert body(Surface(file, plate_tolerance_mm=0.1)).touches("top")
 
 
-def test_where_an_indenter_first_touches_a_slope() -> None:
+def test_where_an_indenter_first_touches_a_slope():
     # a sphere of radius R on a plane with slope t about the axis: R / cos t - R above it
     far, slope = 20.0, np.radians(20)
     corners = np.array([[-far, -far], [far, -far], [0, 2 * far]])
@@ -264,7 +258,7 @@ def test_where_an_indenter_first_touches_a_slope() -> None:
         touch_mm(Sphere(3), triangle + [30, 0, 0], 10)
 
 
-def test_pins_hold_what_is_left_and_no_more() -> None:
+def test_pins_hold_what_is_left_and_no_more():
     places = np.random.default_rng(1).uniform(-1, 1, (40, 3))
     assert len(pins(places, 40, {})) == 6
     lying = places.copy()
@@ -284,7 +278,7 @@ def test_pins_hold_what_is_left_and_no_more() -> None:
 BRAIN = Brain(80, 60, 50, fissure_mm=4, clamp_below_mm=15)
 
 
-def test_extents_are_those_asked_for() -> None:
+def test_extents_are_those_asked_for():
     points, triangles = brain_surface(BRAIN)
     assert points.min(axis=0) == pytest.approx([-40, -30, 0], abs=1e-12)
     assert points.max(axis=0) == pytest.approx([40, 30, 50], abs=1e-12)
@@ -292,7 +286,7 @@ def test_extents_are_those_asked_for() -> None:
     assert len(points) - edges + len(triangles) == 2  # Euler: closed and without a hole
 
 
-def test_without_a_groove_it_has_the_volume_of_two_half_ellipsoids() -> None:
+def test_without_a_groove_it_has_the_volume_of_two_half_ellipsoids():
     # the taper moves each section sideways of y = 0 alike in front and behind: to first order it
     # keeps the volume, and its squared slope does not enter an area; widths are scaled back
     points, triangles = brain_surface(replace(BRAIN, fissure_mm=0.0))
@@ -302,23 +296,23 @@ def test_without_a_groove_it_has_the_volume_of_two_half_ellipsoids() -> None:
     assert Triangles(points, triangles).volume_mm3 == pytest.approx(expected, rel=2e-3)
 
 
-def test_the_groove_is_as_deep_as_said() -> None:
+def test_the_groove_is_as_deep_as_said():
     floor = body(replace(BRAIN, press_x_mm=0.0, press_y_mm=0.0)).axis_height_mm
     assert body(BRAIN).height_mm - floor == pytest.approx(4, abs=1e-6)
 
 
-def test_both_halves_are_mirror_images() -> None:
+def test_both_halves_are_mirror_images():
     points, _ = brain_surface(BRAIN)
     mirrored = np.round(points * [1, -1, 1], 9) + 0.0
     assert {tuple(p) for p in mirrored} == {tuple(p) for p in np.round(points, 9) + 0.0}
 
 
-def test_a_groove_that_is_too_deep_is_refused() -> None:
+def test_a_groove_that_is_too_deep_is_refused():
     with pytest.raises(InputError, match=r"(?s)specimen\.fissure.*at most 7\.5 mm"):
         body(replace(BRAIN, fissure_mm=8.0))
 
 
-def test_the_height_on_an_axis_is_that_of_an_ellipsoid() -> None:
+def test_the_height_on_an_axis_is_that_of_an_ellipsoid():
     ball = Brain(20, 20, 20)
     # upper half: 0.65 of the height above the waist at 7 mm; at (3, 0) of a 10 mm half axis
     found = body(replace(ball, press_x_mm=3.0, press_y_mm=0.0)).axis_height_mm
@@ -327,7 +321,7 @@ def test_the_height_on_an_axis_is_that_of_an_ellipsoid() -> None:
     assert body(replace(ball, press_x_mm=9.5, press_y_mm=9.5)).axis_height_mm == 0.0
 
 
-def test_a_place_beside_the_body_is_refused_with_the_range() -> None:
+def test_a_place_beside_the_body_is_refused_with_the_range():
     said = r"(?s)press_x: 41 mm .*from -40 to 40 mm.*press_y: -30.5 mm .*from -30 to 30 mm"
     with pytest.raises(InputError, match=said):
         body(replace(BRAIN, press_x_mm=41.0, press_y_mm=-30.5))

@@ -1,7 +1,5 @@
 """``study tracking`` end to end: what was put into virtual recordings is found again."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -68,14 +66,14 @@ MARKERS = "time,stage,ax,ay,az,bx,by,bz"
 LASER = "pose,ox,oy,oz,ax,ay,az,bx,by,bz"
 
 
-def distance_study(folder: Path, seed: int, drift: float = 0.0, **errors: int) -> Path:
+def distance_study(folder, seed, drift=0.0, **errors):
     rows = virtual.rows_of(Errors(seed, **errors), 50.0, drift_mm_per_h=drift)
     virtual.write(folder / "markers.csv", MARKERS, rows)
     (folder / "distance.toml").write_text(DISTANCE)
     return folder / "distance.toml"
 
 
-def displacement_study(folder: Path, sd: float, bow_mm: float = 0.0) -> Path:
+def displacement_study(folder, sd, bow_mm=0.0):
     errors = Errors(3, passes=3, samples=3, scale=1.0, stop_sd_mm=sd, sample_sd_mm=0.0)
     rows = virtual.rows_of(errors, bow_mm=bow_mm)
     virtual.write(folder / "stage.csv", "time,stop,commanded,x,y,z", rows)
@@ -83,7 +81,7 @@ def displacement_study(folder: Path, sd: float, bow_mm: float = 0.0) -> Path:
     return folder / "displacement.toml"
 
 
-def reference_study(folder: Path, seed: int, arm: np.ndarray, turn: float, noise: float) -> Path:
+def reference_study(folder, seed, arm, turn, noise):
     seen, known = virtual.pose_rows(seed, arm, turn, noise)
     virtual.write(folder / "poses.csv", "pose,x,y,z", seen)
     virtual.write(folder / "laser.csv", LASER, known)
@@ -91,9 +89,7 @@ def reference_study(folder: Path, seed: int, arm: np.ndarray, turn: float, noise
     return folder / "reference.toml"
 
 
-def test_the_command_writes_a_page_and_one_document(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_a_page_and_one_document(tmp_path, capsys):
     file = distance_study(tmp_path, 1)
     reports = tmp_path / "reports"
     assert run(["tracking", str(file), "--reports", str(reports), "--json"]) == 0
@@ -111,7 +107,7 @@ def test_the_command_writes_a_page_and_one_document(
     assert "matters" in capsys.readouterr().out
 
 
-def test_the_error_term_is_stage_by_pass(tmp_path: Path) -> None:
+def test_the_error_term_is_stage_by_pass(tmp_path):
     """F of stages within passes, by the sums of squares of a randomized block by hand."""
     file = distance_study(tmp_path, 2)
     found = study.tracking(file).distance
@@ -130,7 +126,7 @@ def test_the_error_term_is_stage_by_pass(tmp_path: Path) -> None:
     assert found.comparison.effects[0].verdict == "matters"
 
 
-def test_samples_are_not_taken_for_independent(tmp_path: Path) -> None:
+def test_samples_are_not_taken_for_independent(tmp_path):
     """A serial correlation of 0.8 makes a sample worth (1 - 0.8) / (1 + 0.8) of one."""
     found = study.tracking(distance_study(tmp_path, 3, passes=4, samples=2000)).distance
     rest = found.stages[0]
@@ -139,7 +135,7 @@ def test_samples_are_not_taken_for_independent(tmp_path: Path) -> None:
     assert rest.sd_mm == pytest.approx(np.sqrt(2) * Errors().sample_sd_mm, rel=0.1)
 
 
-def test_a_drift_is_found_and_none_is_not_invented(tmp_path: Path) -> None:
+def test_a_drift_is_found_and_none_is_not_invented(tmp_path):
     drifting = study.tracking(distance_study(tmp_path, 4, drift=20.0)).distance.drift
     assert drifting.interval[0] < 20 < drifting.interval[1]
     assert drifting.p < 1e-3
@@ -147,7 +143,7 @@ def test_a_drift_is_found_and_none_is_not_invented(tmp_path: Path) -> None:
     assert steady.interval[0] < 0 < steady.interval[1]
 
 
-def test_stages_visited_once_are_not_compared(tmp_path: Path) -> None:
+def test_stages_visited_once_are_not_compared(tmp_path):
     found = study.tracking(distance_study(tmp_path, 6, passes=1)).distance
     assert found.comparison is None
     assert "visited once" in found.comparison_note
@@ -155,7 +151,7 @@ def test_stages_visited_once_are_not_compared(tmp_path: Path) -> None:
     assert all(one.interval_mm is None for one in found.stages)
 
 
-def test_the_standard_of_two_spheres_is_their_distance(tmp_path: Path) -> None:
+def test_the_standard_of_two_spheres_is_their_distance(tmp_path):
     file = distance_study(tmp_path, 7)
     rng = np.random.default_rng(7)
     centers = np.array([[10.0, 20, 30], [10.0, 20, 80]])
@@ -169,7 +165,7 @@ def test_the_standard_of_two_spheres_is_their_distance(tmp_path: Path) -> None:
     assert 0.001 < standard.uncertainty_mm < 0.02
 
 
-def test_the_straightness_is_that_put_in(tmp_path: Path) -> None:
+def test_the_straightness_is_that_put_in(tmp_path):
     found = study.tracking(displacement_study(tmp_path, sd=0.0, bow_mm=0.5)).displacement
     # stops lie evenly about the middle of the way: the line of least squares is parallel to it
     told = np.concatenate([stops for _, stops in STAGES]) / 50
@@ -178,7 +174,7 @@ def test_the_straightness_is_that_put_in(tmp_path: Path) -> None:
     assert found.repeatability_mm == pytest.approx(0, abs=1e-9)
 
 
-def test_limits_of_agreement_are_mean_and_deviation(tmp_path: Path) -> None:
+def test_limits_of_agreement_are_mean_and_deviation(tmp_path):
     found = study.tracking(displacement_study(tmp_path, sd=0.03)).displacement
     difference = found.measured_mm - found.commanded_mm
     assert found.agreement.bias == pytest.approx(difference.mean())
@@ -187,7 +183,7 @@ def test_limits_of_agreement_are_mean_and_deviation(tmp_path: Path) -> None:
     )
 
 
-def test_the_lever_arm_put_in_is_found(tmp_path: Path) -> None:
+def test_the_lever_arm_put_in_is_found(tmp_path):
     arm = np.array([30.0, -50, 80])
     file = reference_study(tmp_path, 8, arm, turn=15.0, noise=0.1)
     found = study.tracking(file).reference
@@ -200,7 +196,7 @@ def test_the_lever_arm_put_in_is_found(tmp_path: Path) -> None:
     assert written == found.fit.motion.rotation.tolist()
 
 
-def test_an_arm_that_the_poses_cannot_show_does_no_harm(tmp_path: Path) -> None:
+def test_an_arm_that_the_poses_cannot_show_does_no_harm(tmp_path):
     file = reference_study(tmp_path, 9, np.array([30.0, -50, 80]), turn=0.0, noise=0.2)
     found = study.tracking(file).reference
     assert found.fit.localization_error == pytest.approx(0.2 * np.sqrt(3), rel=0.3)
@@ -223,14 +219,14 @@ LATE = DISTANCE.replace('unit = "mm"', 'unit = "m"', 1)
     ],
     ids=["metres", "marker", "table", "unit", "nothing", "schema", "columns"],
 )
-def test_a_faulty_file_is_refused_with_its_place(tmp_path: Path, text: str, rule: str) -> None:
+def test_a_faulty_file_is_refused_with_its_place(tmp_path, text, rule):
     file = distance_study(tmp_path, 1)
     file.write_text(text)
     with pytest.raises(InputError, match=rule):
         study.tracking(file)
 
 
-def test_time_that_goes_backwards_is_refused_with_its_line(tmp_path: Path) -> None:
+def test_time_that_goes_backwards_is_refused_with_its_line(tmp_path):
     file = distance_study(tmp_path, 1)
     lines = (tmp_path / "markers.csv").read_text().splitlines()
     lines[10], lines[11] = lines[11], lines[10]
@@ -249,9 +245,7 @@ def test_time_that_goes_backwards_is_refused_with_its_line(tmp_path: Path) -> No
         ("few", "2 poses are too few"),
     ],
 )
-def test_poses_that_cannot_be_registered_are_refused(
-    tmp_path: Path, change: str, rule: str
-) -> None:
+def test_poses_that_cannot_be_registered_are_refused(tmp_path, change, rule):
     file = reference_study(tmp_path, 8, np.zeros(3), turn=5.0, noise=0.1)
     seen, known = virtual.pose_rows(8, np.zeros(3), 5.0, 0.1)
     if change == "drop":
@@ -288,7 +282,7 @@ axes = [
 """
 
 
-def test_a_real_tracker_against_a_laser_tracker(tmp_path: Path, data_dir: Path) -> None:
+def test_a_real_tracker_against_a_laser_tracker(tmp_path, data_dir):
     """11 poses x 1001 samples; the figures beside the data were computed by its collector."""
     folder = data_dir / "tracker_vive_laser"
     if not folder.is_dir():
@@ -313,9 +307,7 @@ def test_a_real_tracker_against_a_laser_tracker(tmp_path: Path, data_dir: Path) 
 DESIGN = Path(__file__).parents[2] / "designs" / "tracker.toml"
 
 
-def test_two_commands_lead_from_nothing_to_the_page(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_commands_lead_from_nothing_to_the_page(tmp_path, capsys):
     assert run(["virtual", str(tmp_path), "--from", str(DESIGN)]) == 0
     assert "study tracking" in capsys.readouterr().err
     told = json.loads((tmp_path / "tracker" / "markers.csv.virtual.json").read_text())
@@ -335,7 +327,7 @@ def test_two_commands_lead_from_nothing_to_the_page(
     assert low < told["errors"]["scale"] < high
 
 
-def test_intervals_hold_what_was_put_in_95_times_of_100(tmp_path: Path) -> None:
+def test_intervals_hold_what_was_put_in_95_times_of_100(tmp_path):
     declared, held, studies = load_tracking(DESIGN), np.zeros(4), 20
     for seed in range(studies):
         errors = replace(Errors(seed), samples=10)
@@ -353,12 +345,12 @@ def test_intervals_hold_what_was_put_in_95_times_of_100(tmp_path: Path) -> None:
     assert (held >= binom.ppf(5e-4, studies, 0.95)).all(), held
 
 
-def test_a_tracker_has_no_specimens(tmp_path: Path) -> None:
+def test_a_tracker_has_no_specimens(tmp_path):
     with pytest.raises(InputError, match="no design"):
         api.virtual(tmp_path, DESIGN, blocks=3)
 
 
-def test_a_reference_cannot_be_made_up(tmp_path: Path) -> None:
+def test_a_reference_cannot_be_made_up(tmp_path):
     file = tmp_path / "poses.toml"
     file.write_text(
         DESIGN.read_text() + '\n[reference]\nfile = "laser.csv"\nmarker = "tip"\n'

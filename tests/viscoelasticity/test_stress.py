@@ -1,8 +1,5 @@
 """Finite viscoelasticity of homogeneous tests: closed forms, quadrature, limits, gradients."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +7,6 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
-from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.mechanics.material import viscoelasticity
 from study.mechanics.material.homogeneous import LOADINGS
@@ -27,12 +23,12 @@ TIME = np.r_[np.linspace(0, 0.5, 4), 0.5 + np.geomspace(0.01, 100, 15)]
 RAMP = np.minimum(TIME / 0.5, 1.0)
 
 
-def left(time: float, series: tuple[RelaxationTerm, ...] = SERIES) -> float:
+def left(time, series=SERIES):
     """Relaxation function, written once more."""
     return 1 - sum(t.share * (1 - np.exp(-time / t.time_s)) for t in series)
 
 
-def test_small_strain_is_a_standard_linear_solid_in_ramp_and_hold() -> None:
+def test_small_strain_is_a_standard_linear_solid_in_ramp_and_hold():
     """E e' (g t + s T (1 - exp(-t/T))) in the ramp, its fading in the hold (Findley 1976)."""
     share, tau, strain, ramp = 0.4, 2.0, 1e-6, 3.0
     solid = replace(RUBBER, relaxation=(RelaxationTerm(share, tau),))
@@ -46,13 +42,13 @@ def test_small_strain_is_a_standard_linear_solid_in_ramp_and_hold() -> None:
     assert stress == pytest.approx(exact, rel=3e-6)
 
 
-def uniaxial_by_quadrature(time: float, rate: float, end: float) -> float:
+def uniaxial_by_quadrature(time, rate, end):
     """Convolution of a neo-Hookean solid in a ramp and hold, each direction by quadrature."""
     stretch = lambda s: 1 + rate * min(s, end)  # noqa: E731
 
-    def slope(direction: int) -> Callable[[float], float]:
+    def slope(direction):
         # Pi = 2 C10 (1 - (l^2 + 2 / l) / (3 l_A^2)), differentiated by hand
-        def one(s: float) -> float:
+        def one(s):
             x = stretch(s)
             trace, by_x = x**2 + 2 / x, 2 * x - 2 / x**2
             square, square_by_x = (x**2, 2 * x) if direction == 0 else (1 / x, -1 / x**2)
@@ -62,7 +58,7 @@ def uniaxial_by_quadrature(time: float, rate: float, end: float) -> float:
 
     until = min(time, end)
 
-    def convolved(direction: int) -> float:
+    def convolved(direction):
         change = slope(direction)
         return float(
             quad(lambda s: left(time - s) * change(s), 0, until, epsabs=1e-14, epsrel=1e-13)[0]
@@ -74,13 +70,13 @@ def uniaxial_by_quadrature(time: float, rate: float, end: float) -> float:
 
 
 @pytest.mark.parametrize("rate", [2.0, -1.0])
-def test_a_neo_hookean_ramp_and_hold_is_the_convolution_by_quadrature(rate: float) -> None:
+def test_a_neo_hookean_ramp_and_hold_is_the_convolution_by_quadrature(rate):
     found = relaxing(RUBBER, "uniaxial", TIME, 1 + 0.5 * rate * RAMP).stress
     exact = np.array([uniaxial_by_quadrature(t, rate, 0.5) for t in TIME])
     assert found[1:] == pytest.approx(exact[1:], rel=1e-8)  # asked for: 1e-6
 
 
-def test_few_rows_of_a_ramp_give_what_many_do() -> None:
+def test_few_rows_of_a_ramp_give_what_many_do():
     """Rows say where the load is, not how finely the memory is summed up."""
     time = np.linspace(0, 0.5, 101)
     many = relaxing(RUBBER, "equibiaxial", time, 1 + 2 * time).stress[-1]
@@ -90,7 +86,7 @@ def test_few_rows_of_a_ramp_give_what_many_do() -> None:
 
 @pytest.mark.parametrize("loading", ["uniaxial", "equibiaxial", "planar", "simple-shear"])
 @pytest.mark.parametrize("solid", [RUBBER, FOAMY], ids=["incompressible", "compressible"])
-def test_a_fast_test_is_elastic(solid: Material, loading: str) -> None:
+def test_a_fast_test_is_elastic(solid, loading):
     time = 1e-9 * TIME
     measure = (0.0 if loading == "simple-shear" else 1.0) + 0.6 * RAMP
     found = relaxing(solid, loading, time, measure)
@@ -102,7 +98,7 @@ def test_a_fast_test_is_elastic(solid: Material, loading: str) -> None:
 
 
 @pytest.mark.parametrize("loading", ["uniaxial", "equibiaxial", "planar", "simple-shear"])
-def test_a_slow_test_has_the_long_term_moduli(loading: str) -> None:
+def test_a_slow_test_has_the_long_term_moduli(loading):
     """Where K stays, all moduli of the isochoric energy are 0.3 times as large."""
     for solid in (RUBBER, replace(FOAMY, poisson_ratio=None, bulk_modulus=2.0)):
         measure = (0.0 if loading == "simple-shear" else 1.0) + 0.6 * RAMP
@@ -115,7 +111,7 @@ def test_a_slow_test_has_the_long_term_moduli(loading: str) -> None:
         assert solid.long_term_mu == pytest.approx(0.3 * solid.mu0, rel=1e-12)
 
 
-def by_differential_equations(solid: Material, time: Array, rate: float, end: float) -> Array:
+def by_differential_equations(solid, time, rate, end):
     """Uniaxial stress where the side is free and K finite, by implicit times of an ODE solver.
 
     The memories obey h' = Pi' - h / T; the free stretch is the root of the side's stress at every
@@ -124,21 +120,21 @@ def by_differential_equations(solid: Material, time: Array, rate: float, end: fl
     mu, bulk, series = 2 * solid.constants["C10"], solid.bulk, solid.relaxation
     stays = 1 - sum(t.share for t in series)
 
-    def pi(x: float, y: float) -> Array:
+    def pi(x, y):
         squares = np.array([x, y, y]) ** 2 * (x * y * y) ** (-2 / 3)
         return mu * (1 - squares.mean() / squares)
 
-    def kirchhoff(x: float, y: float, faded: Array) -> Array:
+    def kirchhoff(x, y, faded):
         J = x * y * y
         squares = np.array([x, y, y]) ** 2 * J ** (-2 / 3)
         inner = squares * ((stays + sum(t.share for t in series)) * pi(x, y) - faded)
         return inner - inner.mean() + bulk * J * (J - 1)
 
-    def side(x: float, faded: Array) -> float:
+    def side(x, faded):
         return brentq(lambda y: kirchhoff(x, y, faded)[1], 0.3, 2.0, xtol=1e-15)
 
     # what has faded of each term, f = s (Pi - h), grows as f' = (s Pi - f) / T
-    def change(t: float, state: Array) -> Array:
+    def change(t, state):
         faded = state.reshape(-1, 3)
         x = 1 + rate * min(t, end)
         now = pi(x, side(x, faded.sum(0)))
@@ -163,7 +159,7 @@ def by_differential_equations(solid: Material, time: Array, rate: float, end: fl
 
 
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.49])
-def test_a_free_side_creeps_as_differential_equations_have_it(poisson_ratio: float) -> None:
+def test_a_free_side_creeps_as_differential_equations_have_it(poisson_ratio):
     solid = replace(RUBBER, incompressible=False, poisson_ratio=poisson_ratio)
     time = np.array([0.0, 0.25, 0.5, 0.8, 2.0, 12.0, 60.0])
     found = relaxing(solid, "uniaxial", time, 1 + 1.2 * np.minimum(time, 0.5)).stress
@@ -180,9 +176,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("solid", "loading"), CASES, ids=[f"{s.model}-{n}" for s, n in CASES])
-def test_gradients_are_those_of_differences(
-    solid: Material, loading: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_gradients_are_those_of_differences(solid, loading, monkeypatch):
     """By every constant, share and time, in a load-unload cycle with a hold."""
     # parts as long as the rows allow: where times change the parts, a difference sees that too
     monkeypatch.setattr(viscoelasticity, "_growing", lambda first: np.ones(1))
@@ -193,7 +187,7 @@ def test_gradients_are_those_of_differences(
         measure = 1 - 0.3 * share
     found = relaxing(solid, loading, time, measure)
 
-    def moved(name: str, by: float) -> Array:
+    def moved(name, by):
         if name in solid.constants:
             return relaxing(
                 solid.with_constants({name: solid.constants[name] + by}), loading, time, measure
@@ -210,13 +204,13 @@ def test_gradients_are_those_of_differences(
         assert slope == pytest.approx(difference, rel=1e-6, abs=1e-8), name
 
 
-def test_a_load_that_comes_at_once_fades_as_the_relaxation_function() -> None:
+def test_a_load_that_comes_at_once_fades_as_the_relaxation_function():
     held = relaxing(RUBBER, "planar", TIME, np.full(TIME.size, 1.7)).stress
     elastic = LOADINGS["planar"].nominal(RUBBER, np.array([1.7])).stress[0]
     assert held == pytest.approx([elastic * left(t) for t in TIME], rel=1e-12)
 
 
-def test_the_volume_does_not_relax() -> None:
+def test_the_volume_does_not_relax():
     found = relaxing(FOAMY, "volumetric", TIME, 1 - 0.05 * RAMP)
     elastic = LOADINGS["volumetric"].nominal(FOAMY, 1 - 0.05 * RAMP).stress
     assert np.array_equal(found.stress, elastic)
@@ -232,14 +226,12 @@ def test_the_volume_does_not_relax() -> None:
         ([0.0], [1.0, 1.1], "do not belong"),
     ],
 )
-def test_a_course_that_cannot_be_is_told(
-    time: list[float], measure: list[float], words: str
-) -> None:
+def test_a_course_that_cannot_be_is_told(time, measure, words):
     with pytest.raises(InputError, match=words):
         relaxing(RUBBER, "uniaxial", np.array(time), np.array(measure))
 
 
-def test_shares_that_leave_nothing_are_refused_where_a_user_gives_them() -> None:
+def test_shares_that_leave_nothing_are_refused_where_a_user_gives_them():
     with pytest.raises(InputError, match="nothing of the stiffness"):
         check(replace(RUBBER, relaxation=(RelaxationTerm(0.7, 1.0), RelaxationTerm(0.3, 2.0))))
     with pytest.raises(InputError, match="grow by itself"):

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import study
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Flags
 from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
@@ -276,7 +276,7 @@ def monotone_slopes(knots: Array, values: Array, slopes: Array) -> Array:
     return limited
 
 
-def is_monotone(chords: Array, slopes: Array) -> NDArray[np.bool_]:
+def is_monotone(chords: Array, slopes: Array) -> Flags:
     """Whether the cubic of every interval is monotone."""
     # Shapes: chords (n - 1,); slopes (n,); returns (n - 1,).
     flat = chords == 0
@@ -476,7 +476,7 @@ class ForceLaw(Keyed):
         elif self.is_monotone:
             lines += ["It never falls, with the slopes of the simulation."]
         else:
-            lines += ["The simulated force falls somewhere, and so does the self."]
+            lines += ["The simulated force falls somewhere, and so does the law."]
         return lines + [_range(constant) for constant in self.ranges]
 
     def force_at(
@@ -493,7 +493,7 @@ class ForceLaw(Keyed):
         """dF/dd in N/mm, of the shape of the displacements."""
         return self.force.slope_at(displacement_mm)
 
-    def is_tested(self, displacement_mm: ArrayLike) -> NDArray[np.bool_]:
+    def is_tested(self, displacement_mm: ArrayLike) -> Flags:
         """Whether displacements lie in the simulated range; outside, the law only continues."""
         d = np.asarray(displacement_mm, dtype=float)
         return np.asarray((d >= 0) & (d <= self.force.end_mm))

@@ -317,7 +317,7 @@ def _surprise(surface: TriangleSurface, cloud: Array) -> float:
 def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Registration:
     """Registration by the biweight, from a motion near to it."""
     floor = ROUNDING_SHARE * surface.size
-    scale, converged, steps, last = np.inf, False, 0, np.zeros(6)
+    scale, converged, last = np.inf, False, np.zeros(6)
     for number in range(FINE_STEPS):
         moved = motion(cloud)
         closest = surface.closest(moved)
@@ -325,14 +325,28 @@ def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Reg
             scale = _fixing_scale(moved, closest, max(inlier_scale(closest.distance), floor))
         weights = biweight(closest.distance / scale)
         system = normal_equations(moved, closest, weights)
-        last = step = _shortened(system.step(weights), last)
-        steps = number + 1
+        last = _shortened(system.step(weights), last)
         small = max(1e-4 * scale / np.sqrt(len(cloud)), 10 * floor)
-        if np.linalg.norm(step) <= small:
-            converged = True
+        converged = bool(np.linalg.norm(last) <= small)
+        if converged:
             break
-        motion = system.motion(step).after(motion)
-    return _described(motion, system, weights, scale, (steps, converged))
+        motion = system.motion(last).after(motion)
+    values, vectors = system.modes(weights)
+    firm, loose = vectors[:, values > SLIDING], vectors[:, values <= SLIDING]
+    reduced = sandwich(system.slope @ firm, system.residual, scale, _patches(system.places))
+    units = np.diag(np.r_[np.full(3, 1 / system.arm), np.ones(3)])
+    return Registration(
+        motion=motion,
+        center=system.center,
+        covariance=units @ firm @ reduced @ firm.T @ units,
+        rms_mm=float(np.sqrt(np.average(system.residual**2, weights=weights))),
+        scale_mm=scale,
+        sliding=tuple(Sliding(mode[:3], mode[3:]) for mode in loose.T),
+        rejected=int((weights == 0).sum()),
+        used=len(weights),
+        steps=number + 1,
+        converged=converged,
+    )
 
 
 def _shortened(step: Array, last: Array) -> Array:
@@ -355,34 +369,6 @@ def _fixing_scale(moved: Array, closest: Closest, scale: float) -> float:
             break
         scale *= WIDER
     return scale
-
-
-def _described(
-    motion: RigidMotion,
-    system: NormalEquations,
-    weights: Array,
-    scale: float,
-    end: tuple[int, bool],
-) -> Registration:
-    values, vectors = system.modes(weights)
-    firm, loose = vectors[:, values > SLIDING], values <= SLIDING
-    patches = _patches(system.places)
-    reduced = sandwich(system.slope @ firm, system.residual, scale, patches)
-    units = np.diag(np.r_[np.full(3, 1 / system.arm), np.ones(3)])
-    covariance = units @ firm @ reduced @ firm.T @ units
-    sliding = tuple(Sliding(vectors[:3, k], vectors[3:, k]) for k in np.flatnonzero(loose))
-    return Registration(
-        motion=motion,
-        center=system.center,
-        covariance=covariance,
-        rms_mm=float(np.sqrt(np.average(system.residual**2, weights=weights))),
-        scale_mm=scale,
-        sliding=sliding,
-        rejected=int((weights == 0).sum()),
-        used=len(weights),
-        steps=end[0],
-        converged=end[1],
-    )
 
 
 def _patches(places: Array) -> Ints | None:

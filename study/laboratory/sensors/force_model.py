@@ -12,15 +12,7 @@ import numpy as np
 from study.ground import diagnostics, units
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.ground.declaration import (
-    Bad,
-    Reads,
-    integer,
-    measured,
-    number,
-    section,
-    shown,
-)
+from study.ground.declaration import Bad, Reads, integer, measured, number, section, shown
 from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import CellProblem
@@ -138,11 +130,8 @@ class Simulated:
 
     def _solved(self, values: Array) -> Curve:
         key = values.tobytes()
-        if key not in self._known:
-            self._known[key] = self._simulated(values)
-        return self._known[key]
-
-    def _simulated(self, values: Array) -> Curve:
+        if key in self._known:
+            return self._known[key]
         try:
             problem = replace(self.problem, material=self.problem.material.with_constants(values))
             # where the assumed material snaps, its neighbors do, and must be allowed to
@@ -154,6 +143,7 @@ class Simulated:
             raise EvaluationFailed(f"{solution.status}: {solution.message}")
         if self._anchor is None:
             self._anchor, self.notes = solution, _notes(solution)
+        self._known[key] = solution.curve
         return solution.curve
 
 

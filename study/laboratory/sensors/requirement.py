@@ -101,19 +101,17 @@ class PropagatedQuantity:
         other = float(squares.sum()) - of_position_alone
         return np.asarray(np.sqrt(position**2 * of_position_alone + force**2 * other))
 
-    def allowed_alone(self, relative: float) -> Array:
-        """Largest error of every source if there were no other; infinite where it does nothing."""
-        unit = self.per_source / abs(self.value)
-        return np.asarray(np.divide(relative, unit, out=np.full(unit.size, np.inf), where=unit > 0))
+    def allowed(self, relative: float) -> Array:
+        """Largest error of every source, alone and beside the others as given.
 
-    def allowed_beside(self, relative: float) -> Array:
-        """Largest error of every source beside the others as given; NaN where they leave none."""
+        Infinite where it does nothing, NaN where the others leave none. Shapes: returns (2, n).
+        """
         unit = self.per_source / abs(self.value)
-        left = relative**2 - (self.relative**2 - self.parts**2)
-        root = np.sqrt(np.where(left >= 0, left, np.nan))
-        return np.asarray(
-            np.divide(root, unit, out=np.where(left >= 0, np.inf, np.nan), where=unit > 0)
-        )
+        others = self.relative**2 - self.parts**2
+        left = relative**2 - np.stack([np.zeros_like(others), others])
+        root, free = np.sqrt(np.maximum(left, 0.0)), np.where(left >= 0, np.inf, np.nan)
+        allowed = np.divide(root, unit, out=free.copy(), where=unit > 0)
+        return np.asarray(np.where(left >= 0, allowed, np.nan))
 
 
 @dataclass(frozen=True)
@@ -152,7 +150,11 @@ def propagate(
             "no accuracy of a sensor tells them apart; press deeper, or take a simpler energy"
         )
     pseudo_inverse = inverse @ at.jacobian.T
-    effects = np.stack([_covariance_root(pseudo_inverse, source) for source in sources])
+    # roots of the constants' covariance by one unit of every source: a shared error has one column
+    effects = np.stack([pseudo_inverse * source.response for source in sources])
+    for root, source in zip(effects, sources, strict=True):
+        if source.is_shared:
+            root[:] = np.pad(root.sum(axis=1, keepdims=True), ((0, 0), (0, root.shape[1] - 1)))
     variance = np.einsum("skn,skn->sk", effects, effects)
     gradient = predicted.jacobian[0]
     force = np.einsum("k,skn->sn", gradient, effects)
@@ -168,17 +170,6 @@ def propagate(
         pseudo_inverse,
         gradient,
     )
-
-
-def _covariance_root(pseudo_inverse: Array, source: SensorErrorSource) -> Array:
-    """Root of the constants' covariance by one unit of a source, shape (p, n)."""
-    # A shared error has one column and is filled up with zeros.
-    moved = pseudo_inverse * source.response
-    if not source.is_shared:
-        return moved
-    root = np.zeros_like(moved)
-    root[:, 0] = moved.sum(axis=1)
-    return root
 
 
 #: Tests of one task, whatever the number of workers, so that this changes no digit.
@@ -487,10 +478,9 @@ class SensorRequirement(Keyed):
 
     def allowed(self, source: int) -> tuple[float, float]:
         """Largest error of a source for all constants: alone, and beside the others as given."""
-        constants, standard = self.propagation.constants, self.standard
-        alone = min(constant.allowed_alone(standard)[source] for constant in constants)
-        jointly = [constant.allowed_beside(standard)[source] for constant in constants]
-        return float(alone), float(np.min(jointly))
+        each = [constant.allowed(self.standard) for constant in self.propagation.constants]
+        alone, jointly = np.min(each, axis=0)[:, source]
+        return float(alone), float(jointly)
 
     @property
     def each_quantity(self) -> list[dict[str, object]]:

@@ -19,13 +19,7 @@ from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from study.mechanics.mesh.structured import MIDDLES
-from study.mechanics.surface.closed_surface import (
-    Edges,
-    Triangles,
-    inspect,
-    joined,
-    read_mesh,
-)
+from study.mechanics.surface.closed_surface import Edges, Triangles, inspect, joined, read_mesh
 
 if TYPE_CHECKING:
     from scipy.interpolate import LinearNDInterpolator
@@ -129,13 +123,14 @@ def surface_of(mesh: DeformedMesh) -> BodySurface:
     if mesh.is_section:
         points, displacement, triangles = _revolved(mesh, triangles)
     symmetry = symmetry_of(mesh)
-    for axis, (mirrored, place) in enumerate(
-        zip(symmetry.mirrored, (0.0, 0.0, symmetry.lowest), strict=True)
-    ):
+    for axis, mirrored in enumerate(symmetry.mirrored):
         if mirrored:
-            points, displacement, triangles = _mirrored(
-                points, displacement, triangles, axis, place
-            )
+            other, moved = points.copy(), displacement.copy()
+            other[:, axis] = 2 * (symmetry.lowest if axis == 2 else 0.0) - other[:, axis]
+            moved[:, axis] = -moved[:, axis]
+            triangles = np.concatenate([triangles, triangles[:, ::-1] + len(points)])
+            points = np.concatenate([points, other])
+            displacement = np.concatenate([displacement, moved])
     return _joined(points, displacement, triangles)
 
 
@@ -211,17 +206,6 @@ def _revolved(mesh: DeformedMesh, lines: Ints) -> tuple[Array, Array, Ints]:
     quads = np.stack([here + a, there + a, there + b, here + b], axis=-1).reshape(-1, 4)
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return around(mesh.points), around(mesh.displacement), triangles
-
-
-def _mirrored(
-    points: Array, displacement: Array, triangles: Ints, axis: int, place: float
-) -> tuple[Array, Array, Ints]:
-    """Body and its mirror image across a plane."""
-    other, moved = points.copy(), displacement.copy()
-    other[:, axis] = 2 * place - other[:, axis]
-    moved[:, axis] = -moved[:, axis]
-    both = np.concatenate([triangles, triangles[:, ::-1] + len(points)])
-    return np.concatenate([points, other]), np.concatenate([displacement, moved]), both
 
 
 def _joined(points: Array, displacement: Array, triangles: Ints) -> BodySurface:

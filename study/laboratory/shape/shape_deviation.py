@@ -20,6 +20,7 @@ from study.laboratory.registration.iterative_closest_point import (
 )
 from study.laboratory.registration.rigid import RigidMotion, biweight, identity, isolated
 from study.laboratory.shape.boundary import SimulatedBody
+from study.mechanics.surface.closed_surface import read_mesh
 
 #: Percentiles of the signed distances that are reported.
 PERCENTILES = (5, 25, 50, 75, 95)
@@ -303,7 +304,12 @@ class Markers:
 def read_scan(path: Path, unit: str, body_size: float) -> Scan:
     """Read a scan and drop its isolated points. Units: body_size mm."""
     where = f"--scan: {path.name}"
-    points = unit_factor(unit, "length") * _points(path, where)
+    if path.suffix.lower() in (".csv", ".gz"):
+        table = read_csv(path, required=("x", "y", "z"), source=path.name)
+        points = np.column_stack([table.numbers(axis) for axis in "xyz"])
+    else:
+        points = read_mesh(path, where)[0]
+    points = unit_factor(unit, "length") * points
     if not np.isfinite(points).all():
         bad = int((~np.isfinite(points)).any(axis=1).sum())
         raise InputError(Fault(where, f"{bad} points are no numbers", "export the scan again"))
@@ -323,15 +329,6 @@ def read_scan(path: Path, unit: str, body_size: float) -> Scan:
         rule = f"is {size:.4g} mm large, the simulated body {body_size:.4g} mm"
         raise InputError(Fault(where, rule, f'is it in {likely}? Then say --unit "{likely}"'))
     return Scan(used, int(alone.sum()), path.name)
-
-
-def _points(path: Path, where: str) -> Array:
-    from study.mechanics.surface.closed_surface import read_mesh
-
-    if path.suffix.lower() in (".csv", ".gz"):
-        table = read_csv(path, required=("x", "y", "z"), source=path.name)
-        return np.column_stack([table.numbers(axis) for axis in "xyz"])
-    return read_mesh(path, where)[0]
 
 
 def read_markers(path: Path, unit: str) -> Markers:

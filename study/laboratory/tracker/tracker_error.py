@@ -46,11 +46,7 @@ from study.laboratory.tracker.tracker_recording import (
     read_recording,
     visits_to,
 )
-from study.statistics.analysis.analysis_request import (
-    AnalysisRequest,
-    Blocking,
-    ResponseScale,
-)
+from study.statistics.analysis.analysis_request import AnalysisRequest, Blocking, ResponseScale
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import analyze
 

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Flags
 
 #: V39: a warning is due above these
 CAUTION_CORRELATION = 0.95
@@ -45,7 +44,7 @@ class Uncertainty:
 
 
 def uncertainty(
-    jacobian: Array, residual: Array, values: Array, free: NDArray[np.bool_] | None = None
+    jacobian: Array, residual: Array, values: Array, free: Flags | None = None
 ) -> Uncertainty:
     """Covariance, standard errors, 95 % intervals and correlation at a minimum."""
     # Shapes: jacobian (n, p); residual (n,); values (p,); free (p,).

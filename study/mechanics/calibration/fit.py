@@ -20,6 +20,7 @@ from study.mechanics.calibration.levenberg_marquardt import (
     levenberg_marquardt,
 )
 from study.mechanics.calibration.residual_function import (
+    Bounds,
     EvaluationFailed,
     MeasuredCurve,
     NuisanceEstimate,
@@ -109,7 +110,7 @@ def fit(
     names: Sequence[str],
     start: ArrayLike,
     *,
-    bounds: Sequence[tuple[float, float]] | None = None,
+    bounds: Bounds = None,
     max_evaluations: int = 200,
     ftol: float = 1e-12,
     xtol: float = 1e-12,

@@ -25,7 +25,6 @@ from study.mechanics.calibration.covariance import (
 from study.mechanics.calibration.fit import Fit, small_sample_aic
 from study.mechanics.calibration.residual_function import (
     MeasuredCurve,
-    known_covariance,
     pseudo_jacobian,
     pseudo_rows,
 )
@@ -124,7 +123,9 @@ def _series(
             by_row /= len(test.recordings) or 1
             scaled = (weight / even)[:, None] * slopes
             out.append(Series(residual / even, scaled, by_row / weight * even))
-    return out, known_covariance(priors, names, inverse)
+    errors = np.array([prior.weight * prior.uncertainty for prior in priors])
+    moved = inverse @ (pseudo_jacobian(priors, names).T * errors)
+    return out, moved @ moved.T
 
 
 def recorded_rows(

@@ -19,7 +19,7 @@ from study.ground.errors import RefusedError
 from study.mechanics.calibration.covariance import AS_GOOD_AS_ZERO, student_t
 from study.mechanics.calibration.fit import Fit, Predict, ResidualFunction
 from study.mechanics.calibration.levenberg_marquardt import levenberg_marquardt
-from study.mechanics.calibration.residual_function import Function, MeasuredCurve
+from study.mechanics.calibration.residual_function import Bounds, Function, MeasuredCurve
 from study.mechanics.material.material import is_dimensionless
 
 #: relative standard error up to which a combination counts as known
@@ -201,7 +201,7 @@ def profile(
     result: Fit,
     name: str,
     *,
-    bounds: Sequence[tuple[float, float]] | None = None,
+    bounds: Bounds = None,
 ) -> LikelihoodProfile:
     """Profile-likelihood interval at 95 % of one constant (Bates and Watts 1988, sec. 6.1)."""
     index = result.names.index(name)
@@ -224,11 +224,7 @@ def profile(
 
 
 def _profiled(
-    function: Function,
-    result: Fit,
-    index: int,
-    bounds: Sequence[tuple[float, float]] | None,
-    tried: dict[float, float],
+    function: Function, result: Fit, index: int, bounds: Bounds, tried: dict[float, float]
 ) -> Callable[[float], float]:
     """Sum of squares at a fixed value, the others refitted from the last point of this side."""
     others = np.arange(result.values.size) != index

@@ -11,15 +11,15 @@ independent of the parameters' units. Convergence is judged by the full Gauss-Ne
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array
-from study.mechanics.calibration.residual_function import Function, checked_bounds, evaluate
+from study.ground.arrays import Array, Flags
+from study.mechanics.calibration.residual_function import Bounds, Function, checked_bounds, evaluate
 
 # The damped linear least-squares problem inside a trust region.
 
@@ -207,7 +207,7 @@ class LeastSquaresSearch:
         self,
         function: Function,
         start: Array,
-        bounds: Sequence[tuple[float, float]] | None,
+        bounds: Bounds,
         max_evaluations: int,
         tolerances: tuple[float, float, float, float],
     ) -> None:
@@ -307,7 +307,7 @@ class LeastSquaresSearch:
         change = self.jacobian @ step
         return -float(change @ (2 * self.residual + change))
 
-    def _length(self, held: NDArray[np.bool_]) -> float:
+    def _length(self, held: Flags) -> float:
         """Scaled length of the parameters that may move, see :func:`size`."""
         return size((self.peak * self.x)[~held], self.residual)
 
@@ -477,7 +477,7 @@ def levenberg_marquardt(
     function: Function,
     start: ArrayLike,
     *,
-    bounds: Sequence[tuple[float, float]] | None = None,
+    bounds: Bounds = None,
     max_evaluations: int = 1000,
     ftol: float = 1e-12,
     xtol: float = 1e-12,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.setup.calibration_table import Loss
 
 Function = Callable[[Array], tuple[Array, Array]]
+#: Least and largest value of every parameter; None where nothing bounds them.
+Bounds: TypeAlias = Sequence[tuple[float, float]] | None
 
 
 def evaluate(function: Function, x: Array) -> tuple[Array, Array] | None:
@@ -36,9 +39,7 @@ def evaluate(function: Function, x: Array) -> tuple[Array, Array] | None:
     return (residual, jacobian) if max(sizes) <= 1e150 else None
 
 
-def checked_bounds(
-    start: Array, bounds: Sequence[tuple[float, float]] | None
-) -> tuple[Array, Array]:
+def checked_bounds(start: Array, bounds: Bounds) -> tuple[Array, Array]:
     """Check a start against its bounds and return them as two arrays."""
     if start.ndim != 1 or start.size == 0 or not np.all(np.isfinite(start)):
         raise InputError(Fault("start", f"must be finite numbers in a row, got {start}"))
@@ -190,16 +191,6 @@ def pseudo_jacobian(priors: Sequence[Prior], names: Sequence[str]) -> Array:
     for row, prior in zip(rows, priors, strict=True):
         row[list(names).index(prior.name)] = prior.weight
     return rows
-
-
-def known_covariance(priors: Sequence[Prior], names: Sequence[str], inverse: Array) -> Array:
-    """Covariance of the estimates by the errors of the priors alone."""
-    # Shapes: inverse (p, p); returns (p, p).
-    total = np.zeros_like(inverse)
-    for prior in priors:
-        moved = inverse[:, list(names).index(prior.name)] * prior.weight**2 * prior.uncertainty
-        total += np.outer(moved, moved)
-    return total
 
 
 @dataclass(frozen=True)

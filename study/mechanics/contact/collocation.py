@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, InputError
 from study.mechanics.contact.contact import (
     STIFFNESS,
@@ -94,7 +93,7 @@ def meeting(
     space: Discretization,
     mesh: Mesh,
     surface: RigidSurface,
-    chosen: NDArray[np.bool_],
+    chosen: Flags,
     *,
     nodal: bool = False,
 ) -> ContactPoints:
@@ -132,7 +131,7 @@ def _with_apex(space: Discretization, points: ContactPoints) -> ContactPoints:
     )
 
 
-def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
+def only(points: ContactPoints, kept: Flags) -> ContactPoints:
     """Keep some of the points. Shapes: kept (n_points,)."""
     allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
     return replace(
@@ -169,7 +168,7 @@ def _points_of(
 
 
 def _collocation(
-    space: Discretization, chosen: NDArray[np.bool_], *, nodal: bool = False
+    space: Discretization, chosen: Flags, *, nodal: bool = False
 ) -> tuple[Ints, Array, Array]:
     """Contact points of some facets: as many conditions as their surface can satisfy."""
     # Quadratic edges carry two Gauss points (unless ``nodal``: then all nodes but that on the axis,
@@ -194,8 +193,7 @@ def _collocation(
         (3, 9): np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
     }[(space.dim, k)]
     if share is None:
-        r = space.nodes[facets][:, :, 0]
-        share = _ring_shares(r)
+        share = _ring_shares(space.nodes[facets][:, :, 0])
     return _at_nodes(_nodal_areas(space, facets, areas[:, None] * share))
 
 

@@ -15,7 +15,6 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from study.ground.arrays import Array, Flags, Ints
 from study.mechanics.element.function_space import _SAME, Nodes, at_level
@@ -296,11 +295,7 @@ class TiedPoints(ContactPoints):
     surface: Plane
 
     def evaluate(
-        self,
-        met: Meeting,
-        multiplier: Array,
-        closed: NDArray[np.bool_] | None = None,
-        glue: Glue | None = None,
+        self, met: Meeting, multiplier: Array, closed: Flags | None = None, glue: Glue | None = None
     ) -> ContactState:
         """Distance from the place where each point is held, and the force that holds it."""
         if glue is None:
@@ -345,11 +340,6 @@ def gripping(
         for axis in range(dim)
     )  # fmt: skip
     return (points, *ties)
-
-
-def nothing_held(points: ContactPoints, dim: int) -> Glue:
-    """Return the glue of an indenter that has not touched yet."""
-    return Glue(np.zeros(points.size, dtype=bool), np.zeros((points.size, dim)))
 
 
 def hold(
@@ -456,20 +446,15 @@ def _face_rates(face: FaceCondition, space: Nodes, mesh: Mesh) -> dict[int, floa
     is_plane_of_symmetry = half and not is_top
     if not face.is_held or is_plane_of_symmetry:
         return rate
-    moved = face_motions(space, nodes) @ _motion(face)
+    further = face.besides
+    motion = np.zeros(BESIDES) if further is None else face.share_per_mm * further.components()
+    moved = face_motions(space, nodes) @ motion
     held = {int(n) * dim + i: float(moved[k, i]) for k, n in enumerate(nodes) for i in range(dim)}
     return {dof: held[dof] + rate.get(dof, 0.0) for dof in held}
 
 
 #: motions of a face besides that along the axis: two shifts, three small rotations, spread
 BESIDES = 6
-
-
-def _motion(face: FaceCondition) -> Array:
-    """Components of the motion of a face per unit of displacement, shape (6,)."""
-    if face.besides is None:
-        return np.zeros(BESIDES)
-    return face.share_per_mm * face.besides.components()
 
 
 def face_motions(space: Nodes, nodes: Ints) -> Array:

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Elements, Ints, Unknowns
+from study.ground.arrays import Array, Elements, Flags, Ints, Unknowns
 from study.ground.compilation import kernel
 from study.mechanics.element.assembly import Shapes
 from study.mechanics.mesh.structured import Mesh
@@ -58,7 +58,7 @@ def middle_nodes(space: Nodes, members: Ints, ends: Ints) -> Ints:
     return np.asarray(members[np.arange(len(members)), apart.argmin(axis=1)])
 
 
-def _side_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
+def _side_facets(space: Discretization, mesh: Mesh) -> Flags:
     """Boundary facets that lie neither on a plate, nor on a plane of symmetry."""
     height = mesh.height_mm
     planes = [(space.dim - 1, height), (space.dim - 1, height / 2 if mesh.half_height else 0.0)]

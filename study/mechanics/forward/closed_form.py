@@ -108,7 +108,10 @@ def at_rows(setup: Setup, material: Material, rows: Curve) -> Curve:
         return over_time(setup, material, d, rows.time_s)
     if setup.test.speed_mm_per_s is None:
         raise InputError(_no_speed())
-    return _ramp(setup, material, d)
+    begins = d.size > 0 and d[0] > 0
+    ramp_mm = np.append(0.0, d) if begins else d
+    course = over_time(setup, material, ramp_mm, ramp_mm / setup.test.speed_mm_per_s)
+    return replace(course.at_points(np.arange(int(begins), ramp_mm.size)), time_s=None)
 
 
 #: distance, in shares of the whole test, over which a tangent is taken: it is then exact to 1e-9
@@ -145,16 +148,6 @@ def _elastic(setup: Setup, material: Material, d: Array) -> Curve:
     """Curve of a homogeneous test in which time does not matter."""
     kind, stretched = setup.kind, setup.test.prestretch
     return homogeneous(setup.specimen, material, d, kind.mode, kind.sense, stretched)
-
-
-def _ramp(setup: Setup, material: Material, d: Array) -> Curve:
-    """Force of a test at its speed, at increasing displacements: a curve over these."""
-    speed = setup.test.speed_mm_per_s or 1.0
-    begins = d.size > 0 and d[0] > 0
-    rows = np.append(0.0, d) if begins else d
-    course = over_time(setup, material, rows, rows / speed)
-    ramp = course.at_points(np.arange(int(begins), rows.size))
-    return replace(ramp, time_s=None)
 
 
 def _no_speed() -> Fault:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.mechanics.setup.calibration_table import Theory
 from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
 
@@ -296,17 +297,11 @@ def force_law(
     radii = _radii(indenter, support, deepest_mm, paraboloid)
     states = [contact_state(support, indenter, a, paraboloid=paraboloid) for a in radii]
     if isinstance(indenter, Flat) and indenter.is_sharp_edged:
-        return _flat(states[0], indenter.radius_mm, deepest_mm)
+        depth, stiffness = deepest_mm * np.array([1e-3, 1.0]), np.full(2, states[0].stiffness_mm)
+        return ContactForceLaw(depth, stiffness * depth, stiffness, np.full(2, indenter.radius_mm))
     columns = ([s.depth_mm, s.force_mm2, s.stiffness_mm] for s in states)
     depth, force, stiffness = np.array(list(columns)).T
     return ContactForceLaw(depth, force, stiffness, radii)
-
-
-def _flat(state: ContactCondition, radius: float, deepest: float) -> ContactForceLaw:
-    """Sharp-edged punch: force in proportion to depth."""
-    depth = deepest * np.array([1e-3, 1.0])
-    stiffness = np.full(2, state.stiffness_mm)
-    return ContactForceLaw(depth, stiffness * depth, stiffness, np.full(2, radius))
 
 
 def _radii(indenter: Indenter, layer: Layer, deepest: float, paraboloid: bool) -> Array:
@@ -356,17 +351,14 @@ _DEPTHS = 400
 
 
 @dataclass(frozen=True)
-class ValidityLimit:
+class ValidityLimit(Keyed):
     """Depth at which one assumption ends."""
+
+    KEYS = "limit=what depth_mm"
 
     what: str
     #: Largest depth at which it holds; infinite where it always does.
     depth_mm: float
-
-    def to_json(self) -> dict[str, object]:
-        """Plain values; null for a limit that is never met."""
-        reached = bool(np.isfinite(self.depth_mm))
-        return {"limit": self.what, "depth_mm": self.depth_mm if reached else None}
 
 
 def limits(

@@ -54,10 +54,7 @@ class Anchors:
         self._seconds = 0.0
 
     def predict(
-        self,
-        problem_at: ProblemAt,
-        constants: Mapping[str, float] | None,
-        anchor: Anchor | None,
+        self, problem_at: ProblemAt, constants: Mapping[str, float] | None, anchor: Anchor | None
     ) -> Prediction:
         """Solve for one specimen, from the anchor of its cell where there is one.
 

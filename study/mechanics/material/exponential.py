@@ -12,17 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.ground.arrays import Array
-from study.mechanics.material.energy import (
-    Constant,
-    Constants,
-    DeclaredConstants,
-    Law,
-    PointLaw,
-)
+from study.mechanics.material.energy import Constant, Constants, DeclaredConstants, Law, PointLaw
 from study.mechanics.material.polynomial import Curvatures, Form, InvariantEnergy, Slopes
 
 #: k a beyond which a state has no stress: e^500 is near the largest number there is
 LARGEST_EXPONENT = 500.0
+#: stiffening that a fit starts from: W is nearly neo-Hookean at moderate strain
+STARTING_STIFFENING = 0.1
 
 
 @dataclass(frozen=True)
@@ -62,9 +58,6 @@ class Exponential(Form):
 # Isotropic exponential energy of soft tissue: W = mu / (2 b) (exp(b (I1 - 3)) - 1), Fung's law
 # (1967) by Demiray (1972, J. Biomech. 5, 309-311); c = mu / (2 b) in Humphrey and Yin (1987).
 
-#: stiffening that a fit starts from: W is nearly neo-Hookean at moderate strain
-FUNG_STARTING_STIFFENING = 0.1
-
 
 class Fung(DeclaredConstants, InvariantEnergy):
     """Initial shear modulus mu and stiffening b; neo-Hookean as b goes to zero."""
@@ -91,14 +84,11 @@ class Fung(DeclaredConstants, InvariantEnergy):
 
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """Little stiffening."""
-        return {"mu": shear_modulus, "b": FUNG_STARTING_STIFFENING}
+        return {"mu": shear_modulus, "b": STARTING_STIFFENING}
 
 
 # Energy of skin: W = C1 (exp(C2 (I1 - 3)) - 1) - C1 C2 / 2 (I2 - 3), Veronda and Westmann (1970,
 # J. Biomech. 3, 111-124) without their volumetric term, as in FEBio (User Manual, 4.1.2).
-
-#: stiffening that a fit starts from
-VERONDA_WESTMANN_STARTING_STIFFENING = 0.1
 
 
 class VerondaWestmann(DeclaredConstants, InvariantEnergy):
@@ -126,7 +116,4 @@ class VerondaWestmann(DeclaredConstants, InvariantEnergy):
 
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """Little stiffening."""
-        return {
-            "C1": shear_modulus / VERONDA_WESTMANN_STARTING_STIFFENING,
-            "C2": VERONDA_WESTMANN_STARTING_STIFFENING,
-        }
+        return {"C1": shear_modulus / STARTING_STIFFENING, "C2": STARTING_STIFFENING}

@@ -9,13 +9,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from study.ground.arrays import Array
-from study.mechanics.material.energy import (
-    Constant,
-    Constants,
-    DeclaredConstants,
-    Law,
-    PointLaw,
-)
+from study.mechanics.material.energy import Constant, Constants, DeclaredConstants, Law, PointLaw
 from study.mechanics.material.polynomial import (
     Curvatures,
     Form,

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.energy import CompressibleEnergy, Energy, IsochoricEnergy
 from study.mechanics.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode, response
@@ -171,7 +171,7 @@ def _first_unstable(material: Material, mode: Mode, good: float, bad: float) -> 
     return float(bad)
 
 
-def _stable(material: Material, mode: Mode, stretch: Array) -> NDArray[np.bool_]:
+def _stable(material: Material, mode: Mode, stretch: Array) -> Flags:
     if material.compressible is not None:
         return _stable_in_volume(material, material.compressible, mode, stretch)
     d = tangent(material, mode, stretch)
@@ -181,7 +181,7 @@ def _stable(material: Material, mode: Mode, stretch: Array) -> NDArray[np.bool_]
 
 def _stable_in_volume(
     material: Material, energy: CompressibleEnergy, mode: Mode, stretch: Array
-) -> NDArray[np.bool_]:
+) -> Flags:
     """Whether dtau . dln l is positive for every change, volume included (Abaqus' hyperfoam)."""
     free = response(material, mode, stretch).free_stretch
     a, v = np.array(mode.loaded, float), np.array(mode.free, float)

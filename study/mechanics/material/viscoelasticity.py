@@ -24,12 +24,7 @@ from study.mechanics.material.homogeneous import (
     response,
 )
 from study.mechanics.material.material import Material
-from study.mechanics.material.relaxation import (
-    long_term_share,
-    relaxation_names,
-    shares,
-    times,
-)
+from study.mechanics.material.relaxation import long_term_share, relaxation_names, shares, times
 
 
 @kernel()

@@ -11,9 +11,8 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import MeshError
 from study.mechanics.mesh.graded import indentation_mesh, sizes_of
 from study.mechanics.mesh.solid import surface_mesh, surface_mesh_size
@@ -65,10 +64,16 @@ def build_mesh(setup: Setup) -> Mesh:
     mesh = regular_mesh(setup.specimen, test, replace(setup.model, mesh_seed=None))
     if seed is None:
         return mesh
-    return jittered(mesh, seed, _at_edge(setup.grading, mesh))
+    nodes, neighbors = _steps_allowed(mesh)
+    fixed = _at_edge(setup.grading, mesh)
+    if fixed is not None:
+        movable = ~fixed[nodes]
+        nodes, neighbors = nodes[movable], neighbors[movable]
+    moved = _random_steps(mesh.points, nodes, neighbors, np.random.default_rng(seed))
+    return replace(mesh, points=_tamed(mesh, moved))
 
 
-def _at_edge(grading: MeshGrading, mesh: Mesh) -> NDArray[np.bool_] | None:
+def _at_edge(grading: MeshGrading, mesh: Mesh) -> Flags | None:
     """Nodes that follow the edge of a flat end: they are part of what is modelled."""
     if not isinstance(grading, AroundContact) or not grading.indenter.has_face:
         return None
@@ -135,17 +140,6 @@ _CORNERS: dict[tuple[int, int], list[tuple[int, ...]]] = {
     (3, 8): [(0, 1, 3, 4), (1, 2, 0, 5), (2, 3, 1, 6), (3, 0, 2, 7), (4, 7, 5, 0), (5, 4, 6, 1),
              (6, 5, 7, 2), (7, 6, 4, 3)],
 }  # fmt: skip
-
-
-def jittered(mesh: Mesh, seed: int, fixed: NDArray[np.bool_] | None = None) -> Mesh:
-    """Move the nodes of a mesh at random; element size, boundary and topology stay."""
-    # Shapes: fixed (n_points,).
-    nodes, neighbors = _steps_allowed(mesh)
-    if fixed is not None:
-        kept = ~fixed[nodes]
-        nodes, neighbors = nodes[kept], neighbors[kept]
-    moved = _random_steps(mesh.points, nodes, neighbors, np.random.default_rng(seed))
-    return replace(mesh, points=_tamed(mesh, moved))
 
 
 def _kind(mesh: Mesh) -> tuple[int, int]:

@@ -6,17 +6,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import cast
 
-from study.ground.declaration import (
-    field_named,
-    section_of,
-)
+from study.ground.declaration import field_named, section_of
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.energy import FREE, Bounds, Compressibility, DeclaredConstants
 from study.mechanics.material.material import Material, constant_names, energy_named
-from study.mechanics.material.relaxation import (
-    RelaxationTerm,
-    relaxation_names,
-)
+from study.mechanics.material.relaxation import RelaxationTerm, relaxation_names
 
 #: of the stress that may fade, as a fit starts; the rest stays
 _FADING = 0.5

@@ -29,14 +29,7 @@ from study.ground.declaration import (
 )
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.homogeneous import sheared_stretches
-from study.mechanics.setup.geometry import (
-    Block,
-    Cylinder,
-    FaceMotion,
-    Gravity,
-    Indenter,
-    Specimen,
-)
+from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion, Gravity, Indenter, Specimen
 
 # The load steps of a test, and the settings of the iteration that go with its size.
 

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Elements, Unknowns
+from study.ground.arrays import Array, Elements, Flags, Unknowns
 from study.ground.compilation import smallest
 from study.mechanics.contact.contact import ContactPoints
 from study.mechanics.element import assembly
@@ -316,7 +315,7 @@ class ContactBlocks:
     positions: Unknowns
     #: shape (n_points, m (m + 1) / 2); upper triangles.
     packed: Array
-    _inside: NDArray[np.bool_]
+    _inside: Flags
     _edge: Unknowns
 
     @classmethod

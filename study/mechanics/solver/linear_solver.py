@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Flags
 from study.ground.compilation import threads_sleep_after_work
 from study.mechanics.element.function_space import Pattern, symmetric_product
 
@@ -423,10 +423,10 @@ class KeptFactors:
     def __init__(self, solver: LinearSolver, pattern: Pattern) -> None:
         self.solver, self._pattern = solver, pattern
         self._spent: list[int] = []
-        self._touching: NDArray[np.bool_] | None = None
+        self._touching: Flags | None = None
         self._change = self._sensitivity = 0.0
 
-    def renewed(self, touching: NDArray[np.bool_]) -> None:
+    def renewed(self, touching: Flags) -> None:
         """Say that the solver has just factorized, with these contact points closed."""
         self._spent, self._touching, self._change = [], touching, 0.0
 
@@ -435,7 +435,7 @@ class KeptFactors:
         self._touching, self._sensitivity = None, 0.0
         self.solver.forget()
 
-    def serves(self, touching: NDArray[np.bool_]) -> bool:
+    def serves(self, touching: Flags) -> bool:
         """Whether the factors are of a tangent with these contact points closed."""
         return self._touching is not None and np.array_equal(touching, self._touching)
 
@@ -445,7 +445,7 @@ class KeptFactors:
         right: Array,
         scale: Array,
         tolerance: float,
-        touching: NDArray[np.bool_],
+        touching: Flags,
         change: float,
     ) -> Array | None:
         """Solve to a relative residual of ``tolerance``, rows weighted by ``scale``.
@@ -485,7 +485,7 @@ class KeptFactors:
             return 0.0
         return float(np.log(tolerance) / np.log(share)) if share < 1 else np.inf
 
-    def _budget(self, touching: NDArray[np.bool_]) -> int:
+    def _budget(self, touching: Flags) -> int:
         """Back-substitutions that may be spent on the next solve.
 
         A factorization is shared by the solves that it serves: it is kept while the next

@@ -298,7 +298,8 @@ class LoadPath:
         a, b = before.displacement_mm, states[first].displacement_mm
         share = k0 / (k0 - k1) if k1 < 0 < k0 else 1.0
         self.instability = Instability(a + share * (b - a), a, b, sway, mode, parity)
-        self._drop_from(b)
+        del self.steps[int(np.searchsorted(self._reached, b * (1 - 1e-12))) :]
+        self.snaps = [place for place in self.snaps if place < b]
         self.reason, self.state = self.instability.sentence, before
         self.J = self.system.volume_ratios(before.x)
         self.min_j = float(self.J.min())
@@ -588,11 +589,6 @@ class LoadPath:
     def _add(self, step: Step) -> None:
         """Write down a step that converged, in the order of displacements."""
         self.steps.insert(int(np.searchsorted(self._reached, step.state.displacement_mm)), step)
-
-    def _drop_from(self, displacement_mm: float) -> None:
-        """Forget the steps from a displacement on."""
-        del self.steps[int(np.searchsorted(self._reached, displacement_mm * (1 - 1e-12))) :]
-        self.snaps = [place for place in self.snaps if place < displacement_mm]
 
     def _lies_apart(self, before: Step, after: Step) -> bool:
         """Whether energy is missing, or too much, between two states."""

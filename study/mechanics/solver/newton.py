@@ -59,9 +59,7 @@ class NewtonSettings:
     def passing(self) -> NewtonSettings:
         """For a state that nobody asked for: it only leads to the next."""
         return replace(
-            self,
-            tolerance=max(self.tolerance, _PASSING_TOLERANCE),
-            gap=max(self.gap, _PASSING_GAP),
+            self, tolerance=max(self.tolerance, _PASSING_TOLERANCE), gap=max(self.gap, _PASSING_GAP)
         )
 
 
@@ -168,7 +166,10 @@ def _solved(
     A linear solve may leave what the iteration itself leaves (Eisenstat and Walker 1996).
     """
     if residuals and residuals[-1] < _STEADY:
-        scale = _scale(system, *at)
+        # weights of the equations, so that forces and volumes can be added up
+        reaction, volume = _measures(system, *at)
+        is_force = system.pattern.free < system.space.n_displacement
+        scale = np.where(is_force, 1.0 / reaction, 1.0 / volume)
         left = max(_LINEAR * residuals[-1] ** 2, _AT_LAST * settings.tolerance)
         size = float(np.linalg.norm(scale * right))  # gaps included
         return system.solve(right, scale, min(_LOOSEST, left / size), residuals[-1])
@@ -212,13 +213,6 @@ def _measures(system: System, state: State, assembly: Assembly) -> tuple[float, 
     area_mm2 = volume * system.force_scale / system.mesh.height_mm
     floor = max(1e-6 * mu * area_mm2 * strain, 0.5 * mu * system.touch_mm**2)
     return max(reaction, floor), volume
-
-
-def _scale(system: System, state: State, assembly: Assembly) -> Array:
-    """Weights of the equations, so that forces and volumes can be added up, shape (n_free,)."""
-    reaction, volume = _measures(system, state, assembly)
-    free = system.pattern.free
-    return np.where(free < system.space.n_displacement, 1.0 / reaction, 1.0 / volume)
 
 
 def _done(system: System, residual: float, assembly: Assembly, settings: NewtonSettings) -> bool:

@@ -101,10 +101,7 @@ class EnergyBalance:
 
 
 def balanced(
-    steps: list[Step],
-    jumps_mm: tuple[float, ...],
-    whole_mm: float,
-    share: float = JUMP_SHARE,
+    steps: list[Step], jumps_mm: tuple[float, ...], whole_mm: float, share: float = JUMP_SHARE
 ) -> tuple[EnergyBalance, Array]:
     """Energy balance of a run, and the work done up to each step, shape (n,), N mm.
 

@@ -24,18 +24,8 @@ from study.mechanics.mesh.graded import BULGE, CORE, UNDER_CONE, around, has_roo
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.size_field import SizeField
 from study.mechanics.mesh.solid import expected_unknowns as inside
-from study.mechanics.mesh.structured import (
-    CORNER_FRACTION,
-    GROWTH,
-    Mesh,
-    equivalent_radius,
-)
-from study.mechanics.setup.geometry import (
-    Block,
-    Enclosed,
-    Indenter,
-    Specimen,
-)
+from study.mechanics.mesh.structured import CORNER_FRACTION, GROWTH, Mesh, equivalent_radius
+from study.mechanics.setup.geometry import Block, Enclosed, Indenter, Specimen
 from study.mechanics.setup.setup import Model, Setup
 from study.mechanics.setup.test_kind import (
     AroundContact,

@@ -19,7 +19,6 @@ from study.mechanics.contact.contact import (
     TiedPoints,
     constraints,
     hold,
-    nothing_held,
 )
 from study.mechanics.element.function_space import (
     Discretization,
@@ -221,7 +220,8 @@ class System:
     def start(self) -> State:
         """Return the unloaded state."""
         zeros = tuple(np.zeros(c.size) for c in self.contact)
-        glue = nothing_held(self.contact[0], self.space.dim) if self.sticks else None
+        n, dim = self.contact[0].size if self.sticks else 0, self.space.dim
+        glue = Glue(np.zeros(n, dtype=bool), np.zeros((n, dim))) if self.sticks else None
         return State(0.0, np.zeros(self.space.n), zeros, glue=glue)
 
     def prescribed(self, displacement_mm: float) -> Array:

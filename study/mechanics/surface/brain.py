@@ -31,12 +31,19 @@ def brain_surface(brain: Brain) -> tuple[Array, Ints]:
     if brain.fissure_mm > deepest:
         rule = f"{brain.fissure_mm:g} mm is too deep for a body of this height and width"
         raise InputError(Fault("specimen.fissure", rule, f"at most {deepest:.3g} mm"))
-    unit, triangles = _sphere()
-    x, y, z = unit.T
+    # an octahedron whose triangles are quartered and whose corners are pushed out to radius 1
+    points = np.vstack([np.eye(3), -np.eye(3)])
+    upper = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2)]
+    triangles = np.array([*upper, *((b, a, 5) for a, b, _ in upper)], dtype=np.int64)
+    for _ in range(_QUARTERED):
+        points, triangles = _quartered(points, triangles)
+    x, y, z = points.T
     y = y * (1 - _TAPER * x)
     z = np.where(z < 0, _WAIST * z, (1 - _WAIST) * z)
     extents = np.array([brain.length_mm, brain.width_mm, brain.height_mm])
-    points = _stretched(np.column_stack([x, y, z]), extents)
+    points = np.column_stack([x, y, z])
+    low, high = points.min(axis=0), points.max(axis=0)
+    points = (points - low) * (extents / (high - low)) - extents * np.array([0.5, 0.5, 0.0])
     return _grooved(points, brain), triangles
 
 
@@ -56,29 +63,11 @@ def _grooved(points: Array, brain: Brain) -> Array:
         return np.asarray(z * (brain.height_mm / z.max()))
 
     middle = int(points[:, 2].argmax())
+    highest = 0.9 * brain.height_mm
     depth = brentq(
-        lambda by: brain.height_mm - lowered(by)[middle] - brain.fissure_mm,
-        0.0,
-        0.9 * brain.height_mm,
+        lambda by: brain.height_mm - lowered(by)[middle] - brain.fissure_mm, 0.0, highest
     )
     return np.column_stack([points[:, :2], lowered(depth)])
-
-
-def _stretched(points: Array, extents: Array) -> Array:
-    """Let points have these extents, about the middle in x and y, from the lowest in z."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    scaled = (points - low) * (extents / (high - low))
-    return np.asarray(scaled - np.array([extents[0] / 2, extents[1] / 2, 0.0]))
-
-
-def _sphere() -> tuple[Array, Ints]:
-    """Octahedron whose triangles are quartered and whose corners are pushed out to radius 1."""
-    points = np.vstack([np.eye(3), -np.eye(3)])
-    upper = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2)]
-    triangles = np.array([*upper, *((b, a, 5) for a, b, _ in upper)], dtype=np.int64)
-    for _ in range(_QUARTERED):
-        points, triangles = _quartered(points, triangles)
-    return points, triangles
 
 
 def _quartered(points: Array, triangles: Ints) -> tuple[Array, Ints]:

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Flags, Ints
 from study.ground.bounded_file import UnreadableError, open_regular
 from study.ground.compilation import kernel, part
 from study.ground.errors import Fault, InputError, UnitError
@@ -49,7 +48,7 @@ class Edges:
     shared: Ints
     #: shape (n_pairs,); whether the two run along their edge in opposite directions, as neighbors
     #: should.
-    agree: NDArray[np.bool_]
+    agree: Flags
 
     @classmethod
     def of(cls, triangles: Ints) -> Edges:
@@ -129,7 +128,11 @@ def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
         rule = f"{int(bad.sum())} triangles have coordinates that are no numbers (first: {number})"
         rule = rule if bad.any() else "has coordinates beyond 1e15"
         raise InputError(Fault(where, rule, "save the surface again"))
-    points, triangles = _merged(points, triangles)
+    # one point of those at one place: an STL file repeats the corners of every triangle
+    used, corner = np.unique(triangles, return_inverse=True)
+    distinct, place = np.unique(points[used], axis=0, return_inverse=True)
+    group, first_of = joined(distinct, _MERGE * float(np.ptp(distinct, axis=0).max()))
+    points, triangles = distinct[first_of], group[place.ravel()[corner].reshape(-1, 3)]
     surface, extent = Triangles(points, triangles), float(np.ptp(points, axis=0).max())
     along = surface.corners - np.roll(surface.corners, 1, axis=1)
     sides = np.linalg.norm(along, axis=2).max(axis=1)
@@ -150,15 +153,6 @@ def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
 
 def _place(point: Array, unit: str) -> str:
     return "(" + ", ".join(f"{v + 0.0:.5g}" for v in point) + f") {unit}"
-
-
-def _merged(points: Array, triangles: Ints) -> tuple[Array, Ints]:
-    """Make one point of those at one place: an STL file repeats the corners of every triangle."""
-    used, corner = np.unique(triangles, return_inverse=True)
-    distinct, place = np.unique(points[used], axis=0, return_inverse=True)
-    cells = place.ravel()[corner].reshape(-1, 3)
-    group, first = joined(distinct, _MERGE * float(np.ptp(distinct, axis=0).max()))
-    return distinct[first], group[cells]
 
 
 def joined(points: Array, tolerance: float) -> tuple[Ints, Ints]:
@@ -284,7 +278,10 @@ def first_intersection(points: Array, triangles: Ints) -> tuple[int, int, Array,
     sides = np.roll(corners, -1, axis=1) - corners
     normals = np.cross(sides[:, 0], sides[:, 1])
     low, high = corners.min(axis=1), corners.max(axis=1)
-    axis = min(range(3), key=lambda k: _meetings(low[:, k], high[:, k]))
+    # pairs that a sweep along each axis looks at
+    begins = np.sort(low, axis=0).T
+    met = [np.searchsorted(begins[k], high[:, k], side="right").sum() for k in range(3)]
+    axis = int(np.argmin(met))
     order = np.argsort(low[:, axis], kind="stable")
     tolerance = _DEPTH * float(np.ptp(points, axis=0).max())
     a, b, count = _sweep(corners, sides, normals, low, high, order, axis, tolerance)
@@ -292,12 +289,6 @@ def first_intersection(points: Array, triangles: Ints) -> tuple[int, int, Array,
         return None
     place = (np.maximum(low[a], low[b]) + np.minimum(high[a], high[b])) / 2
     return int(min(a, b)), int(max(a, b)), place, int(count)
-
-
-def _meetings(low: Array, high: Array) -> int:
-    """Count the pairs that a sweep along an axis looks at."""
-    begins = np.sort(low)
-    return int(np.searchsorted(begins, high, side="right").sum())
 
 
 @kernel()
@@ -422,8 +413,8 @@ class Body(Triangles):
     """A checked surface that stands on z = 0 below its plate."""
 
     #: shape (m,); triangles that lie in the upper and in the lower plate.
-    top: NDArray[np.bool_]
-    base: NDArray[np.bool_]
+    top: Flags
+    base: Flags
     #: Position of z = 0 along the axis of the file.
     lowest_mm: float
     #: What was mended, and what looks strange.
@@ -565,7 +556,7 @@ def turned_up(points: Array, axis: str) -> Array:
 
 def _flattened(
     points: Array, triangles: Ints, height: float, tolerance: float
-) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[Array, Flags, Flags]:
     """Put the corners of all faces that touch a plate exactly into it."""
     surface = Triangles(points, triangles)
     level, z = surface.normals[:, 2], surface.corners[:, :, 2]
