@@ -22,6 +22,7 @@ from study.reporting.content.report_facts import facts
 from study.reporting.output import page, write
 from study.reporting.output.terminal import say
 from study.reporting.results.study_result import ReportData
+from tests.reporting.example import unreplicated
 
 
 @pytest.fixture
@@ -48,9 +49,9 @@ def test_writes_pages_and_data_beside(tmp_path: Path, data: ReportData, both: tu
     assert len(pd.read_csv(beside / "cases.csv")) == 288
 
 
-def test_no_drawing_outlives_its_report(tmp_path: Path, data: ReportData):
+def test_no_drawing_outlives_its_report(tmp_path: Path):
     before = drawings()
-    write.write(replace(data, responses=data.responses[:1], curves=(), fits=()), tmp_path)
+    write.write(unreplicated(), tmp_path)
     assert drawings() <= before
 
 

@@ -90,7 +90,6 @@ def _term(row: Conclusion, labels: Labels) -> str:
 
 
 def _how(row: Conclusion, comparison: Beside) -> str:
-    """Verdict and size under each study."""
     facts = facts_of(row)
     parts = []
     for name, effect, best in zip(comparison.names, row.effects, row.best, strict=True):

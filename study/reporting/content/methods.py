@@ -216,8 +216,6 @@ def _software(data: ReportData) -> str:
     return sentence(f"software: {listing(names)}; seed {data.seed}") if names else ""
 
 
-# Words that a newcomer has not met, explained where they stand.
-
 #: term, as it is written, and what it means
 TERMS: dict[str, str] = {
     "block": "What was measured several times under every condition: a specimen, a phantom, a "

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from study.ground.arrays import gathered
 from study.harness.record.record import cell_names
 from study.reporting.content import effect_words, surface_content
 from study.reporting.content.effect_words import size, size_interval, with_unit
@@ -93,10 +94,11 @@ def recommendation(data: ReportData, facts: Facts) -> str:
     chosen = effect_words.factors_of(data, effect_words.CHOICE)
     if not chosen:
         return "No factor is a choice, so nothing is recommended."
-    by_setting: dict[str, list[str]] = {}
-    for setting in effect_words.settings(data):
-        text = _recommended(effect_words.at(data, setting), facts, chosen)
-        by_setting.setdefault(text, []).append(effect_words.named(setting, data))
+    by_setting = gathered(
+        (_recommended(effect_words.at(data, setting), facts, chosen),
+         effect_words.named(setting, data))
+        for setting in effect_words.settings(data)
+    )  # fmt: skip
     return " ".join(
         sentence(f"at {listing(where)}: {text}" if where[0] else text)
         for text, where in by_setting.items()
@@ -104,45 +106,42 @@ def recommendation(data: ReportData, facts: Facts) -> str:
 
 
 def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
-    frame = cost_front(data, facts, factors)
-    sign = -1.0 if facts.better == "higher" else 1.0
+    def best_of(frame: pd.DataFrame) -> pd.Series:
+        return frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
+
+    def named(cell: pd.Series) -> str:
+        return listing([clean(cell[name]) for name in factors])
+
+    def use(cell: pd.Series) -> str:
+        mean = quantity(cell["mean"], facts.unit)
+        return f"use {named(cell)}: {mean}{_over_fewer(data, facts)}"
+
+    front, sign = cost_front(data, facts, factors), -1.0 if facts.better == "higher" else 1.0
+    frame = cells(data, facts.name, factors) if front.empty else front
     if frame.empty:
-        frame = cells(data, facts.name, factors)
-        if frame.empty:
-            return "no cell has an answer"
-        best = frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
-        limit = practical_of(facts, frame)
-        named = listing([clean(best[name]) for name in factors])
-        text = f"use {named}: {quantity(best['mean'], facts.unit)}{_over_fewer(data, facts)}"
+        return "no cell has an answer"
+    best, limit = best_of(frame), practical_of(facts, frame)
+    within = f"{limit:.3g}{THIN}{facts.difference_unit}"
+    if front.empty:
         near = int((abs(frame["mean"] - best["mean"]) <= limit).sum()) - 1
-        within = f"{limit:.3g}{THIN}{facts.difference_unit}"
-        return f"{text}; {count(near, 'other cell')} within {within} of it" if near else text
-    best = frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
+        others = f"; {count(near, 'other cell')} within {within} of it"
+        return use(best) + (others if near else "")
     good = frame[frame["within"]]
     # a quarter more time is no reason to give up accuracy
-    quick = good[good["seconds"] <= 1.25 * good["seconds"].min()]
-    cheap = quick.iloc[int((sign * quick["mean"]).to_numpy().argmin())]
-    named = listing([clean(cheap[name]) for name in factors])
-    text = (
-        f"use {named}: {quantity(cheap['mean'], facts.unit)}{_over_fewer(data, facts)} in "
-        f"{duration(cheap['seconds'])} a case"
-    )
+    cheap = best_of(good[good["seconds"] <= 1.25 * good["seconds"].min()])
+    text = f"{use(cheap)} in {duration(cheap['seconds'])} a case"
     if cheap["cell"] == best["cell"]:
         return f"{text}; {_why_best(cheap, good)}"
-    limit = practical_of(facts, frame)
     gap = rounded(abs(float(best["mean"] - cheap["mean"])), decimals_that_count(limit))
-    gap = with_unit(gap, facts.difference_unit)
     times = significant(best["seconds"] / max(cheap["seconds"], 1e-9), 2)
-    other = listing([clean(best[name]) for name in factors])
     return (
-        f"{text}. The most accurate cell ({other}) gains {gap}, less than the "
-        f"{limit:.3g}{THIN}{facts.difference_unit} that matters, and takes "
+        f"{text}. The most accurate cell ({named(best)}) gains "
+        f"{with_unit(gap, facts.difference_unit)}, less than the {within} that matters, and takes "
         f"{times} times as long ({duration(best['seconds'])})"
     )
 
 
 def _why_best(cheap: pd.Series, good: pd.DataFrame) -> str:
-    """Say why the most accurate cell is also the one to use."""
     if len(good) == 1:
         return "no other cell comes within the difference that matters"
     share = float(good["seconds"].min()) / max(float(cheap["seconds"]), 1e-9)
@@ -158,8 +157,7 @@ def cheaper(data: ReportData, facts: Facts) -> str:
     """Say which level of a ``model.*`` factor may be the cheaper one: plates are no choice."""
     if not facts.better or "seconds" not in data.table:
         return ""
-    sentences_of_effects = [_cheaper_level(data, effect, facts) for effect in facts.effects]
-    return " ".join(text for text in sentences_of_effects if text)
+    return " ".join(filter(None, (_cheaper_level(data, e, facts) for e in facts.effects)))
 
 
 def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from itertools import permutations
 
 from study.ground.arrays import gathered
 from study.harness.record.record import Record
@@ -88,7 +89,6 @@ def answer(
 
 
 def _all_failed(items: Sequence[Record]) -> tuple[str, ...]:
-    """Say that there is nothing to compare, what the solver said, and where to look."""
     ((message, number),) = Counter(item.message or item.status for item in items).most_common(1)
     every = "The only case failed" if len(items) == 1 else f"All {len(items):,} cases failed"
     return (
@@ -140,27 +140,21 @@ def tested(data: ReportData, facts: Facts) -> str:
 
 def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Say which levels failed in too many of their cells to be compared with the others."""
-    gone: dict[str, None] = {}
-    for effect in (effect for facts in all_facts for effect in facts.effects):
-        levels = [str(level) for level in data.factors.get(effect.term, ())]
-        if effect.levels and set(effect.levels) < set(levels):
-            name = term_name(effect.term, data.labels)
-            # a number alone names no level
-            gone.update(
-                dict.fromkeys(
-                    clean(f"{name} {o}" if o[:1].isdigit() else o)
-                    for o in levels
-                    if o not in effect.levels
-                )
-            )
+    gone = dict.fromkeys(
+        # a number alone names no level
+        clean(f"{_label(effect, data)} {lost}" if lost[:1].isdigit() else lost)
+        for facts in all_facts
+        for effect in facts.effects
+        if effect.levels and set(effect.levels) < set(data.factors.get(effect.term, ()))
+        for lost in data.factors[effect.term]
+        if lost not in effect.levels
+    )
     why = "half of their cases or more failed, or every one on the finest mesh"
     return [f"Left out, because {why}: {listing(list(gone))}."] if gone else []
 
 
 #: how a sentence on a verdict begins that decides nothing
 _OPEN = {
-    MATTERS: "",
-    NO_DIFFERENCE: "",
     NOT_RESOLVED: "the meshes are too coarse to show whether",
     CANNOT_TELL: "these data cannot show whether",
 }
@@ -170,28 +164,28 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
     """Say in one sentence which choices matter for a response, which do not, which is open."""
     if facts.effects and not facts.has_size:
         return tested(data, facts)
-    named: dict[str, list[Effect]] = {}
-    for effect in sorted(effect_words.choices(data, facts), key=_magnitude, reverse=True):
-        verdict = effect.verdict if effect.verdict in _OPEN else CANNOT_TELL
-        named.setdefault(verdict, []).append(effect)
+    ranked = sorted(effect_words.choices(data, facts), key=_magnitude, reverse=True)
+    sure = {MATTERS, NO_DIFFERENCE, NOT_RESOLVED}
+    named = gathered((e.verdict if e.verdict in sure else CANNOT_TELL, e) for e in ranked)
     parts = []
-    if large := named.pop(MATTERS, []):
+    if large := named.get(MATTERS):
         listed = listing([f"{_label(e, data)} ({_to_reader(e, facts, data)})" for e in large])
         several = len(large) > 1
         parts.append(f"the choice{'s' * several} of {listed} matter{'s' * (not several)}")
-    if small := named.pop(NO_DIFFERENCE, []):
-        doubts = (
-            " (where all its levels were measured)" * e.is_partial
+    if small := named.get(NO_DIFFERENCE):
+        with_doubts = [
+            _label(e, data)
+            + " (where all its levels were measured)" * e.is_partial
             + (f" (not shown if {blocks_needed(e, facts)} is left out)" if e.lost_without else "")
             for e in small
-        )
-        named_small = [_label(e, data) + doubt for e, doubt in zip(small, doubts, strict=True)]
-        names = listing(named_small, "or")
+        ]
         choice = "that of" if parts else "the choice of"
-        parts.append(f"{choice} {names} makes no practical difference")
-    for verdict in (NOT_RESOLVED, CANNOT_TELL):
-        if names := listing([_label(e, data) for e in named.get(verdict, ())], "or"):
-            parts.append(f"{_OPEN[verdict]} {names} matters")
+        parts.append(f"{choice} {listing(with_doubts, 'or')} makes no practical difference")
+    parts += [
+        f"{start} {listing([_label(e, data) for e in named[verdict]], 'or')} matters"
+        for verdict, start in _OPEN.items()
+        if verdict in named
+    ]
     if not parts:
         return ""
     fitted = facts.scored_on == FITTED_CURVE
@@ -226,26 +220,25 @@ def _magnitude(effect: Effect) -> float:
 
 def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Say where a factor is immaterial for one response and material for another."""
-    by_factor: dict[str, dict[str, Effect]] = {}
-    for facts in all_facts:
-        for effect in effect_words.choices(data, facts):
-            by_factor.setdefault(effect.term, {})[facts.name] = effect
-    titles = {facts.name: facts for facts in all_facts}
+    by_factor = gathered(
+        (effect.term, (effect, facts))
+        for facts in all_facts
+        for effect in effect_words.choices(data, facts)
+    )
     contrasts = [
-        (unseen, seen)
+        (*unseen, *seen)
         for effects in by_factor.values()
-        for unseen in effects.items()
-        for seen in effects.items()
-        if seen[1].verdict == MATTERS
-        and unseen[1].verdict != MATTERS
-        and unseen[1].practical is not None
+        for unseen, seen in permutations(effects, 2)
+        if seen[0].verdict == MATTERS
+        and unseen[0].verdict != MATTERS
+        and unseen[0].practical is not None
     ]
     if not contrasts:
         return interactions(data, all_facts)
     # two claims say more than a claim and a doubt
-    (where, unseen), (name, seen) = min(contrasts, key=lambda c: c[0][1].verdict != NO_DIFFERENCE)
-    changed = f"{titles[name].noun} by {change(seen, titles[name])}"
-    choice, other = f"the choice of {name_of(seen.term, data.labels)}", titles[where].noun
+    unseen, where, seen, facts = min(contrasts, key=lambda of: of[0].verdict != NO_DIFFERENCE)
+    changed, other = f"{facts.noun} by {change(seen, facts)}", where.noun
+    choice = f"the choice of {name_of(seen.term, data.labels)}"
     if unseen.verdict == NO_DIFFERENCE:
         return sentence(
             f"{choice} makes no practical difference to {other}, yet it changes {changed}"
@@ -279,15 +272,15 @@ def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if not any(facts.interactions for facts in all_facts):
         return "Interactions are no part of this analysis, so it cannot rule them out."
     every_factor = [e for facts in all_facts for e in effect_words.choices(data, facts)]
+    names = dict.fromkeys(_label(e, data) for e in every_factor)
     together = {_label(e, data) for e in every_factor if not _may_be_chosen_alone(e)}
+    alone = [name for name in names if name not in together]
     if not together:
         measured = " that was measured" * any(e.is_partial for e in every_factor)
         return (
             f"Each factor can be chosen independently: at every setting of the others{measured} it "
             "makes no practical difference, or the same level is best."
         )
-    names = list(dict.fromkeys(_label(e, data) for e in every_factor))
-    alone = [name for name in names if name not in together]
     if not alone:
         return "An interaction cannot be excluded; choose these factors jointly."
     rest = listing([name for name in names if name in together])
@@ -297,10 +290,8 @@ def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
 
 def _may_be_chosen_alone(effect: Effect) -> bool:
     """Whether a factor makes no difference anywhere, or one level is the best everywhere."""
-    if effect.verdict == NO_DIFFERENCE:
-        return True
     if effect.verdict != MATTERS:
-        return False
+        return effect.verdict == NO_DIFFERENCE
     return any(
         all((level, other) in effect.always for other in effect.levels if other != level)
         or all((other, level) in effect.always for other in effect.levels if other != level)
@@ -348,8 +339,7 @@ def numerical(all_facts: Sequence[Facts]) -> str:
     if not bounded:
         return ""
     by_term = [f for f in bounded if f.result and f.result.detection.u_num_by_term]
-    open_ones = any(e.u_num is None for facts in bounded for e in facts.effects)
-    unknown = _NO_BOUND if open_ones else ""
+    unknown = _NO_BOUND * any(e.u_num is None for facts in bounded for e in facts.effects)
     if not by_term:
         return _BY_COLUMN + unknown
     if len(by_term) == len(bounded):
@@ -383,8 +373,7 @@ def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> tuple[tuple[str
 def distinct(facts: Facts, data: ReportData) -> str:
     """Say how many computations were really different."""
     total = data.planned
-    number = total if facts.result is None else facts.result.data.distinct
-    if number >= total:
+    if facts.result is None or (number := facts.result.data.distinct) >= total:
         return ""
     differ = f"only {number} differ" if number > 1 else "none differs from another"
     return (
@@ -419,19 +408,17 @@ def failures(items: Sequence[Record], total: int) -> str:
     )
 
 
-# Warnings of several responses and terms as few sentences.
-
 _MOST = 4
 
 
 def folded(warnings: Sequence[tuple[str, str]], data: ReportData) -> tuple[str, ...]:
     """Fold warnings of several responses and terms that differ in names and numbers alone."""
-    groups: dict[tuple[str, bool], list[tuple[str, str, str]]] = {}
-    for title, warning in warnings:
-        term, text = _split(warning, data)
-        # warnings about a term may differ in their numbers, others must be the same
-        key = re.sub(r"\d+", "#", text) if term else text
-        groups.setdefault((key, bool(term)), []).append((title, term, text))
+    split = [(title, *_split(warning, data)) for title, warning in warnings]
+    # warnings about a term may differ in their numbers, others must be the same
+    groups = gathered(
+        ((re.sub(r"\d+", "#", text) if term else text, bool(term)), (title, term, text))
+        for title, term, text in split
+    )
     return tuple(_line(items) for items in groups.values())
 
 

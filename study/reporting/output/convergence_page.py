@@ -89,7 +89,7 @@ def convergence_plots(
             "Meshes",
             lambda: _counts(meshes),
             lambda _: convergence.draw_meshes(meshes, np.asarray(window, float)),
-            lambda _: "The coarsest and the finest mesh, in the same window.",
+            "The coarsest and the finest mesh, in the same window.",
         )
     return {f"convergence-{name}": plot for name, plot in plots.items()}
 
@@ -201,9 +201,6 @@ def of_cells(table: Table, number: int) -> Table:
         return table
     rows = tuple(row[1:] for row in table.rows)
     return replace(table, columns=table.columns[1:], rows=rows, left=table.left - 1)
-
-
-# A series as a terminal shows it: meshes, verdict, limit, then what the page tables.
 
 
 def series_blocks(document: Document) -> Iterator[Block]:

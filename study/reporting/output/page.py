@@ -245,9 +245,6 @@ def replace_bytes(path: Path, data: bytes) -> None:
     write_atomic(path, data, flush=False)
 
 
-# The page that watches studies: those at work with their progress, and all others.
-
-
 @dataclass(frozen=True)
 class StudyProgress:
     """How many computations of how many a runner has done, and the same in words."""
@@ -309,7 +306,6 @@ class Shown(ABC):
         """Return what the result says: headings, sentences, tables and figures."""
 
     def _repr_html_(self) -> str:
-        """Blocks in HTML."""
         return fragment(self.blocks())
 
     def __repr__(self) -> str:

@@ -70,9 +70,6 @@ if TYPE_CHECKING:
     from study.harness.execution.local import Worker
 
 
-# Tables and methods in LaTeX.
-
-
 _SPECIAL = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
@@ -461,7 +458,6 @@ def _note(folder: Path, name: str) -> Path:
 
 
 def _content(root: Path, paths: Iterable[Path]) -> str:
-    """Hash of the names and bytes of files."""
     sha = hashlib.sha256()
     for path in sorted(paths):
         if path.is_file():
@@ -582,9 +578,10 @@ def _unpacked(path: Path, limit: int = MAX_BYTES) -> str:
 
 
 def _lines(text: str) -> list[str]:
-    lines = text.splitlines()
-    lines = [_CLOCK.sub("", line) if "<dt>time</dt>" in line else line for line in lines]
-    return [_PLACE.sub("", line) for line in lines]
+    return [
+        _PLACE.sub("", _CLOCK.sub("", line) if "<dt>time</dt>" in line else line)
+        for line in text.splitlines()
+    ]
 
 
 def _compare(name: str, old: Sequence[str], new: Sequence[str], verification: Verification) -> None:
