@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting.content import effect_words, recommendation, sentences
+from study.reporting.content import effect_words, sentences
 from study.reporting.content.report_facts import facts
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.analysis.anova import anova
@@ -61,7 +61,7 @@ def test_an_unknown_says_whether_measuring_it_pays(glue: float, words: str) -> N
 def test_only_choices_are_recommended() -> None:
     data = study(DECLARED)
     found = facts(data)
-    use = recommendation.recommendation(data, found[0])
+    use = sentences.recommendation(data, found[0])
     assert [word in use for word in ("soft", "dry", "glued")] == [True, False, False]
     first = sentences.answer(data, found)[0]
     words = ("choice of material", "plates", "range")
@@ -71,7 +71,7 @@ def test_only_choices_are_recommended() -> None:
 def test_all_factors_are_choices_unless_said_otherwise() -> None:
     data = study()
     assert effect_words.factors_of(data, effect_words.CHOICE) == list(FACTORS)
-    assert "dry" in recommendation.recommendation(data, facts(data)[0])
+    assert "dry" in sentences.recommendation(data, facts(data)[0])
 
 
 def test_the_best_cell_is_not_called_cheapest_where_another_is_cheaper() -> None:
@@ -79,6 +79,6 @@ def test_the_best_cell_is_not_called_cheapest_where_another_is_cheaper() -> None
     data = study()
     dry = data.table["plates"] == "dry"
     table = data.table.assign(seconds=np.where(dry, 2.0, 1.7), error=np.where(dry, 9.5, 10.0))
-    said = recommendation.recommendation(replace(data, table=table), facts(data)[0])
+    said = sentences.recommendation(replace(data, table=table), facts(data)[0])
     assert "dry" in said
     assert "the cheapest of those as good in practice takes 85" in said

@@ -14,8 +14,8 @@ from study.reporting.content import (
     methods,
     sentences,
 )
-from study.reporting.content.recommendation import cheaper, recommendation, would_change
 from study.reporting.content.report_facts import Facts, facts
+from study.reporting.content.sentences import cheaper, recommendation, would_change
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import (

@@ -350,8 +350,10 @@ def blocks_needed(effect: Effect, facts: Facts) -> str:
 def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
     """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one."""
     tested = facts.assumptions.normality
-    if tested is None or tested.p_exact is not None:
-        return tested is not None and tested.p_exact < alpha
+    if tested is None:
+        return False
+    if tested.p_exact is not None:
+        return tested.p_exact < alpha
     printed = tested.p_minitab or ""
     number = printed.strip("<> ")
     if not number or printed.startswith(">"):

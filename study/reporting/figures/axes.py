@@ -290,8 +290,7 @@ def _inline(text: str, name: str, title: str) -> str:
 # A figure is its title, its points, its drawing and its caption, or why it is missing.
 
 
-#: title, points, drawing and caption of a figure: the frame that is computed is drawn and told of,
-#: or the caption is the same for every frame
+#: title, points, drawing and caption of a figure: the frame is computed, drawn and told of
 Plot = tuple[
     str,
     Callable[[], "pd.DataFrame"],

@@ -13,7 +13,6 @@ from study.reporting.content import (
     comparison_content,
     effect_words,
     methods,
-    recommendation,
     sentences,
     surface_content,
     tables,
@@ -95,7 +94,9 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
         *_cost(data, parts),
     ]
     curves = of_all.get("few-curves", of_all.get("curves"))
-    warnings = _warnings(data, all_facts)
+    # of a table of levels that a surface replaces, nothing is missed
+    pairs = [(item.title, warning) for item, _ in parts for warning in item.warnings]
+    warnings = (*dict.fromkeys(data.warnings), *sentences.folded(pairs, data))
     shown = effects, curves
     return two_pages(data, all_facts, slug(data.name), data.name, shown, blocks, warnings)
 
@@ -122,7 +123,7 @@ def two_pages(
     effects, curves = figures
     answer = in_few((*sentences.answer(data, all_facts, is_short=True), *_held(data)))
     advice = what_to_do(data, all_facts)
-    would_change = recommendation.would_change(data, all_facts)
+    would_change = sentences.would_change(data, all_facts)
     blocks: list[Block] = [Heading("Answer", 2, "answer"), *map(Sentence, answer)]
     if effects is not None:
         blocks += [Heading(effects.title, 2, "effects"), effects]
@@ -193,20 +194,19 @@ def in_few(lines: Iterable[str]) -> tuple[str, ...]:
 
 def report_card(checks: Iterable[Check], data: ReportData) -> Card:
     """Return one line a check, the worst first, and one for the notes of the second page."""
-    lines = [_card_line(group) for group in analysis_content.by_name(checks)]
+    lines = []
+    for group in analysis_content.by_name(checks):
+        worst = [check for check in group if check.outcome == group[0].outcome]
+        meaning = worst[0].consequence or worst[0].finding
+        named = listing([check.of for check in worst if check.of])
+        if named and len(worst) < len(group):
+            meaning = f"{named}: {meaning}"
+        name = sentence(group[0].name).rstrip(".")
+        lines.append((group[0].outcome, name, sentence(meaning)))
     if data.warnings or data.data_notes:
         notes = count(len(data.warnings) + len(data.data_notes), "note")
         lines.append(("note", "Notes", f"{notes} on the data and the run, on the second page."))
     return Card(lines)
-
-
-def _card_line(group: Sequence[Check]) -> tuple[str, str, str]:
-    worst = [check for check in group if check.outcome == group[0].outcome]
-    meaning = worst[0].consequence or worst[0].finding
-    named = listing([check.of for check in worst if check.of])
-    if named and len(worst) < len(group):
-        meaning = f"{named}: {meaning}"
-    return group[0].outcome, sentence(group[0].name).rstrip("."), sentence(meaning)
 
 
 def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
@@ -223,8 +223,8 @@ def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
         return tuple(lines)
     if data.is_table:
         return ()
-    if lines := recommendation.recommendations(data, all_facts):
-        return lines
+    if advice := sentences.recommendations(data, all_facts):
+        return advice
     if not any(facts.terms for facts in all_facts):
         return ("Nothing can be recommended, because no response could be analyzed.",)
     return (
@@ -430,9 +430,8 @@ def _assumptions(parts: Sequence[tuple[Facts, Figures]]) -> Blocks:
     for item, figures in parts:
         if item.result is not None and item.terms:
             table = analysis_content.checks(item.result, f"tests of assumptions {item.name}")
-            shown = [table] if table else []
-            if shown := [*shown, *drawn(figures, "residuals", "spread")]:
-                blocks += [Heading(capital(item.title)), *shown]
+            shown = [block for block in (table, *drawn(figures, "residuals", "spread")) if block]
+            blocks += [Heading(capital(item.title)), *shown] if shown else []
     if blocks:
         yield Heading("Assumptions", 2, "assumptions")
         yield from blocks
@@ -493,7 +492,7 @@ def _cost(data: ReportData, parts: Sequence[tuple[Facts, Figures]]) -> Iterator[
     yield Heading("Cost against accuracy", 2, "cost")
     weighed: list[Block] = []
     for item, figures in parts:
-        weighed += map(Sentence, filter(None, [recommendation.cheaper(data, item)]))
+        weighed += map(Sentence, filter(None, [sentences.cheaper(data, item)]))
         weighed += drawn(figures, "front")
     none = "No response has a better end and a computing time, so cost is not weighed."
     yield from weighed or [Sentence(none)]
@@ -526,10 +525,3 @@ def _provenance(data: ReportData, warnings: Sequence[str]) -> Iterator[Block]:
             yield Points(lines)
     if data.design_text:
         yield Folded("The design file", (Verbatim(data.design_text),))
-
-
-def _warnings(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
-    over = bool(data.surfaces)  # a table of levels that a surface replaces is not missed
-    read = [item for item in all_facts if item.terms or not over]
-    pairs = [(item.title, warning) for item in read for warning in item.warnings]
-    return (*dict.fromkeys(data.warnings), *sentences.folded(pairs, data))
