@@ -45,8 +45,8 @@ from study.reporting.content import (
 )
 from study.reporting.content.analysis_content import contrasts
 from study.reporting.content.blocks import Sentence, Verbatim
-from study.reporting.content.recommendation import would_change
 from study.reporting.content.report_facts import facts
+from study.reporting.content.sentences import would_change
 from study.reporting.content.text import THIN, case_counts
 from study.reporting.output.page import Shown
 from study.reporting.results.study_result import ResponseAnalysis, StudyResult, unit_of

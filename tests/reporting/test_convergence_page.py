@@ -13,7 +13,6 @@ from study.reporting.content import tables
 from study.reporting.content.text import MISSING, THIN
 from study.reporting.figures import axes
 from study.reporting.figures import convergence_figures as convergence
-from study.reporting.figures import convergence_figures as validation
 from study.reporting.figures.axes import make
 from study.reporting.output.convergence_page import (
     convergence_plots,
@@ -62,9 +61,8 @@ def test_the_page_has_every_figure_and_its_data(tmp_path: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert text.count("<svg") == 4
     assert "Figure missing" not in text
-    assert "P2 gives 1 % error for the least time." in text
-    assert "beware" in text
-    assert "limited by a corner" in text
+    for words in ("P2 gives 1 % error for the least time.", "beware", "limited by a corner"):
+        assert words in text
     assert text.count("Formal order 1.19: a corner.") == 1  # once for all cells
     beside = {path.name for path in (tmp_path / "mesh-study-convergence-data").iterdir()}
     assert {"figure-convergence-values.csv", "table-series.csv", "table-errors-by-source.csv"} <= (
@@ -112,13 +110,13 @@ def comparison(label: str, error: float) -> dict[str, Any]:
 
 def test_validation_is_drawn_and_tabled() -> None:
     rows = [comparison("neo-hookean", 0.1), comparison("<b>ogden</b>", 0.001)]
-    frame = validation.validation_error_points(rows)
+    frame = convergence.validation_error_points(rows)
     assert len(frame) == 12
     np.testing.assert_allclose(frame["u_val_N"], frame["displacement_mm"] * np.hypot(0.02, 0.01))
     unknown = {**rows[0], "u_val_N": [0.0] * len(rows[0]["u_val_N"])}
-    beside = validation.caption([*rows, unknown])
+    beside = convergence.caption([*rows, unknown])
     assert "; 1 cell without a known one" in beside  # nothing is judged by an uncertainty of zero
-    text = validation.caption(rows)
+    text = convergence.caption(rows)
     assert beside.split(" cells")[0] == text.split(" cells")[0]
     assert "in 1 of 2 cells (block M1)" in text
     assert "Not known, and so left out: data." in text
@@ -126,7 +124,7 @@ def test_validation_is_drawn_and_tabled() -> None:
     assert table.rows[0][2] == "0.500"
     assert table.rows[0][-1].startswith("the model is off by E = 0.5 N +- 0.11 N")
     assert "within u_val" in table.rows[1][-1]
-    svg = axes.render(lambda: validation.draw_validation_errors(frame), "v", "v")
+    svg = axes.render(lambda: convergence.draw_validation_errors(frame), "v", "v")
     assert "<b>" not in svg
 
 
@@ -145,13 +143,12 @@ def test_parts_of_a_value_are_percentages() -> None:
 
 
 def test_series_of_a_sample_are_named_by_the_level_that_tells_them_apart() -> None:
+    names = ["bonded", "frictionless"]
     sampled = [
         cell(1.2) | {"levels": {"C10": f"{k}.5 kPa", "interface": name}}
-        for k, name in enumerate(("bonded", "frictionless"))
+        for k, name in enumerate(names)
     ]
-    assert convergence.value_points(sampled)["panel"].unique().tolist() == [
-        "bonded", "frictionless",
-    ]  # fmt: skip
+    assert convergence.value_points(sampled)["panel"].unique().tolist() == names
     crossed = [cell(1.2) | {"levels": {"m": m, "i": i}} for m in "ab" for i in "xy"]
     assert convergence.value_points(crossed)["panel"].unique().tolist()[0] == "a / x"
 

@@ -10,6 +10,7 @@ from study.harness.design.spec import Expected
 from study.reporting.content import effect_words
 from study.reporting.content.report_facts import facts
 from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.anova_table import Effect
 from tests.reporting.example import undrawn
 
 SCORE, MODULUS = "relative_rms_force_error", "mu0"
@@ -75,10 +76,13 @@ def test_the_page_shows_them_where_there_are_any(data: ReportData, stated: bool)
     assert "<b>me</b>" not in page
 
 
+def effect_of(data: ReportData, response: str, factor: str) -> Effect:
+    of = next(item for item in facts(data) if item.name == response)
+    return next(effect for effect in of.effects if effect.term == factor)
+
+
 def test_a_direction_holds_on_one_side_alone(data: ReportData) -> None:
-    (effect,) = [
-        e for f in facts(data) if f.name == MODULUS for e in f.effects if e.term == "plates"
-    ]
+    effect = effect_of(data, MODULUS, "plates")
     top, low = effect.highest, effect.lowest
     assert effect.pairs[0].different
     rows = judged(
@@ -93,10 +97,7 @@ def test_a_direction_holds_on_one_side_alone(data: ReportData) -> None:
 
 
 def test_an_error_is_better_where_it_is_smaller(data: ReportData) -> None:
-    (effect,) = [
-        e for f in facts(data) if f.name == SCORE for e in f.effects if e.term == "material"
-    ]
-    best = {"material": effect.lowest}
+    best = {"material": effect_of(data, SCORE, "material").lowest}
     better, fewer = judged(
         data, Expected("better", (), (best,), SCORE), Expected("fewer", (), (best,), SCORE)
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,8 +19,8 @@ from scipy import stats
 
 from study import fit_surfaces
 from study.ground.curve import Curve
-from study.reporting.content.recommendation import cost_front
 from study.reporting.content.report_facts import Facts, cells, facts
+from study.reporting.content.sentences import cost_front
 from study.reporting.figures import (
     axes,
     convergence_figures,
@@ -123,16 +124,18 @@ def two_ranges(data: ReportData) -> ReportData:
     """Two materials compared with the first 5 mm and with all 10 mm of one measured curve."""
     d = np.linspace(0, 10, 101)
     force = 0.2 * d + 0.05 * d**2
-    pairs = []
-    for share, end in (("half", 51), ("whole", 101)):
-        measured = Curve(d[:end], force[:end])
-        for material, factor in (("soft", 0.9), ("hard", 1.1)):
-            predicted = Curve(d[:end], factor * force[:end])
-            pairs.append(
-                CurvePair({"material": material, "range": share}, "b", measured, predicted)
-            )
+    curves = tuple(
+        CurvePair(
+            {"material": material, "range": share},
+            "b",
+            Curve(d[:end], force[:end]),
+            Curve(d[:end], factor * force[:end]),
+        )
+        for share, end in (("half", 51), ("whole", 101))
+        for material, factor in (("soft", 0.9), ("hard", 1.1))
+    )
     factors = {"range": ("half", "whole"), "material": ("soft", "hard")}
-    return replace(data, factors=factors, blocks=("b",), curves=tuple(pairs))
+    return replace(data, factors=factors, blocks=("b",), curves=curves)
 
 
 def test_every_panel_shows_its_own_measurement_to_its_end(data: ReportData):
@@ -151,9 +154,8 @@ def test_every_panel_shows_its_own_measurement_to_its_end(data: ReportData):
 def test_a_prediction_that_stopped_leaves_its_measurement_whole(data: ReportData):
     whole = two_ranges(data).curves[2]
     short = replace(whole, predicted=Curve(np.array([0.0, 4.0]), np.array([0.0, 1.5])))
-    found = curve_figures.curve_panels(
-        replace(two_ranges(data), curves=(short,), factors={"material": ("soft",)})
-    )
+    alone = replace(two_ranges(data), curves=(short,), factors={"material": ("soft",)})
+    found = curve_figures.curve_panels(alone)
     assert found.frame["displacement_mm"].max() == 10.0
     assert found.frame.dropna(subset=["predicted_N"])["displacement_mm"].max() == 4.0
     assert found.frame["measured_N"].notna().all()
@@ -232,13 +234,12 @@ def test_effects_stand_at_their_multiples_of_what_matters(data: ReportData):
     (ax,) = effect_figures.draw_against_limits(frame, both).axes
     drawn = [float(line.get_xdata()[0]) for line in ax.lines if line.get_marker() in ("o", "s")]
     assert drawn == frame["difference"].tolist()
-    first = both[0].effects[0]
-    assert first.range is not None
-    assert first.practical is not None
+    first, last = (of.effects[0] for of in both)
+    assert first.range
+    assert first.practical
     assert frame["difference"][0] == pytest.approx(first.range / first.practical)
-    last = both[1].effects[0]  # of a log response: a ratio
-    assert last.range is not None
-    assert last.practical is not None
+    assert last.range  # of a log response: a ratio
+    assert last.practical
     of_last = (frame["response"] == both[1].name) & (frame["term"] == last.term)
     row = next(frame[of_last].itertuples())  # what follows is its deciding setting
     assert row.difference == pytest.approx(math.log(last.range) / math.log(last.practical))
@@ -347,13 +348,10 @@ def test_figures_of_convergence_label_both_axes(spread: float):
 def test_cost_against_accuracy_of_many_levels(levels: int):
     ranges = [f"{k} %" for k in range(levels)]
     factors = {"material": ["neo-hookean", "reduced-polynomial-3"], "range": ranges}
-    frame = pd.DataFrame(
-        [(m, r) for m in factors["material"] for r in ranges], columns=["material", "range"]
-    )
-    frame["cell"] = frame["material"] + frame["range"]
-    frame["seconds"] = np.geomspace(0.05, 0.2, len(frame))
-    frame["mean"] = np.linspace(6.0, 3.0, len(frame))
-    frame["front"] = True
+    frame = pd.DataFrame(product(*factors.values()), columns=list(factors))
+    seconds, mean = np.geomspace(0.05, 0.2, len(frame)), np.linspace(6.0, 3.0, len(frame))
+    cell = frame["material"] + frame["range"]
+    frame = frame.assign(cell=cell, seconds=seconds, mean=mean, front=True)
     facts: Any = SimpleNamespace(better="lower", title="relative RMS force error", unit="%")
     data: Any = SimpleNamespace(factors=factors, labels={})
     found = []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from itertools import product
 from pathlib import Path
 
@@ -19,13 +18,15 @@ from study.reporting.content.blocks import Figure
 from study.reporting.content.report_facts import cells, comparable, facts
 from study.reporting.content.sentences import folded
 from study.reporting.figures import effect_figures
+from study.reporting.figures.axes import data_alone
 from study.reporting.output import study_page
-from study.reporting.output.page import Pages, policy_hash, printed, table_script
+from study.reporting.output.page import Pages, page_names, policy_hash, printed, table_script
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import Check, ReportData, ResponseAnalysis
 from study.statistics.analysis.simple_effects import MATTERS
 from tests.reporting.example import (
     FACTORS,
+    ReadPage,
     build,
     faults_of,
     undrawn,
@@ -55,36 +56,6 @@ CORPUS = [
     "&lt;b&gt;",
     "javascript:alert(1)",
 ]
-
-
-class Collector(HTMLParser):
-    """Every tag, attribute name and text of a page."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tags: set[str] = set()
-        self.attributes: set[str] = set()
-        self.links: list[str] = []
-        self.ids: list[str] = []
-        self.text: list[str] = []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.add(tag)
-        for key, value in attrs:
-            self.attributes.add(key)
-            if key in ("href", "src", "xlink:href"):
-                self.links.append(value or "")
-            if key == "id":
-                self.ids.append(value or "")
-
-    def handle_data(self, data):
-        self.text.append(data)
-
-
-def parsed(html: str) -> Collector:
-    collector = Collector()
-    collector.feed(html)
-    return collector
 
 
 def only_our_script(html: str) -> bool:
@@ -126,7 +97,7 @@ def test_sections_stand_in_the_order_of_the_design(first: str, second: str):
 @pytest.mark.parametrize("which", [0, 1])
 def test_page_is_self_contained_and_small(both: tuple[str, str], which: int):
     html = both[which]
-    page = parsed(html)
+    page = ReadPage(html)
     assert faults_of(html) == []
     assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
     assert (f"#{tables.CELL}1" in page.links) is bool(which)
@@ -156,7 +127,7 @@ def test_no_number_is_longer_than_a_reader_can_use(html: str):
     body = re.sub(
         r"<svg.*?</svg>|<style>.*?</style>|<dl class=\"facts mono\">.*?</dl>", "", html, flags=re.S
     )
-    text = " ".join(parsed(body).text)
+    text = " ".join(ReadPage(body).text)
     digits = [re.sub(r"[.]", "", n).lstrip("0") for n in re.findall(r"\d+\.\d+", text)]
     assert max(map(len, digits)) <= 5
     assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!: all)", text)
@@ -229,32 +200,27 @@ def test_a_broken_figure_is_named_and_the_others_are_the_same_to_the_byte(
     assert again == first | {f"{stem}interactions": ""}
 
 
-def test_failures_are_listed_with_their_map(data: ReportData):
-    page = undrawn(replace(with_failures(data), responses=(), curves=()))
-    assert "3 cases of 288" in page
-    assert "Failure map" in page
-    assert "the step could not be halved further" in page
-
-
 def test_assumed_inputs_are_labelled(html: str):
     assert re.search(r"test\.interface <span class=\"flag\">assumed</span>", html)
 
 
-def test_refused_analysis_still_makes_a_report(data: ReportData):
+def test_failures_are_listed_and_a_refused_response_still_makes_a_report(data: ReportData):
     refused = ResponseAnalysis("mu0", "kPa", refused="copies pose as replicates")
-    page = undrawn(replace(data, responses=(refused,), curves=()))
-    assert "Not analyzed. copies pose as replicates" in page
-    assert "No response could be analyzed" in page
+    page = undrawn(replace(with_failures(data), responses=(refused,), curves=()))
+    for words in (
+        "3 cases of 288", "Failure map", "the step could not be halved further",
+        "Not analyzed. copies pose as replicates", "No response could be analyzed",
+    ):  # fmt: skip
+        assert words in page
 
 
-def test_checks_of_several_responses_stand_together(data: ReportData):
-    made = analysis_content.check_table(analysis_content.all_checks(data, facts(data)), "checks")
-    names = [row[0] for row in made.rows if row[0]]
-    assert len(names) == len(set(names))
-    place = [row[0] for row in made.rows].index("Equal spread of the cells")
-    two = made.rows[place : place + 2]
-    assert {row[2] for row in two} == {f.title for f in facts(data)}
-    assert two[1][0] == ""
+def test_checks_of_several_responses_stand_together(contents: Pages, data: ReportData):
+    rows = contents.tables["checks"].rows
+    names = [row[0] for row in rows]
+    assert all(names.count(name) == 1 for name in names if name)
+    first, second = rows[names.index("Equal spread of the cells") :][:2]
+    assert {first[2], second[2]} == {f.title for f in facts(data)}
+    assert second[0] == ""
 
 
 def test_levels_stand_in_the_order_of_the_design(data: ReportData):
@@ -276,12 +242,10 @@ def test_u_num_is_a_letter_with_a_subscript(html: str):
 
 def test_a_huge_f_is_only_said_to_be_so(data: ReportData):
     found = facts(data)[1]
-    result = found.result
-    assert result is not None
+    assert found.result is not None
     rows = tuple(replace(row, f=7.6e9) if row.term == "plates" else row for row in found.rows)
-    result = replace(result, anova=replace(result.anova, rows=rows))
-    huge = replace(found, result=result)
-    table = tables.anova(huge, data)
+    result = replace(found.result, anova=replace(found.result.anova, rows=rows))
+    table = tables.anova(replace(found, result=result), data)
     assert "> 10,000" in next(row for row in table.rows if row[0] == "plates")
     assert table.note.startswith("F > 10,000: the effect is nearly the same in every phantom")
 
@@ -367,7 +331,7 @@ DRAWN = pytest.param(True, marks=[pytest.mark.slow, pytest.mark.verify])
 @pytest.mark.parametrize("evil", [*ALL_IN_ONE, *SLOW_CORPUS])
 def test_hostile_names_are_shown_and_never_run(data: ReportData, evil: str, drawn: bool):
     page = (build if drawn else undrawn)(hostile(data, evil))
-    seen = parsed(page)
+    seen = ReadPage(page)
     assert not seen.tags & {"img", "iframe", "link"}
     assert only_our_script(page)
     assert not [name for name in seen.attributes if name.startswith("on")]
@@ -393,54 +357,41 @@ def halves() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["field", "A", "B", "C", "yield"])
 
 
-@pytest.fixture(scope="module")
-def incomplete(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = tmp_path_factory.mktemp("halves")
-    result = analyze(halves(), "yield", ["A", "B", "C"], block="field", practical="2")
-    result.report(made)
-    return made
-
-
-def test_rows_that_no_block_was_to_hold_are_not_missing(incomplete: Path) -> None:
-    pages = [path.read_text("utf-8") for path in sorted(incomplete.glob("*.html"))]
-    assert [faults_of(page) for page in pages] == [[], []]
-    first = words_of((incomplete / "table-yield.html").read_text("utf-8"))
-    assert len(first.split()) <= 700
+def test_a_table_whose_blocks_hold_half_of_the_cells(tmp_path: Path) -> None:
+    """Nothing is missing, every figure is drawn, and the methods name the model that was fitted."""
+    analyze(halves(), "yield", ["A", "B", "C"], block="field", practical="2").report(tmp_path)
+    first, details = ((tmp_path / name).read_text("utf-8") for name in page_names("table-yield"))
+    assert (faults_of(first), faults_of(details)) == ([], [])
+    assert len(words_of(first).split()) <= 700
     assert "Unfinished study" not in first
     assert "How does yield depend on A, B and C?" in first
-
-
-def test_every_figure_is_drawn_from_blocks_that_hold_half_of_the_cells(incomplete: Path) -> None:
-    page = (incomplete / "table-yield-details.html").read_text("utf-8")
-    assert "Figure missing" not in page
-    means = pd.read_csv(incomplete / "table-yield-data" / "figure-yield-means.csv")
+    assert "Figure missing" not in details
+    means = pd.read_csv(tmp_path / "table-yield-data" / "figure-yield-means.csv")
     assert (means["low"] < means["mean"]).all()
     assert (means["mean"] < means["high"]).all()
-    rows = pd.read_csv(incomplete / "table-yield-data" / "figure-yield-cells.csv")
-    assert len(rows) == 24
-
-
-def test_the_methods_name_the_model_that_was_fitted(incomplete: Path) -> None:
-    text = words_of((incomplete / "table-yield-details.html").read_text("utf-8"))
+    assert len(pd.read_csv(tmp_path / "table-yield-data" / "figure-yield-cells.csv")) == 24
+    text = words_of(details)
     methods = text.partition("Methods, to paste")[2].partition("Provenance")[0]
     assert "mixed model by REML (Kenward and Roger)" in methods
     assert "gave 8 cells, not all of them in each of 6 fields" in methods
     assert "Greenhouse" not in methods
     assert "No p of this page rests on them" not in text
-
-
-def test_pairs_without_a_test_have_no_column_for_it(incomplete: Path) -> None:
-    page = (incomplete / "table-yield-details.html").read_text("utf-8")
-    pairs = words_of(page.partition('id="pairs"')[2].partition('id="residuals"')[0])
+    pairs = words_of(details.partition('id="pairs"')[2].partition('id="residuals"')[0])
     assert "Intervals hold for all pairs of a factor together." in pairs
     assert "adjusted p" not in pairs
+
+
+def first_page(folder: Path, table: pd.DataFrame, response: str, *factors: str, **how: str) -> str:
+    """Words of the first page of an analysis."""
+    with data_alone():
+        analyze(table, response, list(factors), **how).report(folder)
+    return words_of((folder / f"table-{response.lower()}.html").read_text("utf-8"))
 
 
 def test_more_rows_would_narrow_what_a_table_leaves_open(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     table = pd.DataFrame({"wool": list("AB") * 6, "breaks": rng.normal(30, 5, 12)})
-    analyze(table, "breaks", ["wool"], practical="2").report(tmp_path)
-    page = words_of((tmp_path / "table-breaks.html").read_text("utf-8"))
+    page = first_page(tmp_path, table, "breaks", "wool", practical="2")
     assert "these data cannot show whether wool matters" in page
     assert "More rows would narrow the interval of wool." in page
 
@@ -454,7 +405,6 @@ def test_a_claim_goes_no_further_than_the_cells_that_were_measured(tmp_path: Pat
         if (gel, plate) != ("foam", "oiled")
     ]
     table = pd.DataFrame(rows, columns=["batch", "gel", "plate", "E"])
-    analyze(table, "E", ["gel", "plate"], block="batch", practical="1").report(tmp_path)
-    page = words_of((tmp_path / "table-e.html").read_text("utf-8"))
+    page = first_page(tmp_path, table, "E", "gel", "plate", block="batch", practical="1")
     assert "that of plate (where all its levels were measured) makes no practical" in page
     assert "at every setting of the others that was measured it makes no practical" in page

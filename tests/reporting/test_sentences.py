@@ -14,8 +14,8 @@ from study.reporting.content import (
     methods,
     sentences,
 )
-from study.reporting.content.recommendation import cheaper, recommendation, would_change
 from study.reporting.content.report_facts import Facts, facts
+from study.reporting.content.sentences import cheaper, recommendation, would_change
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import (
@@ -45,19 +45,10 @@ def flat(text: str) -> str:
 
 
 def effect(verdict: str, **changes) -> Effect:
+    levels = ("frictionless", "bonded")
+    known = {"largest": levels[::-1], "practical": 0.5, "p": 0.001}
     return replace(
-        Effect(
-            "plates",
-            ("frictionless", "bonded"),
-            (5.0, 6.2),
-            (0.9, 1.5),
-            1.2,
-            verdict,
-            largest=("bonded", "frictionless"),
-            practical=0.5,
-            p=0.001,
-        ),
-        **changes,
+        Effect("plates", levels, (5.0, 6.2), (0.9, 1.5), 1.2, verdict, **known), **changes
     )
 
 

@@ -56,14 +56,11 @@ def test_the_list_of_words_finds_a_breach(text: str):
 def all_failed(data: ReportData) -> ReportData:
     gone = {one.name: np.nan for one in data.responses}
     table = data.table.assign(status="diverged", **gone)
-    levels = {name: own[0] for name, own in data.factors.items()}
     failed = tuple(
-        Record(str(case), "s", levels, "b", "not-converged", "no equilibrium beyond 0.4 mm")
+        Record(str(case), "s", {}, "b", "not-converged", "no equilibrium beyond 0.4 mm")
         for case in table["case_id"]
     )
-    refused = tuple(
-        replace(one, result=None, refused="every case failed") for one in data.responses
-    )
+    refused = tuple(replace(r, result=None, refused="every case failed") for r in data.responses)
     return replace(data, table=table, responses=refused, failures=failed, curves=(), fits=())
 
 
@@ -79,8 +76,7 @@ def test_a_study_of_which_every_case_failed_has_a_page(data: ReportData):
 
 @pytest.mark.parametrize(("rows", "failed"), [(288, 0), (288, 3), (100, 2)])
 def test_the_methods_count_the_cases(data: ReportData, rows: int, failed: int):
-    levels = {name: own[0] for name, own in data.factors.items()}
-    some = tuple(Record(str(k), "s", levels, "b", "not-converged") for k in range(failed))
+    some = tuple(Record(str(k), "s", {}, "b", "not-converged") for k in range(failed))
     text = methods.paragraph(replace(data, table=data.table.iloc[:rows], failures=some), ())
     counts = [
         int(number) for number in re.findall(r"\b(288|100|3|2)\b (?=cases|were|failed)", text)

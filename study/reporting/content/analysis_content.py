@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
+from itertools import repeat
 from typing import TYPE_CHECKING
 
 from study.ground.arrays import gathered
@@ -32,7 +33,6 @@ from study.reporting.content.text import (
 )
 from study.reporting.results.study_result import Check, ReportData
 from study.statistics.analysis import repeats
-from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import (
     MATTERS,
     NO_DIFFERENCE,
@@ -62,16 +62,18 @@ DIGITS = 5
 
 def factor_information(data: ReportData) -> Table:
     """Levels of every factor."""
+
+    def values(levels: Sequence[str]) -> str:
+        more = f", and {len(levels) - 20} more" if len(levels) > 20 else ""
+        return ", ".join(clean(level, 30) for level in levels[:20]) + more
+
     return Table.of(
         "Factor Information",
         data.factors.items(),
         {
             "factor": lambda of: clean(name_of(of[0], data.labels)),
             "levels": lambda of: str(len(of[1])),
-            "values": lambda of: (
-                ", ".join(clean(level, 30) for level in of[1][:20])
-                + (f", and {len(of[1]) - 20} more" if len(of[1]) > 20 else "")
-            ),
+            "values": lambda of: values(of[1]),
         },
         tail=1,
     )
@@ -113,33 +115,30 @@ def coefficients(fitted: tuple[Coefficient, ...], facts: Facts) -> Table | None:
 
 def means(facts: Facts, data: ReportData) -> Table:
     """Mean of every level of every factor and combination, with interval and letters."""
-    columns: dict[str, Callable[[tuple[Effect, int]], str]] = {
-        "term": lambda of: term_name(of[0].term, data.labels),
-        "level": lambda of: clean(of[0].levels[of[1]], 60),
-        "mean": lambda of: significant(of[0].mean[of[1]], 4),
-        f"{level(data.alpha)} interval": lambda of: interval(*_mean_ends(*of), digits=4),
-        "grouping": lambda of: of[0].letters[of[1]] if of[0].letters else "",
-    }
+    every = [
+        (effect.term, *of_level)
+        for effect in facts.terms
+        for ends, letters in [(effect.mean_ci95 or repeat(_NO_ENDS), effect.letters or repeat(""))]
+        for of_level in zip(effect.levels, effect.mean, ends, letters, strict=False)
+    ]
     return Table.of(
         "Means",
-        [(effect, i) for effect in facts.terms for i in range(len(effect.levels))],
-        columns,
+        every,
+        {
+            "term": lambda of: term_name(of[0], data.labels),
+            "level": lambda of: clean(of[1], 60),
+            "mean": lambda of: significant(of[2], 4),
+            f"{level(data.alpha)} interval": lambda of: interval(*of[3], digits=4),
+            "grouping": lambda of: of[4],
+        },
         left=2,
         tail=1,
         note="Levels of a factor that share a letter are not told apart.",
-        raw=lambda of: {
-            "term": of[0].term,
-            "level": of[0].levels[of[1]],
-            "mean": of[0].mean[of[1]],
-            **_raw_ends(_mean_ends(*of)),
-            "letters": columns["grouping"](of),
-        },
+        raw=lambda of: (
+            {"term": of[0], "level": of[1], "mean": of[2]} | _raw_ends(of[3]) | {"letters": of[4]}
+        ),
         grouped=True,
     ).first()
-
-
-def _mean_ends(effect: Effect, i: int) -> Ends:
-    return _NO_ENDS if effect.mean_ci95 is None else effect.mean_ci95[i]
 
 
 # Two levels or settings compared: a difference, or a ratio of a log response, and its intervals.
@@ -208,9 +207,8 @@ def open_effects(item: Facts, data: ReportData) -> Points | None:
 def contrasts(facts: Facts) -> Table | None:
     """Differences of two settings that were asked for by name; None without any."""
     result = facts.result
-    if result is None or not result.contrasts:
-        return None
-    return contrast_table(result.contrasts, facts, result.request.alpha)
+    asked = result and result.contrasts
+    return contrast_table(asked, facts, facts.alpha) if asked else None
 
 
 #: title of differences that were asked for by name
@@ -279,9 +277,8 @@ def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportDa
 
 def against_reference(factor: str, comparisons: Comparisons, data: ReportData) -> Table:
     """Every level against a reference (Dunnett)."""
-    reference = comparisons.pairs[0].second
     return Table.of(
-        f"{term_name(factor, data.labels)} against {clean(reference)}",
+        f"{term_name(factor, data.labels)} against {clean(comparisons.pairs[0].second)}",
         comparisons.pairs,
         {
             "level": lambda pair: clean(pair.first),
@@ -527,7 +524,7 @@ def mixed_blocks(model: MixedModel, response: str, alpha: float) -> Iterator[Blo
 def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> list[Check]:
     """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
     # controls that pass stand under numerical credibility alone
-    bad = [check for check in data.controls if check.outcome in ("fail", "caution")]
+    bad = (check for check in data.controls if check.outcome in ("fail", "caution"))
     made = [*data.checks, *bad]
     if data.retried:
         finding = tables.retried_sentence(data.retried)
@@ -537,14 +534,12 @@ def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> list[Check]:
         if facts.terms:
             made += [replace(check, of=facts.title) for check in _of_response(facts, data)]
         elif not data.surfaces:
-            why = facts.warnings[0] if facts.warnings else "no reason was recorded"
-            made.append(
-                Check("Analysis", "fail", why, "No verdict for this response.", facts.title)
-            )
-    made += [_surface(surface, data) for surface in data.surfaces]
-    return made
+            why = next(iter(facts.warnings), "no reason was recorded")
+            made.append(Check("Analysis", "fail", why, _NO_VERDICT, facts.title))
+    return [*made, *(_surface(surface, data) for surface in data.surfaces)]
 
 
+_NO_VERDICT = "No verdict for this response."
 _OUTCOMES = ("fail", "caution", "not applicable", "pass")
 
 
@@ -557,27 +552,24 @@ def by_name(made: Iterable[Check]) -> list[list[Check]]:
 def check_table(made: Iterable[Check], name: str) -> Table:
     """List every check, named in the first of its rows: outcome, finding, what follows."""
     rows = [
-        (sentence(check.name).rstrip(".") if first else "", check.outcome, clean(check.of),
+        ("" if k else sentence(check.name).rstrip("."), check.outcome, clean(check.of),
          sentence(clean(check.finding)), sentence(clean(check.consequence)))
         for group in by_name(made)
-        for first, check in zip((True, *[False] * len(group)), group, strict=False)
+        for k, check in enumerate(group)
     ]  # fmt: skip
     columns = ("check", "outcome", "response", "finding", "what follows")
     return Table(name, columns, tuple(rows), len(columns))
 
 
 def _surface(fitted: FittedSurface, data: ReportData) -> Check:
-    """Whether a surface predicts runs that it has not seen."""
     name, of = "Surface predicts runs left out", surface_content.title(fitted, data)
     if fitted.found is None:
         outcome = "not applicable" if fitted.screened else "fail"
-        return Check(name, outcome, clean(fitted.refused), "No verdict for this response.", of)
+        return Check(name, outcome, clean(fitted.refused), _NO_VERDICT, of)
     q2 = fitted.found.model.q2
-    if q2 >= GIVEN:
-        use = "Between the runs its values may be used."
-        return Check(name, "pass", surface_content.accuracy(fitted), use, of)
-    outcome = "caution" if q2 >= RANKED else "fail"
-    return Check(name, outcome, surface_content.accuracy(fitted), "Add runs.", of)
+    outcome = "pass" if q2 >= GIVEN else "caution" if q2 >= RANKED else "fail"
+    use = "Between the runs its values may be used." if outcome == "pass" else "Add runs."
+    return Check(name, outcome, surface_content.accuracy(fitted), use, of)
 
 
 def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
@@ -596,16 +588,14 @@ def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
         yield Check("Sphericity", "caution" if changed else "pass", finding, mend)
     tukey, unit = facts.assumptions.non_additivity, clean(data.block) or "block"
     if tukey is not None and tukey.p is not None and math.isfinite(tukey.p):
-        is_additive = tukey.p >= data.alpha
-        rejected = "not rejected" if is_additive else "rejected"
-        yield Check(
-            f"No interaction between cell and {unit}",
-            "pass" if is_additive else "caution",
-            f"{rejected} by Tukey's one-degree test ({p_phrase(tukey.p)})",
-            f"Effects hold in all {plural_of(unit)} alike."
-            if is_additive
-            else f"Effects grow or shrink with the level of the {unit}: consider the log.",
-        )
+        name = f"No interaction between cell and {unit}"
+        finding = f"rejected by Tukey's one-degree test ({p_phrase(tukey.p)})"
+        if tukey.p >= data.alpha:
+            holds = f"Effects hold in all {plural_of(unit)} alike."
+            yield Check(name, "pass", f"not {finding}", holds)
+        else:
+            mend = f"Effects grow or shrink with the level of the {unit}: consider the log."
+            yield Check(name, "caution", finding, mend)
     bounded = [effect for effect in facts.effects if effect.u_num is not None]
     if bounded or not data.is_table:  # a table has no mesh
         yield _resolution(facts, data, len(bounded))
@@ -616,14 +606,13 @@ def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
         for effect in judged
         if effect.lost_without
     ]
-    name = f"Claims hold with any one {facts.block} left out"
+    name, claims = f"Claims hold with any one {facts.block} left out", len(judged)
     if lost:
-        claims = "it" if len(lost) == 1 else "them"
-        more = f"Measure more {plural_of(facts.block)} before relying on {claims}."
+        those = "it" if len(lost) == 1 else "them"
+        more = f"Measure more {plural_of(facts.block)} before relying on {those}."
         yield Check(name, "caution", listing(lost), more)
     elif judged:
-        many = {1: "the claim does", 2: "both claims do"}
-        finding = many.get(len(judged), f"all {len(judged)} claims do")
+        finding = {1: "the claim does", 2: "both claims do"}.get(claims, f"all {claims} claims do")
         yield Check(name, "pass", finding, f"No claim hangs on a single {facts.block}.")
 
 
@@ -632,12 +621,10 @@ def _normality(facts: Facts, alpha: float) -> Check:
     if normality is None or normality.rj is None:
         reason = (normality and normality.reason) or "there are no residuals to test"
         return Check(name, "not applicable", f"Ryan-Joiner: {reason}")
-    rejected = effect_words.rejects_normality(facts, alpha)
-    finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
-    if normality.p_exact is not None:
-        finding += f" ({p_phrase(normality.p_exact)})"
-    if not rejected:
-        return Check(name, "pass", finding, "The p-values may be read as they are.")
+    p = "" if normality.p_exact is None else f" ({p_phrase(normality.p_exact)})"
+    finding = f"rejected by Ryan-Joiner{p}"
+    if not effect_words.rejects_normality(facts, alpha):
+        return Check(name, "pass", f"not {finding}", "The p-values may be read as they are.")
     approximate = (
         "Small p-values are approximate; the verdicts rest on the size of the effect "
         "against what matters."
@@ -651,14 +638,13 @@ def _spread(facts: Facts, alpha: float) -> Check:
     tests = facts.assumptions.spread
     applicable = {k: t for k, t in tests.items() if t.statistic is not None}
     if not applicable:
-        reasons = [why for why in dict.fromkeys(test.reason for test in tests.values()) if why]
-        why = listing(reasons) if reasons else "there are no residuals to test"
+        reasons = list(dict.fromkeys(test.reason for test in tests.values() if test.reason))
+        why = listing(reasons) or "there are no residuals to test"
         untested = f"neither Bartlett's nor Levene's test applies: {why}"
         return Check(name, "not applicable", untested)
-    against = [k.capitalize() for k, t in applicable.items() if effect_words.rejects(t, alpha)]
-    p_values = listing(
-        [f"{k.capitalize()} {p_phrase(effect_words.p_of(t))}" for k, t in applicable.items()]
-    )
+    ps = {k.capitalize(): effect_words.p_of(test) for k, test in applicable.items()}
+    against = [name for name, p in ps.items() if p is not None and p < alpha]
+    p_values = listing([f"{name} {p_phrase(p)}" for name, p in ps.items()])
     if not against:
         finding = f"not rejected ({p_values})"
         return Check(name, "pass", finding, "One error serves for all cells.")
@@ -673,24 +659,22 @@ def _resolution(facts: Facts, data: ReportData, bounded: int) -> Check:
         finding = "No numerical uncertainty is known."
         mend = "Every claim holds at this mesh: the discretization was not examined."
         return Check(name, "not applicable", finding, mend)
+    names = {effect.term: term_name(effect.term, data.labels) for effect in facts.effects}
     open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
     if not open_ones:
         finding = f"mesh error, added to the interval, changes no verdict (of {bounded})"
-        unbounded = [term_name(e.term, data.labels) for e in facts.effects if e.u_num is None]
+        unbounded = [names[effect.term] for effect in facts.effects if effect.u_num is None]
         if unbounded:
             finding += f"; no bound is known for {listing(unbounded)}"
             holds = "These verdicts hold" if len(unbounded) > 1 else "That verdict holds"
             return Check(name, "caution", finding, f"{holds} at this mesh; refine further.")
         return Check(name, "pass", finding, "Finer meshes would change no verdict.")
     needed = [
-        f"below {bound(effect.u_needed, effect, facts)} for {term_name(effect.term, data.labels)}"
+        f"below {bound(effect.u_needed, effect, facts)} for {names[effect.term]}"
         for effect in open_ones
         if effect.u_needed is not None
     ]
-    named = listing([term_name(effect.term, data.labels) for effect in open_ones])
-    finding = f"mesh error is too large to judge {named}"
-    finding += "; the measurements alone would suffice" if data.is_measured else ""
-    mend = (
-        f"Refine: mesh error would have to be {listing(needed)}." if needed else "Refine the mesh."
-    )
-    return Check(name, "caution", finding, mend)
+    finding = f"mesh error is too large to judge {listing([names[e.term] for e in open_ones])}"
+    finding += "; the measurements alone would suffice" * data.is_measured
+    below = f"Refine: mesh error would have to be {listing(needed)}."
+    return Check(name, "caution", finding, below if needed else "Refine the mesh.")

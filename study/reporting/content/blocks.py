@@ -183,6 +183,10 @@ class Folded:
 Block = Heading | Sentence | Points | Definitions | Card | Verbatim | Table | Figure | Folded
 
 
+Blocks = Iterator[Block | None]
+Figures = Mapping[str, Figure]
+
+
 def titled(table: Table | None, title: str = "") -> Iterator[Block]:
     """Table under its name or another title; nothing of None."""
     if table is not None:

@@ -114,7 +114,6 @@ def _population(population: Document) -> Iterator[Block]:
 
 
 def _judged(found: Document) -> Iterator[Block]:
-    """Verdicts of the fit, and what they rest on."""
     if found["same_constants_p"] is not None:
         yield Verbatim(
             f"all specimens share their constants: {p_phrase(found['same_constants_p'])}"

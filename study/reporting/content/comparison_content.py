@@ -90,12 +90,10 @@ def _term(row: Conclusion, labels: Labels) -> str:
 
 
 def _how(row: Conclusion, comparison: Beside) -> str:
-    """Verdict and size under each study."""
     facts = facts_of(row)
     parts = []
-    for name, effect, best in zip(comparison.names, row.effects, row.best, strict=True):
-        number = size(effect, facts)
-        number = "" if number == MISSING else number
+    for _, name, effect, best in _sides([row], comparison):
+        number = size(effect, facts).removeprefix(MISSING)
         lead = f"{row.end} with {clean(best)}" if row.same_best is False else ""
         why = clean(effect.why) if effect.strength == CANNOT_TELL else ""
         details = ", ".join(part for part in (number, lead, why) if part)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
+from study.ground.arrays import gathered
 from study.harness.design.spec import Expected
 from study.reporting.content.blocks import Table
 from study.reporting.content.report_facts import Facts, cells, practical_of
@@ -154,19 +155,14 @@ _SAID = {
 }
 
 
-def role(data: ReportData, factor: str) -> str:
-    """Role of a factor; a choice where none was declared."""
-    return data.roles.get(factor, CHOICE)
-
-
-def factors_of(data: ReportData, *roles: str) -> list[str]:
-    """Factors with one of some roles, in the order of the design."""
-    return [name for name in data.factors if role(data, name) in roles]
+def factors_of(data: ReportData, role: str) -> list[str]:
+    """Factors of a role, in the order of the design; a choice where none was declared."""
+    return [name for name in data.factors if data.roles.get(name, CHOICE) == role]
 
 
 def choices(data: ReportData, facts: Facts) -> list[Effect]:
     """Effects of the factors that are choices."""
-    return [effect for effect in facts.effects if role(data, effect.term) == CHOICE]
+    return [effect for effect in facts.effects if data.roles.get(effect.term, CHOICE) == CHOICE]
 
 
 def settings(data: ReportData) -> list[dict[str, str]]:
@@ -233,12 +229,12 @@ def together(verdicts: Sequence[str]) -> str:
 
 def unknowns(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Effect of every assumed factor, and whether it has to be measured."""
-    lines = []
-    for name in factors_of(data, UNKNOWN):
-        effects = [(f, e) for f in all_facts for e in f.effects if e.term == name]
-        if effects:
-            lines.append(_one_unknown(name_of(name, data.labels), effects))
-    return lines
+    effects = gathered((e.term, (f, e)) for f in all_facts for e in f.effects)
+    return [
+        _one_unknown(name_of(name, data.labels), effects[name])
+        for name in factors_of(data, UNKNOWN)
+        if name in effects
+    ]
 
 
 def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]]) -> str:
@@ -254,8 +250,6 @@ def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]]) -> str:
         return sentence(f"{start}. It makes no practical difference, so it need not be measured")
     return sentence(f"{start}. This study cannot tell whether it has to be measured")
 
-
-# Words for one effect: what it does to a response, and how sure that is.
 
 Labels = Mapping[str, str] | None
 
@@ -355,12 +349,12 @@ def blocks_needed(effect: Effect, facts: Facts) -> str:
 
 def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
     """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one."""
-    test_result = facts.assumptions.normality
-    if test_result is None:
+    tested = facts.assumptions.normality
+    if tested is None:
         return False
-    if test_result.p_exact is not None:
-        return test_result.p_exact < alpha
-    printed = test_result.p_minitab or ""
+    if tested.p_exact is not None:
+        return tested.p_exact < alpha
+    printed = tested.p_minitab or ""
     number = printed.strip("<> ")
     if not number or printed.startswith(">"):
         return False
@@ -377,12 +371,6 @@ def normality_phrase(facts: Facts, alpha: float) -> str:
     return f"normality is {rejected} by Ryan-Joiner{p}"
 
 
-def rejects(test: SpreadTest, alpha: float = 0.05) -> bool:
-    """Whether a test rejects; a Monte-Carlo p decides where there is one."""
-    p = p_of(test)
-    return p is not None and p < alpha
-
-
 def p_of(test: SpreadTest) -> float | None:
     """Return the p of a test that decides: the Monte-Carlo one where there is one."""
     return test.p if test.p_monte_carlo is None else test.p_monte_carlo
@@ -390,18 +378,13 @@ def p_of(test: SpreadTest) -> float | None:
 
 def least_sphericity(facts: Facts) -> tuple[str, float] | None:
     """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon."""
-    epsilons = {
-        term: sphericity.epsilon_gg
+    epsilons = [
+        (term, sphericity.epsilon_gg)
         for term, sphericity in facts.assumptions.sphericity.items()
         if math.isfinite(sphericity.epsilon_gg) and sphericity.df != 0
-    }
-    if not epsilons:
-        return None
-    term = min(epsilons, key=lambda t: epsilons[t])
-    return term, epsilons[term]
+    ]
+    return min(epsilons, key=lambda of: of[1], default=None)
 
-
-# What was expected before the study ran, beside what it found.
 
 HOLDS = "holds"
 FAILS = "does not hold"
@@ -516,12 +499,11 @@ def _magnitudes(effect: Effect) -> tuple[float, float]:
     if effect.is_ratio:
         ends = [math.log(v) if v and v > 0 else 0.0 for v in ends]
     low, high = sorted(float(v or 0.0) for v in ends)
-    inside = low <= 0 <= high
-    return (0.0 if inside else min(abs(low), abs(high))), max(abs(low), abs(high))
+    least, most = sorted((abs(low), abs(high)))
+    return (0.0 if low <= 0 <= high else least), most
 
 
 def _cells(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
-    """Compare means of cells with what matters."""
     frame = cells(data, facts.name, list(item.cells[0]))
     levels = frame[list(item.cells[0])].itertuples(index=False, name=None)
     means = dict(zip(levels, frame["mean"].tolist(), strict=True))

@@ -68,9 +68,9 @@ def _cases(data: ReportData) -> str:
         return ""
     planned = data.planned * max(len(data.blocks), 1)
     ended, failed = len(data.table), len(data.failures)
-    text = f"of {count(planned, 'case')} {ended:,} were computed" if ended < planned else ""
-    if not text:
-        text = f"{count(ended, 'case')} {'was' if ended == 1 else 'were'} computed"
+    text = f"{count(ended, 'case')} {'was' if ended == 1 else 'were'} computed"
+    if ended < planned:
+        text = f"of {count(planned, 'case')} {ended:,} were computed"
     if not failed:
         return sentence(f"{text}, and none failed")
     kinds = listing(sorted({clean(item.status) for item in data.failures}))
@@ -93,8 +93,7 @@ def _scores(data: ReportData) -> str:
 
 
 def _intervals(data: ReportData, all_facts: Sequence[Facts]) -> str:
-    has_ends = any(effect.low is not None for facts in all_facts for effect in facts.terms)
-    if data.is_table or not has_ends:
+    if data.is_table or all(e.low is None for facts in all_facts for e in facts.terms):
         return ""
     return sentence(
         f"intervals have a level of {level(data.alpha)} and, over the differences of one effect, "
@@ -215,8 +214,6 @@ def _software(data: ReportData) -> str:
     ]
     return sentence(f"software: {listing(names)}; seed {data.seed}") if names else ""
 
-
-# Words that a newcomer has not met, explained where they stand.
 
 #: term, as it is written, and what it means
 TERMS: dict[str, str] = {

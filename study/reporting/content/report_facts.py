@@ -52,7 +52,6 @@ class Facts(ResponseAnalysis):
     warnings: tuple[str, ...] = ()
     #: What the blocks are: phantom, batch.
     block: str = "block"
-    #: Whether it is a column of a table.
     is_table: bool = False
 
     @property

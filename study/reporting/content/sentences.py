@@ -10,29 +10,46 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from itertools import permutations
+from typing import TYPE_CHECKING
 
 from study.ground.arrays import gathered
-from study.harness.record.record import Record
-from study.reporting.content import effect_words, recommendation, surface_content
+from study.harness.record.record import Record, cell_names
+from study.reporting.content import effect_words, surface_content
 from study.reporting.content.effect_words import (
     blocks_needed,
     change,
     setting,
     shown_difference,
     size,
+    size_interval,
     sole_setting,
+    with_unit,
 )
-from study.reporting.content.report_facts import ERROR_TERMS, Facts
+from study.reporting.content.report_facts import (
+    ERROR_TERMS,
+    Facts,
+    cells,
+    comparable,
+    practical_of,
+)
 from study.reporting.content.text import (
     MISSING,
+    THIN,
     clean,
     count,
+    decimals_that_count,
+    duration,
+    level,
     listing,
     name_of,
     p_phrase,
     percent,
     plural_of,
+    quantity,
+    rounded,
     sentence,
+    significant,
     term_name,
 )
 from study.reporting.results.study_result import ANSWERED, FITTED_CURVE, ReportData
@@ -42,7 +59,11 @@ from study.statistics.analysis.simple_effects import (
     MATTERS,
     NO_DIFFERENCE,
     NOT_RESOLVED,
+    ONE_SPECIMEN,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: responses that a short answer speaks of one by one
 MOST_RESPONSES = 3
@@ -82,13 +103,12 @@ def answer(
         *effect_words.by_condition(data, all_facts),
         *effect_words.unknowns(data, all_facts),
         _one_not_other(data, all_facts) if has_size else "",
-        *(() if is_short else recommendation.recommendations(data, all_facts)),
+        *(() if is_short else recommendations(data, all_facts)),
     )
     return tuple(text for text in parts if text)
 
 
 def _all_failed(items: Sequence[Record]) -> tuple[str, ...]:
-    """Say that there is nothing to compare, what the solver said, and where to look."""
     ((message, number),) = Counter(item.message or item.status for item in items).most_common(1)
     every = "The only case failed" if len(items) == 1 else f"All {len(items):,} cases failed"
     return (
@@ -140,27 +160,21 @@ def tested(data: ReportData, facts: Facts) -> str:
 
 def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Say which levels failed in too many of their cells to be compared with the others."""
-    gone: dict[str, None] = {}
-    for effect in (effect for facts in all_facts for effect in facts.effects):
-        levels = [str(level) for level in data.factors.get(effect.term, ())]
-        if effect.levels and set(effect.levels) < set(levels):
-            name = term_name(effect.term, data.labels)
-            # a number alone names no level
-            gone.update(
-                dict.fromkeys(
-                    clean(f"{name} {o}" if o[:1].isdigit() else o)
-                    for o in levels
-                    if o not in effect.levels
-                )
-            )
+    gone = dict.fromkeys(
+        # a number alone names no level
+        clean(f"{_label(effect, data)} {lost}" if lost[:1].isdigit() else lost)
+        for facts in all_facts
+        for effect in facts.effects
+        if effect.levels and set(effect.levels) < set(data.factors.get(effect.term, ()))
+        for lost in data.factors[effect.term]
+        if lost not in effect.levels
+    )
     why = "half of their cases or more failed, or every one on the finest mesh"
     return [f"Left out, because {why}: {listing(list(gone))}."] if gone else []
 
 
 #: how a sentence on a verdict begins that decides nothing
 _OPEN = {
-    MATTERS: "",
-    NO_DIFFERENCE: "",
     NOT_RESOLVED: "the meshes are too coarse to show whether",
     CANNOT_TELL: "these data cannot show whether",
 }
@@ -170,28 +184,28 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
     """Say in one sentence which choices matter for a response, which do not, which is open."""
     if facts.effects and not facts.has_size:
         return tested(data, facts)
-    named: dict[str, list[Effect]] = {}
-    for effect in sorted(effect_words.choices(data, facts), key=_magnitude, reverse=True):
-        verdict = effect.verdict if effect.verdict in _OPEN else CANNOT_TELL
-        named.setdefault(verdict, []).append(effect)
+    ranked = sorted(effect_words.choices(data, facts), key=_magnitude, reverse=True)
+    sure = {MATTERS, NO_DIFFERENCE, NOT_RESOLVED}
+    named = gathered((e.verdict if e.verdict in sure else CANNOT_TELL, e) for e in ranked)
     parts = []
-    if large := named.pop(MATTERS, []):
+    if large := named.get(MATTERS):
         listed = listing([f"{_label(e, data)} ({_to_reader(e, facts, data)})" for e in large])
         several = len(large) > 1
         parts.append(f"the choice{'s' * several} of {listed} matter{'s' * (not several)}")
-    if small := named.pop(NO_DIFFERENCE, []):
-        doubts = (
-            " (where all its levels were measured)" * e.is_partial
+    if small := named.get(NO_DIFFERENCE):
+        with_doubts = [
+            _label(e, data)
+            + " (where all its levels were measured)" * e.is_partial
             + (f" (not shown if {blocks_needed(e, facts)} is left out)" if e.lost_without else "")
             for e in small
-        )
-        named_small = [_label(e, data) + doubt for e, doubt in zip(small, doubts, strict=True)]
-        names = listing(named_small, "or")
+        ]
         choice = "that of" if parts else "the choice of"
-        parts.append(f"{choice} {names} makes no practical difference")
-    for verdict in (NOT_RESOLVED, CANNOT_TELL):
-        if names := listing([_label(e, data) for e in named.get(verdict, ())], "or"):
-            parts.append(f"{_OPEN[verdict]} {names} matters")
+        parts.append(f"{choice} {listing(with_doubts, 'or')} makes no practical difference")
+    parts += [
+        f"{start} {listing([_label(e, data) for e in named[verdict]], 'or')} matters"
+        for verdict, start in _OPEN.items()
+        if verdict in named
+    ]
     if not parts:
         return ""
     fitted = facts.scored_on == FITTED_CURVE
@@ -226,26 +240,25 @@ def _magnitude(effect: Effect) -> float:
 
 def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Say where a factor is immaterial for one response and material for another."""
-    by_factor: dict[str, dict[str, Effect]] = {}
-    for facts in all_facts:
-        for effect in effect_words.choices(data, facts):
-            by_factor.setdefault(effect.term, {})[facts.name] = effect
-    titles = {facts.name: facts for facts in all_facts}
+    by_factor = gathered(
+        (effect.term, (effect, facts))
+        for facts in all_facts
+        for effect in effect_words.choices(data, facts)
+    )
     contrasts = [
-        (unseen, seen)
+        (*unseen, *seen)
         for effects in by_factor.values()
-        for unseen in effects.items()
-        for seen in effects.items()
-        if seen[1].verdict == MATTERS
-        and unseen[1].verdict != MATTERS
-        and unseen[1].practical is not None
+        for unseen, seen in permutations(effects, 2)
+        if seen[0].verdict == MATTERS
+        and unseen[0].verdict != MATTERS
+        and unseen[0].practical is not None
     ]
     if not contrasts:
         return interactions(data, all_facts)
     # two claims say more than a claim and a doubt
-    (where, unseen), (name, seen) = min(contrasts, key=lambda c: c[0][1].verdict != NO_DIFFERENCE)
-    changed = f"{titles[name].noun} by {change(seen, titles[name])}"
-    choice, other = f"the choice of {name_of(seen.term, data.labels)}", titles[where].noun
+    unseen, where, seen, facts = min(contrasts, key=lambda of: of[0].verdict != NO_DIFFERENCE)
+    changed, other = f"{facts.noun} by {change(seen, facts)}", where.noun
+    choice = f"the choice of {name_of(seen.term, data.labels)}"
     if unseen.verdict == NO_DIFFERENCE:
         return sentence(
             f"{choice} makes no practical difference to {other}, yet it changes {changed}"
@@ -279,15 +292,15 @@ def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if not any(facts.interactions for facts in all_facts):
         return "Interactions are no part of this analysis, so it cannot rule them out."
     every_factor = [e for facts in all_facts for e in effect_words.choices(data, facts)]
+    names = dict.fromkeys(_label(e, data) for e in every_factor)
     together = {_label(e, data) for e in every_factor if not _may_be_chosen_alone(e)}
+    alone = [name for name in names if name not in together]
     if not together:
         measured = " that was measured" * any(e.is_partial for e in every_factor)
         return (
             f"Each factor can be chosen independently: at every setting of the others{measured} it "
             "makes no practical difference, or the same level is best."
         )
-    names = list(dict.fromkeys(_label(e, data) for e in every_factor))
-    alone = [name for name in names if name not in together]
     if not alone:
         return "An interaction cannot be excluded; choose these factors jointly."
     rest = listing([name for name in names if name in together])
@@ -297,10 +310,8 @@ def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
 
 def _may_be_chosen_alone(effect: Effect) -> bool:
     """Whether a factor makes no difference anywhere, or one level is the best everywhere."""
-    if effect.verdict == NO_DIFFERENCE:
-        return True
     if effect.verdict != MATTERS:
-        return False
+        return effect.verdict == NO_DIFFERENCE
     return any(
         all((level, other) in effect.always for other in effect.levels if other != level)
         or all((other, level) in effect.always for other in effect.levels if other != level)
@@ -348,8 +359,7 @@ def numerical(all_facts: Sequence[Facts]) -> str:
     if not bounded:
         return ""
     by_term = [f for f in bounded if f.result and f.result.detection.u_num_by_term]
-    open_ones = any(e.u_num is None for facts in bounded for e in facts.effects)
-    unknown = _NO_BOUND if open_ones else ""
+    unknown = _NO_BOUND * any(e.u_num is None for facts in bounded for e in facts.effects)
     if not by_term:
         return _BY_COLUMN + unknown
     if len(by_term) == len(bounded):
@@ -383,8 +393,7 @@ def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> tuple[tuple[str
 def distinct(facts: Facts, data: ReportData) -> str:
     """Say how many computations were really different."""
     total = data.planned
-    number = total if facts.result is None else facts.result.data.distinct
-    if number >= total:
+    if facts.result is None or (number := facts.result.data.distinct) >= total:
         return ""
     differ = f"only {number} differ" if number > 1 else "none differs from another"
     return (
@@ -419,20 +428,26 @@ def failures(items: Sequence[Record], total: int) -> str:
     )
 
 
-# Warnings of several responses and terms as few sentences.
-
 _MOST = 4
 
 
 def folded(warnings: Sequence[tuple[str, str]], data: ReportData) -> tuple[str, ...]:
     """Fold warnings of several responses and terms that differ in names and numbers alone."""
-    groups: dict[tuple[str, bool], list[tuple[str, str, str]]] = {}
-    for title, warning in warnings:
-        term, text = _split(warning, data)
-        # warnings about a term may differ in their numbers, others must be the same
-        key = re.sub(r"\d+", "#", text) if term else text
-        groups.setdefault((key, bool(term)), []).append((title, term, text))
-    return tuple(_line(items) for items in groups.values())
+    split = [(title, *_split(warning, data)) for title, warning in warnings]
+    # warnings about a term may differ in their numbers, others must be the same
+    groups = gathered(
+        ((re.sub(r"\d+", "#", text) if term else text, bool(term)), (title, term, text))
+        for title, term, text in split
+    )
+    lines = []
+    for items in groups.values():
+        titles = listing(list(dict.fromkeys(title for title, _, _ in items)))
+        terms = list(dict.fromkeys(term for _, term, _ in items if term))
+        if len(terms) > _MOST:
+            terms = [*terms[:_MOST], f"{len(terms) - _MOST} more terms"]
+        about = f"{listing(terms)}: " if terms else ""
+        lines.append(sentence(f"{titles}: {about}{items[0][2]}"))
+    return tuple(lines)
 
 
 def _split(warning: str, data: ReportData) -> tuple[str, str]:
@@ -443,10 +458,223 @@ def _split(warning: str, data: ReportData) -> tuple[str, str]:
     return "", warning
 
 
-def _line(items: Sequence[tuple[str, str, str]]) -> str:
-    titles = listing(list(dict.fromkeys(title for title, _, _ in items)))
-    terms = list(dict.fromkeys(term for _, term, _ in items if term))
-    if len(terms) > _MOST:
-        terms = [*terms[:_MOST], f"{len(terms) - _MOST} more terms"]
-    about = f"{listing(terms)}: " if terms else ""
-    return sentence(f"{titles}: {about}{items[0][2]}")
+# What to use: the best cell, the cheapest within reach of it; and what would change the answer.
+
+
+def _over_fewer(data: ReportData, facts: Facts) -> str:
+    """Say where means are taken over fewer blocks than there are."""
+    if not data.blocks or "block" not in data.table:
+        return ""
+    shared = comparable(data, facts.name)["block"].nunique()
+    if shared == len(data.blocks):
+        return ""
+    blocks = plural_of(clean(data.block) or "block")
+    return f" (over the {shared} of {len(data.blocks)} {blocks} in which every cell has an answer)"
+
+
+def cost_front(
+    data: ReportData, facts: Facts, factors: Sequence[str] | None = None
+) -> pd.DataFrame:
+    """Mean seconds and mean response of every cell, and which cells no other one dominates."""
+    import pandas as pd
+
+    factors = list(data.factors if factors is None else factors)
+    if "seconds" not in data.table or not data.table["seconds"].notna().any():
+        return pd.DataFrame(columns=[*factors, "cell", "mean", "seconds", "front", "within"])
+    frame = cells(data, facts.name, factors)
+    answered = data.table[data.table[facts.name].notna()]
+    keys = cell_names(answered, factors)
+    seconds = answered["seconds"].astype(float).groupby(keys).mean()
+    frame["seconds"] = frame["cell"].map(seconds)
+    frame = frame.dropna(subset=["seconds"]).sort_values(["seconds", "mean"], kind="stable")
+    sign = -1.0 if facts.better == "higher" else 1.0
+    score = sign * frame["mean"]
+    limit = practical_of(facts, frame)
+    # a gain of less than a thousandth of what matters is no step
+    best = score.cummin().shift(fill_value=float("inf"))
+    frame["front"] = score < best - limit / 1000
+    frame["within"] = score - score.min() <= limit
+    return frame.reset_index(drop=True)
+
+
+def recommendations(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
+    """Recommendation of every response that has a better end and an answer."""
+    return tuple(
+        recommendation(data, facts)
+        for facts in all_facts
+        if facts.terms and facts.better and data.table[facts.name].notna().any()
+    )
+
+
+def recommendation(data: ReportData, facts: Facts) -> str:
+    """Say for each condition the cheapest choices within what matters of the best."""
+    chosen = effect_words.factors_of(data, effect_words.CHOICE)
+    if not chosen:
+        return "No factor is a choice, so nothing is recommended."
+    by_setting = gathered(
+        (_recommended(effect_words.at(data, setting), facts, chosen),
+         effect_words.named(setting, data))
+        for setting in effect_words.settings(data)
+    )  # fmt: skip
+    return " ".join(
+        sentence(f"at {listing(where)}: {text}" if where[0] else text)
+        for text, where in by_setting.items()
+    )
+
+
+def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
+    def best_of(frame: pd.DataFrame) -> pd.Series:
+        return frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
+
+    def named(cell: pd.Series) -> str:
+        return listing([clean(cell[name]) for name in factors])
+
+    def use(cell: pd.Series) -> str:
+        mean = quantity(cell["mean"], facts.unit)
+        return f"use {named(cell)}: {mean}{_over_fewer(data, facts)}"
+
+    front, sign = cost_front(data, facts, factors), -1.0 if facts.better == "higher" else 1.0
+    frame = cells(data, facts.name, factors) if front.empty else front
+    if frame.empty:
+        return "no cell has an answer"
+    best, limit = best_of(frame), practical_of(facts, frame)
+    within = f"{limit:.3g}{THIN}{facts.difference_unit}"
+    if front.empty:
+        near = int((abs(frame["mean"] - best["mean"]) <= limit).sum()) - 1
+        others = f"; {count(near, 'other cell')} within {within} of it"
+        return use(best) + (others if near else "")
+    good = frame[frame["within"]]
+    # a quarter more time is no reason to give up accuracy
+    cheap = best_of(good[good["seconds"] <= 1.25 * good["seconds"].min()])
+    text = f"{use(cheap)} in {duration(cheap['seconds'])} a case"
+    if cheap["cell"] == best["cell"]:
+        return f"{text}; {_why_best(cheap, good)}"
+    gap = rounded(abs(float(best["mean"] - cheap["mean"])), decimals_that_count(limit))
+    times = significant(best["seconds"] / max(cheap["seconds"], 1e-9), 2)
+    return (
+        f"{text}. The most accurate cell ({named(best)}) gains "
+        f"{with_unit(gap, facts.difference_unit)}, less than the {within} that matters, and takes "
+        f"{times} times as long ({duration(best['seconds'])})"
+    )
+
+
+def _why_best(cheap: pd.Series, good: pd.DataFrame) -> str:
+    if len(good) == 1:
+        return "no other cell comes within the difference that matters"
+    share = float(good["seconds"].min()) / max(float(cheap["seconds"]), 1e-9)
+    if share >= 1:
+        return "it is the most accurate cell, and the cheapest of those as good in practice"
+    return (
+        "it is the most accurate cell; the cheapest of those as good in practice takes "
+        f"{percent(share)} of its time"
+    )
+
+
+def cheaper(data: ReportData, facts: Facts) -> str:
+    """Say which level of a ``model.*`` factor may be the cheaper one: plates are no choice."""
+    if not facts.better or "seconds" not in data.table:
+        return ""
+    return " ".join(filter(None, (_cheaper_level(data, e, facts) for e in facts.effects)))
+
+
+def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
+    if not effect.term.startswith("model.") or effect.range is None:
+        return ""
+    answered = data.table[data.table[facts.name].notna() & data.table["seconds"].notna()]
+    seconds = answered["seconds"].astype(float).groupby(answered[effect.term].astype(str)).mean()
+    if len(seconds) < 2:
+        return ""
+    cheap, dear = str(seconds.idxmin()), str(seconds.idxmax())
+    times = significant(float(seconds.max() / max(seconds.min(), 1e-9)), 2)
+    cost = (
+        f"takes {duration(seconds.min())} a case, the other {duration(seconds.max())} "
+        f"({times} times as long)"
+    )
+    name, gap = name_of(effect.term, data.labels), size(effect, facts)
+    if effect.verdict == NO_DIFFERENCE:
+        gap = f"less than {gap[2:]}" if gap.startswith("< ") else f"at most {gap}"
+        return sentence(
+            f"{name}: {clean(cheap)} is enough, for it differs from {clean(dear)} by {gap} "
+            f"in {facts.noun} and {cost}"
+        )
+    weight = "which matters" if effect.verdict == MATTERS else "which may matter or not"
+    return sentence(
+        f"{name}: to use {clean(cheap)} instead of {clean(dear)} moves {facts.noun} by up to "
+        f"{gap} ({level(facts.alpha)} interval {size_interval(effect, facts)}), {weight}; "
+        f"it {cost}"
+    )
+
+
+def would_change(data: ReportData, all_facts: Sequence[Facts]) -> str:
+    """Say what would change the answer."""
+    if data.surfaces:
+        return surface_content.would_change(data)
+    parts = [*_surer(data, all_facts), *_closer_to_reality(data)]
+    if not parts:
+        measured = (
+            "rows of other conditions" if data.is_table else "measurements of another material"
+        )
+        other = measured if data.is_measured else "other given values"
+        parts = [f"a different smallest difference that matters, or {other}"]
+    return sentence("; ".join(parts))
+
+
+def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
+    """More units, or finer meshes: each where it is the cause of a doubt."""
+    parts, unit = [], clean(data.block) or ("row" if data.is_table else "replicate")
+    unstated = [facts.noun for facts in all_facts if facts.effects and not facts.has_size]
+    if unstated:
+        parts.append(f"the smallest difference that matters, stated for {listing(unstated)}")
+    effects = [e for facts in all_facts if facts.has_size for e in facts.effects]
+    alone = _names([e for e in effects if e.why == ONE_SPECIMEN], data)
+    if alone:
+        parts.append(f"measurements of more specimens, for one tells nothing of {listing(alone)} "
+                     "in others, however often it is measured")  # fmt: skip
+    open_ones = [e for e in effects if e.verdict == CANNOT_TELL and e.why != ONE_SPECIMEN]
+    doubts = _names(open_ones, data)
+    # the same computation gives the same answer: nothing is gained from it again
+    if doubts and (data.imported or data.is_table or (data.is_measured and data.blocks)):
+        several = "s" if len(doubts) > 1 else ""
+        parts.append(
+            f"more {plural_of(unit)} would narrow the interval{several} of {listing(doubts)}"
+        )
+    claims = _names([e for e in effects if e.lost_without], data)
+    if claims:
+        more = plural_of(clean(data.block) or "block")
+        parts.append(f"more {more} could overturn or confirm what is said of {listing(claims)}")
+    coarse = _names([e for e in effects if e.verdict == NOT_RESOLVED], data)
+    is_computed = not data.is_measured and not data.imported
+    if is_computed:
+        lost = [e for e in open_ones if None in e.mean or e.range is None]
+        if lost:
+            parts.append(f"answers where cases failed, for {listing(_names(lost, data))}")
+        coarse = list(
+            dict.fromkeys([*coarse, *_names([e for e in open_ones if e not in lost], data)])
+        )
+    if coarse:
+        parts.append(f"finer meshes could resolve {listing(coarse)}")
+    if is_computed and effects and all(e.u_num is None for e in effects):
+        has_mesh = "dofs" in data.table and data.table["dofs"].notna().any()
+        untried = "a refined mesh, which was not tried"
+        if not has_mesh:
+            untried = "the numerical error of the program, which [converge] would show"
+        parts.append(f"{untried}, could move every result")
+    return parts
+
+
+def _closer_to_reality(data: ReportData) -> list[str]:
+    parts = []
+    if data.assumed:
+        names = listing([name_of(key, data.labels) for key in data.assumed])
+        parts.append(f"a measured value of what is assumed here ({names}) could move every result")
+    if data.failures:
+        some = len(data.failures) < len(data.table)
+        hidden = "may hide an effect" if some else "hide every effect"
+        parts.append(f"{count(len(data.failures), 'failed case')} {hidden}")
+    if data.virtual:
+        parts.append("real measurements would, since these were generated")
+    return parts
+
+
+def _names(effects: Sequence[Effect], data: ReportData) -> list[str]:
+    return list(dict.fromkeys(_label(effect, data) for effect in effects))

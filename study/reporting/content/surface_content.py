@@ -52,8 +52,6 @@ if TYPE_CHECKING:
     )
 
 
-# What uncertain inputs do to a response over ranges: sentences and the table of inputs.
-
 #: a gain below this is no reason to measure an input better
 WORTH = 0.01
 
@@ -94,11 +92,7 @@ def uncertainty_lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         "percentiles of the uncertain inputs' response; that is no part of these."
     ]
     if told.fixed:
-        held = [
-            f"{name_of(name, data.labels)} at {quantity(value, one.units.get(name, ''))}"
-            for name, value in told.fixed.items()
-        ]
-        said.append(f"Held there for it: {listing(held)}.")
+        said.append(f"Held there for it: {settings(told.fixed, one, data, ' at')}.")
     cut = [f"{percent(p, 2)} of {name_of(n, data.labels)}" for n, p in told.cut.items() if p > 1e-4]
     if cut:
         said.append(f"Outside of the ranges that were run, and cut off: {listing(cut)}.")
@@ -162,13 +156,14 @@ def accuracy(one: FittedSurface) -> str:
     found = one.found
     if found is None:
         return ""
-    model = found.model
-    loo = model.loo if isinstance(model, QuadraticSurface) else model
-    runs = count(found.runs.response.size, "run")
+    model, runs = found.model, count(found.runs.response.size, "run")
     kind = "quadratic surface" if found.kind == "quadratic" else "Gaussian-process emulator"
-    if loo is None:
-        return f"A {kind} of {runs}; no run can be left out, so its error is not known."
-    rms = loo.rms if hasattr(loo, "rms") else loo.loo_rms
+    if isinstance(model, QuadraticSurface):
+        if model.loo is None:
+            return f"A {kind} of {runs}; no run can be left out, so its error is not known."
+        rms = model.loo.rms
+    else:
+        rms = model.loo_rms
     if _learns_from_others(found):
         runs += ", which learns from those at the other levels,"
     q2 = f"{model.q2:.3f}" if model.q2 < 0.9995 else "above 0.999"
@@ -218,19 +213,18 @@ def extremes(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
     found = one.found
     if found is None:
         return ()
-    lines = []
+    lines, unit = [], "" if one.unit == "1" else clean(one.unit)
     for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):
         value = significant(extreme.value)
         if extreme.half_width == extreme.half_width:  # NaN where no run can be left out
             value += f"{THIN}\N{PLUS-MINUS SIGN}{THIN}{significant(extreme.half_width, 2)}"
-        value += f"{THIN}{clean(one.unit)}" if one.unit not in ("", "1") else ""
+        value += f"{THIN}{unit}" * bool(unit)
         at = settings(extreme.settings, one, data)
         lines.append(f"The {word} prediction in these ranges is {value} at {at}.")
     return tuple(lines)
 
 
 def _refusal(one: FittedSurface) -> str:
-    """Why there is no surface, in one line."""
     return clean("; ".join(map(str.strip, one.refused.splitlines())))
 
 
@@ -262,15 +256,13 @@ def differences(one: FittedSurface, data: ReportData) -> Iterator[str]:
     for told in one.differences:
         word = "more" if told.mean >= 0 else "less"
         ends = (told.low, told.high) if told.mean >= 0 else (-told.high, -told.low)
-        said = {
-            MATTERS: "this matters",
-            NO_DIFFERENCE: "this makes no practical difference at any setting",
-        }.get(told.verdict, "these runs cannot show whether this matters")
-        limit = (
-            ""
-            if one.practical is None
-            else f"; with {one.practical:.3g} {unit} as what matters, {said}"
-        )
+        limit = ""
+        if one.practical is not None:
+            verdict = {
+                MATTERS: "this matters",
+                NO_DIFFERENCE: "this makes no practical difference at any setting",
+            }.get(told.verdict, "these runs cannot show whether this matters")
+            limit = f"; with {one.practical:.3g} {unit} as what matters, {verdict}"
         yield sentence(
             f"{name_of(one.response, data.labels)} with {name_of(told.factor, data.labels)} "
             f"{clean(told.level)} is {quantity(abs(told.mean), unit)} {word} than with "
@@ -302,14 +294,10 @@ def _shape(one: FittedSurface, data: ReportData) -> Iterator[str]:
     yield from (f"Not told apart: {clean(alias)}." for alias in model.aliases)
 
 
-def settings(at: Mapping[str, float], one: FittedSurface, data: ReportData) -> str:
+def settings(where: Mapping[str, float], one: FittedSurface, data: ReportData, at: str = "") -> str:
     """Write settings with their names and units."""
-    return listing(
-        [
-            f"{name_of(name, data.labels)} {quantity(value, one.units.get(name, ''))}"
-            for name, value in at.items()
-        ]
-    )
+    values = {name: quantity(value, one.units.get(name, "")) for name, value in where.items()}
+    return listing([f"{name_of(name, data.labels)}{at} {value}" for name, value in values.items()])
 
 
 def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
@@ -361,8 +349,8 @@ def screening(one: FittedSurface, data: ReportData) -> Table | None:
         "runs that differ in it alone. Mean size, mean and standard deviation. Of a straight line "
         "without interactions the deviation is 0."
     )
-    table_of = Table.of(_table_name("screening", one), one.screened, columns, note=note)
-    return table_of if one.screened else None
+    table = Table.of(_table_name("screening", one), one.screened, columns, note=note)
+    return table if table.rows else None
 
 
 def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
@@ -439,7 +427,6 @@ def _ranges(found: SurfaceAnalysis) -> dict[str, float]:
 
 
 def _judged(one: FittedSurface, data: ReportData) -> str:
-    """Which factors matter, against what does."""
     if one.practical is None or one.found is None:
         return ""
     by = gathered(
@@ -448,22 +435,18 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
         if item.range is not None
     )
     limit = f"{one.practical:.3g} {clean(one.unit)}".strip()
-    said = []
+    claims = []
     for verdict, verb, more in (
         (MATTERS, "matter", ""),
         (f"{MATTERS}, if confirmed", "matter", ", if the two confirming runs of each agree"),
         (NO_DIFFERENCE, "make", " no practical difference"),
     ):
         if names := by.pop(verdict, []):
-            said.append(f"{listing(names)} {verb}{'s' if len(names) == 1 else ''}{more}")
-    rest = [name for names in by.values() for name in names]
-    if rest:
-        said.append(f"these runs cannot show whether {listing(rest, 'or')} matters")
-    return (
-        sentence(f"with {limit} as the smallest difference that matters, {'; '.join(said)}")
-        if said
-        else ""
-    )
+            claims.append(f"{listing(names)} {verb}{'s' * (len(names) == 1)}{more}")
+    if rest := [name for names in by.values() for name in names]:
+        claims.append(f"these runs cannot show whether {listing(rest, 'or')} matters")
+    start = f"with {limit} as the smallest difference that matters, "
+    return sentence(start + "; ".join(claims)) if claims else ""
 
 
 def _share(value: float, ends: tuple[float, float]) -> str:
@@ -473,9 +456,6 @@ def _share(value: float, ends: tuple[float, float]) -> str:
 
 def _table_name(kind: str, one: FittedSurface) -> str:
     return " ".join((kind, one.response, *one.labels.values()))
-
-
-# Surfaces as a page and a terminal show them, and what optimize, invert and predict answer.
 
 
 def surface_blocks(
@@ -506,8 +486,8 @@ def surface_blocks(
 
 def recommendation_blocks(recommendations: Sequence[Recommendation]) -> Iterator[Block]:
     """Give the best settings, what is predicted there, and the runs that confirm them."""
-    for number, recommended in enumerate(recommendations):
-        if number:
+    for recommended in recommendations:
+        if recommended is not recommendations[0]:
             yield Verbatim("")
         yield from _recommendation(recommended)
 

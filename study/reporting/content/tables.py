@@ -44,9 +44,6 @@ if TYPE_CHECKING:
     from study.statistics.analysis.failures import FailurePattern, FailureRule, FailureTest
 
 
-# Tables of fitted constants: one row for each kind of fit, and every fit.
-
-
 def fit_name(fit: FittedConstant, data: ReportData) -> str:
     """Name a fit by its levels; a factor that one fit serves is any."""
     parts = (
@@ -105,15 +102,12 @@ def _strongest(items: Sequence[FittedConstant]) -> str:
     """Median correlation with the constant that a fit is most entangled with."""
     import numpy as np
 
-    others = dict.fromkeys(other for item in items for other in item.correlated)
-    medians = {
-        other: float(np.median([i.correlated[other] for i in items if other in i.correlated]))
-        for other in others
-    }
-    if not medians:
+    by_other = gathered(pair for item in items for pair in item.correlated.items())
+    if not by_other:
         return MISSING
-    other = max(medians, key=lambda name: abs(medians[name]))
-    return f"{medians[other]:.3f} with {clean(other, 16)}".replace("-", MINUS)
+    medians = ((float(np.median(values)), other) for other, values in by_other.items())
+    strongest, other = max(medians, key=lambda of: abs(of[0]))
+    return f"{strongest:.3f} with {clean(other, 16)}".replace("-", MINUS)
 
 
 def every_fit(data: ReportData) -> Table:
@@ -211,10 +205,9 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
     judged = [
         (facts, effect)
         for facts in all_facts
-        for effect in (
-            *facts.effects, *(e for e in facts.interactions if e.strength == "matters")
-        )
-    ]  # fmt: skip
+        for effect in (*facts.effects, *facts.interactions)
+        if effect.is_main or effect.strength == "matters"
+    ]
     made = Table.of(
         "verdicts",
         judged,
@@ -223,9 +216,7 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
             "factor": lambda of: term_name(of[1].term, data.labels),
             "verdict": lambda of: told(of[1]) if of[1].is_main else of[1].strength,
             "largest difference": lambda of: size(of[1], of[0]),
-            f"{level(data.alpha)} interval".replace(THIN, " "): lambda of: size_interval(
-                of[1], of[0]
-            ),
+            f"{level(data.alpha)} interval".replace(THIN, " "): lambda of: size_interval(*of[::-1]),
             "matters from": lambda of: practical(of[1], of[0]),
             "U": lambda of: u_num_of(of[1], of[0]),
             "p": lambda of: p_value(of[1].p),
@@ -239,16 +230,14 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
             "factor": of[1].term,
             "verdict": of[1].verdict if of[1].practical is None else told(of[1]),
             "effect": of[1].range,
-            **{
-                name: getattr(of[1], name)
-                for name in (
-                    "low", "high", "practical", "u_num", "effect_over_u_num", "p", "p_holm",
-                )
-            },
+            **{name: getattr(of[1], name) for name in _STORED},
             "scale": "ratio" if of[1].is_ratio else "difference",
         },
     )  # fmt: skip
     return replace(made, raw=(*made.raw, *_surface_verdicts(data)))
+
+
+_STORED = ("low", "high", "practical", "u_num", "effect_over_u_num", "p", "p_holm")
 
 
 def _surface_verdicts(data: ReportData) -> Iterator[dict[str, object]]:
@@ -363,9 +352,7 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
     """Every cell: how many cases gave a response, its means, its cost."""
     factors = list(data.factors)
     listed = [facts for facts in all_facts if facts.name in data.table]
-    means = {
-        facts.name: cells(data, facts.name).set_index("cell")["mean"].to_dict() for facts in listed
-    }
+    means = {f.name: cells(data, f.name).set_index("cell")["mean"].to_dict() for f in listed}
     named, titles = (name_of(f, data.labels) for f in factors), (facts.title for facts in listed)
     columns = (*named, "cases", *titles, "mean time")
     rows, raw = [], []
@@ -380,8 +367,7 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
         values = [means[facts.name].get(":".join(labels)) for facts in listed]
         seconds = None if times is None else times[number]
         shown = [quantity(v, f.unit) for v, f in zip(values, listed, strict=True)]
-        status = f"{done} of {every}"
-        rows.append((*(clean(level) for level in labels), status, *shown, duration(seconds)))
+        rows.append((*map(clean, labels), f"{done} of {every}", *shown, duration(seconds)))
         counts = {"converged": int(done), "cases": int(every)}
         numbers = {**counts, **dict(zip(means, values, strict=True)), "seconds": seconds}
         raw.append(dict(zip(factors, labels, strict=True)) | numbers)
@@ -565,8 +551,6 @@ def _levels(test: FailureTest) -> str:
     return "; ".join([*shown, *(["\N{HORIZONTAL ELLIPSIS}"] if len(shares) > _LISTED else [])])
 
 
-# Tables of markers inside a specimen: errors beside the motion of the plate that leaves them.
-
 #: what a plate is taken to do, in words
 _PLATES = {"nominal": "as said", "rigid": "any rigid motion", "slipping": "rigid, face slips"}
 
@@ -621,9 +605,6 @@ def _values(motion: dict[str, list[float | None]], names: tuple[str, ...]) -> st
             continue
         parts.append(f"{value:.2f} \N{PLUS-MINUS SIGN} {error:.2f}" if error else f"{value:.4g}")
     return ", ".join(parts).replace("-", MINUS) or MISSING
-
-
-# Simulation against measurement, and the name of a cell among others.
 
 
 def label_of(cell: Document) -> str:

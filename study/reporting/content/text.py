@@ -182,8 +182,6 @@ def case_counts(cases: Mapping[str, int]) -> str:
     )
 
 
-# Words: names, lists, plurals, sentences, and text that is safe in a page.
-
 _NAMES = {
     "relative_rms_force_error": "relative RMS force error",
     "rms_force_error": "RMS force error",

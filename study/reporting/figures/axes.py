@@ -290,12 +290,12 @@ def _inline(text: str, name: str, title: str) -> str:
 # A figure is its title, its points, its drawing and its caption, or why it is missing.
 
 
-#: title, points, drawing and caption of a figure: the frame that is computed is drawn and told of
+#: title, points, drawing and caption of a figure: the frame is computed, drawn and told of
 Plot = tuple[
     str,
     Callable[[], "pd.DataFrame"],
     Callable[["pd.DataFrame"], "Canvas"],
-    Callable[["pd.DataFrame"], str],
+    Callable[["pd.DataFrame"], str] | str,
 ]
 
 
@@ -318,7 +318,7 @@ def make(name: str, plot: Plot) -> Figure:
     frame: pd.DataFrame | None = None
     try:
         frame = points()
-        words = caption(frame)
+        words = caption if isinstance(caption, str) else caption(frame)
         svg = "" if _of_data_alone.get() else render(partial(draw, frame), name, title)
     except Exception as error:  # the numbers must reach the reader whatever the drawing does
         why = f"{type(error).__name__}: {error}"

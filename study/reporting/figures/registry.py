@@ -15,9 +15,9 @@ import pandas as pd
 from study.reporting.content import sentences
 from study.reporting.content.blocks import Figure
 from study.reporting.content.effect_words import normality_phrase, size
-from study.reporting.content.recommendation import cost_front
 from study.reporting.content.report_facts import Facts, block_name, practical_of
 from study.reporting.content.report_facts import cells as report_cells
+from study.reporting.content.sentences import cost_front
 from study.reporting.content.tables import in_order
 from study.reporting.content.text import (
     THIN,

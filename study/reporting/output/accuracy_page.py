@@ -32,8 +32,6 @@ from study.reporting.content.text import (
 from study.reporting.figures.axes import Plot
 from study.reporting.output.write import answer_blocks, write_answer
 
-# What a report says of a scanned surface: its answers in sentences, and its tables.
-
 
 def scan_answers(deviation: ShapeDeviation) -> list[str]:
     """Say in a few sentences what was found."""
@@ -56,7 +54,7 @@ def scan_answers(deviation: ShapeDeviation) -> list[str]:
         lines += _registration(deviation.registration, deviation.registration_uncertainty or 0.0)
     if deviation.markers is not None:
         lines += _markers(deviation.markers)
-    return [clean(line) for line in lines]
+    return lines
 
 
 def _registration(registration: Registration, added: float) -> Iterator[str]:
@@ -120,9 +118,6 @@ def _marker_table(markers: MarkerDeviation) -> Table:
     return Table("Measured less simulated place of markers", columns, rows, raw=raw)
 
 
-# What a report says of a tracker: its answers in sentences, and its tables.
-
-
 def tracker_answers(accuracy: TrackerAccuracy) -> list[str]:
     """Say in a few sentences what was found."""
     lines = [f"{count(accuracy.samples, 'sample')} of {count(accuracy.markers, 'marker')}."]
@@ -132,7 +127,7 @@ def tracker_answers(accuracy: TrackerAccuracy) -> list[str]:
         lines += _tracker_displacement(accuracy.displacement, accuracy.alpha)
     if accuracy.reference is not None:
         lines += _reference(accuracy.reference)
-    return [clean(line) for line in lines]
+    return lines
 
 
 def _tracker_distance(distance: DistanceResult, alpha: float) -> Iterator[str]:
@@ -140,9 +135,9 @@ def _tracker_distance(distance: DistanceResult, alpha: float) -> Iterator[str]:
     if distance.standard is not None and distance.bias_mm is not None:
         text = (
             f"The distance of {names} is {quantity(distance.bias_mm, 'mm')} from its standard of "
+            f"{quantity(distance.standard.distance_mm, 'mm', 6)} "
+            f"(standard uncertainty {quantity(distance.standard.uncertainty_mm, 'mm', 2)})"
         )
-        text += f"{quantity(distance.standard.distance_mm, 'mm', 6)} "
-        text += f"(standard uncertainty {quantity(distance.standard.uncertainty_mm, 'mm', 2)})"
         if distance.bias_interval_mm is None:
             yield f"{text}; one visit does not tell how well that repeats."
         else:
@@ -211,7 +206,6 @@ def _reference(reference: ReferenceResult) -> Iterator[str]:
 
 
 def _lever_arm(arm: LeverArm, reference: ReferenceResult) -> str:
-    """Say what the arm between marker and reference point does to the figures."""
     parts = ", ".join(
         f"{significant(a)} \N{PLUS-MINUS SIGN} {significant(u, 2)}"
         for a, u in zip(arm.arm_mm, arm.uncertainty_mm, strict=True)
@@ -299,9 +293,7 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
             "Distance by stage",
             lambda: accuracy_figures.distance_points(distance),
             lambda frame: accuracy_figures.draw_distances(frame, distance),
-            lambda _: (
-                "Histograms of all samples, a panel a stage. Line: mean over visits." + dashed
-            ),
+            "Histograms of all samples, a panel a stage. Line: mean over visits." + dashed,
         )
     if (displacement := accuracy.displacement) is not None:
         tables.append(_stops(displacement))
@@ -309,10 +301,8 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
             "Measured and commanded displacement",
             lambda: accuracy_figures.displacement_points(displacement),
             lambda frame: accuracy_figures.draw_displacement(frame, displacement),
-            lambda _: (
-                "Left: every stop and the line with errors in both. Right: differences "
-                "against means, bias and limits of agreement (dashed) with their intervals."
-            ),
+            "Left: every stop and the line with errors in both. Right: differences against means, "
+            "bias and limits of agreement (dashed) with their intervals.",
         )
     if (reference := accuracy.reference) is not None:
         tables.append(_tracker_poses(reference))
@@ -320,10 +310,8 @@ def write_tracker(accuracy: TrackerAccuracy, out_dir: str | Path) -> Path:
             "Errors against the reference",
             lambda: accuracy_figures.reference_points(reference),
             accuracy_figures.draw_reference,
-            lambda _: (
-                "Left: residuals of the registration over the workspace. Right: what is left "
-                "at every pose, and the error of a pose predicted from all others."
-            ),
+            "Left: residuals of the registration over the workspace. Right: what is left at every "
+            "pose, and the error of a pose predicted from all others.",
         )
     blocks = answer_blocks(tracker_answers(accuracy), plots, tables, accuracy.notes)
     name, question, document = accuracy.name, accuracy.question, accuracy.to_json()
@@ -340,13 +328,13 @@ def write_shape(deviation: ShapeDeviation, out_dir: str | Path) -> Path:
             "Deviations",
             lambda: frame,
             accuracy_figures.draw_histogram,
-            lambda _: "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %.",
+            "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %.",
         ),
         "shape-views": (
             "Deviation over the body",
             lambda: frame,
             accuracy_figures.draw_views,
-            lambda _: "Mean deviation of the points in every hexagon that face the viewer.",
+            "Mean deviation of the points in every hexagon that face the viewer.",
         ),
     }
     warnings = (f"simulated part: {deviation.symmetry}", *deviation.notes)

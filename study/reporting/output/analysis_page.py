@@ -23,9 +23,10 @@ from study.ground.errors import Fault, InputError
 from study.reporting.content import analysis_content, methods, tables
 from study.reporting.content.blocks import (
     Block,
+    Blocks,
     Definition,
     Definitions,
-    Figure,
+    Figures,
     Folded,
     Heading,
     Sentence,
@@ -47,7 +48,6 @@ from study.statistics.analysis.post_hoc import (
 from study.statistics.surfaces.surface_fitting import SEE_SURFACE
 
 if TYPE_CHECKING:
-    from study.reporting.results.study_result import ReportData
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.comparisons import Comparisons
     from study.statistics.surfaces.surface_factors import Runs
@@ -83,10 +83,14 @@ def prepare(
         *study_page.error_terms(data, (item,)),
     ]
     if analysis.anova.rows:
+        pairs = analysis_content.pairwise(pairwise(analysis), item, data)
+        against = reference and analysis_content.against_reference(*reference, data)
         blocks += [
             *_variance(analysis, data, item),
             *_means(data, item, figures),
-            *_comparisons(analysis, data, item, reference),
+            Heading("Comparisons", 2, "pairs") if pairs or against else None,
+            pairs,
+            *titled(against),
             *_residuals(analysis, data, item, figures),
             Heading("Assumptions", 2, "assumptions"),
             analysis_content.checks(analysis),
@@ -110,7 +114,7 @@ def _data(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterator[B
     yield analysis_content.factor_information(data)
 
 
-def _variance(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterator[Block | None]:
+def _variance(analysis: AnalysisResult, data: ReportData, item: Facts) -> Blocks:
     title = f"Analysis of variance, type {analysis.anova.type}"
     yield Heading(title, 2, "anova", short="Analysis of variance")
     yield tables.anova(item, data, "anova")
@@ -125,7 +129,7 @@ def _variance(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterat
     yield from titled(analysis_content.robustness(analysis, data))
 
 
-def _means(data: ReportData, item: Facts, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
+def _means(data: ReportData, item: Facts, figures: Figures) -> Blocks:
     yield Heading("Means and effects", 2, "means")
     yield analysis_content.open_effects(item, data)
     yield from study_page.drawn(figures, "contrasts", "means", "interactions")
@@ -135,20 +139,7 @@ def _means(data: ReportData, item: Facts, figures: Mapping[str, Figure]) -> Iter
     yield figures.get("cells")
 
 
-def _comparisons(
-    analysis: AnalysisResult, data: ReportData, item: Facts, reference: Reference | None
-) -> Iterator[Block | None]:
-    pairs = analysis_content.pairwise(pairwise(analysis), item, data)
-    if pairs is not None or reference is not None:
-        yield Heading("Comparisons", 2, "pairs")
-        yield pairs
-    if reference is not None:
-        yield from titled(analysis_content.against_reference(*reference, data))
-
-
-def _residuals(
-    analysis: AnalysisResult, data: ReportData, item: Facts, figures: Mapping[str, Figure]
-) -> Iterator[Block | None]:
+def _residuals(analysis: AnalysisResult, data: ReportData, item: Facts, figures: Figures) -> Blocks:
     yield Heading("Residuals", 2, "residuals")
     shown = list(study_page.drawn(figures, "four-in-one", "influence"))
     if shown and any(row.p_gg is not None for row in item.rows):
@@ -172,7 +163,7 @@ def _residuals(
 
 def _figures(
     analysis: AnalysisResult, data: ReportData, item: Facts, rows: pd.DataFrame | None
-) -> dict[str, Figure]:
+) -> Figures:
     """Figures of a study's response, with Minitab's residual plots for the study's."""
     from study.reporting.figures import registry, residual_figures
 
@@ -236,13 +227,10 @@ def write_page(
         shown = [pages.tables[name] for name in _IN_LATEX if name in pages.tables]
         if compared is not None:
             shown.append(analysis_content.against_reference(*compared, data))
-        captions = [(table.name.capitalize(), table) for table in shown]
-        text = write.document(captions, methods.paragraph(data, facts(data)))
-        replace_file(latex, text)
+        methods_text = methods.paragraph(data, facts(data))
+        replace_file(latex, write.document([(t.name.capitalize(), t) for t in shown], methods_text))
     return {"html": html, "pdf": html, "tex": latex, "csv": files / "rows.csv"}[chosen[0]]
 
-
-# What a report shows of a table: of its analysis, or of surfaces over its numbers.
 
 #: Names that the rows of an analysis have for themselves.
 TAKEN = frozenset(
@@ -355,8 +343,6 @@ def data_of_table(
 
 def surface_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:
     """Gather what a report shows of the surfaces of one response of a table."""
-    import pandas as pd
-
     good = [(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
     table = pd.concat([_settings_of(runs, labels) for runs, labels in good], ignore_index=True)
     table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
@@ -381,8 +367,6 @@ def surface_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> Repor
 
 
 def _settings_of(runs: Runs, labels: Mapping[str, str]) -> pd.DataFrame:
-    import pandas as pd
-
     settings = {
         factor.name: [f"{factor.setting(float(x)):.6g}" for x in column]
         for factor, column in zip(runs.factors, runs.coded.T, strict=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,10 +23,6 @@ from study.reporting.content.text import (
 )
 from study.reporting.figures.axes import Plot
 from study.reporting.output.write import answer_blocks, write_answer
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 #: Parts of a value below this are written as "less than".
 SMALLEST_PART = 1e-5
@@ -65,6 +60,8 @@ def convergence_plots(
     window: ArrayLike | None = None,
 ) -> dict[str, Plot]:
     """Value against size, error against size, error against seconds, meshes."""
+    import pandas as pd
+
     from study.reporting.figures import convergence_figures as convergence
 
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
@@ -87,9 +84,12 @@ def convergence_plots(
     if meshes:
         plots["meshes"] = (
             "Meshes",
-            lambda: _counts(meshes),
+            lambda: pd.DataFrame(
+                [(label, len(points), len(elements)) for label, points, elements in meshes],
+                columns=["mesh", "points", "cells"],
+            ),
             lambda _: convergence.draw_meshes(meshes, np.asarray(window, float)),
-            lambda _: "The coarsest and the finest mesh, in the same window.",
+            "The coarsest and the finest mesh, in the same window.",
         )
     return {f"convergence-{name}": plot for name, plot in plots.items()}
 
@@ -105,15 +105,6 @@ def _front(front: Document) -> Plot:
         lambda frame: draw_front(frame, float(front["accuracy"])),
         lambda _: sentence(front["answer"]),
     )
-
-
-def _counts(meshes: Meshes) -> pd.DataFrame:
-    import pandas as pd
-
-    return pd.DataFrame(
-        [{"mesh": label, "points": len(points), "cells": len(cells)}
-         for label, points, cells in meshes]
-    )  # fmt: skip
 
 
 def answers(cells: Sequence[Document], document: Document) -> list[str]:
@@ -201,9 +192,6 @@ def of_cells(table: Table, number: int) -> Table:
         return table
     rows = tuple(row[1:] for row in table.rows)
     return replace(table, columns=table.columns[1:], rows=rows, left=table.left - 1)
-
-
-# A series as a terminal shows it: meshes, verdict, limit, then what the page tables.
 
 
 def series_blocks(document: Document) -> Iterator[Block]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,26 +25,22 @@ def write_force_law(
     law: ForceLaw, question: str, out_dir: str | Path, warnings: tuple[str, ...] = ()
 ) -> Path:
     """Write the page of a force law."""
-    uncertain = law.covariance is not None
     plots: dict[str, style.Plot] = {
         "force-law": (
             "Force, stiffness, sensitivity",
             lambda: law_points(law),
             lambda frame: draw_law(frame, law.displacement_mm),
-            lambda _: (
-                "Force, its slope, and how a tenth of each constant changes the force; dots "
-                "are the knots, dashes the continuations that no simulation says."
-            ),
+            "Force, its slope, and how a tenth of each constant changes the force; dots are the "
+            "knots, dashes the continuations that no simulation says.",
         ),
         "force-law-deviation": (
             "Distance from the simulation",
             lambda: deviation_points(law),
             draw_deviation,
-            lambda _: (
-                "At points between the knots that were solved and kept out; the band is the "
-                f"error bound of {law.held_out.bound_N:.2g} N."
-                + (" What the calibration leaves open comes on top." if uncertain else "")
-            ),
+            "At points between the knots that were solved and kept out; the band is the error "
+            f"bound of {law.held_out.bound_N:.2g} N."
+            + " What the calibration leaves open comes on top."
+            * (law.covariance is not None),
         ),
     }
     blocks = answer_blocks(law.sentences(), plots, [constants(law)], warnings)
@@ -54,28 +49,29 @@ def write_force_law(
 
 def constants(law: ForceLaw) -> Table:
     """Constants of the table, their range and what first order leaves out there."""
-    rows, raw = [], []
-    for constant in law.ranges:
-        factor, unit = (1.0, "") if is_dimensionless(constant.name) else (1e3, " kPa")
-        value = law.constants[constant.name]
-        rows.append((
-            constant.name, f"{significant(factor * value, 4)}{unit}",
-            f"{significant(factor * constant.low, 4)} to "
-            f"{significant(factor * constant.high, 4)}{unit}",
-            MISSING if math.isnan(constant.largest_N) else f"{significant(constant.largest_N)} N",
-        ))  # fmt: skip
-        row: Mapping[str, object] = {
-            "constant": constant.name, "value": value, "low": constant.low, "high": constant.high,
-            "unit": "" if is_dimensionless(constant.name) else "MPa",
-            "largest_N": None if math.isnan(constant.largest_N) else constant.largest_N,
-        }  # fmt: skip
-        raw.append(row)
-    columns = ("constant", "of the table", "range that was solved", "largest deviation")
-    note = "One constant is moved at a time, to both ends of its range."
-    return Table("Constants", columns, tuple(rows), 1, raw=tuple(raw), note=note)
 
+    def shown(name: str, *values: float) -> str:
+        factor, unit = (1.0, "") if is_dimensionless(name) else (1e3, " kPa")
+        return " to ".join(significant(factor * value, 4) for value in values) + unit
 
-# The page of sensor requirements: answer, map, parts, what each error may be, Monte Carlo.
+    return Table.of(
+        "Constants",
+        law.ranges,
+        {
+            "constant": lambda of: of.name,
+            "of the table": lambda of: shown(of.name, law.constants[of.name]),
+            "range that was solved": lambda of: shown(of.name, of.low, of.high),
+            "largest deviation": lambda of: (
+                MISSING if math.isnan(of.largest_N) else f"{significant(of.largest_N)} N"
+            ),
+        },
+        note="One constant is moved at a time, to both ends of its range.",
+        raw=lambda of: {
+            "constant": of.name, "value": law.constants[of.name], "low": of.low, "high": of.high,
+            "unit": "" if is_dimensionless(of.name) else "MPa",
+            "largest_N": None if math.isnan(of.largest_N) else of.largest_N,
+        },
+    )  # fmt: skip
 
 
 def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
@@ -89,17 +85,15 @@ def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
             "Position against force accuracy",
             lambda: map_points(sensors),
             lambda frame: draw_map(frame, limit),
-            lambda _: (
-                f"Expanded uncertainty (k = {sensors.coverage:g}) with all errors of a "
-                "sensor so many times as large as given; in the green region it is "
-                f"{limit:g} % or less. To first order."
-            ),
+            f"Expanded uncertainty (k = {sensors.coverage:g}) with all errors of a sensor so many "
+            f"times as large as given; in the green region it is {limit:g} % or less. To first "
+            "order.",
         ),
         "requirement-parts": (
             "What each error adds",
             lambda: part_points(sensors),
             draw_parts,
-            lambda _: "Standard uncertainty by each error alone; their squares add up.",
+            "Standard uncertainty by each error alone; their squares add up.",
         ),
     }
     blocks = answer_blocks(sensors.sentences(), plots, tables, warnings(sensors))
@@ -185,8 +179,6 @@ def simulations(sensors: SensorRequirement) -> Table:
     )  # fmt: skip
 
 
-# Drawings of both pages.
-
 #: Points of the drawn line.
 POINTS = 241
 #: How far the continuations are drawn, over the tested range.
@@ -269,8 +261,6 @@ def draw_deviation(frame: pd.DataFrame) -> Canvas:
     ax.set_ylabel("law less simulation (N)")
     return figure
 
-
-# Figures of sensor requirements: a map of accuracies, and the parts of the variance.
 
 #: Lines of equal uncertainty, percent.
 LEVELS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

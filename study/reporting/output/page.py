@@ -73,17 +73,9 @@ class Page:
         policy allows no script but the one that sorts and searches tables, by its hash. Every text
         that came from a user is escaped.
         """
-        script = table_script()
-        text: str = (
-            _environment()
-            .get_template("page.html.j2")
-            .render(
-                page=self,
-                sections=list(_sections(self.blocks)),
-                script=script,
-                script_hash=policy_hash(script),
-            )
-        )
+        script, template = table_script(), _environment().get_template("page.html.j2")
+        sections, trusted = list(_sections(self.blocks)), policy_hash(script)
+        text = template.render(page=self, sections=sections, script=script, script_hash=trusted)
         # control and direction characters are no markup, yet no document may hold them
         return clean(text)
 
@@ -99,13 +91,12 @@ def _sections(blocks: Iterable[Block | None]) -> Iterator[tuple[Heading | None, 
     """Blocks of each section with its heading; those before the first have none."""
     heading: Heading | None = None
     members: list[Block] = []
-    for block in blocks:
+    for block in (block for block in blocks if block is not None):
         if isinstance(block, Heading) and block.level == 2:
             if members:
                 yield heading, members
             heading, members = block, []
-        if block is not None:
-            members.append(block)
+        members.append(block)
     if members:
         yield heading, members
 
@@ -245,9 +236,6 @@ def replace_bytes(path: Path, data: bytes) -> None:
     write_atomic(path, data, flush=False)
 
 
-# The page that watches studies: those at work with their progress, and all others.
-
-
 @dataclass(frozen=True)
 class StudyProgress:
     """How many computations of how many a runner has done, and the same in words."""
@@ -309,7 +297,6 @@ class Shown(ABC):
         """Return what the result says: headings, sentences, tables and figures."""
 
     def _repr_html_(self) -> str:
-        """Blocks in HTML."""
         return fragment(self.blocks())
 
     def __repr__(self) -> str:

@@ -13,17 +13,18 @@ from study.reporting.content import (
     comparison_content,
     effect_words,
     methods,
-    recommendation,
     sentences,
     surface_content,
     tables,
 )
 from study.reporting.content.blocks import (
     Block,
+    Blocks,
     Card,
     Definition,
     Definitions,
     Figure,
+    Figures,
     Folded,
     Heading,
     Points,
@@ -93,7 +94,9 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
         *_cost(data, parts),
     ]
     curves = of_all.get("few-curves", of_all.get("curves"))
-    warnings = _warnings(data, all_facts)
+    # of a table of levels that a surface replaces, nothing is missed
+    pairs = [(item.title, warning) for item, _ in parts for warning in item.warnings]
+    warnings = (*dict.fromkeys(data.warnings), *sentences.folded(pairs, data))
     shown = effects, curves
     return two_pages(data, all_facts, slug(data.name), data.name, shown, blocks, warnings)
 
@@ -120,7 +123,7 @@ def two_pages(
     effects, curves = figures
     answer = in_few((*sentences.answer(data, all_facts, is_short=True), *_held(data)))
     advice = what_to_do(data, all_facts)
-    would_change = recommendation.would_change(data, all_facts)
+    would_change = sentences.would_change(data, all_facts)
     blocks: list[Block] = [Heading("Answer", 2, "answer"), *map(Sentence, answer)]
     if effects is not None:
         blocks += [Heading(effects.title, 2, "effects"), effects]
@@ -191,43 +194,37 @@ def in_few(lines: Iterable[str]) -> tuple[str, ...]:
 
 def report_card(checks: Iterable[Check], data: ReportData) -> Card:
     """Return one line a check, the worst first, and one for the notes of the second page."""
-    lines = [_card_line(group) for group in analysis_content.by_name(checks)]
+    lines = []
+    for group in analysis_content.by_name(checks):
+        worst = [check for check in group if check.outcome == group[0].outcome]
+        meaning = worst[0].consequence or worst[0].finding
+        named = listing([check.of for check in worst if check.of])
+        if named and len(worst) < len(group):
+            meaning = f"{named}: {meaning}"
+        name = sentence(group[0].name).rstrip(".")
+        lines.append((group[0].outcome, name, sentence(meaning)))
     if data.warnings or data.data_notes:
         notes = count(len(data.warnings) + len(data.data_notes), "note")
         lines.append(("note", "Notes", f"{notes} on the data and the run, on the second page."))
     return Card(lines)
 
 
-def _card_line(group: Sequence[Check]) -> tuple[str, str, str]:
-    worst = [check for check in group if check.outcome == group[0].outcome]
-    meaning = worst[0].consequence or worst[0].finding
-    named = listing([check.of for check in worst if check.of])
-    if named and len(worst) < len(group):
-        meaning = f"{named}: {meaning}"
-    return group[0].outcome, sentence(group[0].name).rstrip("."), sentence(meaning)
-
-
 def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     """Recommendation of every response that has a better end; why there is none otherwise."""
     if data.surfaces and not any(facts.terms for facts in all_facts):
-        where = {
-            surface_content.title(one, data): one
-            for one in data.surfaces[: sentences.MOST_RESPONSES]
-        }
-        more = len(data.surfaces) - len(where)
-        rest = [f"The second page has those of {count(more, 'more surface')}."] if more else []
-        return (
-            *(
-                sentence(f"{name}. {' '.join(ends)}")
-                for name, one in where.items()
-                if (ends := surface_content.extremes(one, data))
-            ),
-            *rest,
-        )
+        first = data.surfaces[: sentences.MOST_RESPONSES]
+        lines = [
+            sentence(f"{surface_content.title(one, data)}. {' '.join(ends)}")
+            for one in first
+            if (ends := surface_content.extremes(one, data))
+        ]
+        if more := len(data.surfaces) - len(first):
+            lines.append(f"The second page has those of {count(more, 'more surface')}.")
+        return tuple(lines)
     if data.is_table:
         return ()
-    if lines := recommendation.recommendations(data, all_facts):
-        return lines
+    if advice := sentences.recommendations(data, all_facts):
+        return advice
     if not any(facts.terms for facts in all_facts):
         return ("Nothing can be recommended, because no response could be analyzed.",)
     return (
@@ -247,9 +244,7 @@ def _held(data: ReportData) -> tuple[str, ...]:
     return comparison_content.summary(data.beside, data.labels)[:1] if data.beside else ()
 
 
-def _effects(
-    data: ReportData, all_facts: Sequence[Facts], files: str, rows: str
-) -> Iterator[Block]:
+def _effects(data: ReportData, all_facts: Sequence[Facts], files: str, rows: str) -> Blocks:
     yield Heading("Effects in full", 2, "answer")
     yield from map(Sentence, (*sentences.answer(data, all_facts), *_held(data)))
     table = tables.verdicts(all_facts, data)
@@ -318,10 +313,9 @@ def note(response: Facts) -> str:
     """Say what was declared of a response: its unit, what matters, how it is analyzed."""
     parts = [response.unit] if response.unit else []
     if response.practical is not None:
+        limit = f"{response.practical:g} {response.difference_unit}"
         if response.relative:
             limit = f"{100 * response.practical:g} % of the mean"
-        else:
-            limit = f"{response.practical:g} {'pp' if response.unit == '%' else response.unit}"
         parts.append(f"a difference of {limit.strip()} matters")
     if response.transform == "log":
         parts.append("analyzed on the log, effects are ratios")
@@ -336,9 +330,7 @@ def note(response: Facts) -> str:
     return "; ".join(parts)
 
 
-def _checks(
-    data: ReportData, all_facts: Sequence[Facts], figures: Mapping[str, Figure]
-) -> Iterator[Block | None]:
+def _checks(data: ReportData, all_facts: Sequence[Facts], figures: Figures) -> Blocks:
     yield Heading("Checks", 2, "checks")
     yield analysis_content.check_table(analysis_content.all_checks(data, all_facts), "checks")
     if data.is_table:
@@ -382,14 +374,12 @@ def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]
         yield Sentence(sentences.VIRTUAL)
 
 
-def drawn(figures: Mapping[str, Figure], *kinds: str) -> Iterator[Figure]:
+def drawn(figures: Figures, *kinds: str) -> Iterator[Figure]:
     """Figures of some kinds, those that were drawn."""
     return (figures[kind] for kind in kinds if kind in figures)
 
 
-def _response(
-    data: ReportData, item: Facts, figures: Mapping[str, Figure]
-) -> Iterator[Block | None]:
+def _response(data: ReportData, item: Facts, figures: Figures) -> Blocks:
     yield Heading(capital(item.title), 2, anchor_of(item), item.unit)
     if item.result is None or not item.terms:
         yield Sentence(f"Not analyzed. {' '.join(item.warnings)}", kind="missing")
@@ -435,25 +425,19 @@ def _beside(data: ReportData) -> Iterator[Block]:
     yield from comparison_content.beside_blocks(data.beside, data.labels)
 
 
-def _assumptions(
-    parts: Sequence[tuple[Facts, Mapping[str, Figure]]],
-) -> Iterator[Block | None]:
+def _assumptions(parts: Sequence[tuple[Facts, Figures]]) -> Blocks:
     blocks: list[Block] = []
     for item, figures in parts:
         if item.result is not None and item.terms:
             table = analysis_content.checks(item.result, f"tests of assumptions {item.name}")
-            shown: list[Block] = [
-                *([table] if table else []),
-                *drawn(figures, "residuals", "spread"),
-            ]
+            shown = [block for block in (table, *drawn(figures, "residuals", "spread")) if block]
             blocks += [Heading(capital(item.title)), *shown] if shown else []
     if blocks:
         yield Heading("Assumptions", 2, "assumptions")
         yield from blocks
 
 
-def _specimens(data: ReportData, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
-    """Curves, constants and markers of the specimens."""
+def _specimens(data: ReportData, figures: Figures) -> Blocks:
     if "few-curves" in figures:
         yield Heading("Curves", 2, "curves")
         yield figures["curves"]
@@ -482,7 +466,7 @@ def _specimens(data: ReportData, figures: Mapping[str, Figure]) -> Iterator[Bloc
         yield tables.marker_errors(data)
 
 
-def _failures(data: ReportData, figures: Mapping[str, Figure]) -> Iterator[Block | None]:
+def _failures(data: ReportData, figures: Figures) -> Blocks:
     if data.is_table:
         return
     pattern = data.failure_pattern
@@ -502,16 +486,16 @@ def _failures(data: ReportData, figures: Mapping[str, Figure]) -> Iterator[Block
         yield tables.retried_table(data.retried, data.block)
 
 
-def _cost(data: ReportData, parts: Sequence[tuple[Facts, Mapping[str, Figure]]]) -> Iterator[Block]:
+def _cost(data: ReportData, parts: Sequence[tuple[Facts, Figures]]) -> Iterator[Block]:
+    if not parts:
+        return
+    yield Heading("Cost against accuracy", 2, "cost")
     weighed: list[Block] = []
     for item, figures in parts:
-        if cheaper := recommendation.cheaper(data, item):
-            weighed.append(Sentence(cheaper))
+        weighed += map(Sentence, filter(None, [sentences.cheaper(data, item)]))
         weighed += drawn(figures, "front")
-    if parts:
-        none = "No response has a better end and a computing time, so cost is not weighed."
-        yield Heading("Cost against accuracy", 2, "cost")
-        yield from weighed or [Sentence(none)]
+    none = "No response has a better end and a computing time, so cost is not weighed."
+    yield from weighed or [Sentence(none)]
 
 
 def _provenance(data: ReportData, warnings: Sequence[str]) -> Iterator[Block]:
@@ -541,10 +525,3 @@ def _provenance(data: ReportData, warnings: Sequence[str]) -> Iterator[Block]:
             yield Points(lines)
     if data.design_text:
         yield Folded("The design file", (Verbatim(data.design_text),))
-
-
-def _warnings(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
-    over = bool(data.surfaces)  # a table of levels that a surface replaces is not missed
-    read = [item for item in all_facts if item.terms or not over]
-    pairs = [(item.title, warning) for item in read for warning in item.warnings]
-    return (*dict.fromkeys(data.warnings), *sentences.folded(pairs, data))

@@ -33,7 +33,6 @@ def say(blocks: Iterable[Block | None], file: TextIO | None = None) -> None:
 
 
 def _plain(words: str) -> str:
-    """Text with spaces that every terminal knows."""
     return words.replace("\N{NO-BREAK SPACE}", " ")
 
 

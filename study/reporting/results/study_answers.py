@@ -44,7 +44,6 @@ class Conclusion(Keyed):
     end: str = ""
     #: Whether some level leads in both, or lies within what matters of the leading one.
     same_best: bool | None = None
-    #: Level that leads in each, among those that both have.
     best: tuple[str, str] = ("", "")
 
     @property
@@ -113,13 +112,11 @@ class Beside(Keyed):
     KEYS = "summary=lines changes conclusions only_in_one=only"
 
     names: tuple[str, str]
-    #: What differs in their designs, what both conclude, and what one of them has alone.
     changes: tuple[Change, ...]
     conclusions: tuple[Conclusion, ...]
     only: tuple[OnlyInOne, ...] = ()
     warnings: tuple[str, ...] = ()
     summary: tuple[str, ...] = ()
-    #: One minus the level of the intervals of each study.
     alphas: tuple[float, float] = (0.05, 0.05)
 
     @property
@@ -169,9 +166,6 @@ def parts_of(factor: Factor) -> Mapping[str, str]:
     }
 
 
-# The best setting among the choices of a study, as it is told.
-
-
 @dataclass(frozen=True)
 class Bound:
     """A limit of another response, as it was asked for."""
@@ -200,7 +194,6 @@ class Confirmed(Keyed):
     values: Mapping[str, float]
     #: Whether the response lies in the interval that was predicted.
     predicted: bool
-    #: Whether the limits hold for the run.
     kept: bool
 
 
@@ -221,15 +214,12 @@ class Recommendation(Keyed):
         "at_end_of_range=at_end over_what_is_not_chosen=spread rivals confirmed"
     )
 
-    #: {"minimize", "maximize"}: what is best.
     goal: Goal
     response: str
     unit: str
-    #: Recommended settings of the choices: in the units of ``units``, or a label.
     settings: Mapping[str, float | str]
     #: Settings that nobody recommends: of conditions, of unknowns, and those that were given.
     held: Mapping[str, float | str]
-    #: Units of the factors that are numbers.
     units: Mapping[str, str]
     #: Prediction and its 95 % interval, in the response's unit; NaN while it is asked for.
     value: float = float("nan")
@@ -247,7 +237,6 @@ class Recommendation(Keyed):
     spread: ResponseSpread | None = None
     #: Other levels of the choices that are no numbers, and their best values, the best first.
     rivals: tuple[OtherChoice, ...] = ()
-    #: The true model's run there; None where none was made.
     confirmed: Confirmed | None = None
     notes: tuple[str, ...] = ()
 
@@ -264,9 +253,6 @@ class Recommendation(Keyed):
     def limits_hold(self) -> str | None:
         """How surely the limits hold; None without limits."""
         return self.assurance or None
-
-
-# All inputs of a study that agree with a measured curve, as they are told.
 
 
 @dataclass(frozen=True)
@@ -317,13 +303,11 @@ class Inverted(Keyed):
         "relative_rms=relative best_run end_runs"
     )
 
-    #: One for every input that is asked for.
     inputs: tuple[InputSet, ...]
     #: What is determined where inputs by themselves are not.
     combinations: tuple[FactorCombination, ...]
     #: Known inputs, in the units of ``units``.
     held: Mapping[str, float | str]
-    #: Units of the inputs that are numbers.
     units: Mapping[str, str]
     #: What the best curve misses and what an agreeing one may miss, root mean square in N.
     rms: float
@@ -334,9 +318,7 @@ class Inverted(Keyed):
     rows: int
     #: Of the emulator of the curves.
     q2: float
-    #: Settings that agree, in their units.
     members: tuple[Mapping[str, float], ...]
-    #: The true model at the best setting; None where it was not asked.
     best_run: Checked | None
     #: The true model where the least determined input is smallest and largest.
     end_runs: tuple[Checked, ...]

@@ -54,12 +54,10 @@ class ResponseAnalysis:
     name: str
     #: Unit of that column, for example ``"%"`` or ``"kPa"``.
     unit: str
-    #: None where the response could not be analyzed.
     result: AnalysisResult | None = None
     #: Smallest difference that matters: in ``unit``, or, with ``relative``, a fraction of the grand
     #: mean (0.1 is ten percent).
     practical: float | None = None
-    #: Whether ``practical`` is a fraction of the mean.
     relative: bool = False
     #: ``"none"`` or ``"log"``; with ``"log"`` every effect is a ratio.
     transform: str = "none"
@@ -106,7 +104,6 @@ class FittedConstant:
     constant: str
     #: Estimate, standard error and 95 % interval in ``unit``; None where not available.
     value: float | None
-    #: Usually ``"kPa"``.
     unit: str = "kPa"
     standard_error: float | None = None
     low: float | None = None
@@ -117,9 +114,7 @@ class FittedConstant:
     specimen: str = ""
     #: Correlation with the other constants of the same fit.
     correlated: Mapping[str, float] = field(default_factory=dict)
-    #: RMS of the residual that the fit left, in N.
     residual_N: float | None = None  # noqa: N815
-    #: Coefficient of determination of the fit.
     r_squared: float | None = None
 
 
@@ -155,7 +150,6 @@ class ReportData:
     #: per response, and ``seconds``, ``dofs`` where known. Failed rows stay, with missing
     #: responses.
     table: pd.DataFrame
-    #: One analysis each, in the order of the design.
     responses: tuple[ResponseAnalysis, ...] = ()
     #: What the block is (``"phantom"``); empty without blocks.
     block: str = ""
@@ -168,7 +162,6 @@ class ReportData:
     exclusions: tuple[tuple[str, str], ...] = ()
     curves: tuple[CurvePair, ...] = ()
     fits: tuple[FittedConstant, ...] = ()
-    #: Cases with markers inside the specimen.
     markers: tuple[Record, ...] = ()
     failures: tuple[Record, ...] = ()
     failure_pattern: FailurePattern | None = None
@@ -184,13 +177,11 @@ class ReportData:
     depths: tuple[DepthEffect, ...] = ()
     #: E and u_val of every case along its curve, where inputs are uncertain.
     validation: tuple[Mapping[str, Any], ...] = ()
-    #: Controls and identities, such as 3D against axisymmetric.
     controls: tuple[Check, ...] = ()
     #: Measurements were generated, so p describes the scatter of the generator.
     virtual: bool = False
     seed: int = 2011
     alpha: float = 0.05
-    #: Seconds of each part of the run.
     timings: Mapping[str, float] = field(default_factory=dict)
     #: Versions, hashes, thread counts, machine; shown as given.
     provenance: Mapping[str, str] = field(default_factory=dict)
@@ -206,11 +197,8 @@ class ReportData:
     labels: Mapping[str, str] = field(default_factory=dict)
     #: ``"choice"``, ``"condition"`` or ``"unknown"`` by factor; a choice where it is absent.
     roles: Mapping[str, str] = field(default_factory=dict)
-    #: What was expected before the study ran.
     expected: tuple[Expected, ...] = ()
-    #: What another study says of the same conclusions.
     beside: Beside | None = None
-    #: What responses do over the factors that are ranges.
     surfaces: tuple[FittedSurface, ...] = ()
     #: Ends of those factors with their unit, in place of a list of levels.
     ranges: Mapping[str, str] = field(default_factory=dict)
@@ -247,9 +235,7 @@ class StudyResult:
     folder: Path
     #: One a case, in the order of the design; cases not computed yet are absent.
     records: tuple[Record, ...]
-    #: Number of cases of the design.
     total: int
-    #: One for every response of the design.
     analyses: tuple[ResponseAnalysis, ...]
     #: Numerical uncertainty of every response for every discretization.
     numerical: tuple[NumericalUncertainty, ...]
@@ -262,7 +248,6 @@ class StudyResult:
     validation: tuple[Mapping[str, Any], ...] = ()
     #: How far 3D and axisymmetric space differ on a cylinder.
     spaces: tuple[Mapping[str, Any], ...] = ()
-    #: Which of its conclusions hold in another study too.
     beside: Beside | None = None
     #: What responses do over the factors that are ranges; empty where there are none.
     surfaces: tuple[FittedSurface, ...] = ()
@@ -320,20 +305,16 @@ class StudyResult:
             "verdicts": self.verdicts,
             "warnings": list(self.warnings),
         }
-        contrasts = [
-            {"response": analysis.name, **plain(contrast)}
-            for analysis in self.analyses
-            if analysis.result is not None
-            for contrast in analysis.result.contrasts
-        ]
-        if contrasts:
-            answer["contrasts"] = contrasts
-        if self.failed:
-            answer["failures"] = self.failure_pattern.to_json()
-        if self.surfaces:
-            answer["surfaces"] = [surface.to_json() for surface in self.surfaces]
-        if self.adaptive:
-            answer["adaptive"] = [dict(step) for step in self.adaptive]
-        if self.beside is not None:
-            answer["beside"] = self.beside.to_json()
-        return answer
+        where_any = {
+            "contrasts": [
+                {"response": analysis.name, **plain(contrast)}
+                for analysis in self.analyses
+                if analysis.result is not None
+                for contrast in analysis.result.contrasts
+            ],
+            "failures": self.failed and self.failure_pattern.to_json(),
+            "surfaces": [surface.to_json() for surface in self.surfaces],
+            "adaptive": [dict(step) for step in self.adaptive],
+            "beside": self.beside and self.beside.to_json(),
+        }
+        return answer | {key: value for key, value in where_any.items() if value}

@@ -1,4 +1,4 @@
-"""One tab of one browser for all tests of a file."""
+"""One tab of one browser, and one server of the file's studies, for all tests of a file."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.reporting.browser.devtools import Browser, running
+from tests.reporting.browser.devtools import Browser, running, server
+
+__all__ = ["server"]
 
 
 @pytest.fixture(scope="module")

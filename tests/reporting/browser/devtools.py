@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from typing import Self
 
 import pytest
 
+from study.api.serving import Folders, StudyServer
 from study.reporting.output.write import BROWSERS, browser
 
 #: marks of tests that need a browser
@@ -143,3 +145,14 @@ def running(profile: Path) -> Iterator[Browser]:
         process.wait(PATIENCE)
         os.close(to_browser)
         os.close(from_browser)
+
+
+@pytest.fixture(scope="module")
+def server(home: Path) -> Iterator[StudyServer]:
+    made = StudyServer(Folders(home / "results", home / "reports"), 0)
+    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    yield made
+    made.shutdown()
+    thread.join()
+    made.server_close()

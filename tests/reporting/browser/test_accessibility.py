@@ -10,8 +10,6 @@ import json
 import os
 import shutil
 import subprocess
-import threading
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -19,7 +17,7 @@ import pandas as pd
 import pytest
 
 from study import api
-from study.api.serving import Folders, StudyServer
+from study.api.serving import StudyServer
 from study.harness.record.store import Store
 from study.reporting.output import write
 from study.reporting.output.analysis_page import AnalysisSource as Source
@@ -67,7 +65,7 @@ def violations(tab: Browser) -> object:
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder in which the demo ran."""
     folder = tmp_path_factory.mktemp("demo")
     made = api.demo(results=folder / "results", reports=folder / "reports")
@@ -76,19 +74,8 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def server(demo: Path) -> Iterator[StudyServer]:
-    made = StudyServer(Folders(demo / "results", demo / "reports"), 0)
-    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
-    yield made
-    made.shutdown()
-    thread.join()
-    made.server_close()
-
-
-@pytest.fixture(scope="module")
 def pages(
-    demo: Path, both: tuple[str, str], tmp_path_factory: pytest.TempPathFactory
+    home: Path, both: tuple[str, str], tmp_path_factory: pytest.TempPathFactory
 ) -> list[Path]:
     """Every kind of page: studies, a table, a series, surfaces and instruments."""
     folder = tmp_path_factory.mktemp("pages")
@@ -108,7 +95,7 @@ def pages(
     api.tracking(distance_study(folder, 1), reports=folder / "tracker")
     api.export(folder / "problem.toml", out=folder / "law")
     api.require(folder / "plates.toml", jobs=1, out=folder / "sensors")
-    made = [*demo.glob("reports/*/*.html"), *sorted(folder.rglob("*.html"))]
+    made = [*home.glob("reports/*/*.html"), *sorted(folder.rglob("*.html"))]
     assert len(made) == 12
     return made
 
@@ -123,11 +110,11 @@ def test_every_kind_of_page(tab: Browser, pages: list[Path], width: int, scheme:
 
 @pytest.mark.parametrize(("width", "scheme"), VIEWS)
 def test_the_page_that_watches(
-    tab: Browser, demo: Path, server: StudyServer, width: int, scheme: str
+    tab: Browser, home: Path, server: StudyServer, width: int, scheme: str
 ) -> None:
     tab.open(server.address, width, scheme)
     assert violations(tab) == []
-    (results,) = (demo / "results").iterdir()
+    (results,) = (home / "results").iterdir()
     store = Store(results)
     with store.lock():
         store.note({"done": 5, "total": 24, "counted": "2/12 cases, 3/12 calibrations"})
