@@ -259,10 +259,10 @@ def differences(one: FittedSurface, data: ReportData) -> Iterator[str]:
         limit = ""
         if one.practical is not None:
             verdict = {
-                MATTERS: "this matters",
+                MATTERS: "this matters at some settings",
                 NO_DIFFERENCE: "this makes no practical difference at any setting",
             }.get(told.verdict, "these runs cannot show whether this matters")
-            limit = f"; with {one.practical:.3g} {unit} as what matters, {verdict}"
+            limit = f"; with {quantity(one.practical, unit)} as what matters, {verdict}"
         yield sentence(
             f"{name_of(one.response, data.labels)} with {name_of(told.factor, data.labels)} "
             f"{clean(told.level)} is {quantity(abs(told.mean), unit)} {word} than with "
