@@ -61,11 +61,11 @@ def presets_from(table: object, faults: Faults) -> Presets:
 
 def _settings(level: object, prefix: str, where: str, faults: Faults) -> Table:
     settings = flatten(entries(level, where, faults), prefix, overlay.WHOLE)
-    for key in settings:
-        if not overlay.may_vary(key):
-            inner = quoted_path(key.removeprefix(prefix))
-            faults.add(f"{where}.{inner}", "unknown key", overlay.suggestion(key))
-    return {key: value for key, value in settings.items() if overlay.may_vary(key)}
+    for key in [key for key in settings if not overlay.may_vary(key)]:
+        inner = quoted_path(key.removeprefix(prefix))
+        faults.add(f"{where}.{inner}", "unknown key", overlay.suggestion(key))
+        del settings[key]
+    return settings
 
 
 def _readable(value: str, where: str, faults: Faults) -> bool:
@@ -89,17 +89,14 @@ def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Facto
     for key in sorted(set(written) & {start for start, _, end in parted if end in RANGE_KEYS}):
         rule = "stands twice, with levels and with an end of a range"
         faults.add(f"factors.{quoted_path(key)}", rule, "keep one of the two")
-    read = [_factor(key, value, presets, faults) for key, value in grouped(written).items()]
-    factors = [factor for factor in read if factor is not None]
+    factors: list[Factor] = []
+    for key, value in grouped(written).items():
+        if isinstance(value, Mapping) and key not in presets and overlay.may_vary(key):
+            factors += _range(key, value, f"factors.{quoted_path(key)}", faults)
+        elif levels := _levels(key, value, presets, faults):
+            factors.append(Factor(key, levels))
     _check_overlap(factors, faults)
     return tuple(factors)
-
-
-def _factor(key: str, value: object, presets: Presets, faults: Faults) -> Factor | None:
-    if isinstance(value, Mapping) and key not in presets and overlay.may_vary(key):
-        return _range(key, value, f"factors.{quoted_path(key)}", faults)
-    levels = _levels(key, value, presets, faults)
-    return Factor(key, levels) if levels else None
 
 
 def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[Level, ...]:
@@ -256,20 +253,20 @@ def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
     return {**copied, key: value}
 
 
-def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:
-    """Factor of a range, with its two ends as levels."""
+def _range(key: str, value: Table, where: str, faults: Faults) -> list[Factor]:
+    """Factor of a range, with its two ends as levels; none where it is faulty."""
     dimension = overlay.dimension(key)
     if dimension is None:
         faults.add(where, "is no number, so it has no range", "list its levels: [.., ..]")
-        return None
+        return []
     missing = [end for end in ENDS if end not in value]
     if missing:
         faults.add(where, f"has no {missing[0]}", "write { low = .., high = .. }")
-        return None
+        return []
     scale = noted(choice(*SCALES), value.get("scale", "linear"), f"{where}.scale", faults)
     log = scale == "log"
     span = noted(lambda _: _span(value["low"], value["high"], dimension, log), value, where, faults)
-    return None if span is None else Factor(key, levels_at(key, span, (0.0, 1.0)), span)
+    return [] if span is None else [Factor(key, levels_at(key, span, (0.0, 1.0)), span)]
 
 
 def _span(low: object, high: object, dimension: str, log: bool) -> Span:

@@ -178,13 +178,10 @@ def _told(zipped: Sequence[tuple[str, ...]], nests: Nests) -> tuple[str, ...]:
 
 
 def _product(factors: Sequence[Factor], zipped: Sequence[tuple[str, ...]]) -> list[tuple[int, ...]]:
-    leader = {n: group[0] for group in zipped for n in group}
-    free = [f for f in factors if leader.get(f.name, f.name) == f.name]
-    rows = []
-    for combination in itertools.product(*(range(len(f.levels)) for f in free)):
-        index = dict(zip((f.name for f in free), combination, strict=True))
-        rows.append(tuple(index[leader.get(f.name, f.name)] for f in factors))
-    return rows
+    leader = {f.name: f.name for f in factors} | {n: group[0] for group in zipped for n in group}
+    free = {f.name: range(len(f.levels)) for f in factors if leader[f.name] == f.name}
+    every = (dict(zip(free, index, strict=True)) for index in itertools.product(*free.values()))
+    return [tuple(index[leader[f.name]] for f in factors) for index in every]
 
 
 def _zipped(factors: Sequence[Factor], value: object) -> tuple[tuple[str, ...], ...]:
@@ -211,28 +208,23 @@ def _zipped(factors: Sequence[Factor], value: object) -> tuple[tuple[str, ...], 
 
 def _nests(tables: Sequence[Nested], request: Request) -> Nests | None:
     """Nested factors; None where one is faulty."""
-    faults = request.faults
+    faults, before = request.faults, request.faults.mentions
     nests: dict[str, tuple[str, Mapping[str, tuple[str, ...]]]] = {}
-    sound = True
     by_name = {factor.name: factor for factor in request.factors}
     for i, table in enumerate(tables):
-        where, before = f"design.nested[{i}]", len(faults)
-        factor_named = partial(_known, by_name)
+        where = f"design.nested[{i}]"
         child, parent = (
-            noted(factor_named, value, f"{where}.{key}", faults)
+            noted(partial(_known, by_name), value, f"{where}.{key}", faults)
             for key, value in (("factor", table.factor), ("within", table.within))
         )
         if child is None or parent is None:
-            sound = False
             continue
         if child == parent or child in nests or parent in nests:
             faults.add(f"{where}.within", f"{child!r} in {parent!r} is no single nesting")
         else:
             read = partial(_levels_within, by_name[child], by_name[parent])
-            levels = noted(read, table.levels, f"{where}.levels", faults)
-            nests[child] = (parent, levels or {})
-        sound = sound and faults.mentions == before
-    return nests if sound else None
+            nests[child] = (parent, noted(read, table.levels, f"{where}.levels", faults) or {})
+    return nests if faults.mentions == before else None
 
 
 def _known(by_name: Mapping[str, Factor], value: object) -> str:
@@ -369,21 +361,15 @@ class Fractional:
             return request.nothing
         if given is not None:
             return _verified(request, generators.fractional(labels, given), self.resolution)
-        if self.resolution is not None:
-            return _smallest(request, self.resolution)
-        return request.nothing
-
-
-def _smallest(request: Request, resolution: int) -> Made:
-    """Smallest fraction of a resolution."""
-    count = len(request.factors)
-    try:
-        runs = generators.by_resolution(count, resolution)
-    except ValueError:
-        rule = f"{count} factors have no fraction of resolution {resolution}"
-        request.fault("resolution", rule, 'lower it, or use kind = "full"')
-        return request.nothing
-    return _verified(request, runs, resolution)
+        if self.resolution is None:
+            return request.nothing
+        try:
+            runs = generators.by_resolution(len(labels), self.resolution)
+        except ValueError:
+            rule = f"{len(labels)} factors have no fraction of resolution {self.resolution}"
+            request.fault("resolution", rule, 'lower it, or use kind = "full"')
+            return request.nothing
+        return _verified(request, runs, self.resolution)
 
 
 def _verified(request: Request, runs: Array, least: int | None) -> Made:
@@ -424,10 +410,8 @@ def _words(labels: Sequence[str], value: object) -> Words:
         words[name] = (sign, parts)
     if len({frozenset(parts) for _, parts in words.values()}) < len(words):
         raise Bad("two factors have the same generator", "they would be one another")
-    for _, parts in words.values():
-        for part in parts:
-            if part in words:
-                raise Bad(f"{part!r} is generated itself", "generate from the other factors")
+    for part in (part for _, parts in words.values() for part in parts if part in words):
+        raise Bad(f"{part!r} is generated itself", "generate from the other factors")
     return words
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from study.ground.arrays import gathered
 from study.ground.canonical import Keyed
-from study.ground.declaration import Bad
+from study.ground.declaration import Bad, table_of
 from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell
@@ -175,7 +175,7 @@ def overview(design: Design) -> Overview:
         design,
         len(groups),
         len(fitted),
-        tuple(_factor(design, i) for i in range(len(design.factors))),
+        tuple(_factor(design, factor) for factor in design.factors),
         _matrix(design, groups, fitted),
         design.excluded,
         replication(design),
@@ -187,45 +187,39 @@ def overview(design: Design) -> Overview:
 def replication(design: Design) -> Replication | None:
     """Say what is computed several times, and which question that answers."""
     repeats = design.replicates
-    if repeats.mesh_seeds:
-        sentence = (
+    kinds = (
+        (
+            "mesh-seeds",
+            repeats.mesh_seeds,
             f"every cell is solved on {repeats.mesh_seeds} meshes of its size that differ by a "
-            "seed: is an effect larger than the mesh noise at this size? (E3)"
-        )
-        return Replication("mesh-seeds", repeats.mesh_seeds, sentence)
-    if repeats.key is not None:
-        sentence = (
+            "seed: is an effect larger than the mesh noise at this size? (E3)",
+        ),
+        (
+            "seeds",
+            0 if repeats.key is None else repeats.n,
             f"every cell is computed {repeats.n} times with other values of {repeats.key}, no two "
-            "cells with one: is an effect larger than the scatter of the simulation itself? (E0)"
-        )
-        return Replication("seeds", repeats.n, sentence)
-    if repeats.noise:
-        sentence = (
+            "cells with one: is an effect larger than the scatter of the simulation itself? (E0)",
+        ),
+        (
+            "noise",
+            repeats.noise,
             f"every fit is made {repeats.noise} times more, to its curve with resampled residuals: "
-            "is an effect larger than the noise in the measured data alone would give? (E2)"
-        )
-        return Replication("noise", repeats.noise, sentence)
-    return None
+            "is an effect larger than the noise in the measured data alone would give? (E2)",
+        ),
+    )
+    return next((Replication(*kind) for kind in kinds if kind[1]), None)
 
 
-def _factor(design: Design, index: int) -> FactorOverview:
-    factor, total = design.factors[index], len(design.treatments)
-    calibrates = _calibrates(design, factor.name)
-    inert = inert_cells(design, factor.name)
-    fits = design.calibration.method != "none" and not design.is_alone
-    note = _note(calibrates, inert, total, fits)
-    return FactorOverview(factor.name, factor.labels, calibrates, inert, note)
-
-
-def _note(calibrates: bool, inert: int, total: int, fitted: bool) -> str:
-    if inert == total:
-        return "cannot change any force: every cell is a control"
-    parts = []
-    if fitted:
+def _factor(design: Design, factor: Factor) -> FactorOverview:
+    total, calibrates = len(design.treatments), _calibrates(design, factor.name)
+    inert, parts = inert_cells(design, factor.name), []
+    if design.calibration.method != "none" and not design.is_alone:
         parts.append("enters the fit" if calibrates else "does not enter the fit")
     if inert:
         parts.append(f"cannot matter in {inert} of {total} cells, which are controls")
-    return "; ".join(parts)
+    if inert == total:
+        parts = ["cannot change any force: every cell is a control"]
+    return FactorOverview(factor.name, factor.labels, calibrates, inert, "; ".join(parts))
 
 
 def _matrix(design: Design, groups: Groups, fitted: Groups) -> tuple[CellOverview, ...]:
@@ -251,10 +245,7 @@ def warnings(design: Design) -> tuple[str, ...]:
     for group in duplicates(design):
         labels = " = ".join(t.label for t in group)
         notes[f"cells with the same content are one computation, no replicates: {labels}"] = None
-    presets = design.config.get("presets")
-    unused = set(list(presets) if isinstance(presets, dict) else []) - {
-        factor.name for factor in design.factors
-    }
+    unused = set(table_of(design.config, "presets")) - {factor.name for factor in design.factors}
     for name in sorted(unused):
         notes[f"the preset set {name!r} is no factor and is not used"] = None
     if design.converge.ratio < 1.3:

@@ -269,12 +269,11 @@ def curve_of(curve_file: CurveFile, folder: Path) -> Curve:
     """Curve of a file, in mm and N."""
     header, rows = table_rows(read_text(folder, curve_file.file), curve_file.file)
     columns = []
-    for role in ("displacement", "force"):
+    for role, into in (("displacement", "mm"), ("force", "N")):
         column, unit = getattr(curve_file.columns, role), getattr(curve_file.units, role)
-        into = "mm" if role == "displacement" else "N"
         values = column_of(header, rows, column, curve_file.file)
         columns.append(values * converted(1.0, unit, into, f"{role} of {curve_file.file}"))
-    return checked_curve(columns[0], columns[1], curve_file.file)
+    return checked_curve(*columns, curve_file.file)
 
 
 def checked_curve(displacement_mm: Array, force_N: Array, what: str) -> Curve:  # noqa: N803
@@ -309,7 +308,7 @@ def table_rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
         raise NoAnswer("failed", f"{name} is empty")
     if len(lines) > 1_000_000:
         raise NoAnswer("failed", f"{name} has more than a million rows")
-    delimiter = next((delimiter for delimiter in (",", ";", "\t") if delimiter in lines[0]), None)
+    delimiter = next((mark for mark in ",;\t" if mark in lines[0]), None)
     if delimiter is not None and lines[0].count(delimiter) >= _MOST_COLUMNS:
         raise NoAnswer("failed", f"{name} has more than {_MOST_COLUMNS} columns")
     try:

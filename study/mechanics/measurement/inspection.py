@@ -7,6 +7,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -25,7 +26,7 @@ from study.ground.bounded_file import (
 from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
-from study.ground.units import unit_factor
+from study.ground.units import INTERNAL, unit_factor
 from study.mechanics.measurement.conditioning import OFFSET_SHARE, slack_end, slope_with_error
 from study.mechanics.measurement.measurement_section import DELIMITERS, KINEMATIC, KINETIC
 from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
@@ -77,13 +78,7 @@ _ALIASES = {
     "megapascal": "MPa", "pound": "lbf", "sek": "s", "second": "s", "minute": "min",
 }  # fmt: skip
 #: unit of a quantity whose file names none
-_USUAL = {
-    "length": "mm",
-    "force": "N",
-    "pressure": "MPa",
-    "ratio": "1",
-    "time": "s",
-}
+_USUAL = {name: INTERNAL[name] for name in ("length", "force", "pressure", "ratio", "time")}
 #: strain up to which a column without a unit is a ratio
 _NOT_PERCENT = 1.0
 #: strain beyond which it is in per cent; in between either may be meant
@@ -337,8 +332,7 @@ def _are_grouped(split: Sequence[Sequence[str]]) -> bool:
     Numbers that are written as short as they can be end in no zero, and those that are written
     with three digits have a point in every row.
     """
-    columns = zip_longest(*split[:_LOOKED_AT], fillvalue="")
-    for column in columns:
+    for column in zip_longest(*split[:_LOOKED_AT], fillvalue=""):
         cells = [cell for cell in column if is_number(cell, ".")]
         pointed = [cell for cell in cells if "." in cell]
         grouped = bool(pointed) and all(_GROUPED.fullmatch(cell) for cell in pointed)
@@ -353,10 +347,9 @@ def _width_and_start(counts: Sequence[int]) -> tuple[int, int]:
     if not usual:
         return 0, 0
     width = usual[0][0]
-    for k in range(len(counts) - _BLOCK + 1):
-        if all(n == width for n in counts[k : k + _BLOCK]):
-            return width, k
-    return 0, 0
+    starts = range(len(counts) - _BLOCK + 1)
+    whole = (k for k in starts if set(counts[k : k + _BLOCK]) == {width})
+    return next(((width, k) for k in whole), (0, 0))
 
 
 def _places_of_numbers(cells: Sequence[str], decimal: str) -> tuple[int, ...]:
@@ -407,17 +400,12 @@ def _are_units(cells: Sequence[str]) -> bool:
 def _known_unit(word: str) -> tuple[str, str] | None:
     """Give the unit as the program writes it, and its dimension."""
     plain = word.strip()
-    lower = plain.lower()
-    unit = next(
-        (_ALIASES[form] for form in (plain, lower, lower.removesuffix("s")) if form in _ALIASES),
-        plain,
-    )
+    forms = (plain, plain.lower(), plain.lower().removesuffix("s"))
+    unit = next((_ALIASES[form] for form in forms if form in _ALIASES), plain)
     for dimension in _USUAL:
-        try:
+        with suppress(UnitError):
             unit_factor(unit, dimension)
-        except UnitError:
-            continue
-        return unit, dimension
+            return unit, dimension
     return None
 
 
@@ -480,21 +468,19 @@ def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int
                 k for k, column in enumerate(columns)
                 if column.quantity == quantity and column.name and column.low != column.high
             ]  # fmt: skip
-            if fitting:
-                words = _WORDS[quantity]
-                lower = {k: columns[k].name.lower() for k in fitting}
-                best = min(
-                    fitting,
-                    key=lambda k: next((n for n, word in enumerate(words) if word in lower[k]), 99),
-                )
-                chosen[quantity] = best
-                others = [columns[k].name for k in fitting if k != best]
-                if others:
-                    notes.append(
-                        f"{quantity}: {columns[best].name!r} is taken; there are also "
-                        + ", ".join(map(repr, others[:4]))
-                    )
-                break
+            if not fitting:
+                continue
+            lower = {k: columns[k].name.lower() for k in fitting}
+            ranks = {
+                k: [*(word in lower[k] for word in _WORDS[quantity]), True].index(True)
+                for k in fitting
+            }
+            best = chosen[quantity] = min(fitting, key=ranks.__getitem__)
+            others = ", ".join([repr(columns[k].name) for k in fitting if k != best][:4])
+            if others:
+                taken = f"{quantity}: {columns[best].name!r} is taken"
+                notes.append(f"{taken}; there are also {others}")
+            break
     return chosen
 
 
