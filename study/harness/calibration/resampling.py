@@ -105,7 +105,12 @@ def bootstrap(
     specimens = of_specimens(ordered)
     several = len(specimens) > 1
     parts = parts_of(tests, ordered)
-    blocks = () if several else _residuals(fit, parts)
+    share = fit.n / max(1, fit.n - len(fit.names))
+    recorded = [curve.curve for part in parts for curve in part.measured]
+    blocks = () if several else tuple(
+        residuals_of(curve, predicted.force_at(curve.displacement_mm), share)
+        for curve, predicted in zip(recorded, fit.curves, strict=True)
+    )  # fmt: skip
     values = []
     for _ in range(resamples):
         if several:  # as many specimens as there are; each brings all its curves
@@ -130,16 +135,6 @@ def bootstrap(
         seed,
         tuple(block.block for block in blocks),
         len(specimens) if several else 0,
-    )
-
-
-def _residuals(fit: Fit, parts: Sequence[FitPart]) -> tuple[Residuals, ...]:
-    """Residuals of every curve, in the order of the parts."""
-    share = fit.n / max(1, fit.n - len(fit.names))
-    curves = [curve.curve for part in parts for curve in part.measured]
-    return tuple(
-        residuals_of(curve, predicted.force_at(curve.displacement_mm), share)
-        for curve, predicted in zip(curves, fit.curves, strict=True)
     )
 
 

@@ -70,11 +70,10 @@ def _settings(level: object, prefix: str, where: str, faults: Faults) -> Table:
 
 def _readable(value: str, where: str, faults: Faults) -> bool:
     try:
-        name(value)
+        return bool(name(value))
     except Bad as bad:
         faults.add(where, f"this name {bad.rule}", bad.mend)
         return False
-    return True
 
 
 def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
@@ -122,25 +121,16 @@ def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[
         return ()
     levels: dict[str, Level] = {}
     for i, raw in enumerate(value):
-        level = _level(key, raw, presets, f"{where}[{i}]", faults)
-        if level is not None and level.label in levels:
-            rule = f"levels must be distinct, got {level.label!r} again ({shown(raw)})"
-            faults.add(f"{where}[{i}]", rule, "leave one out")
-        elif level is not None:
-            levels[level.label] = level
+        at, label = f"{where}[{i}]", noted(level_label, raw, f"{where}[{i}]", faults)
+        if label in levels:
+            rule = f"levels must be distinct, got {label!r} again ({shown(raw)})"
+            faults.add(at, rule, "leave one out")
+        elif label is not None and label not in presets.get(key, {label}):
+            mend = nearest(label, presets[key])
+            faults.add(at, f"no preset {label!r} in presets.{key}", mend)
+        elif label is not None:
+            levels[label] = Level(label, presets[key][label] if key in presets else {key: raw})
     return tuple(levels.values())
-
-
-def _level(key: str, raw: object, presets: Presets, where: str, faults: Faults) -> Level | None:
-    label = noted(level_label, raw, where, faults)
-    if label is None:
-        return None
-    if key not in presets:
-        return Level(label, {key: raw})
-    if label not in presets[key]:
-        faults.add(where, f"no preset {label!r} in presets.{key}", nearest(label, presets[key]))
-        return None
-    return Level(label, presets[key][label])
 
 
 def level_label(raw: object) -> str:

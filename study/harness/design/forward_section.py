@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated, Literal
 
 from study.ground import units
@@ -67,8 +67,7 @@ def _words(value: object, mend: str) -> tuple[str, ...]:
     return words
 
 
-def _version(value: object) -> tuple[str, ...]:
-    return _words(value, 'for example version = ["ccx", "-v"]')
+_version = partial(_words, mend='for example version = ["ccx", "-v"]')
 
 
 def file_name(value: object) -> str:

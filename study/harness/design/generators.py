@@ -254,17 +254,15 @@ def _ratio(inverse: Array, old: Array, new: Array) -> Array:
 ROMAN = ("", "I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X", "XI", "XII")
 
 
-def defining_words(runs: Array) -> tuple[Word, ...]:
+def defining_words(runs: Array) -> Iterator[Word]:
     """Products of columns that are constant over all runs, shortest first; runs (runs, factors)."""
-    return tuple(word for word in _words(runs.shape[1]) if abs(_column(runs, word).mean()) == 1)
+    return (word for word in _words(runs.shape[1]) if abs(_column(runs, word).mean()) == 1)
 
 
 def resolution(runs: Array) -> int | None:
-    """Length of the shortest constant product; None where there is none (a full factorial).
-
-    Shapes: runs (runs, factors).
-    """
-    return next((len(w) for w in _words(runs.shape[1]) if abs(_column(runs, w).mean()) == 1), None)
+    """Length of the shortest constant product; None where there is none (a full factorial)."""
+    # Shapes: runs (runs, factors).
+    return next(map(len, defining_words(runs)), None)
 
 
 def _words(count: int) -> Iterator[Word]:
@@ -284,11 +282,11 @@ def term_name(word: Word, names: Sequence[str]) -> str:
 def defining_relation(runs: Array, names: Sequence[str]) -> str:
     """Write the defining relation, such as ``"I = A:B:C"``; empty for a full factorial."""
     # Shapes: runs (runs, factors).
-    words = defining_words(runs)
-    if not words:
-        return ""
-    signs = ["" if _column(runs, word)[0] > 0 else "-" for word in words]
-    return "I = " + " = ".join(s + term_name(w, names) for s, w in zip(signs, words, strict=True))
+    signed = [
+        ("" if _column(runs, word)[0] > 0 else "-") + term_name(word, names)
+        for word in defining_words(runs)
+    ]
+    return " = ".join(["I", *signed]) if signed else ""
 
 
 def sentences(runs: Array, names: Sequence[str]) -> list[str]:

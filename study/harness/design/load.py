@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from study.ground import diagnostics
 from study.ground.contrast import sides_of
+from study.ground.declaration import table_of
 from study.ground.diagnostics import (
     Faults,
     Table,
@@ -436,9 +437,7 @@ def _joined(tables: Tables, source: str) -> Tables:
 
 def _check_override(tables: Table, path: Sequence[str]) -> None:
     """Refuse an override that a factor's levels would hide again."""
-    key, factors = ".".join(path), tables.get("factors")
-    if not isinstance(factors, dict):
-        return
+    key, factors = ".".join(path), table_of(tables, "factors")
     if key in grouped(factors):
         new = "[...]" if key in factors else "{ low = .., high = .. }"
         mend = f"change it there: -s 'factors.{key}={new}'"
@@ -462,8 +461,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         study.setdefault("name", name)
     presets = presets_from(file.presets, faults)
     factors = factors_from(file.factors, presets, faults)
-    material = tables.get("material")  # before any level is laid over it
-    given = isinstance(material, dict) and any(is_constant_key(key) for key in material)
+    given = any(map(is_constant_key, table_of(tables, "material")))  # before any level is laid over
     declared = list(grouped(entries(file.factors, "factors", faults)))
     excluding = "exclude" in tables or "constraint" in tables
     factors, scheme = scheme_from(file.design, factors, file.study.seed, excluding, faults)
@@ -509,8 +507,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
 
 def _declared(tables: Table, presets: Presets) -> dict[str, str]:
     """Units of the values that the programs of a design leave."""
-    forward = tables.get("forward")
-    written = [forward.get("values") if isinstance(forward, Mapping) else None]
+    written = [table_of(tables, "forward").get("values")]
     levels = (level for labels in presets.values() for level in labels.values())
     written += [level.get("forward.values") for level in levels]
     units: dict[str, str] = {}
@@ -551,15 +548,13 @@ def _check_asked(tables: Table, faults: Faults) -> None:
     studied = "converge" in tables and "measurements" not in tables
     if "response" not in tables and not studied:
         faults.add("response", "is missing", RESPONSES_MEND)
-    replicates = tables.get("replicates")
-    if not isinstance(replicates, Mapping):
-        return
+    replicates = table_of(tables, "replicates")
     if {"mesh_seeds", "noise"} <= set(replicates):
         rule = "mesh_seeds and noise are two error terms, with different questions"
         faults.add("replicates", rule, "give one of them, and the other in a study of its own")
     elif "n" in replicates and "key" not in replicates:
         faults.add("replicates.key", "is missing beside n", 'for example key = "parameters.seed"')
-    elif not replicates:
+    elif tables.get("replicates") == {}:
         faults.add("replicates", "is empty", "write mesh_seeds = 5 or noise = 200")
 
 

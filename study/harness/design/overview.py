@@ -16,7 +16,7 @@ from study.harness.design.cell import Cell
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import words_of
 from study.harness.design.plausibility import cautions_of
-from study.harness.design.spec import Combination, Design, Factor, Level, Treatment
+from study.harness.design.spec import Combination, Design, Factor, Treatment
 
 Groups = tuple[tuple[Treatment, ...], ...]
 Key = Callable[[Cell], Hashable]
@@ -77,19 +77,15 @@ def _changes(design: Design, t: Treatment, factor: str, key: Key) -> bool:
     # other cell is made for the comparison.
     own_key, place = key(t.cell), [f.name for f in design.factors].index(factor)
     levels = [f.levels[f.labels.index(t.levels[f.name])] for f in design.factors]
-    for other in _compared(design.factors[place]):
+    factor_levels = design.factors[place].levels
+    if design.factors[place].span is not None and len(factor_levels) > 3:  # a sampled range
+        factor_levels = tuple(factor_levels[i] for i in (0, len(factor_levels) // 2, -1))
+    for other in factor_levels:
         faults = Faults()
         made = design.resolved([*levels[:place], other, *levels[place + 1 :]], faults)
         if not faults and key(made) != own_key:
             return True
     return False
-
-
-def _compared(factor: Factor) -> Sequence[Level]:
-    """Levels that tell whether a factor matters: of a sampled range the ends and the middle."""
-    if factor.span is None or len(factor.levels) <= 3:
-        return factor.levels
-    return [factor.levels[i] for i in (0, len(factor.levels) // 2, -1)]
 
 
 def inert_cells(design: Design, factor: str) -> int:

@@ -245,13 +245,11 @@ def _of_parameters(
             mend = "leave it out, or describe [specimen], [test], [material] and [model]"
             faults.add(name, "has no meaning for parameters alone, without a material", mend)
     name = (converge.key or "").partition(".")[2]
-    if not name:
-        return ParameterProblem(parameters=values, units=units, forward=forward)
     size = values.get(name)
-    if isinstance(size, bool) or not isinstance(size, float) or size <= 0:
+    if name and (not isinstance(size, float) or size <= 0):
         rule = f"must be a positive number in every cell, parameters.{name} is {shown(size)}"
         faults.add("converge.key", rule, "name the mesh size, step or tolerance of your solver")
-    refinement = Refinement(name, converge.formal_order)
+    refinement = Refinement(name, converge.formal_order) if name else None
     return ParameterProblem(parameters=values, units=units, forward=forward, refinement=refinement)
 
 

@@ -426,7 +426,7 @@ def _table(text: str, name: str) -> Mapping[str, object]:
     header, rows = table_rows(text, name)
     if [cell.lower() for cell in header[:2]] == ["name", "value"]:
         pairs: list[tuple[str, object]] = [
-            (row[0], {"value": row[1], "unit": row[2]} if len(row) > 2 and row[2] else row[1])
+            (row[0], {"value": row[1], "unit": row[2]} if any(row[2:3]) else row[1])
             for row in rows
             if len(row) > 1
         ]
@@ -437,9 +437,8 @@ def _table(text: str, name: str) -> Mapping[str, object]:
         pairs = list(zip(header, rows[0], strict=True))
     if len(values := dict(pairs)) < len(pairs):
         twice = next(key for key in values if [k for k, _ in pairs].count(key) > 1)
-        raise NoAnswer(
-            "failed", f"{name} has several values of {twice!r}: write the one that counts"
-        )
+        rule = f"{name} has several values of {twice!r}: write the one that counts"
+        raise NoAnswer("failed", rule)
     return values
 
 

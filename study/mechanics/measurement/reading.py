@@ -223,26 +223,21 @@ def rules_of(
 
     A range may begin below 0 where the specimen deforms the same everywhere (``both_ways``).
     """
-    low, high = _range(spec, height_mm, displacement_mm)
+    if spec.range is not None:
+        low, high = spec.range.in_mm(height_mm)
+    elif spec.points == "raw":
+        low, high = 0.0, np.inf if displacement_mm is None else displacement_mm
+    elif displacement_mm is not None:
+        low, high = displacement_mm / max(spec.points, 2), displacement_mm
+    else:
+        rule = "is missing, and no test.displacement stands for it"
+        mend = 'for example range = ["1 %", "20 %"]'
+        raise InputError(Fault("measurements.range", rule, mend))
     if not low < high or (low < 0 and not both_ways):
         rule = f"must rise from 0 or more, got {low:.4g} to {high:.4g} mm"
         mend = "rows below 0 belong to a specimen that deforms the same everywhere"
         raise InputError(Fault("measurements.range", rule, mend))
     return Rules(spec, low, high, height_mm)
-
-
-def _range(
-    spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None
-) -> tuple[float, float]:
-    if spec.range is not None:
-        return spec.range.in_mm(height_mm)
-    if spec.points == "raw":
-        return 0.0, np.inf if displacement_mm is None else displacement_mm
-    if displacement_mm is None:
-        rule = "is missing, and no test.displacement stands for it"
-        mend = 'for example range = ["1 %", "20 %"]'
-        raise InputError(Fault("measurements.range", rule, mend))
-    return displacement_mm / max(spec.points, 2), displacement_mm
 
 
 def _summary(done: Sequence[SingleTest], rules: Rules) -> list[str]:
