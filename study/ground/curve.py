@@ -289,6 +289,7 @@ class Curve:
             force_gradient=slopes,
             quantities=quantities,
             is_conjugate=bool(data.get("is_conjugate", True)),
+            recorded=(),
         )
 
     def _check_rows(self, d: Array) -> None:

@@ -43,6 +43,8 @@ _FACTORS: Mapping[str, Mapping[str, str | Decimal]] = {
 _TABLE = {name: {unit: _D(one) for unit, one in units.items()} for name, units in _FACTORS.items()}
 #: internal unit of every dimension
 INTERNAL: Mapping[str, str] = {name: next(iter(units)) for name, units in _TABLE.items()}
+#: dimensions of recorded quantities
+RECORDED = ("length", "force", "pressure", "ratio", "time")
 _EXAMPLE: Mapping[str, str] = {
     "length": "50 mm",
     "force": "0.02 N",
@@ -82,7 +84,7 @@ def naming(where: str) -> Iterator[None]:
 
 def is_unit(word: str) -> bool:
     """Whether a word is a unit of a recorded quantity."""
-    for dimension in ("length", "force", "pressure", "time", "ratio"):
+    for dimension in RECORDED:
         with suppress(UnitError):
             return bool(_factor(word, dimension))
     return False

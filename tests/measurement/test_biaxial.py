@@ -65,12 +65,16 @@ def test_all_four_columns_are_asked_for(tmp_path, missing, column):
 
 
 def test_other_columns_are_refused(tmp_path):
-    one_direction = (
-        'measurements = { file = "b.csv", columns = { displacement = "l1", force = "P1" }, '
+    (tmp_path / "b.csv").write_text("d,f\n0,0\n1,1\n2,2\n3,3\n")
+    (tmp_path / "c.toml").write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "10 mm^2"\nlength = "20 mm"\n'
+        '[material]\nmodel = "neo-hookean"\nincompressible = true\n'
+        '[[tests]]\ntest = { kind = "biaxial" }\nmeasurements = { file = "b.csv", '
+        'columns = { displacement = "d", force = "f" }, '
         'units = { displacement = "mm", force = "N" } }'
     )
     with pytest.raises(InputError, match="stretch_1, stretch_2, stress_1 and stress_2"):
-        calibration(tmp_path, (TABLE, one_direction))
+        study.calibrate(tmp_path / "c.toml", data=tmp_path)
 
 
 @pytest.mark.parametrize("volume", [{"incompressible": True}, {"poisson_ratio": 0.45}])

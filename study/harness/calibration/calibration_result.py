@@ -99,7 +99,7 @@ class CalibrationResult(Keyed):
         "reason=fit.reason identifiability=identified next_test=next_tests.as_dict stable "
         "stability evaluations seconds curves lack_of_fit residual_pattern=pattern specimens "
         "same_constants_p population cross_validation profiles numerical numerics "
-        "bootstrap=bootstrap.as_dict starts=starts.as_dict warnings notes name tests"
+        "bootstrap=bootstrap.as_dict starts warnings notes name tests"
     )
 
     #: Of the calibration and of the energy.
@@ -297,11 +297,10 @@ def _population(population: Population, labels: Sequence[str]) -> dict[str, obje
     return {
         "specimens": population.specimens,
         "unit": unit_shown(population.name),
-        "mean": scale * population.mean,
-        "standard_deviation": scale * population.standard_deviation,
-        "between": scale * population.between,
-        "mean_ci95": [scale * v for v in population.mean_ci95],
-        "next_ci95": [scale * v for v in population.next_ci95],
+        **{
+            key: scale * np.asarray(getattr(population, key))
+            for key in ("mean", "standard_deviation", "between", "mean_ci95", "next_ci95")
+        },
         "shrunk": {
             label: scale * value for label, value in zip(labels, population.shrunk, strict=False)
         },

@@ -564,19 +564,16 @@ def choose(
     failures: dict[str, str] = {}
     ways = [fitted_test("auto", test.problem).method for test in config.tests]
     compressible = config.material.compressibility.poisson_ratio is not None
-    for model, order, label in (
-        *CANDIDATES,
-        *(FOAMS if (compressible and all(method == "closed-form" for method in ways)) else ()),
-    ):
+    foams = FOAMS if compressible and set(ways) == {"closed-form"} else ()
+    for model, order, label in (*CANDIDATES, *foams):
         material = replace(config.material, model=model, order=order, constants={})
         tests = tuple(
             replace(test, problem=replace(test.problem, material=material)) for test in config.tests
         )
         try:
-            design = replace(config, tests=tests, bounds={})
-            names = set(design.material.calibrated_names)
+            names = material.calibrated_names
             bounds = {name: pair for name, pair in config.bounds.items() if name in names}
-            design = replace(design, bounds=bounds)
+            design = replace(config, tests=tests, bounds=bounds)
             result = calibrate(design, root, progress=progress, plan=False)
         except InputError as error:
             failures[label] = str(error)

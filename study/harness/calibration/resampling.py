@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
 from study.harness.design.calibration_section import CalibrationDesign
@@ -165,8 +166,10 @@ SAME_MINIMUM = 1e-3
 
 
 @dataclass(frozen=True)
-class Starts:
+class Starts(Keyed):
     """What the fits from several starts found."""
+
+    KEYS = "count=rss.__len__ seed at_best rss"
 
     seed: int
     #: Least sum of squares of each, that of the calibration's own start first; None where the fit
@@ -184,11 +187,6 @@ class Starts:
         """The same in words."""
         text = f"{self.at_best} of {len(self.rss)} starts (seed {self.seed}) end at the least sum"
         return f"{text} of squares"
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
-        return {"count": len(self.rss), "seed": self.seed, "at_best": self.at_best,
-                "rss": list(self.rss)}  # fmt: skip
 
 
 def scattered(

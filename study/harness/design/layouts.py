@@ -166,15 +166,14 @@ class Full:
 
 def _told(zipped: Sequence[tuple[str, ...]], nests: Nests) -> tuple[str, ...]:
     """Say what zipped and nested factors cannot tell."""
-    together = [
-        f"{' and '.join(group)} change together: nothing tells their effects apart"
-        for group in zipped
-    ]
-    within = [
-        f"{child} is nested in {parent}: its levels are compared within one level of {parent}"
-        for child, (parent, _) in nests.items()
-    ]
-    return (*together, *within)
+    apart = "change together: nothing tells their effects apart"
+    return (
+        *(f"{' and '.join(group)} {apart}" for group in zipped),
+        *(
+            f"{child} is nested in {parent}: its levels are compared within one level of {parent}"
+            for child, (parent, _) in nests.items()
+        ),
+    )
 
 
 def _product(factors: Sequence[Factor], zipped: Sequence[tuple[str, ...]]) -> list[tuple[int, ...]]:
@@ -318,10 +317,10 @@ def _levels_listed(factor: Factor, given: Sequence[object]) -> tuple[Factor, lis
 def _cell(factors: Sequence[Factor], item: object, index: int) -> Mapping[str, object]:
     """One treatment: a value of every factor."""
     given = flatten(item) if isinstance(item, Mapping) else {}
-    missing = [f.name for f in factors if f.name not in given]
-    extra = [key for key in given if key not in {f.name for f in factors}]
-    if missing or extra:
-        what = f"has no {missing[0]!r}" if missing else f"names no factor with {extra[0]!r}"
+    names = [factor.name for factor in factors]
+    missing = [f"has no {name!r}" for name in names if name not in given]
+    extra = [f"names no factor with {key!r}" for key in given if key not in names]
+    for what in (*missing, *extra):
         rule = f"treatment {index + 1} {what}"
         raise Bad(rule, "each treatment gives one level of every factor")
     return given
@@ -480,8 +479,7 @@ class CentralComposite:
     """Corners, stars and the center."""
 
     kind: Literal["central-composite"] = "central-composite"
-    #: Whether the stars alone, or the corners too, lie at the ends of the
-    #: ranges.
+    #: Whether the stars alone, or the corners too, lie at the ends of the ranges.
     star: Annotated[str, Reads(choice("inscribed", "faced"))] = "inscribed"
 
     def make(self, request: Request) -> Made:

@@ -20,6 +20,7 @@ from study.ground.diagnostics import (
     with_values,
 )
 from study.ground.errors import InputError
+from study.ground.units import INTERNAL
 from study.harness.design import plausibility
 from study.harness.design.calibration_section import (
     CalibratedTest,
@@ -81,8 +82,7 @@ def measurements_from(
 
 def _measurements_broken(table: Table, _: MeasurementSpec) -> Broken:
     yield from _columns_broken(table)
-    columns = table.get("columns")
-    if isinstance(columns, Mapping) and {"time", *SECOND} & set(columns):
+    if {"time", *SECOND} & set(columns := table_of(table, "columns")):
         yield from _course_broken(table, columns)
     given = [key for key in ("file", "files") if key in table]
     if len(given) != 1:
@@ -116,7 +116,8 @@ def _columns_broken(table: Table) -> Broken:
             yield f"columns.{given[1]}", rule, f"give one of {', '.join(quantities)}"
         needed = given[0] if given else usual
         if isinstance(units, Mapping) and needed not in units and no_row:
-            yield f"units.{needed}", "is missing", f'for example {needed} = "{_UNITS[needed]}"'
+            unit = {**INTERNAL, "pressure": "kPa"}[quantities[needed]]
+            yield f"units.{needed}", "is missing", f'for example {needed} = "{unit}"'
     biaxial = (*SECOND, *SECOND.values())
     first = next((key for key in biaxial if key in columns), None)
     for key in biaxial if first else ():
@@ -124,14 +125,6 @@ def _columns_broken(table: Table) -> Broken:
             yield f"columns.{key}", f"is missing beside {first}", "a biaxial test has all four"
     if isinstance(units, Mapping) and "time" in columns and "time" not in units:
         yield "units.time", "is missing", 'for example time = "s"'
-
-
-_UNITS = {
-    **dict.fromkeys(KINEMATIC, "1"),
-    **dict.fromkeys(KINETIC, "kPa"),
-    "displacement": "mm",
-    "force": "N",
-}
 
 
 def _course_broken(table: Table, columns: Table) -> Broken:

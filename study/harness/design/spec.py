@@ -118,10 +118,9 @@ class Scheme(Keyed):
 class Expected:
     """What was expected of a response before the study ran."""
 
-    #: A factor matters, has
-    #: a larger effect than another one, two interact, a cell (mean over all other factors) is the
-    #: best, two cells differ by less than what matters, levels of a factor score better or need
-    #: less than its others.
+    #: A factor matters, has a larger effect than another one, two interact, a cell (mean over all
+    #: other factors) is the best, two cells differ by less than what matters, levels of a factor
+    #: score better or need less than its others.
     kind: str
     #: One or two factors.
     factors: tuple[str, ...]

@@ -273,7 +273,7 @@ def curve_of(curve_file: CurveFile, folder: Path) -> Curve:
         column, unit = getattr(curve_file.columns, role), getattr(curve_file.units, role)
         values = column_of(header, rows, column, curve_file.file)
         columns.append(values * converted(1.0, unit, into, f"{role} of {curve_file.file}"))
-    return checked_curve(*columns, curve_file.file)
+    return checked_curve(columns[0], columns[1], curve_file.file)
 
 
 def checked_curve(displacement_mm: Array, force_N: Array, what: str) -> Curve:  # noqa: N803
