@@ -297,10 +297,11 @@ def _population(population: Population, labels: Sequence[str]) -> dict[str, obje
     return {
         "specimens": population.specimens,
         "unit": unit_shown(population.name),
-        **{
-            key: scale * np.asarray(getattr(population, key))
-            for key in ("mean", "standard_deviation", "between", "mean_ci95", "next_ci95")
-        },
+        "mean": scale * population.mean,
+        "standard_deviation": scale * population.standard_deviation,
+        "between": scale * population.between,
+        "mean_ci95": [scale * v for v in population.mean_ci95],
+        "next_ci95": [scale * v for v in population.next_ci95],
         "shrunk": {
             label: scale * value for label, value in zip(labels, population.shrunk, strict=False)
         },

@@ -81,10 +81,9 @@ def file_name(value: object) -> str:
 
 def _files(value: object) -> tuple[str | tuple[str, str], ...]:
     """Read files that are copied, or names in the folder of a case with the file of each."""
+    files: list[str | tuple[str, str]]
     if isinstance(value, Mapping):
-        files: list[str | tuple[str, str]] = [
-            (file_name(target), relative_path(source)) for target, source in value.items()
-        ]
+        files = [(file_name(target), relative_path(source)) for target, source in value.items()]
     else:
         items = value if isinstance(value, list) else [value]
         files = list(dict.fromkeys(relative_path(item) for item in items))

@@ -90,8 +90,9 @@ def _term(value: object, faults: Faults, path: str) -> RelaxationKey:
     if faults.mentions > before or not isinstance(section.time, tuple):
         return RelaxationKey(None, 1.0)
     low, high = section.time
-    middle = math.sqrt(low * high) if low < high else low
-    return RelaxationKey(section.share, middle, (low, high) if low < high else None)
+    if low < high:
+        return RelaxationKey(section.share, math.sqrt(low * high), (low, high))
+    return RelaxationKey(section.share, low)
 
 
 def _grid(value: Table, faults: Faults, path: str) -> tuple[RelaxationKey, ...]:

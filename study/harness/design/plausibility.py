@@ -293,11 +293,9 @@ def _depth(setup: Setup, material: MaterialSection) -> Iterator[str]:
             yield f"test.displacement: {warning}"
         critical = buckling_strain(setup.test, setup.specimen)
         if critical is not None and depth >= CLOSE_TO_BUCKLING * critical * height:
-            hidden = (
-                "a model with an axis of symmetry cannot sway"
-                if setup.model.space == "axisymmetric"
-                else "a model of its quarter is asked for the sway that it cannot make"
-            )
+            hidden = "a model of its quarter is asked for the sway that it cannot make"
+            if setup.model.space == "axisymmetric":
+                hidden = "a model with an axis of symmetry cannot sway"
             yield (
                 f"test.displacement: a column of this slenderness buckles at about "
                 f"{critical * height:.3g} mm (Euler's load), and "
