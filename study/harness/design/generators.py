@@ -184,17 +184,15 @@ def d_optimal(
     random = np.random.default_rng(seed)
     every = list(itertools.product(*(range(size) for size in sizes)))
     free = [row for row in every if row not in set(given)]
-    best: tuple[float, tuple[Row, ...]] | None = None
+    best: tuple[float, tuple[Row, ...]] = (-1.0, ())
     for _ in range(STARTS):
         drawn = random.choice(len(free), size=runs, replace=False)
         rows = _exchanged([free[k] for k in drawn], list(given), sizes, words)
         value = efficiency([*given, *rows], sizes, words)
-        if best is None or value > best[0] * (1 + _GAIN):
+        if value > best[0] * (1 + _GAIN):
             best = (value, tuple(sorted(rows)))
         if best[0] > 1 - _GAIN:
             break
-    if best is None:
-        raise ValueError("no start")
     return best[1]
 
 

@@ -200,13 +200,13 @@ def _slack(rules: Rules) -> float:
     return 1e-9 * (rules.high_mm if np.isfinite(rules.high_mm) else 1.0)
 
 
-def _too_few(inside: int, rules: Rules, where: str, reached_mm: float | None = None) -> Fault:
+def _too_few(inside: int, rules: Rules, where: str, reached_mm: float) -> Fault:
     rule = (
         f"has {inside} rows between {_place(rules.low_mm, rules)} and "
         f"{_place(rules.high_mm, rules)}, a curve needs at least {MIN_ROWS}"
     )
-    far = "" if reached_mm is None else _other_unit(reached_mm, rules.high_mm)
-    return Fault(where, rule, "widen the range or record more points" + far)
+    mend = "widen the range or record more points" + _other_unit(reached_mm, rules.high_mm)
+    return Fault(where, rule, mend)
 
 
 def _other_unit(reached_mm: float, high_mm: float) -> str:
