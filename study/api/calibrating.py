@@ -109,7 +109,7 @@ class Calibrated(Shown, CalibrationResult):
         """Constants with one row each."""
         import pandas as pd
 
-        document = self.to_json()["parameters"]
+        document: object = self.to_json()["parameters"]
         rows = [
             {"constant": name, "value": one["value"], "unit": one["unit"],
              "standard_error": one["standard_error"], "low": one["ci95"][0],

@@ -112,15 +112,15 @@ def read_existing(path: str | Path, limit: int = MAX_JSON_BYTES) -> bytes:
     return data
 
 
-def read_json(path: str | Path, limit: int = MAX_JSON_BYTES) -> object:
+def read_json(path: str | Path) -> object:
     """Content of a JSON file: :func:`read_existing`, then :func:`parse_json`."""
-    return parse_json(read_existing(path, limit), path)
+    return parse_json(read_existing(path), path)
 
 
-def parse_json(data: bytes | str, source: str | Path, *, finite: bool = True) -> object:
+def parse_json(data: bytes | str, source: str | Path) -> object:
     """Content of a JSON text of at most 200 nested brackets, the limit of pydantic's parser."""
     try:
-        return from_json(data, allow_inf_nan=not finite)  # twice as fast as the standard library's
+        return from_json(data, allow_inf_nan=False)  # twice as fast as the standard library's
     except ValueError as error:
         raise UnreadableError(source, f"is not valid JSON ({error})") from error
 
@@ -221,40 +221,32 @@ def decoded(data: bytes, source: str, declared: str = "") -> tuple[str, str]:
     character of the file is UTF-8, for then the damage of one byte is the likelier reading. One
     of :data:`ENCODINGS` that is declared is taken, whatever the file looks like.
     """
-    if declared:
-        try:
-            return _without_nul(data.decode(ENCODINGS[declared]), source), declared
-        except UnicodeDecodeError as error:
-            line = data.count(b"\n", 0, error.start) + 1
-            rule = f"byte {data[error.start]:#04x} is not {declared}, which is declared"
-            mend = "leave measurements.encoding out: it is found"
-            raise InputError(Fault(f"{source}:{line}", rule, mend)) from error
     encoding = "UTF-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "UTF-8"
     codec = "utf-16" if encoding == "UTF-16" else "utf-8-sig"
     for order, half in (("utf-16-le", data[1:200:2]), ("utf-16-be", data[:200:2])):
         if half and not any(half):  # ASCII in two bytes each, without the mark that says so
             encoding, codec = "UTF-16", order
+    if declared:
+        encoding, codec = declared, ENCODINGS[declared]
     try:
         text = data.decode(codec)
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         place, rule = f"{source}:{line}", f"byte {data[error.start]:#04x} is not {encoding}"
-        rest = data.decode("utf-8", "ignore")
-        if encoding == "UTF-16" or not rest.isascii():
-            raise InputError(Fault(place, rule, "save the file as UTF-8")) from error
+        mend = "save the file as UTF-8"
+        if declared:
+            rule += ", which is declared"
+            mend = "leave measurements.encoding out: it is found"
+        if encoding != "UTF-8" or not data.decode("utf-8", "ignore").isascii():
+            raise InputError(Fault(place, rule, mend)) from error
         try:
             text, encoding = data.decode("cp1252"), "Windows-1252"
         except UnicodeDecodeError:
-            rule += " and not Windows-1252"
-            raise InputError(Fault(place, rule, "save the file as UTF-8")) from error
-    return _without_nul(text, source), encoding
-
-
-def _without_nul(text: str, source: str) -> str:
+            raise InputError(Fault(place, f"{rule} and not Windows-1252", mend)) from error
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise InputError(Fault(f"{source}:{line}", "holds a NUL character: this is not a CSV file"))
-    return text
+    return text, encoding
 
 
 # Sheets of Excel workbooks, as tab-separated text whose lines are the rows of the sheet.
@@ -290,7 +282,7 @@ def sheets_of(data: bytes, source: str) -> dict[str, Sequence[Sequence[object]]]
         ) from error
 
 
-def sheet_text(data: bytes, source: str, sheet: str = "", decimal: str = ".") -> tuple[str, str]:
+def _sheet_text(data: bytes, source: str, sheet: str, decimal: str) -> tuple[str, str]:
     """Named or only sheet as tab-separated text with its line numbers, and what was read."""
     sheets = sheets_of(data, source)
     filled = [name for name, rows in sheets.items() if rows]
@@ -318,7 +310,7 @@ def table_text(
     """Text of a table, plain or gzip, or of a sheet of a workbook; and how it was read."""
     data = unzipped(raw, source)
     if is_workbook(data):
-        return sheet_text(data, source, sheet, decimal)
+        return _sheet_text(data, source, sheet, decimal)
     if sheet:
         raise InputError(Fault(source, "is no workbook, so it has no sheets", "leave sheet out"))
     return decoded(data, source, encoding)

@@ -263,8 +263,8 @@ class Curve:
         knots = self.displacement_mm
         return spline_from_origin(knots, values, np.clip(d, min(float(knots[0]), 0.0), knots[-1]))
 
-    def as_dict(self, *, recorded: bool = False) -> dict[str, Any]:
-        """Plain lists, for JSON, of what the curve has; with the recorded rows where asked."""
+    def as_dict(self) -> dict[str, Any]:
+        """Plain lists, for JSON, of what the curve has; the recorded rows stay out."""
         out: dict[str, Any] = {
             key: values.tolist() for key in _ROWS if (values := getattr(self, key)) is not None
         }
@@ -273,8 +273,6 @@ class Curve:
         for key in ("quantities", "force_gradient"):
             if named := getattr(self, key):
                 out[key] = {name: values.tolist() for name, values in named.items()}
-        if recorded and self.recorded:
-            out["recorded"] = [one.as_dict() for one in self.recorded]
         return out
 
     @classmethod
@@ -291,7 +289,7 @@ class Curve:
             force_gradient=slopes,
             quantities=quantities,
             is_conjugate=bool(data.get("is_conjugate", True)),
-            recorded=tuple(cls.from_dict(one) for one in data.get("recorded", ())),
+            recorded=(),
         )
 
     def _check_rows(self, d: Array) -> None:

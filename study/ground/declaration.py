@@ -12,7 +12,7 @@ import math
 import re
 import typing
 import unicodedata
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import PurePosixPath, PureWindowsPath
@@ -150,12 +150,17 @@ def _without_unit(name: str) -> str:
 
 
 def _key(name: str, declared: FieldInfo) -> Key:
-    alias, reads = declared.validation_alias, _reads_of(declared)
-    required = declared.is_required()
+    alias, required = declared.validation_alias, declared.is_required()
+    # also where the value may be None, or a list of sections
+    inner = typing.get_args(declared.annotation)
+    marks = (mark for option in inner for mark in typing.get_args(option))
+    reads = next((mark for mark in (*declared.metadata, *marks) if isinstance(mark, Reads)), None)
+    options = (option for option in (declared.annotation, *inner) if isinstance(option, type))
+    within = next((option for option in options if option in _DECLARED), None)
     return Key(
         name=name,
         written=alias if isinstance(alias, str) else _without_unit(name),
-        kind=_section_within(declared) if reads is None else None,
+        kind=within if reads is None else None,
         rows=next((mark for mark in declared.metadata if isinstance(mark, Rows)), None),
         reads=reads,
         default=None if required else declared.get_default(),
@@ -163,21 +168,6 @@ def _key(name: str, declared: FieldInfo) -> Key:
         is_derived=DERIVED in declared.metadata,
         mend=(reads.mend if reads else declared.description) or "",
     )
-
-
-def _section_within(declared: FieldInfo) -> type | None:
-    """Section of a field that pydantic reads itself; also where it may be None, or a list."""
-    options = (declared.annotation, *typing.get_args(declared.annotation))
-    return next(
-        (option for option in options if isinstance(option, type) and option in _DECLARED), None
-    )
-
-
-def _reads_of(declared: FieldInfo) -> Reads | None:
-    """How a field is read; also where it may be None."""
-    options: Iterable[object] = typing.get_args(declared.annotation)
-    inner = (mark for option in options for mark in typing.get_args(option))
-    return next((mark for mark in (*declared.metadata, *inner) if isinstance(mark, Reads)), None)
 
 
 def written_keys(kind: type) -> tuple[str, ...]:

@@ -255,16 +255,14 @@ def _unfit(tables: Tables) -> str:
     """Reason why nested tables are refused, found without recursion."""
     layer: list[object] = [tables]
     for _ in range(MAX_DEPTH + 1):
-        layer = [v for x in layer if isinstance(x, (dict, list)) for v in _children(x)]
+        nodes = [x.values() if isinstance(x, dict) else x for x in layer
+                 if isinstance(x, (dict, list))]  # fmt: skip
+        layer = [value for node in nodes for value in node]
         if any(isinstance(v, int) and abs(v) >= 2**63 for v in layer):
             return "holds a whole number beyond 64 bits"
         if not layer:
             return ""
     return f"is nested more than {MAX_DEPTH} levels deep"
-
-
-def _children(value: dict[str, object] | list[object]) -> Iterable[object]:
-    return value.values() if isinstance(value, dict) else value
 
 
 def flatten(

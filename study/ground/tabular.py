@@ -13,6 +13,7 @@ import hashlib
 import io
 import math
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -201,7 +202,7 @@ def parse_csv(
         del header[-1]
     _check_header(header, required, f"{source}:{at[0]}", rows, at)
     trailing = _even(rows, len(header))
-    _check_widths(rows, at, len(header), delimiter, decimal, source)
+    _check_widths(rows, at, len(header), delimiter, source)
     if len(rows) == 1:
         rule = "there is a header line but no row of data"
         raise InputError(Fault(source, rule, "give one row a sample"))
@@ -327,29 +328,25 @@ def _check_header(
 ) -> None:
     if len(header) > MAX_COLUMNS:
         raise InputError(Fault(source, f"has {len(header)} columns, at most {MAX_COLUMNS}"))
+    rule, mend = "column {!r} stands {} times in the header", "every column needs its own name"
     faults = [
-        Fault(
-            source,
-            f"column {name!r} stands {header.count(name)} times in the header",
-            "every column needs its own name",
-        )
-        for name in dict.fromkeys(header)
-        if name and header.count(name) > 1
+        Fault(source, rule.format(name, count), mend)
+        for name, count in Counter(header).items()
+        if name and count > 1
     ]
     faults += [_no_column(source, name, header) for name in required if name not in header]
-    later = (
-        n for n, row in zip(at, rows, strict=True) if set(required) <= {c.strip() for c in row}
-    )
-    line = next(later, at[0])
-    if faults and required and line > at[0]:
+    if not faults:
+        return
+    stripped = ({cell.strip() for cell in row} for row in rows)
+    line = next((n for n, row in zip(at, stripped, strict=True) if set(required) <= row), at[0])
+    if required and line > at[0]:
         mend = f"line {line} names the columns: write skip_lines = {line - 1}"
         faults = [replace(fault, mend=mend) for fault in faults]
-    if faults:
-        raise InputError(faults)
+    raise InputError(faults)
 
 
 def _check_widths(
-    rows: list[list[str]], numbers: list[int], width: int, delimiter: str, decimal: str, source: str
+    rows: list[list[str]], numbers: list[int], width: int, delimiter: str, source: str
 ) -> None:
     bad = [k for k, row in enumerate(rows) if len(row) != width]
     if not bad:

@@ -19,64 +19,32 @@ from typing import Any
 
 from study.ground.errors import Fault, InputError, UnitError, nearest
 
-#: internal unit of every dimension
-INTERNAL: Mapping[str, str] = {
-    "length": "mm",
-    "force": "N",
-    "pressure": "MPa",
-    "angle": "deg",
-    "time": "s",
-    "speed": "mm/s",
-    "stiffness": "N/mm",
-    "work": "N mm",
-    "area": "mm^2",
-    "ratio": "1",
-    "memory": "MB",
-    "density": "kg/m^3",
-}
 _D = Decimal
-_TABLE: Mapping[str, Mapping[str, Decimal]] = {
-    "length": {"mm": _D(1), "cm": _D(10), "m": _D(1000), "um": _D("1e-3"), "in": _D("25.4")},
-    "force": {
-        "N": _D(1),
-        "mN": _D("1e-3"),
-        "kN": _D(1000),
-        "gf": _D("9.80665e-3"),
-        "kgf": _D("9.80665"),
-    },
+#: what one unit of every dimension is in the internal one, which stands first, as exact decimals
+_FACTORS: Mapping[str, Mapping[str, str | Decimal]] = {
+    "length": {"mm": "1", "cm": "10", "m": "1000", "um": "1e-3", "in": "25.4"},
+    "force": {"N": "1", "mN": "1e-3", "kN": "1000", "gf": "9.80665e-3", "kgf": "9.80665"},
     "pressure": {
-        "MPa": _D(1),
-        "kPa": _D("1e-3"),
-        "Pa": _D("1e-6"),
-        "GPa": _D(1000),
-        "N/mm^2": _D(1),
-        "N/m^2": _D("1e-6"),
-        "bar": _D("0.1"),
+        **{"MPa": "1", "kPa": "1e-3", "Pa": "1e-6", "GPa": "1000"},
+        **{"N/mm^2": "1", "N/m^2": "1e-6", "bar": "0.1"},
     },
     # pint counts an angle as a plain number and would take "30 %" for one: this table is all
-    "angle": {"deg": _D(1), "degree": _D(1), "degrees": _D(1), "rad": _D(repr(180 / math.pi))},
-    "time": {"s": _D(1), "ms": _D("1e-3"), "min": _D(60), "h": _D(3600)},
-    "speed": {
-        "mm/s": _D(1),
-        "mm/min": _D(1) / _D(60),
-        "um/s": _D("1e-3"),
-        "cm/s": _D(10),
-        "m/s": _D(1000),
-    },
-    "stiffness": {"N/mm": _D(1), "N/m": _D("1e-3"), "kN/m": _D(1), "kN/mm": _D(1000)},
-    "work": {"N mm": _D(1), "N*mm": _D(1), "mJ": _D(1), "J": _D(1000)},
-    "area": {"mm^2": _D(1), "cm^2": _D(100), "m^2": _D("1e6")},
-    "density": {
-        "kg/m^3": _D(1),
-        "kg/m3": _D(1),
-        "g/cm^3": _D(1000),
-        "g/cm3": _D(1000),
-        "g/mL": _D(1000),
-    },
+    "angle": {"deg": "1", "degree": "1", "degrees": "1", "rad": repr(180 / math.pi)},
+    "time": {"s": "1", "ms": "1e-3", "min": "60", "h": "3600"},
+    "speed": {"mm/s": "1", "mm/min": _D(1) / _D(60), "um/s": "1e-3", "cm/s": "10", "m/s": "1000"},
+    "stiffness": {"N/mm": "1", "N/m": "1e-3", "kN/m": "1", "kN/mm": "1000"},
+    "work": {"N mm": "1", "N*mm": "1", "mJ": "1", "J": "1000"},
+    "area": {"mm^2": "1", "cm^2": "100", "m^2": "1e6"},
     # as an angle, a plain number is no business of pint's
-    "ratio": {"1": _D(1), "%": _D("0.01")},
-    "memory": {"MB": _D(1), "GB": _D(1000), "MiB": _D("1.048576"), "GiB": _D("1073.741824")},
+    "ratio": {"1": "1", "%": "0.01"},
+    "memory": {"MB": "1", "GB": "1000", "MiB": "1.048576", "GiB": "1073.741824"},
+    "density": {"kg/m^3": "1", "kg/m3": "1", "g/cm^3": "1000", "g/cm3": "1000", "g/mL": "1000"},
 }
+_TABLE = {name: {unit: _D(one) for unit, one in units.items()} for name, units in _FACTORS.items()}
+#: internal unit of every dimension
+INTERNAL: Mapping[str, str] = {name: next(iter(units)) for name, units in _TABLE.items()}
+#: dimensions of recorded quantities
+RECORDED = ("length", "force", "pressure", "ratio", "time")
 _EXAMPLE: Mapping[str, str] = {
     "length": "50 mm",
     "force": "0.02 N",
@@ -116,7 +84,7 @@ def naming(where: str) -> Iterator[None]:
 
 def is_unit(word: str) -> bool:
     """Whether a word is a unit of a recorded quantity."""
-    for dimension in ("length", "force", "pressure", "time", "ratio"):
+    for dimension in RECORDED:
         with suppress(UnitError):
             return bool(_factor(word, dimension))
     return False

@@ -33,6 +33,26 @@ LOADERS = {
     "markers": loads,
     "calibration": loads_calibration,
 }
+#: a small design to which tests add factors
+BASE = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[test]
+kind = "compression"
+interface = "bonded"
+displacement = "6 mm"
+[material]
+model = "neo-hookean"
+C10 = "5 kPa"
+poisson_ratio = 0.4995
+[model]
+mesh = "coarse"
+[[response]]
+name = "seconds"
+"""
 #: a key left out; TOML has no such value
 ABSENT = None
 TABLE_VALUES = ("text", [], 1)

@@ -9,26 +9,9 @@ from hypothesis import strategies as st
 from study.ground.errors import InputError
 from study.harness.design import cell as content
 from study.harness.design import load, overview, spec
+from tests.design import faulty
 
-BASE = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "25 mm"
-height = "30 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-displacement = "6 mm"
-[material]
-model = "neo-hookean"
-C10 = "5 kPa"
-poisson_ratio = 0.4995
-[model]
-mesh = "coarse"
-[[response]]
-name = "seconds"
-"""
+BASE = faulty.BASE.replace('"bonded"', '"frictionless"')
 SPACES = '[factors]\nmodel.space = ["axisymmetric", "3d"]\n'
 
 

@@ -61,13 +61,8 @@ VALUES = st.recursive(
 
 
 def paths(node: object, at: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
-    items = (
-        node.items()
-        if isinstance(node, dict)
-        else enumerate(node)
-        if isinstance(node, list)
-        else ()
-    )
+    items = enumerate(node) if isinstance(node, list) else ()
+    items = node.items() if isinstance(node, dict) else items
     return [at] * bool(at) + [path for k, v in items for path in paths(v, (*at, k))]
 
 
@@ -117,39 +112,18 @@ def test_the_slowest_file_that_the_caps_let_through() -> None:
     survives("\n".join(f"k{i}.{key} = 1" for i in range(3700)))
 
 
-CORPUS = [
-    "<script>alert(1)</script>",
-    '"><img src=x onerror=alert(1)>',
-    "=cmd|' /C calc'!A0",
-    "+1+1",
-    "-1+1",
-    "@SUM(A1)",
-    "'); import os; os.system('x')",
-    "../../x",
-    "$\\frac{1}{0}$",
-    "\u202egnp.exe",
-    "a\x00b",
-    "a\nb",
-    "a\tb",
-    "\ufeffx",
-    "x" * 10_000,
-    "",
-    "  ",
-    "{{ 7*7 }}",
-    "${HOME}",
-    "Q('a') + C(b)",
-    "__class__",
-    "NUL",
-]
-REFUSED = {c for c in CORPUS if not c.strip() or c[0] in "=+-@\u202e\ufeff" or len(c) > 80} | {
-    "a\x00b",
-    "a\nb",
-    "a\tb",
-}
-
-
-def toml(text: str) -> str:
-    return json.dumps(text)
+#: names that no table, page or CSV file can hold, and others that only look dangerous
+REFUSED = (
+    *("=cmd|' /C calc'!A0", "+1+1", "-1+1", "@SUM(A1)", "\u202egnp.exe", "\ufeffx"),
+    *("a\x00b", "a\nb", "a\tb", "x" * 10_000, "", "  "),
+)
+HARMLESS = (
+    *("<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "$\\frac{1}{0}$"),
+    *("'); import os; os.system('x')", "../../x", "{{ 7*7 }}", "${HOME}", "Q('a') + C(b)"),
+    *("__class__", "NUL"),
+)
+CORPUS = (*REFUSED, *HARMLESS)
+toml = json.dumps
 
 
 @pytest.mark.parametrize("name", CORPUS)

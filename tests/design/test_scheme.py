@@ -15,27 +15,9 @@ from study.harness.design.cell import Cell
 from study.harness.design.load import dump, loads
 from study.harness.design.overview import calibration_factors, inert_cells
 from study.harness.design.spec import Design, Level
+from tests.design.faulty import BASE
 
 DESIGNS = Path(__file__).parents[2] / "designs"
-BASE = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "25 mm"
-height = "30 mm"
-[test]
-kind = "compression"
-displacement = "6 mm"
-interface = "bonded"
-[material]
-model = "neo-hookean"
-C10 = "5 kPa"
-poisson_ratio = 0.4995
-[model]
-mesh = "coarse"
-[[response]]
-name = "seconds"
-"""
 TWO = """
 [factors]
 model.space = ["axisymmetric", "3d"]

@@ -292,24 +292,18 @@ def _partial(setting: Setting, label: str, curves: Sequence[FitCurve]) -> Partia
 
 def _predictions(setting: Setting, curves: Sequence[FitCurve], fit: Fit) -> tuple[CurveFit, ...]:
     """Every curve beside its prediction; those of held-out tests are made now."""
-    fitted = iter(fit.curves)
-    known_by = {id(c): next(fitted, None) for c in in_order(curves)}
+    fitted = dict(zip(map(id, in_order(curves)), fit.curves, strict=False))
     out = []
     for curve in curves:
-        predicted, message = (known_by.get(id(curve)), "" if fit.status.usable else fit.message)
+        predicted, message = fitted.get(id(curve)), "" if fit.status.usable else fit.message
         if curve.role == "held-out" and fit.status.usable:
-            predicted, message = _predicted(setting, curve, fit)
+            try:
+                (model,) = fit_task.models_of(parts_of(setting.tests, [curve]), setting.names)
+                predicted = model(fit.values)[0]
+            except EvaluationFailed as error:
+                message = str(error)
         out.append(CurveFit(**vars(curve), predicted=predicted, message=message))
     return tuple(out)
-
-
-def _predicted(setting: Setting, curve: FitCurve, fit: Fit) -> tuple[Curve | None, str]:
-    (part,) = parts_of(setting.tests, [curve])
-    try:
-        (model,) = fit_task.models_of([part], setting.names)
-        return model(fit.values)[0], ""
-    except EvaluationFailed as error:
-        return None, str(error)
 
 
 def _same_constants(pooled: Fit, specimens: Sequence[PartialFit]) -> float | None:

@@ -156,14 +156,12 @@ def estimated_bound(
     simulated = [model if isinstance(model, InverseFem) else None for model in models]
     if all(model is None for model in simulated) or not fit.curves:
         return None
-    mesh: list[Array] = []
-    again: list[Array] = []
-    stepped: list[Array] = []
+    errors: list[tuple[Array, Array, Array]] = []  # by the mesh, and twice by the load steps
     try:
         for part, model in zip(parts, simulated, strict=True):
             if model is None:
                 zeros = np.zeros(sum(len(curve.curve) for curve in part.measured))
-                mesh, again, stepped = [*mesh, zeros], [*again, zeros], [*stepped, zeros]
+                errors.append((zeros, zeros, zeros))
                 continue
             here, size = _force(model, part, constants), model.mesh_size_mm or 0.0
             order = _order(part, names, constants) or _LOWEST_ORDER
@@ -172,9 +170,8 @@ def estimated_bound(
                 _force(fit_task.models_of([other], names)[0], part, constants)
                 for other in (part, coarse, _with_more_steps(part))
             )
-            mesh.append(_SAFETY / (_RATIO**order - 1) * (coarser - chosen_here))
-            again.append(chosen_here - here)
-            stepped.append(finer - here)
+            by_mesh = _SAFETY / (_RATIO**order - 1) * (coarser - chosen_here)
+            errors.append((by_mesh, chosen_here - here, finer - here))
     except (EvaluationFailed, InputError) as error:
         why = f"a coarser mesh, or more load steps, has no answer ({error})"
         nothing = np.full(len(names), np.nan)
@@ -184,11 +181,11 @@ def estimated_bound(
     inverse, _ = scaled_inverse(weights[:, None] * jacobian)
     used = np.concatenate([m.weights > 0 for m in measured])
     by_force = inverse @ (weights[:, None] ** 2 * jacobian).T
-    by_mesh, *by_steps = (
-        np.abs(by_force @ np.concatenate(e)[used]) for e in (mesh, again, stepped)
+    mesh, again, stepped = (
+        np.abs(by_force @ np.concatenate(e)[used]) for e in zip(*errors, strict=True)
     )
-    steps, sizes = np.maximum(*by_steps), (_RATIO, 1.0)
-    return ConstantBound(names, by_mesh, steps, sizes, [constants], is_estimate=True)
+    steps, sizes = np.maximum(again, stepped), (_RATIO, 1.0)
+    return ConstantBound(names, mesh, steps, sizes, [constants], is_estimate=True)
 
 
 def _force(model: Predict, part: FitPart, constants: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.canonical import plain
+from study.ground.canonical import Json, Keyed, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve
@@ -42,13 +42,10 @@ class CurveFit(FitCurve):
 
     def as_dict(self) -> dict[str, object]:
         """Errors of the prediction in N, in % of the RMS force and as R2; rows."""
-        errors: dict[str, float | None] = {
-            "rms_force_error": None,
-            "relative_rms_force_error": None,
-            "r_squared": None,
-        }
+        names = ("rms_force_error", "relative_rms_force_error", "r_squared")
+        errors: dict[str, float | None] = dict.fromkeys(names)
         if self.predicted is not None:
-            for name in ("rms_force_error", "relative_rms_force_error"):
+            for name in names[:2]:
                 errors[name] = CURVE_RESPONSES[name](self.predicted, self.measured.curve)
             force = self.measured.curve.force_N
             left = self.predicted.force_at(self.measured.curve.displacement_mm) - force
@@ -91,8 +88,19 @@ class PartialFit:
 
 
 @dataclass(frozen=True)
-class CalibrationResult:
+class CalibrationResult(Keyed):
     """Constants of one material from all tests of a calibration."""
+
+    KEYS = (
+        "status message fit=adequacy.as_dict model parameters=fit.names nuisance=fit.nuisance "
+        "mu0=material shear_moduli=material rss=fit.rss minima r_squared=fit.r_squared "
+        "aicc=fit.aicc n=fit.n rows=curves serial_correlation=fit.serial "
+        "correlation=fit.correlation condition=fit.condition identifiable=fit.identifiable "
+        "reason=fit.reason identifiability=identified next_test=next_tests.as_dict stable "
+        "stability evaluations seconds curves lack_of_fit residual_pattern=pattern specimens "
+        "same_constants_p population cross_validation profiles numerical numerics "
+        "bootstrap=bootstrap.as_dict starts warnings notes name tests"
+    )
 
     #: Of the calibration and of the energy.
     name: str
@@ -160,43 +168,23 @@ class CalibrationResult:
             raise InputError(Fault("convention", "the fit found no material to convert"))
         return convert(self.material, convention)
 
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study calibrate --json``."""
+    def to_json(self) -> dict[str, Json]:
+        """Document of ``study calibrate --json``; moduli are in kPa, exponents plain."""
         fit = self.fit
-        content = {
-            "status": self.status,
-            "message": self.message,
-            "fit": self.adequacy.as_dict(),
-            "model": self.model,
+        shown = {
             "parameters": parameters(fit),
             "nuisance": nuisance(fit),
             "mu0": None if self.material is None else 1e3 * self.material.mu0,
-            **_moduli(self.material),
-            "rss": fit.rss,
+            "shear_moduli": _moduli(self.material),
             "minima": [
                 {"parameters": in_shown_units(minimum.names, minimum.values), "rss": minimum.rss}
                 for minimum in self.minima
             ],
-            "r_squared": fit.r_squared,
-            "aicc": fit.aicc,
-            "n": fit.n,
             "rows": RowCount.sum_of(curve.measured.rows for curve in self.curves).as_dict(),
             "serial_correlation": _serial(fit),
-            "correlation": fit.correlation,
-            "condition": fit.condition,
-            "identifiable": fit.identifiable,
-            "reason": fit.reason,
             "identifiability": _identified(self.identified),
-            "next_test": None if self.next_tests is None else self.next_tests.as_dict(),
-            "stable": self.stable,
-            "stability": self.stability,
-            "evaluations": self.evaluations,
-            "seconds": self.seconds,
             "curves": [curve.as_dict() for curve in self.curves],
-            "lack_of_fit": None if self.lack_of_fit is None else vars(self.lack_of_fit),
-            "residual_pattern": None if self.pattern is None else vars(self.pattern),
             "specimens": [specimen.as_dict() for specimen in self.specimens],
-            "same_constants_p": self.same_constants_p,
             "population": {
                 constant.name: _population(constant, [part.label for part in self.specimens])
                 for constant in self.population
@@ -211,24 +199,17 @@ class CalibrationResult:
                 for name, profile in self.profiles.items()
                 for scale in [_scale(fit, name)]
             },
-            **({} if self.numerical is None else {"numerical": self.numerical}),
-            **({} if self.numerics is None else {"numerics": self.numerics}),
-            **({} if self.bootstrap is None else {"bootstrap": self.bootstrap.as_dict()}),
-            **({} if self.starts is None else {"starts": self.starts.as_dict()}),
-            "warnings": list(self.warnings),
-            "notes": list(self.notes),
-            "name": self.name,
-            "tests": [{name: dict(table) for name, table in test.items()} for test in self.tests],
         }
-        return dict(plain(content))
+        document = {**self.keyed(), **shown}
+        seldom = ("shear_moduli", "numerical", "numerics", "bootstrap", "starts")
+        return plain({k: v for k, v in document.items() if v is not None or k not in seldom})
 
 
-def _moduli(material: Material | None) -> dict[str, object]:
+def _moduli(material: Material | None) -> dict[str, object] | None:
     """Shear moduli of a material that relaxes, kPa: of a load that comes at once, and of old."""
     if material is None or not material.relaxation:
-        return {}
-    moduli = {"instantaneous": 1e3 * material.mu0, "long_term": 1e3 * material.long_term_mu}
-    return {"shear_moduli": moduli}
+        return None
+    return {"instantaneous": 1e3 * material.mu0, "long_term": 1e3 * material.long_term_mu}
 
 
 def parameters(fit: Fit) -> dict[str, ParameterDocument]:

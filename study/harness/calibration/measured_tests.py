@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, gathered
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.design.calibration_section import OFFSET, CalibratedTest, Role
@@ -116,12 +116,9 @@ def noise_of(measured: MeasuredTest, grows: float = math.inf) -> Array | None:
 def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[FitPart]:
     """Parts of a fit to the given curves, one for each test that has any."""
     parts = []
-    for number, test in enumerate(tests):
-        of_test = [c for c in curves if c.test == number]
-        if of_test:
-            fitted = fitted_test("auto", test.problem)
-            measured = tuple(_measured_curve(c) for c in of_test)
-            parts.append(FitPart(fitted.method, fitted.problem, measured))
+    for number, measured in sorted(gathered((c.test, _measured_curve(c)) for c in curves).items()):
+        fitted = fitted_test("auto", tests[number].problem)
+        parts.append(FitPart(fitted.method, fitted.problem, tuple(measured)))
     return parts
 
 
@@ -151,10 +148,9 @@ def left_out(curves: Sequence[FitCurve], kind: str) -> list[tuple[str, list[FitC
 
     labels = list(dict.fromkeys(unit(c) for c in fitted))
     if len(labels) < 2:
-        mend = {
-            "specimen": "name the column of the specimens in measurements.block",
-            "test": "give a second [[tests]] table with role = 'fit'",
-        }[kind]
+        mend = "give a second [[tests]] table with role = 'fit'"
+        if kind == "specimen":
+            mend = "name the column of the specimens in measurements.block"
         rule = f"leaves one {kind} out, but there is only one"
         raise InputError(Fault("calibration.leave_out", rule, mend))
     return [
@@ -165,8 +161,7 @@ def left_out(curves: Sequence[FitCurve], kind: str) -> list[tuple[str, list[FitC
 
 def of_specimens(curves: Sequence[FitCurve]) -> dict[str, list[FitCurve]]:
     """Fitted curves of every specimen."""
-    labels = dict.fromkeys(c.specimen for c in curves if c.role == "fit" and c.specimen is not None)
-    return {s: [c for c in curves if c.specimen == s and c.role == "fit"] for s in labels if s}
+    return gathered((str(c.specimen), c) for c in curves if c.role == "fit" and c.specimen)
 
 
 def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
@@ -176,11 +171,10 @@ def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
         for c in curves
         if c.role == "fit"
     }
-    if len(peaks) < 2 or max(peaks.values()) <= _UNEVEN * min(peaks.values()):
+    is_by_row = any(isinstance(c.weight, np.ndarray) for c in curves)
+    if len(peaks) < 2 or is_by_row or max(peaks.values()) <= _UNEVEN * min(peaks.values()):
         return []
     small, large = min(peaks, key=peaks.__getitem__), max(peaks, key=peaks.__getitem__)
-    if any(isinstance(c.weight, np.ndarray) for c in curves):
-        return []
     ratio = peaks[large] / max(peaks[small], 1e-300)
     return [
         f"the forces of {large} are {ratio:.3g} times those of {small}, which hardly count at "

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.canonical import plain
+from study.ground.canonical import Json, Keyed, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.units import p_phrase
@@ -131,8 +131,14 @@ Form = Literal["wald", "score"]
 
 
 @dataclass(frozen=True)
-class ModelComparison:
+class ModelComparison(Keyed):
     """Constants of every test for itself, and whether one material explains them all."""
+
+    KEYS = (
+        "name model by=form verdict sentence groups=fits common=test statistic=test.statistic "
+        "f=test.statistic df=test.df df_error=test.df_error p=test.p "
+        "p_chi_square=test.p_chi_square form mu0_spread difference warnings"
+    )
 
     #: Of the calibration and of the energy.
     name: str
@@ -201,16 +207,12 @@ class ModelComparison:
         ended = [f"{k}: {short} ({f.message})" for k, f in self.fits.items() if not f.converged]
         return (*cautions, *vague, *ended)
 
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study calibrate --by test --json``."""
+    def to_json(self) -> dict[str, Json]:
+        """Document of ``study calibrate --by test --json``; moduli in kPa, exponents plain."""
         names = next(iter(self.fits.values())).fit.names
         error = np.sqrt(np.diag(self.test.covariance))
-        content = {
-            "name": self.name,
-            "model": self.model,
+        shown = {
             "by": "test",
-            "verdict": self.verdict,
-            "sentence": self.sentence,
             "groups": [
                 {
                     "label": label,
@@ -235,18 +237,9 @@ class ModelComparison:
                 }
                 for i, name in enumerate(names)
             },
-            "statistic": self.test.statistic,
             "f": self.test.statistic / self.test.df,
-            "df": self.test.df,
-            "df_error": self.test.df_error,
-            "p": self.test.p,
-            "p_chi_square": self.test.p_chi_square,
-            "form": self.form,
-            "mu0_spread": self.mu0_spread,
-            "difference": self.difference,
-            "warnings": list(self.warnings),
         }
-        return dict(plain(content))
+        return plain({**self.keyed(), **shown})
 
 
 def compare(
@@ -507,13 +500,12 @@ class EnergyChoice:
             text += f"is not chosen: {_unfit(self.fits[self.better])}"
         return f"{text}; it compares energies on these data only, not the constants' truth"
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> dict[str, Json]:
         """Table of the energies."""
         best = min((f.fit.aicc for f in self.fits.values()), default=0.0)
-
         content = {
             "best": self.best,
-            "cannot_be_told_apart": list(self.alike),
+            "cannot_be_told_apart": self.alike,
             "sentence": self.sentence,
             "energies": [
                 {
@@ -534,9 +526,9 @@ class EnergyChoice:
                 }
                 for label, result in self.fits.items()
             ],
-            "failures": dict(self.failures),
+            "failures": self.failures,
         }
-        return dict(plain(content))
+        return plain(content)
 
 
 def _held_out_errors(result: CalibrationResult) -> list[object]:
@@ -572,19 +564,16 @@ def choose(
     failures: dict[str, str] = {}
     ways = [fitted_test("auto", test.problem).method for test in config.tests]
     compressible = config.material.compressibility.poisson_ratio is not None
-    for model, order, label in (
-        *CANDIDATES,
-        *(FOAMS if (compressible and all(method == "closed-form" for method in ways)) else ()),
-    ):
+    foams = FOAMS if compressible and set(ways) == {"closed-form"} else ()
+    for model, order, label in (*CANDIDATES, *foams):
         material = replace(config.material, model=model, order=order, constants={})
         tests = tuple(
             replace(test, problem=replace(test.problem, material=material)) for test in config.tests
         )
         try:
-            design = replace(config, tests=tests, bounds={})
-            names = set(design.material.calibrated_names)
+            names = material.calibrated_names
             bounds = {name: pair for name, pair in config.bounds.items() if name in names}
-            design = replace(design, bounds=bounds)
+            design = replace(config, tests=tests, bounds=bounds)
             result = calibrate(design, root, progress=progress, plan=False)
         except InputError as error:
             failures[label] = str(error)

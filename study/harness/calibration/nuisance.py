@@ -101,16 +101,17 @@ _FAR = 0.05
 _SMALL = 1e-4
 
 
+@dataclass(frozen=True)
 class _Homogeneous:
     """Closed form at any displacements."""
 
-    def __init__(self, problem: CellProblem, names: Sequence[str]) -> None:
-        self._problem, self._names = problem, names
+    problem: CellProblem
+    names: Sequence[str]
 
     def at(self, values: Array, grid: Array) -> Curve:
         """Predict forces at displacements, mm; negative ones pull what others press."""
         empty = [Curve(grid, np.zeros_like(grid))]
-        return fit_task.closed_form_model(self._problem, empty, self._names)(values)[0]
+        return fit_task.closed_form_model(self.problem, empty, self.names)(values)[0]
 
 
 class _Simulated(fit_task.InverseFem):
@@ -248,9 +249,8 @@ def _shares(
     plates = {"": 1.0}
     if friction is not None:
         phi = value[friction.name]
-        plates = {"frictionless": 1 - phi, "bonded": phi}
-        if by is friction:
-            plates = {"frictionless": -1.0, "bonded": 1.0}
+        free, bonded = (-1.0, 1.0) if by is friction else (1 - phi, phi)
+        plates = {"frictionless": free, "bonded": bonded}
     inner = {("", 0): 0.0 if by is not None and by is not friction else 1.0}
     for param in movers:
         is_input = param.key not in (OFFSET, ZERO, FRICTION)

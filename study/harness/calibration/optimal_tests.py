@@ -109,9 +109,8 @@ class Conditions:
         """Mean of the recordings; the first specimen that has a cross-section."""
         specimens = [s for test in tests if (s := test.setup.specimen) is not None]
         areas = [height_and_area(specimen)[1] for specimen in specimens]
-        serial, rows = fit.serial, fit.n
-        if serial is not None:
-            rows = serial.rows
+        serial = fit.serial
+        rows = fit.n if serial is None else serial.rows
         # mean strains of the specimens that are not indented
         strains = [
             float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm
@@ -154,7 +153,14 @@ class NextTests:
         if np.all(self.standard_error <= KNOWN * np.abs(self.values)):
             return ""
         best = self.tests[0]
-        says = " and ".join(self._cut(name, best) for name in self.sought)
+        errors_of = zip(
+            self.names, self.values, self.standard_error, best.standard_error, strict=True
+        )
+        says = " and ".join(
+            f"of {name} from {_error(name, value, before)} to {_error(name, value, after)}"
+            for name, value, before, after in errors_of
+            if name in self.sought
+        )
         errors = "error" if len(self.sought) == 1 else "errors"
         at = self.conditions
         rows = f"{at.rows:.0f} rows worth {at.effective_rows:.3g}"
@@ -162,7 +168,12 @@ class NextTests:
             f"best next test: {best.words} would cut the standard {errors} {says} (as noisy "
             f"as the tests made: {at.noise_N:.2g} N on {at.area_mm2:.3g} mm^2, {rows}, "
             f"up to a nominal stress of {at.stress_MPa:.3g} MPa). "
-            f"{self._reach(best)}"
+            + (
+                f"No strain of it makes every constant known to {100 * KNOWN:.0f} %"
+                if best.needed is None
+                else f"It must reach {100 * best.needed:.2g} % for every constant to be known to "
+                f"{100 * KNOWN:.0f} %"
+            )
         )
 
     def as_dict(self) -> dict[str, object]:
@@ -188,26 +199,15 @@ class NextTests:
             ],
         }
 
-    def _cut(self, name: str, test: NextTest) -> str:
-        k = self.names.index(name)
-        before, after = self.standard_error[k], test.standard_error[k]
-        return f"of {name} from {self._error(k, before)} to {self._error(k, after)}"
 
-    def _error(self, k: int, error: float) -> str:
-        name, value = self.names[k], abs(float(self.values[k]))
-        if not np.isfinite(error):
-            return "infinity"
-        if value and error < 10 * value:
-            return f"{100 * error / value:.2g} %"
-        scaled = error if is_dimensionless(name) else 1e3 * error
-        unit = unit_shown(name) if is_dimensionless(name) else "kPa"
-        return f"{scaled:.2g} {unit}".rstrip()
-
-    def _reach(self, best: NextTest) -> str:
-        share = f"{100 * KNOWN:.0f} %"
-        if best.needed is None:
-            return f"No strain of it makes every constant known to {share}"
-        return f"It must reach {100 * best.needed:.2g} % for every constant to be known to {share}"
+def _error(name: str, value: float, error: float) -> str:
+    """Say how large the standard error of a constant is. Units: value MPa; error MPa."""
+    if not np.isfinite(error):
+        return "infinity"
+    if value and error < 10 * abs(value):
+        return f"{100 * error / abs(value):.2g} %"
+    scaled, unit = (error, unit_shown(name)) if is_dimensionless(name) else (1e3 * error, "kPa")
+    return f"{scaled:.2g} {unit}".rstrip()
 
 
 def next_tests(

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
 from study.harness.design.calibration_section import CalibrationDesign
@@ -105,7 +106,12 @@ def bootstrap(
     specimens = of_specimens(ordered)
     several = len(specimens) > 1
     parts = parts_of(tests, ordered)
-    blocks = () if several else _residuals(fit, parts)
+    share = fit.n / max(1, fit.n - len(fit.names))
+    recorded = [curve.curve for part in parts for curve in part.measured]
+    blocks = () if several else tuple(
+        residuals_of(curve, predicted.force_at(curve.displacement_mm), share)
+        for curve, predicted in zip(recorded, fit.curves, strict=True)
+    )  # fmt: skip
     values = []
     for _ in range(resamples):
         if several:  # as many specimens as there are; each brings all its curves
@@ -130,16 +136,6 @@ def bootstrap(
         seed,
         tuple(block.block for block in blocks),
         len(specimens) if several else 0,
-    )
-
-
-def _residuals(fit: Fit, parts: Sequence[FitPart]) -> tuple[Residuals, ...]:
-    """Residuals of every curve, in the order of the parts."""
-    share = fit.n / max(1, fit.n - len(fit.names))
-    curves = [curve.curve for part in parts for curve in part.measured]
-    return tuple(
-        residuals_of(curve, predicted.force_at(curve.displacement_mm), share)
-        for curve, predicted in zip(curves, fit.curves, strict=True)
     )
 
 
@@ -170,8 +166,10 @@ SAME_MINIMUM = 1e-3
 
 
 @dataclass(frozen=True)
-class Starts:
+class Starts(Keyed):
     """What the fits from several starts found."""
+
+    KEYS = "count=rss.__len__ seed at_best rss"
 
     seed: int
     #: Least sum of squares of each, that of the calibration's own start first; None where the fit
@@ -189,11 +187,6 @@ class Starts:
         """The same in words."""
         text = f"{self.at_best} of {len(self.rss)} starts (seed {self.seed}) end at the least sum"
         return f"{text} of squares"
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
-        return {"count": len(self.rss), "seed": self.seed, "at_best": self.at_best,
-                "rss": list(self.rss)}  # fmt: skip
 
 
 def scattered(

@@ -106,8 +106,7 @@ def _flat(table: Mapping[str, object]) -> dict[str, object]:
     out: dict[str, object] = {}
     keys = set(written_keys(NuisanceInput))
     for key, value in table.items():
-        nested = isinstance(value, Mapping) and value and not keys & set(value)
-        if nested and isinstance(value, Mapping):
+        if isinstance(value, Mapping) and value and not keys & set(value):
             out |= {f"{key}.{inner}": value_inside for inner, value_inside in _flat(value).items()}
         else:
             out[key] = value
@@ -149,13 +148,12 @@ def _value(key: str, raw: object, dimension: str, where: str, faults: Faults) ->
         return None
     if key == FRICTION:
         mend = "0 as frictionless plates, 1 as bonded ones"
-        if raw is None:
-            faults.add(f"{where}.value", "is missing", mend)
-            return None
-        return noted(number(0, 1, closed=True, mend=mend), raw, f"{where}.value", faults)
-    if raw is None:
-        return 0.0
-    return noted(partial(units.parse, dimension=dimension), raw, f"{where}.value", faults)
+        if raw is not None:
+            return noted(number(0, 1, closed=True, mend=mend), raw, f"{where}.value", faults)
+        faults.add(f"{where}.value", "is missing", mend)
+        return None
+    read = partial(units.parse, dimension=dimension)
+    return 0.0 if raw is None else noted(read, raw, f"{where}.value", faults)
 
 
 Role = Literal["fit", "held-out"]

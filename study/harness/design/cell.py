@@ -273,8 +273,7 @@ class Cell:
     problem: ForwardCell
     #: How the constants are found.
     method: str
-    #: What is predicted by constants that were fitted
-    #: without it.
+    #: What is predicted by constants that were fitted without it.
     leave_out: str | None = None
     #: Test that the constants are fitted to, where it is another one.
     fitted_elsewhere: ForwardCell | None = None

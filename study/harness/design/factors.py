@@ -61,20 +61,19 @@ def presets_from(table: object, faults: Faults) -> Presets:
 
 def _settings(level: object, prefix: str, where: str, faults: Faults) -> Table:
     settings = flatten(entries(level, where, faults), prefix, overlay.WHOLE)
-    for key in settings:
-        if not overlay.may_vary(key):
-            inner = quoted_path(key.removeprefix(prefix))
-            faults.add(f"{where}.{inner}", "unknown key", overlay.suggestion(key))
-    return {key: value for key, value in settings.items() if overlay.may_vary(key)}
+    for key in [key for key in settings if not overlay.may_vary(key)]:
+        inner = quoted_path(key.removeprefix(prefix))
+        faults.add(f"{where}.{inner}", "unknown key", overlay.suggestion(key))
+        del settings[key]
+    return settings
 
 
 def _readable(value: str, where: str, faults: Faults) -> bool:
     try:
-        name(value)
+        return bool(name(value))
     except Bad as bad:
         faults.add(where, f"this name {bad.rule}", bad.mend)
         return False
-    return True
 
 
 def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
@@ -89,17 +88,14 @@ def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Facto
     for key in sorted(set(written) & {start for start, _, end in parted if end in RANGE_KEYS}):
         rule = "stands twice, with levels and with an end of a range"
         faults.add(f"factors.{quoted_path(key)}", rule, "keep one of the two")
-    read = [_factor(key, value, presets, faults) for key, value in grouped(written).items()]
-    factors = [factor for factor in read if factor is not None]
+    factors: list[Factor] = []
+    for key, value in grouped(written).items():
+        if isinstance(value, Mapping) and key not in presets and overlay.may_vary(key):
+            factors += _range(key, value, f"factors.{quoted_path(key)}", faults)
+        elif levels := _levels(key, value, presets, faults):
+            factors.append(Factor(key, levels))
     _check_overlap(factors, faults)
     return tuple(factors)
-
-
-def _factor(key: str, value: object, presets: Presets, faults: Faults) -> Factor | None:
-    if isinstance(value, Mapping) and key not in presets and overlay.may_vary(key):
-        return _range(key, value, f"factors.{quoted_path(key)}", faults)
-    levels = _levels(key, value, presets, faults)
-    return Factor(key, levels) if levels else None
 
 
 def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[Level, ...]:
@@ -125,25 +121,16 @@ def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[
         return ()
     levels: dict[str, Level] = {}
     for i, raw in enumerate(value):
-        level = _level(key, raw, presets, f"{where}[{i}]", faults)
-        if level is not None and level.label in levels:
-            rule = f"levels must be distinct, got {level.label!r} again ({shown(raw)})"
-            faults.add(f"{where}[{i}]", rule, "leave one out")
-        elif level is not None:
-            levels[level.label] = level
+        at, label = f"{where}[{i}]", noted(level_label, raw, f"{where}[{i}]", faults)
+        if label in levels:
+            rule = f"levels must be distinct, got {label!r} again ({shown(raw)})"
+            faults.add(at, rule, "leave one out")
+        elif label is not None and label not in presets.get(key, {label}):
+            mend = nearest(label, presets[key])
+            faults.add(at, f"no preset {label!r} in presets.{key}", mend)
+        elif label is not None:
+            levels[label] = Level(label, presets[key][label] if key in presets else {key: raw})
     return tuple(levels.values())
-
-
-def _level(key: str, raw: object, presets: Presets, where: str, faults: Faults) -> Level | None:
-    label = noted(level_label, raw, where, faults)
-    if label is None:
-        return None
-    if key not in presets:
-        return Level(label, {key: raw})
-    if label not in presets[key]:
-        faults.add(where, f"no preset {label!r} in presets.{key}", nearest(label, presets[key]))
-        return None
-    return Level(label, presets[key][label])
 
 
 def level_label(raw: object) -> str:
@@ -256,20 +243,20 @@ def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
     return {**copied, key: value}
 
 
-def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:
-    """Factor of a range, with its two ends as levels."""
+def _range(key: str, value: Table, where: str, faults: Faults) -> list[Factor]:
+    """Factor of a range, with its two ends as levels; none where it is faulty."""
     dimension = overlay.dimension(key)
     if dimension is None:
         faults.add(where, "is no number, so it has no range", "list its levels: [.., ..]")
-        return None
+        return []
     missing = [end for end in ENDS if end not in value]
     if missing:
         faults.add(where, f"has no {missing[0]}", "write { low = .., high = .. }")
-        return None
+        return []
     scale = noted(choice(*SCALES), value.get("scale", "linear"), f"{where}.scale", faults)
     log = scale == "log"
     span = noted(lambda _: _span(value["low"], value["high"], dimension, log), value, where, faults)
-    return None if span is None else Factor(key, levels_at(key, span, (0.0, 1.0)), span)
+    return [] if span is None else [Factor(key, levels_at(key, span, (0.0, 1.0)), span)]
 
 
 def _span(low: object, high: object, dimension: str, log: bool) -> Span:

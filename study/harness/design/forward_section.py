@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated, Literal
 
 from study.ground import units
@@ -67,8 +67,7 @@ def _words(value: object, mend: str) -> tuple[str, ...]:
     return words
 
 
-def _version(value: object) -> tuple[str, ...]:
-    return _words(value, 'for example version = ["ccx", "-v"]')
+_version = partial(_words, mend='for example version = ["ccx", "-v"]')
 
 
 def file_name(value: object) -> str:
@@ -82,10 +81,9 @@ def file_name(value: object) -> str:
 
 def _files(value: object) -> tuple[str | tuple[str, str], ...]:
     """Read files that are copied, or names in the folder of a case with the file of each."""
+    files: list[str | tuple[str, str]]
     if isinstance(value, Mapping):
-        files: list[str | tuple[str, str]] = [
-            (file_name(target), relative_path(source)) for target, source in value.items()
-        ]
+        files = [(file_name(target), relative_path(source)) for target, source in value.items()]
     else:
         items = value if isinstance(value, list) else [value]
         files = list(dict.fromkeys(relative_path(item) for item in items))

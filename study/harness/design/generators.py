@@ -1,8 +1,8 @@
 """Coded runs of designs other than the full factorial, from kept-up libraries.
 
-Two-level designs are coded -1 and 1, response-surface designs -1 to 1 with the outermost
-runs at the ends of the ranges, space-filling designs 0 to 1. pyDOE3 is not used: its
-fractional designs are wrong; those of pydoe are verified by :mod:`study.harness.design.generators`.
+Two-level designs are coded -1 and 1, response-surface designs -1 to 1 with the outermost runs at
+the ends of the ranges, space-filling designs 0 to 1, all of shape (runs, factors). pyDOE3 is not
+used: its fractional designs are wrong; those of pydoe are verified here.
 """
 
 from __future__ import annotations
@@ -23,10 +23,7 @@ LETTERS = string.ascii_lowercase
 def fractional(
     factors: Sequence[str], generators: Mapping[str, tuple[int, Sequence[str]]]
 ) -> Array:
-    """Two-level fractional factorial with given generators.
-
-    Shapes: returns (runs, factors).
-    """
+    """Two-level fractional factorial with given generators."""
     from pydoe import fracfact
 
     basic = [name for name in factors if name not in generators]
@@ -40,7 +37,6 @@ def fractional(
 
 def by_resolution(count: int, resolution: int) -> Array:
     """Smallest two-level fraction of a number of factors with at least a resolution."""
-    # Shapes: returns (runs, count).
     from pydoe import fracfact_by_res
 
     return _ordered(np.asarray(fracfact_by_res(count, resolution), dtype=float))
@@ -48,7 +44,6 @@ def by_resolution(count: int, resolution: int) -> Array:
 
 def plackett_burman(count: int) -> Array:
     """Plackett-Burman screening design (Plackett and Burman 1946, Biometrika 33, 305)."""
-    # Shapes: returns (runs, count).
     from pydoe import pbdesign
 
     return np.asarray(pbdesign(count), dtype=float)
@@ -86,8 +81,6 @@ def box_behnken(count: int) -> Array:
     Within a block of an incomplete block design its factors take all combinations of -1 and 1,
     and all others are 0. Up to five factors, and for eight, which the paper leaves out, the
     blocks are all pairs.
-
-    Shapes: returns (runs, count).
     """
     pairs = tuple(itertools.combinations(range(1, count + 1), 2))
     runs = [
@@ -100,7 +93,6 @@ def box_behnken(count: int) -> Array:
 
 def latin_hypercube(count: int, runs: int, seed: int) -> Array:
     """Latin hypercube sample in 0 to 1: every factor has one run in each of ``runs`` slices."""
-    # Shapes: returns (runs, count).
     from scipy.stats import qmc
 
     rng = np.random.default_rng(seed)
@@ -108,7 +100,7 @@ def latin_hypercube(count: int, runs: int, seed: int) -> Array:
 
 
 def sobol(count: int, runs: int, seed: int) -> Array:
-    """Scrambled Sobol sequence in 0 to 1. Shapes: returns (runs, count)."""
+    """Scrambled Sobol sequence in 0 to 1."""
     from scipy.stats import qmc
 
     rng = np.random.default_rng(seed)
@@ -192,17 +184,15 @@ def d_optimal(
     random = np.random.default_rng(seed)
     every = list(itertools.product(*(range(size) for size in sizes)))
     free = [row for row in every if row not in set(given)]
-    best: tuple[float, tuple[Row, ...]] | None = None
+    best: tuple[float, tuple[Row, ...]] = (-1.0, ())
     for _ in range(STARTS):
         drawn = random.choice(len(free), size=runs, replace=False)
         rows = _exchanged([free[k] for k in drawn], list(given), sizes, words)
         value = efficiency([*given, *rows], sizes, words)
-        if best is None or value > best[0] * (1 + _GAIN):
+        if value > best[0] * (1 + _GAIN):
             best = (value, tuple(sorted(rows)))
         if best[0] > 1 - _GAIN:
             break
-    if best is None:
-        raise ValueError("no start")
     return best[1]
 
 
@@ -254,17 +244,14 @@ def _ratio(inverse: Array, old: Array, new: Array) -> Array:
 ROMAN = ("", "I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X", "XI", "XII")
 
 
-def defining_words(runs: Array) -> tuple[Word, ...]:
+def defining_words(runs: Array) -> Iterator[Word]:
     """Products of columns that are constant over all runs, shortest first; runs (runs, factors)."""
-    return tuple(word for word in _words(runs.shape[1]) if abs(_column(runs, word).mean()) == 1)
+    return (word for word in _words(runs.shape[1]) if abs(_column(runs, word).mean()) == 1)
 
 
 def resolution(runs: Array) -> int | None:
-    """Length of the shortest constant product; None where there is none (a full factorial).
-
-    Shapes: runs (runs, factors).
-    """
-    return next((len(w) for w in _words(runs.shape[1]) if abs(_column(runs, w).mean()) == 1), None)
+    """Length of the shortest constant product; None where there is none (a full factorial)."""
+    return next(map(len, defining_words(runs)), None)
 
 
 def _words(count: int) -> Iterator[Word]:
@@ -283,17 +270,15 @@ def term_name(word: Word, names: Sequence[str]) -> str:
 
 def defining_relation(runs: Array, names: Sequence[str]) -> str:
     """Write the defining relation, such as ``"I = A:B:C"``; empty for a full factorial."""
-    # Shapes: runs (runs, factors).
-    words = defining_words(runs)
-    if not words:
-        return ""
-    signs = ["" if _column(runs, word)[0] > 0 else "-" for word in words]
-    return "I = " + " = ".join(s + term_name(w, names) for s, w in zip(signs, words, strict=True))
+    signed = [
+        ("" if _column(runs, word)[0] > 0 else "-") + term_name(word, names)
+        for word in defining_words(runs)
+    ]
+    return " = ".join(["I", *signed]) if signed else ""
 
 
 def sentences(runs: Array, names: Sequence[str]) -> list[str]:
     """Alias table in words: what cannot be told from what, main effects first."""
-    # Shapes: runs (runs, factors).
     terms = [word for word in _words(runs.shape[1]) if len(word) <= 2]
     columns = np.array([_column(runs, word) for word in terms])
     correlation = np.abs(columns @ columns.T / len(runs))

@@ -166,25 +166,21 @@ class Full:
 
 def _told(zipped: Sequence[tuple[str, ...]], nests: Nests) -> tuple[str, ...]:
     """Say what zipped and nested factors cannot tell."""
-    together = [
-        f"{' and '.join(group)} change together: nothing tells their effects apart"
-        for group in zipped
-    ]
-    within = [
-        f"{child} is nested in {parent}: its levels are compared within one level of {parent}"
-        for child, (parent, _) in nests.items()
-    ]
-    return (*together, *within)
+    apart = "change together: nothing tells their effects apart"
+    return (
+        *(f"{' and '.join(group)} {apart}" for group in zipped),
+        *(
+            f"{child} is nested in {parent}: its levels are compared within one level of {parent}"
+            for child, (parent, _) in nests.items()
+        ),
+    )
 
 
 def _product(factors: Sequence[Factor], zipped: Sequence[tuple[str, ...]]) -> list[tuple[int, ...]]:
-    leader = {n: group[0] for group in zipped for n in group}
-    free = [f for f in factors if leader.get(f.name, f.name) == f.name]
-    rows = []
-    for combination in itertools.product(*(range(len(f.levels)) for f in free)):
-        index = dict(zip((f.name for f in free), combination, strict=True))
-        rows.append(tuple(index[leader.get(f.name, f.name)] for f in factors))
-    return rows
+    leader = {f.name: f.name for f in factors} | {n: group[0] for group in zipped for n in group}
+    free = {f.name: range(len(f.levels)) for f in factors if leader[f.name] == f.name}
+    every = (dict(zip(free, index, strict=True)) for index in itertools.product(*free.values()))
+    return [tuple(index[leader[f.name]] for f in factors) for index in every]
 
 
 def _zipped(factors: Sequence[Factor], value: object) -> tuple[tuple[str, ...], ...]:
@@ -211,28 +207,23 @@ def _zipped(factors: Sequence[Factor], value: object) -> tuple[tuple[str, ...], 
 
 def _nests(tables: Sequence[Nested], request: Request) -> Nests | None:
     """Nested factors; None where one is faulty."""
-    faults = request.faults
+    faults, before = request.faults, request.faults.mentions
     nests: dict[str, tuple[str, Mapping[str, tuple[str, ...]]]] = {}
-    sound = True
     by_name = {factor.name: factor for factor in request.factors}
     for i, table in enumerate(tables):
-        where, before = f"design.nested[{i}]", len(faults)
-        factor_named = partial(_known, by_name)
+        where = f"design.nested[{i}]"
         child, parent = (
-            noted(factor_named, value, f"{where}.{key}", faults)
+            noted(partial(_known, by_name), value, f"{where}.{key}", faults)
             for key, value in (("factor", table.factor), ("within", table.within))
         )
         if child is None or parent is None:
-            sound = False
             continue
         if child == parent or child in nests or parent in nests:
             faults.add(f"{where}.within", f"{child!r} in {parent!r} is no single nesting")
         else:
             read = partial(_levels_within, by_name[child], by_name[parent])
-            levels = noted(read, table.levels, f"{where}.levels", faults)
-            nests[child] = (parent, levels or {})
-        sound = sound and faults.mentions == before
-    return nests if sound else None
+            nests[child] = (parent, noted(read, table.levels, f"{where}.levels", faults) or {})
+    return nests if faults.mentions == before else None
 
 
 def _known(by_name: Mapping[str, Factor], value: object) -> str:
@@ -326,10 +317,10 @@ def _levels_listed(factor: Factor, given: Sequence[object]) -> tuple[Factor, lis
 def _cell(factors: Sequence[Factor], item: object, index: int) -> Mapping[str, object]:
     """One treatment: a value of every factor."""
     given = flatten(item) if isinstance(item, Mapping) else {}
-    missing = [f.name for f in factors if f.name not in given]
-    extra = [key for key in given if key not in {f.name for f in factors}]
-    if missing or extra:
-        what = f"has no {missing[0]!r}" if missing else f"names no factor with {extra[0]!r}"
+    names = [factor.name for factor in factors]
+    missing = [f"has no {name!r}" for name in names if name not in given]
+    extra = [f"names no factor with {key!r}" for key in given if key not in names]
+    for what in (*missing, *extra):
         rule = f"treatment {index + 1} {what}"
         raise Bad(rule, "each treatment gives one level of every factor")
     return given
@@ -369,21 +360,15 @@ class Fractional:
             return request.nothing
         if given is not None:
             return _verified(request, generators.fractional(labels, given), self.resolution)
-        if self.resolution is not None:
-            return _smallest(request, self.resolution)
-        return request.nothing
-
-
-def _smallest(request: Request, resolution: int) -> Made:
-    """Smallest fraction of a resolution."""
-    count = len(request.factors)
-    try:
-        runs = generators.by_resolution(count, resolution)
-    except ValueError:
-        rule = f"{count} factors have no fraction of resolution {resolution}"
-        request.fault("resolution", rule, 'lower it, or use kind = "full"')
-        return request.nothing
-    return _verified(request, runs, resolution)
+        if self.resolution is None:
+            return request.nothing
+        try:
+            runs = generators.by_resolution(len(labels), self.resolution)
+        except ValueError:
+            rule = f"{len(labels)} factors have no fraction of resolution {self.resolution}"
+            request.fault("resolution", rule, 'lower it, or use kind = "full"')
+            return request.nothing
+        return _verified(request, runs, self.resolution)
 
 
 def _verified(request: Request, runs: Array, least: int | None) -> Made:
@@ -424,10 +409,8 @@ def _words(labels: Sequence[str], value: object) -> Words:
         words[name] = (sign, parts)
     if len({frozenset(parts) for _, parts in words.values()}) < len(words):
         raise Bad("two factors have the same generator", "they would be one another")
-    for _, parts in words.values():
-        for part in parts:
-            if part in words:
-                raise Bad(f"{part!r} is generated itself", "generate from the other factors")
+    for part in (part for _, parts in words.values() for part in parts if part in words):
+        raise Bad(f"{part!r} is generated itself", "generate from the other factors")
     return words
 
 
@@ -496,8 +479,7 @@ class CentralComposite:
     """Corners, stars and the center."""
 
     kind: Literal["central-composite"] = "central-composite"
-    #: Whether the stars alone, or the corners too, lie at the ends of the
-    #: ranges.
+    #: Whether the stars alone, or the corners too, lie at the ends of the ranges.
     star: Annotated[str, Reads(choice("inscribed", "faced"))] = "inscribed"
 
     def make(self, request: Request) -> Made:

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from study.ground import diagnostics
 from study.ground.contrast import sides_of
+from study.ground.declaration import table_of
 from study.ground.diagnostics import (
     Faults,
     Table,
@@ -40,12 +41,7 @@ from study.harness.design.factors import (
 )
 from study.harness.design.forward_section import ValueFile
 from study.harness.design.layout_kinds import scheme_from
-from study.harness.design.parameters import (
-    Constraint,
-    check_names,
-    checked,
-    stands_alone,
-)
+from study.harness.design.parameters import check_names, checked, stands_alone
 from study.harness.design.questions import (
     analysis_from,
     expected_from,
@@ -95,7 +91,11 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
         where = "" if is_general else f" (in {labelled[0]}{more})"
         faults.add(fault.where, fault.rule + where, fault.mend)
     left = [cell.levels for cell, *_ in run]
-    _check_left(design, left, faults)
+    for factor in design.factors:  # the exclusions leave every factor two levels
+        count = len({levels[factor.name] for levels in left})
+        if count < 2 <= len(factor.levels):
+            rule = f"leaves {count} of the {len(factor.levels)} levels of {factor.name!r}"
+            faults.add("exclude", rule, "a factor needs two levels; remove it, or exclude less")
     if not faults:  # a level that cannot be read would be missed here once more
         _check_contrasts(design, left, faults)
     if not labels_of and cells:
@@ -169,15 +169,6 @@ def _moved(fault: Fault, places: Mapping[str, str]) -> Fault:
     return fault
 
 
-def _check_left(design: Design, left: Sequence[Mapping[str, str]], faults: Faults) -> None:
-    """Check that the exclusions leave every factor two levels."""
-    for factor in design.factors:
-        count = len({levels[factor.name] for levels in left})
-        if count < 2 <= len(factor.levels):
-            rule = f"leaves {count} of the {len(factor.levels)} levels of {factor.name!r}"
-            faults.add("exclude", rule, "a factor needs two levels; remove it, or exclude less")
-
-
 def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
     values = {name for cell in cells if cell.problem.forward for name in cell.problem.forward.units}
     for i, response in enumerate(design.responses):
@@ -247,9 +238,8 @@ def check_replicates(design: Design, cells: Sequence[Cell], faults: Faults) -> N
         faults.add("analysis.error", rule, "add [replicates] mesh_seeds = 5 or noise = 200")
     if design.replicates.noise:
         _check_noise(design, cells, faults)
-    if design.replicates.mesh_seeds and not any(
-        (not (cell.problem.is_homogeneous and cell.fitted.is_homogeneous)) for cell in cells
-    ):
+    is_exact = all(cell.problem.is_homogeneous and cell.fitted.is_homogeneous for cell in cells)
+    if design.replicates.mesh_seeds and is_exact:
         rule = (
             "every cell is compression between frictionless plates, which is the same on every "
             "mesh: there is no scatter of meshes to learn"
@@ -447,9 +437,7 @@ def _joined(tables: Tables, source: str) -> Tables:
 
 def _check_override(tables: Table, path: Sequence[str]) -> None:
     """Refuse an override that a factor's levels would hide again."""
-    key, factors = ".".join(path), tables.get("factors")
-    if not isinstance(factors, dict):
-        return
+    key, factors = ".".join(path), table_of(tables, "factors")
     if key in grouped(factors):
         new = "[...]" if key in factors else "{ low = .., high = .. }"
         mend = f"change it there: -s 'factors.{key}={new}'"
@@ -473,15 +461,18 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         study.setdefault("name", name)
     presets = presets_from(file.presets, faults)
     factors = factors_from(file.factors, presets, faults)
-    material = tables.get("material")  # before any level is laid over it
-    given = isinstance(material, dict) and any(is_constant_key(key) for key in material)
+    given = any(map(is_constant_key, table_of(tables, "material")))  # before any level is laid over
     declared = list(grouped(entries(file.factors, "factors", faults)))
     excluding = "exclude" in tables or "constraint" in tables
     factors, scheme = scheme_from(file.design, factors, file.study.seed, excluding, faults)
     alone = stands_alone(tables)
     responses = responses_from(file.response, _declared(tables, presets), alone, faults)
-    _check_parameters(file, tables, presets, alone, faults)
-    constraints = _constraints(file, tables, faults)
+    _check_parameters(file, tables, declared, presets, alone, faults)
+    constraints = [
+        noted(partial(checked, tables), row, f"constraint[{i}].rule", faults)
+        for i, row in enumerate(file.constraint)
+        if is_known(row.rule, row.why)
+    ]
     uncertain, inputs = uncertainty_from(file.uncertainty, factors, tables, faults)
     _check_asked(tables, faults)
     design = Design(
@@ -502,7 +493,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         expected=expected_from(file.expected, factors, responses, faults),
         converge=file.converge,
         uncertainty=uncertain,
-        constraints=constraints,
+        constraints=tuple(constraint for constraint in constraints if constraint is not None),
         inputs=inputs,
         virtual=file.virtual,
         report=file.report,
@@ -516,8 +507,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
 
 def _declared(tables: Table, presets: Presets) -> dict[str, str]:
     """Units of the values that the programs of a design leave."""
-    forward = tables.get("forward")
-    written = [forward.get("values") if isinstance(forward, Mapping) else None]
+    written = [table_of(tables, "forward").get("values")]
     levels = (level for labels in presets.values() for level in labels.values())
     written += [level.get("forward.values") for level in levels]
     units: dict[str, str] = {}
@@ -528,12 +518,15 @@ def _declared(tables: Table, presets: Presets) -> dict[str, str]:
 
 
 def _check_parameters(
-    file: DesignFile, tables: Table, presets: Presets, alone: bool, faults: Faults
+    file: DesignFile,
+    tables: Table,
+    declared: Sequence[str],
+    presets: Presets,
+    alone: bool,
+    faults: Faults,
 ) -> None:
     """Check what is said of parameters: by factors, presets, a series, and seeds."""
-    settings = [(key, f"factors.{key}") for key in entries(file.factors, "factors", Faults())]
-    settings = [(key, where) for key, where in settings if key not in presets]
-    settings = [(key, where) for key, where in grouped(dict(settings)).items()]  # type: ignore[misc]
+    settings = [(key, f"factors.{key}") for key in declared if key not in presets]
     for name, labels in presets.items():
         for label, level in labels.items():
             settings += [(key, f"presets.{name}.{label}.{key}") for key in level]
@@ -550,30 +543,18 @@ def _check_parameters(
         faults.add("replicates.key", rule, "leave it out")
 
 
-def _constraints(file: DesignFile, tables: Table, faults: Faults) -> tuple[Constraint, ...]:
-    """Inequalities of parameters that could be read."""
-    read = [
-        noted(partial(checked, tables), row, f"constraint[{i}].rule", faults)
-        for i, row in enumerate(file.constraint)
-        if is_known(row.rule, row.why)
-    ]
-    return tuple(constraint for constraint in read if constraint is not None)
-
-
 def _check_asked(tables: Table, faults: Faults) -> None:
     """Check that something is asked of a design; a mesh study without measurements need not."""
     studied = "converge" in tables and "measurements" not in tables
     if "response" not in tables and not studied:
         faults.add("response", "is missing", RESPONSES_MEND)
-    replicates = tables.get("replicates")
-    if not isinstance(replicates, Mapping):
-        return
+    replicates = table_of(tables, "replicates")
     if {"mesh_seeds", "noise"} <= set(replicates):
         rule = "mesh_seeds and noise are two error terms, with different questions"
         faults.add("replicates", rule, "give one of them, and the other in a study of its own")
     elif "n" in replicates and "key" not in replicates:
         faults.add("replicates.key", "is missing beside n", 'for example key = "parameters.seed"')
-    elif not replicates:
+    elif tables.get("replicates") == {}:
         faults.add("replicates", "is empty", "write mesh_seeds = 5 or noise = 200")
 
 

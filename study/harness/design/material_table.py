@@ -90,8 +90,9 @@ def _term(value: object, faults: Faults, path: str) -> RelaxationKey:
     if faults.mentions > before or not isinstance(section.time, tuple):
         return RelaxationKey(None, 1.0)
     low, high = section.time
-    middle = math.sqrt(low * high) if low < high else low
-    return RelaxationKey(section.share, middle, (low, high) if low < high else None)
+    if low < high:
+        return RelaxationKey(section.share, math.sqrt(low * high), (low, high))
+    return RelaxationKey(section.share, low)
 
 
 def _grid(value: Table, faults: Faults, path: str) -> tuple[RelaxationKey, ...]:
@@ -179,11 +180,8 @@ def _terms(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str,
     """Constants of Ogden's energy: two lists with an entry for every term."""
     mu = _entries(given, "mu", quantity("pressure", -math.inf), faults, path)
     alpha = _entries(given, "alpha", number(-30, 30, closed=True), faults, path)
-    missing = [key for key in energy.list_keys if key not in given]
-    if given and missing:
-        faults.add(
-            f"{path}.{missing[0]}", "is missing", "give both lists, one entry for every term"
-        )
+    for key in [key for key in energy.list_keys if given and key not in given][:1]:
+        faults.add(f"{path}.{key}", "is missing", "give both lists, one entry for every term")
     if len(mu) != len(alpha) and mu and alpha:
         rule = f"has {len(alpha)} entries, mu has {len(mu)}"
         faults.add(f"{path}.alpha", rule, "one for every term")
@@ -241,6 +239,5 @@ def _complete(
     except InputError as error:
         faults.add(f"{path}.order", error.faults[0].rule)
         return
-    for name in names:
-        if name not in constants:
-            faults.add(f"{path}.{name}", "is missing", f"{energy.name} takes {', '.join(names)}")
+    for name in [name for name in names if name not in constants]:
+        faults.add(f"{path}.{name}", "is missing", f"{energy.name} takes {', '.join(names)}")

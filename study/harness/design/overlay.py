@@ -185,10 +185,10 @@ def _belongs(table: str, ruling: object, key: str) -> bool:
 
 def with_units(tables: Table, path: str = "") -> dict[str, object]:
     """Copy tables whose bare numbers, where a key has a dimension, are in mm, N, MPa, deg and s."""
-    made: dict[str, object] = {}
-    for name, value in tables.items():
-        made[name] = _measured(_key_meant(f"{path}{name}"), value, f"{path}{name}.")
-    return made
+    return {
+        name: _measured(_key_meant(f"{path}{name}"), value, f"{path}{name}.")
+        for name, value in tables.items()
+    }
 
 
 def _key_meant(path: str) -> str:

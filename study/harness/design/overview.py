@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 from study.ground.arrays import gathered
 from study.ground.canonical import Keyed
-from study.ground.declaration import Bad
+from study.ground.declaration import Bad, table_of
 from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Cell
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import words_of
 from study.harness.design.plausibility import cautions_of
-from study.harness.design.spec import Combination, Design, Factor, Level, Treatment
+from study.harness.design.spec import Combination, Design, Factor, Treatment
 
 Groups = tuple[tuple[Treatment, ...], ...]
 Key = Callable[[Cell], Hashable]
@@ -77,19 +77,15 @@ def _changes(design: Design, t: Treatment, factor: str, key: Key) -> bool:
     # other cell is made for the comparison.
     own_key, place = key(t.cell), [f.name for f in design.factors].index(factor)
     levels = [f.levels[f.labels.index(t.levels[f.name])] for f in design.factors]
-    for other in _compared(design.factors[place]):
+    factor_levels = design.factors[place].levels
+    if design.factors[place].span is not None and len(factor_levels) > 3:  # a sampled range
+        factor_levels = tuple(factor_levels[i] for i in (0, len(factor_levels) // 2, -1))
+    for other in factor_levels:
         faults = Faults()
         made = design.resolved([*levels[:place], other, *levels[place + 1 :]], faults)
         if not faults and key(made) != own_key:
             return True
     return False
-
-
-def _compared(factor: Factor) -> Sequence[Level]:
-    """Levels that tell whether a factor matters: of a sampled range the ends and the middle."""
-    if factor.span is None or len(factor.levels) <= 3:
-        return factor.levels
-    return [factor.levels[i] for i in (0, len(factor.levels) // 2, -1)]
 
 
 def inert_cells(design: Design, factor: str) -> int:
@@ -175,7 +171,7 @@ def overview(design: Design) -> Overview:
         design,
         len(groups),
         len(fitted),
-        tuple(_factor(design, i) for i in range(len(design.factors))),
+        tuple(_factor(design, factor) for factor in design.factors),
         _matrix(design, groups, fitted),
         design.excluded,
         replication(design),
@@ -187,45 +183,39 @@ def overview(design: Design) -> Overview:
 def replication(design: Design) -> Replication | None:
     """Say what is computed several times, and which question that answers."""
     repeats = design.replicates
-    if repeats.mesh_seeds:
-        sentence = (
+    kinds = (
+        (
+            "mesh-seeds",
+            repeats.mesh_seeds,
             f"every cell is solved on {repeats.mesh_seeds} meshes of its size that differ by a "
-            "seed: is an effect larger than the mesh noise at this size? (E3)"
-        )
-        return Replication("mesh-seeds", repeats.mesh_seeds, sentence)
-    if repeats.key is not None:
-        sentence = (
+            "seed: is an effect larger than the mesh noise at this size? (E3)",
+        ),
+        (
+            "seeds",
+            0 if repeats.key is None else repeats.n,
             f"every cell is computed {repeats.n} times with other values of {repeats.key}, no two "
-            "cells with one: is an effect larger than the scatter of the simulation itself? (E0)"
-        )
-        return Replication("seeds", repeats.n, sentence)
-    if repeats.noise:
-        sentence = (
+            "cells with one: is an effect larger than the scatter of the simulation itself? (E0)",
+        ),
+        (
+            "noise",
+            repeats.noise,
             f"every fit is made {repeats.noise} times more, to its curve with resampled residuals: "
-            "is an effect larger than the noise in the measured data alone would give? (E2)"
-        )
-        return Replication("noise", repeats.noise, sentence)
-    return None
+            "is an effect larger than the noise in the measured data alone would give? (E2)",
+        ),
+    )
+    return next((Replication(*kind) for kind in kinds if kind[1]), None)
 
 
-def _factor(design: Design, index: int) -> FactorOverview:
-    factor, total = design.factors[index], len(design.treatments)
-    calibrates = _calibrates(design, factor.name)
-    inert = inert_cells(design, factor.name)
-    fits = design.calibration.method != "none" and not design.is_alone
-    note = _note(calibrates, inert, total, fits)
-    return FactorOverview(factor.name, factor.labels, calibrates, inert, note)
-
-
-def _note(calibrates: bool, inert: int, total: int, fitted: bool) -> str:
-    if inert == total:
-        return "cannot change any force: every cell is a control"
-    parts = []
-    if fitted:
+def _factor(design: Design, factor: Factor) -> FactorOverview:
+    total, calibrates = len(design.treatments), _calibrates(design, factor.name)
+    inert, parts = inert_cells(design, factor.name), []
+    if design.calibration.method != "none" and not design.is_alone:
         parts.append("enters the fit" if calibrates else "does not enter the fit")
     if inert:
         parts.append(f"cannot matter in {inert} of {total} cells, which are controls")
-    return "; ".join(parts)
+    if inert == total:
+        parts = ["cannot change any force: every cell is a control"]
+    return FactorOverview(factor.name, factor.labels, calibrates, inert, "; ".join(parts))
 
 
 def _matrix(design: Design, groups: Groups, fitted: Groups) -> tuple[CellOverview, ...]:
@@ -251,10 +241,7 @@ def warnings(design: Design) -> tuple[str, ...]:
     for group in duplicates(design):
         labels = " = ".join(t.label for t in group)
         notes[f"cells with the same content are one computation, no replicates: {labels}"] = None
-    presets = design.config.get("presets")
-    unused = set(list(presets) if isinstance(presets, dict) else []) - {
-        factor.name for factor in design.factors
-    }
+    unused = set(table_of(design.config, "presets")) - {factor.name for factor in design.factors}
     for name in sorted(unused):
         notes[f"the preset set {name!r} is no factor and is not used"] = None
     if design.converge.ratio < 1.3:

@@ -16,7 +16,17 @@ from functools import lru_cache, partial
 from typing import Annotated
 
 from study.ground import units
-from study.ground.declaration import MAX_NAME, Bad, Reads, quoted, reason, section, shown, text
+from study.ground.declaration import (
+    MAX_NAME,
+    Bad,
+    Reads,
+    quoted,
+    reason,
+    section,
+    shown,
+    table_of,
+    text,
+)
 from study.ground.diagnostics import Faults, Table, noted
 from study.ground.errors import UnitError, nearest
 from study.harness.design.forward_model import ForwardCell, Value
@@ -35,8 +45,7 @@ def stands_alone(tables: Table) -> bool:
     """Whether a file describes parameters alone, for a program or function of somebody else."""
     if any(name in tables for name in MECHANICAL):
         return False
-    forward = tables.get("forward")
-    model = forward.get("model") if isinstance(forward, Mapping) else None
+    model = table_of(tables, "forward").get("model")
     return "parameters" in tables or model in ("command", "python")
 
 
@@ -56,12 +65,9 @@ def parameter_name(name: object) -> str:
 def is_parameter(key: str) -> bool:
     """Whether a dotted key is one of ``[parameters]``."""
     table, _, name = key.partition(".")
-    if table != "parameters":
-        return False
-    try:
-        return bool(parameter_name(name))
-    except Bad:
-        return False
+    with suppress(Bad):
+        return table == "parameters" and bool(parameter_name(name))
+    return False
 
 
 def number_and_unit(raw: object) -> tuple[float, str]:
@@ -122,8 +128,7 @@ def parameters_from(
         faults.add("parameters", rule)
         return {}, {}
     usual = first if isinstance(first, Mapping) else {}
-    values: dict[str, Value] = {}
-    units_read: dict[str, str] = {}
+    read_all: dict[str, tuple[Value, str]] = {}
     for name, raw in table.items():
         where = f"parameters.{quoted(name)}"
         if noted(parameter_name, name, where, faults) is None:
@@ -133,10 +138,9 @@ def parameters_from(
             with suppress(Bad):  # of the file's own value it is told where that stands
                 read = noted(partial(_like, read, _read(usual[name])), raw, where, faults)
         if read is not None:
-            values[name] = read[0]
-            if read[1]:
-                units_read[name] = read[1]
-    return values, units_read
+            read_all[name] = read
+    values = {name: value for name, (value, _) in read_all.items()}
+    return values, {name: unit for name, (_, unit) in read_all.items() if unit}
 
 
 def _like(read: tuple[Value, str], usual: tuple[Value, str], raw: object) -> tuple[Value, str]:
@@ -177,10 +181,8 @@ def check_names(config: Table, keys: Sequence[tuple[str, str]], faults: Faults) 
 
     ``keys`` are dotted keys with the place where each is written.
     """
-    table = config.get("parameters")
-    if not isinstance(table, Mapping) or not table:
-        return
-    for key, where in keys:
+    table = table_of(config, "parameters")
+    for key, where in keys if table else ():
         if is_parameter(key) and key.partition(".")[2] not in table:
             near = nearest(key.partition(".")[2], list(table))
             mend = f"{near}; or give it a value in [parameters]"
@@ -268,8 +270,7 @@ def _number(node: ast.expr, values: Mapping[str, Value]) -> float:
 
 def checked(config: Table, limit: Constraint) -> Constraint:
     """Give back a constraint whose names are parameters of the file, with units that agree."""
-    table = config.get("parameters")
-    named = table if isinstance(table, Mapping) else {}
+    named = table_of(config, "parameters")
     for name in limit.names:
         if name not in named:
             raise Bad(f"names {name!r}, which [parameters] does not have", nearest(name, named))

@@ -84,9 +84,8 @@ def _moduli_broken(problem: CellProblem) -> Broken:
 
 def _displacement(problem: CellProblem) -> Broken:
     height, kind = problem.height_mm, TEST_KINDS.get(problem.test.kind)
-    if kind is not None and kind.sense > 0:
-        return  # what is lengthened has no end
-    if problem.test.displacement_mm is not None and height is not None:
+    has_end = kind is None or kind.sense <= 0  # what is lengthened has none
+    if has_end and problem.test.displacement_mm is not None and height is not None:
         for fault in beyond_height(problem.test, height):
             yield fault.where, fault.rule, fault.mend
 
@@ -131,13 +130,8 @@ def _course(problem: CellProblem) -> Broken:
     """Check what a course in time needs, and that something knows what to do with one."""
     test, relaxes = problem.test, bool(problem.material.relaxation)
     timed = problem.measurements is not None and problem.measurements.columns.time is not None
-    given = [
-        f"test.{key}"
-        for key, value in (
-            ("speed", test.speed_mm_per_s), ("hold", test.hold_s), ("cycles", test.cycles)
-        )
-        if value
-    ]  # fmt: skip
+    course = {"speed": test.speed_mm_per_s, "hold": test.hold_s, "cycles": test.cycles}
+    given = [f"test.{key}" for key, value in course.items() if value]
     courses = [*given, *["material.relaxation"] * relaxes, *["measurements.columns.time"] * timed]
     if courses and problem.specimen.shape not in (None, "homogeneous"):
         rule = "is of a test in closed form: finite elements know no time"
@@ -299,11 +293,9 @@ def _depth(setup: Setup, material: MaterialSection) -> Iterator[str]:
             yield f"test.displacement: {warning}"
         critical = buckling_strain(setup.test, setup.specimen)
         if critical is not None and depth >= CLOSE_TO_BUCKLING * critical * height:
-            hidden = (
-                "a model with an axis of symmetry cannot sway"
-                if setup.model.space == "axisymmetric"
-                else "a model of its quarter is asked for the sway that it cannot make"
-            )
+            hidden = "a model of its quarter is asked for the sway that it cannot make"
+            if setup.model.space == "axisymmetric":
+                hidden = "a model with an axis of symmetry cannot sway"
             yield (
                 f"test.displacement: a column of this slenderness buckles at about "
                 f"{critical * height:.3g} mm (Euler's load), and "

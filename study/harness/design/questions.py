@@ -100,9 +100,8 @@ def _response(
         unit = response_unit(name)
         if unit is None:
             valid = (*declared, *RESPONSES, *SIMULATED, "or a constant such as C10")
-            faults.add(
-                f"{where}.name", f"unknown response {shown(name)}", nearest(name[:80], valid)
-            )
+            rule = f"unknown response {shown(name)}"
+            faults.add(f"{where}.name", rule, nearest(name[:80], valid))
             name = ""
     elif name in TAKEN:
         rule = f"{name!r} is a column of the table of cases"
@@ -230,9 +229,9 @@ def _distribution(
     if set(raw) != {"distribution", *needed}:
         return None
     values = [_value(raw[name], name, kind, span, f"{where}.{name}", faults) for name in needed]
-    if any(value is None for value in values):
-        return None
     nums = tuple(value for value in values if value is not None)
+    if len(nums) < len(needed):
+        return None
     if word in ("uniform", "triangular") and (list(nums) != sorted(nums) or nums[0] == nums[-1]):
         faults.add(where, f"must rise, got {', '.join(shown(raw[n]) for n in needed)}",
                    "from low to high")  # fmt: skip

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import cast
 
-from study.ground.declaration import shown, values_of, written_keys
+from study.ground.declaration import shown, table_of, values_of, written_keys
 from study.ground.diagnostics import (
     Faults,
     Kind,
@@ -19,10 +20,12 @@ from study.ground.diagnostics import (
     with_values,
 )
 from study.ground.errors import InputError
+from study.ground.units import INTERNAL
 from study.harness.design import plausibility
 from study.harness.design.calibration_section import (
     CalibratedTest,
     CalibrationDesign,
+    Role,
     nuisance_from,
     of_test,
 )
@@ -79,8 +82,7 @@ def measurements_from(
 
 def _measurements_broken(table: Table, _: MeasurementSpec) -> Broken:
     yield from _columns_broken(table)
-    columns = table.get("columns")
-    if isinstance(columns, Mapping) and {"time", *SECOND} & set(columns):
+    if {"time", *SECOND} & set(columns := table_of(table, "columns")):
         yield from _course_broken(table, columns)
     given = [key for key in ("file", "files") if key in table]
     if len(given) != 1:
@@ -114,7 +116,8 @@ def _columns_broken(table: Table) -> Broken:
             yield f"columns.{given[1]}", rule, f"give one of {', '.join(quantities)}"
         needed = given[0] if given else usual
         if isinstance(units, Mapping) and needed not in units and no_row:
-            yield f"units.{needed}", "is missing", f'for example {needed} = "{_UNITS[needed]}"'
+            unit = {**INTERNAL, "pressure": "kPa"}[quantities[needed]]
+            yield f"units.{needed}", "is missing", f'for example {needed} = "{unit}"'
     biaxial = (*SECOND, *SECOND.values())
     first = next((key for key in biaxial if key in columns), None)
     for key in biaxial if first else ():
@@ -122,14 +125,6 @@ def _columns_broken(table: Table) -> Broken:
             yield f"columns.{key}", f"is missing beside {first}", "a biaxial test has all four"
     if isinstance(units, Mapping) and "time" in columns and "time" not in units:
         yield "units.time", "is missing", 'for example time = "s"'
-
-
-_UNITS = {
-    **dict.fromkeys(KINEMATIC, "1"),
-    **dict.fromkeys(KINETIC, "kPa"),
-    "displacement": "mm",
-    "force": "N",
-}
 
 
 def _course_broken(table: Table, columns: Table) -> Broken:
@@ -243,13 +238,11 @@ def _of_parameters(
             mend = "leave it out, or describe [specimen], [test], [material] and [model]"
             faults.add(name, "has no meaning for parameters alone, without a material", mend)
     name = (converge.key or "").partition(".")[2]
-    if not name:
-        return ParameterProblem(parameters=values, units=units, forward=forward)
     size = values.get(name)
-    if isinstance(size, bool) or not isinstance(size, float) or size <= 0:
+    if name and (not isinstance(size, float) or size <= 0):
         rule = f"must be a positive number in every cell, parameters.{name} is {shown(size)}"
         faults.add("converge.key", rule, "name the mesh size, step or tolerance of your solver")
-    refinement = Refinement(name, converge.formal_order)
+    refinement = Refinement(name, converge.formal_order) if name else None
     return ParameterProblem(parameters=values, units=units, forward=forward, refinement=refinement)
 
 
@@ -276,9 +269,8 @@ def resolve_problem(
     model = model_from(tables.get("model", {}), faults, specimen.shape, ratio, at["model"])
     spec = None
     if "measurements" in tables:
-        table = tables["measurements"]
-        spec = measurements_from(table, faults, at["measurements"])
-        chosen = isinstance(table, Mapping) and "points" in table
+        spec = measurements_from(tables["measurements"], faults, at["measurements"])
+        chosen = "points" in table_of(tables, "measurements")
         if spec is not None and (all_rows or specimen.shape == "homogeneous") and not chosen:
             spec = replace(spec, points="raw")  # every row of a test of material counts
     forward = forward_from(tables.get("forward"), faults, at["forward"])
@@ -317,8 +309,8 @@ def _check_displacement(
     problem: CellProblem, tables: Table, high: float | None, where: str, faults: Faults
 ) -> None:
     """Note a displacement that nothing gives, unless what would give it is faulty itself."""
-    test, spec, measured = tables.get("test"), problem.measurements, "measurements" in tables
-    written = isinstance(test, Mapping) and "displacement" in test
+    spec, measured = problem.measurements, "measurements" in tables
+    written = "displacement" in table_of(tables, "test")
     unread = measured and (
         spec is None
         or spec.range is not None
@@ -326,8 +318,8 @@ def _check_displacement(
         or spec.columns.time is not None
         or spec.columns.is_biaxial
     )
-    unread = unread or "markers" in tables  # which say it, or are faulty themselves
-    if high is None and not written and not unread:
+    # markers say it, or are faulty themselves
+    if high is None and not written and not unread and "markers" not in tables:
         mend = 'write displacement = "5 mm"' + (", or measurements.range" if measured else "")
         faults.add(where, "is missing", mend)
 
@@ -348,9 +340,8 @@ def _range_end(problem: CellProblem, faults: Faults, at: Mapping[str, str]) -> f
 
 def calibration_from(tables: Table, given: bool, faults: Faults) -> Calibration:
     """Read ``[calibration]``; the method is ``auto`` unless the constants are given."""
-    table = tables.get("calibration", {})
-    section = read_table(Calibration, table, "calibration", faults)
-    if isinstance(table, Mapping) and "method" in table:
+    section = read_table(Calibration, tables.get("calibration", {}), "calibration", faults)
+    if "method" in table_of(tables, "calibration"):
         return section
     return with_values(section, method="none" if given else "auto")
 
@@ -402,11 +393,7 @@ def resolve_calibration(
         return CalibrationDesign(name, ())
     tests = tuple(
         CalibratedTest(
-            problem,
-            spec,
-            "fit" if test.role == "fit" else "held-out",
-            test.weight,
-            of_test(shared, nuisance),
+            problem, spec, cast("Role", test.role), test.weight, of_test(shared, nuisance)
         )
         for test, problem, nuisance in zip(file.tests, problems, nuisances, strict=True)
         if (spec := problem.measurements) is not None  # it must stand in the file

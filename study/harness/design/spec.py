@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from study.ground.canonical import Keyed
-from study.ground.declaration import Bad
+from study.ground.declaration import Bad, table_of
 from study.ground.diagnostics import Faults, Table
 from study.ground.errors import Fault, InputError
 from study.harness.design import overlay
@@ -118,10 +118,9 @@ class Scheme(Keyed):
 class Expected:
     """What was expected of a response before the study ran."""
 
-    #: A factor matters, has
-    #: a larger effect than another one, two interact, a cell (mean over all other factors) is the
-    #: best, two cells differ by less than what matters, levels of a factor score better or need
-    #: less than its others.
+    #: A factor matters, has a larger effect than another one, two interact, a cell (mean over all
+    #: other factors) is the best, two cells differ by less than what matters, levels of a factor
+    #: score better or need less than its others.
     kind: str
     #: One or two factors.
     factors: tuple[str, ...]
@@ -231,8 +230,8 @@ class Design:
 
     def _parameters_at(self, levels: Mapping[str, str]) -> Mapping[str, Value]:
         """Values of the parameters of a cell; of faulty ones, told elsewhere, none."""
-        first = self.config.get("parameters", {})
-        table = dict(first) if isinstance(first, Mapping) else {}
+        first = table_of(self.config, "parameters")
+        table = dict(first)
         for factor in self.factors:
             level = factor.levels[factor.labels.index(levels[factor.name])]
             here = {k.partition(".")[2]: v for k, v in level.settings.items() if is_parameter(k)}

@@ -191,12 +191,12 @@ _seed_key = partial(_parameter_key, 'key = "parameters.seed"')
 
 def _share(value: object) -> float:
     """Read a share: a plain number, or percent."""
-    if isinstance(value, str):
-        percent = units.parse_percent(value)
-        if not 0 < percent < 100:
-            raise Bad(f"must be between 0 % and 100 %, got {shown(value)}")
+    if not isinstance(value, str):
+        return number(0, 1, mend='for example "1 %"')(value)
+    percent = units.parse_percent(value)
+    if 0 < percent < 100:
         return percent / 100
-    return number(0, 1, mend='for example "1 %"')(value)
+    raise Bad(f"must be between 0 % and 100 %, got {shown(value)}")
 
 
 def _count(low: int, high: int, why: str, value: object) -> int:
@@ -240,19 +240,15 @@ def _retry(value: object) -> tuple[tuple[str, tuple[str, ...]], ...]:
         raise Bad(f"must be a table of causes, got {shown(value)}", mend)
     read_causes = []
     for cause, remedies in value.items():
-        choice(*REMEDIES)(cause)
+        read = choice(*REMEDIES[choice(*REMEDIES)(cause)])
         changes = remedies if isinstance(remedies, list) else [remedies]
-        read = choice(*REMEDIES[cause])
-        read_causes.append((cause, tuple(dict.fromkeys(read(change) for change in changes))))
+        read_causes.append((cause, tuple(dict.fromkeys(map(read, changes)))))
     return tuple(read_causes)
 
 
 def _weight(value: object) -> str | float:
-    return (
-        choice("scatter", "equal", "relative")(value)
-        if isinstance(value, str)
-        else number(0, 1e12)(value)
-    )
+    words = choice("scatter", "equal", "relative")
+    return words(value) if isinstance(value, str) else number(0, 1e12)(value)
 
 
 @section
@@ -317,8 +313,7 @@ class Sequential:
     kind: Literal["adaptive"] = "adaptive"
     #: Cells added at a time; it decides the result, the number of workers does not.
     batch: Annotated[int, Reads(integer(1, 100))] = 4
-    #: What ends it before the budget does: every response has this Q2, or every
-    #: factor a verdict.
+    #: What ends it before the budget does: every response has this Q2, or every factor a verdict.
     until: Annotated[str, Reads(choice("q2", "verdict"))] = "q2"
     #: Leave-one-out Q2 that is enough.
     q2: Annotated[float, Reads(number(0.5, 1.0))] = 0.95

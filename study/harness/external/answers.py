@@ -269,9 +269,8 @@ def curve_of(curve_file: CurveFile, folder: Path) -> Curve:
     """Curve of a file, in mm and N."""
     header, rows = table_rows(read_text(folder, curve_file.file), curve_file.file)
     columns = []
-    for role in ("displacement", "force"):
+    for role, into in (("displacement", "mm"), ("force", "N")):
         column, unit = getattr(curve_file.columns, role), getattr(curve_file.units, role)
-        into = "mm" if role == "displacement" else "N"
         values = column_of(header, rows, column, curve_file.file)
         columns.append(values * converted(1.0, unit, into, f"{role} of {curve_file.file}"))
     return checked_curve(columns[0], columns[1], curve_file.file)
@@ -309,7 +308,7 @@ def table_rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
         raise NoAnswer("failed", f"{name} is empty")
     if len(lines) > 1_000_000:
         raise NoAnswer("failed", f"{name} has more than a million rows")
-    delimiter = next((delimiter for delimiter in (",", ";", "\t") if delimiter in lines[0]), None)
+    delimiter = next((mark for mark in ",;\t" if mark in lines[0]), None)
     if delimiter is not None and lines[0].count(delimiter) >= _MOST_COLUMNS:
         raise NoAnswer("failed", f"{name} has more than {_MOST_COLUMNS} columns")
     try:
@@ -427,7 +426,7 @@ def _table(text: str, name: str) -> Mapping[str, object]:
     header, rows = table_rows(text, name)
     if [cell.lower() for cell in header[:2]] == ["name", "value"]:
         pairs: list[tuple[str, object]] = [
-            (row[0], {"value": row[1], "unit": row[2]} if len(row) > 2 and row[2] else row[1])
+            (row[0], {"value": row[1], "unit": row[2]} if any(row[2:3]) else row[1])
             for row in rows
             if len(row) > 1
         ]
@@ -438,9 +437,8 @@ def _table(text: str, name: str) -> Mapping[str, object]:
         pairs = list(zip(header, rows[0], strict=True))
     if len(values := dict(pairs)) < len(pairs):
         twice = next(key for key in values if [k for k, _ in pairs].count(key) > 1)
-        raise NoAnswer(
-            "failed", f"{name} has several values of {twice!r}: write the one that counts"
-        )
+        rule = f"{name} has several values of {twice!r}: write the one that counts"
+        raise NoAnswer("failed", rule)
     return values
 
 

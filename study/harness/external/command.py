@@ -478,10 +478,8 @@ def check_allowed(models: Iterable[External], allowed: bool | str) -> None:
         )
     commands = [model for model in distinct if model.section.model == "command"]
     name = common_digest(commands)
-    if commands and not (
-        allowed is True
-        or (isinstance(allowed, str) and (len(allowed) >= 6 and name.startswith(allowed)))
-    ):
+    is_named = isinstance(allowed, str) and len(allowed) >= 6 and name.startswith(allowed)
+    if commands and allowed is not True and not is_named:
         raise RefusedError(_refusal(name, commands, allowed))
     for model in commands:
         if model.missing:

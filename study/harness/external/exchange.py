@@ -210,11 +210,10 @@ class PythonFunction:
             raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}}, or a curve as {columns_of}')
         answered = PredictedCurve()
         if {DISPLACEMENT, FORCE} <= set(returned):
-            columns = [np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE)]
-            if columns[0].ndim != 1 or columns[0].shape != columns[1].shape:
+            d, force = (np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE))
+            if d.ndim != 1 or d.shape != force.shape:
                 raise NoAnswer("failed", "the columns of the function's curve differ in length")
-            curve = checked_curve(columns[0], columns[1], "the function's curve")
-            answered = PredictedCurve(curve)
+            answered = PredictedCurve(checked_curve(d, force, "the function's curve"))
             returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
         scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
                    for k, v in returned.items()}  # fmt: skip
@@ -248,15 +247,11 @@ def _python_function_columns(
     given: ArrayLike | Curve | Mapping[str, ArrayLike], displacement_mm: Array
 ) -> dict[str, Array]:
     if isinstance(given, Curve):
-        made: Mapping[str, ArrayLike] = {
-            DISPLACEMENT: given.displacement_mm,
-            FORCE: given.force_N,
-            **{GRADIENT + k: v for k, v in given.force_gradient.items()},
-        }
-    elif isinstance(given, Mapping):
-        made = {DISPLACEMENT: displacement_mm, **given}
-    else:
-        made = {DISPLACEMENT: displacement_mm, FORCE: given}
+        slopes = {GRADIENT + name: slope for name, slope in given.force_gradient.items()}
+        given = {DISPLACEMENT: given.displacement_mm, FORCE: given.force_N, **slopes}
+    elif not isinstance(given, Mapping):
+        given = {FORCE: given}
+    made: Mapping[str, ArrayLike] = {DISPLACEMENT: displacement_mm, **given}
     columns = {name: np.asarray(values, dtype=float) for name, values in made.items()}
     if FORCE not in columns:
         raise NoAnswer("failed", f"the function gives no {FORCE}")

@@ -80,6 +80,16 @@ class Rules:
         return self.spec.points == "raw"
 
     @property
+    def turn(self) -> float:
+        """Factor that makes a force that resists positive."""
+        return -1.0 if self.spec.sign == "negative" else 1.0
+
+    @property
+    def other_sign(self) -> str:
+        """What to write where the declared sign is the wrong one."""
+        return f'sign = "{"negative" if self.spec.sign == "positive" else "positive"}"'
+
+    @property
     def counts_from(self) -> str | float | None:
         """``"first row"``, ``"contact"``, or mm; None where the zero of the file counts."""
         is_displacement = self.spec.columns.kinematic == "displacement"
@@ -171,17 +181,15 @@ def condition_course(
     if displacement_mm.size < MIN_ROWS:
         rule = f"has {displacement_mm.size} rows, a course needs at least {MIN_ROWS}"
         raise InputError(Fault(where, rule))
-    turn = -1.0 if rules.spec.sign == "negative" else 1.0
     # a shortened specimen is recorded with both signs turned, or with that of the force alone
-    backwards = turn < 0 and displacement_mm.min() < -displacement_mm.max()
+    backwards = rules.turn < 0 and displacement_mm.min() < -displacement_mm.max()
     d = -displacement_mm if backwards else displacement_mm
-    f = turn * force_N
+    f = rules.turn * force_N
     zero = float(f[0]) if rules.spec.zero == "first" else 0.0
     f = f - zero
     if float(d @ f) <= 0:
-        other = "negative" if rules.spec.sign == "positive" else "positive"
         rule = f"the force does not resist with the declared sign ({rules.spec.sign})"
-        raise InputError(Fault(where, rule, f'write sign = "{other}", or check the columns'))
+        raise InputError(Fault(where, rule, f"write {rules.other_sign}, or check the columns"))
     course = Curve(d, f, time_s=time_s)
     rows = SpecimenRows(d, f, phases_of(d), np.zeros(d.size, dtype=int), ("",))
     return SingleTest(d, f, course, rows, d.size, zero_N=zero)
@@ -192,13 +200,13 @@ def _slack(rules: Rules) -> float:
     return 1e-9 * (rules.high_mm if np.isfinite(rules.high_mm) else 1.0)
 
 
-def _too_few(inside: int, rules: Rules, where: str, reached_mm: float | None = None) -> Fault:
+def _too_few(inside: int, rules: Rules, where: str, reached_mm: float) -> Fault:
     rule = (
         f"has {inside} rows between {_place(rules.low_mm, rules)} and "
         f"{_place(rules.high_mm, rules)}, a curve needs at least {MIN_ROWS}"
     )
-    far = "" if reached_mm is None else _other_unit(reached_mm, rules.high_mm)
-    return Fault(where, rule, "widen the range or record more points" + far)
+    mend = "widen the range or record more points" + _other_unit(reached_mm, rules.high_mm)
+    return Fault(where, rule, mend)
 
 
 def _other_unit(reached_mm: float, high_mm: float) -> str:
@@ -221,7 +229,7 @@ def _turned(
         value = d[0] if what == "displacement" else f[0]
         rule = f"the {what} is constant ({value:.6g}): nothing to fit"
         raise InputError(Fault(where, rule, "check the columns and the recording"))
-    turn = -1.0 if rules.spec.sign == "negative" else 1.0
+    turn = rules.turn
     f = turn * f
     is_auto = rules.spec.direction == "auto"
     way = _way(d, f)
@@ -254,11 +262,9 @@ def _check_begin(d: Array, f: Array, way: float, rules: Rules, where: str) -> No
 
 
 def _falls(d: Array, f: Array, rules: Rules, where: str) -> Fault:
-    other = "negative" if rules.spec.sign == "positive" else "positive"
-    mend = f'write sign = "{other}", or check the columns'
-    if rules.spec.direction != "auto":
-        way = "falling" if rules.spec.direction == "rising" else "rising"
-        mend = f'write direction = "{way}" or sign = "{other}", or check the columns'
+    way = "falling" if rules.spec.direction == "rising" else "rising"
+    either = "" if rules.spec.direction == "auto" else f'direction = "{way}" or '
+    mend = f"write {either}{rules.other_sign}, or check the columns"
     rule = (
         f"displacement runs from {d[0]:.4g} to {d[np.argmax(np.abs(d - d[0]))]:.4g} mm and force "
         f"from {f[0]:.4g} to {f[np.argmax(np.abs(f - f[0]))]:.4g} N: with the declared sign "
@@ -322,7 +328,7 @@ def placed(displacement_mm: Array, resisted: Array, rules: Rules, where: str) ->
 
     Shapes: displacement_mm, resisted (rows,), mm, N or MPa; returns (rows,).
     """
-    d, f = displacement_mm, (-1.0 if rules.spec.sign == "negative" else 1.0) * resisted
+    d, f = displacement_mm, rules.turn * resisted
     if rules.spec.direction == "auto" and rules.counts_from is None:
         return d, ""
     way = {"rising": 1.0, "falling": -1.0}.get(rules.spec.direction) or _way(d - d[0], f)
@@ -462,11 +468,10 @@ def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> Non
         f"{way * float(d[int(np.argmax(np.abs(d - d[0])))]):.6g} mm: no specimen that is "
         "unloaded at 0 mm gives these forces"
     )
-    other = "negative" if rules.spec.sign == "positive" else "positive"
     mend = (
         f'write displacement_zero = "first row" if the specimen is unloaded at {at:.6g} mm, '
         '"contact" if it was met later, or "0 mm" if the recorded zero is that of the specimen'
-        + (f'; and sign = "{other}"' if turned else "")
+        + (f"; and {rules.other_sign}" if turned else "")
     )
     raise InputError(Fault(where, rule, mend))
 
@@ -511,19 +516,16 @@ def _check_torn(d: Array, f: Array, rules: Rules, where: str) -> None:
         f"{f[down]:.4g} N at {_place(d[down], rules)} and stays low: the specimen tore, "
         f"slipped or lost contact ({d.size - peak - 1} rows)"
     )
-    low = max(rules.low_mm, 0.0)
-    mend = f'fit the rows before: range = ["{low:.6g} mm", "{d[peak]:.6g} mm"]'
-    raise InputError(Fault(where, rule, mend))
+    raise InputError(Fault(where, rule, _rows_before(float(d[peak]), rules)))
 
 
 def _check_saturated(d: Array, f: Array, rules: Rules, where: str) -> None:
     """Refuse rows in the range on which the load cell shows its largest reading and no more."""
-    changes = np.flatnonzero(np.diff(f) != 0)
-    runs = np.diff(np.r_[-1, changes, f.size - 1])
-    ends = np.cumsum(runs)
-    at_top = f[ends - 1] == f.max()
+    ends = np.r_[np.flatnonzero(np.diff(f) != 0), f.size - 1]
+    runs = np.diff(ends, prepend=-1)
+    at_top = f[ends] == f.max()
     longest = int(np.argmax(np.where(at_top, runs, 0)))
-    rows, last = int(runs[longest]), int(ends[longest]) - 1
+    rows, last = int(runs[longest]), int(ends[longest])
     # steps of a coarse converter are as long elsewhere
     usual = int(runs[~at_top].max(initial=1))
     first = last - rows + 1
@@ -534,9 +536,11 @@ def _check_saturated(d: Array, f: Array, rules: Rules, where: str) -> None:
         f"the force stands at {f.max():.6g} N, its largest value, in {rows} rows from "
         f"{_place(d[first], rules)} on: the load cell was at its limit"
     )
-    low = max(rules.low_mm, 0.0)
-    mend = f'fit the rows before: range = ["{low:.6g} mm", "{d[first]:.6g} mm"]'
-    raise InputError(Fault(where, rule, mend))
+    raise InputError(Fault(where, rule, _rows_before(float(d[first]), rules)))
+
+
+def _rows_before(end_mm: float, rules: Rules) -> str:
+    return f'fit the rows before: range = ["{max(rules.low_mm, 0.0):.6g} mm", "{end_mm:.6g} mm"]'
 
 
 def _covariance(d: Array, f: Array) -> float:

@@ -7,6 +7,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -25,7 +26,7 @@ from study.ground.bounded_file import (
 from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
-from study.ground.units import unit_factor
+from study.ground.units import INTERNAL, RECORDED, unit_factor
 from study.mechanics.measurement.conditioning import OFFSET_SHARE, slack_end, slope_with_error
 from study.mechanics.measurement.measurement_section import DELIMITERS, KINEMATIC, KINETIC
 from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
@@ -76,14 +77,6 @@ _ALIASES = {
     "centimeter": "cm", "millinewton": "mN", "kilonewton": "kN", "kilopascal": "kPa",
     "megapascal": "MPa", "pound": "lbf", "sek": "s", "second": "s", "minute": "min",
 }  # fmt: skip
-#: unit of a quantity whose file names none
-_USUAL = {
-    "length": "mm",
-    "force": "N",
-    "pressure": "MPa",
-    "ratio": "1",
-    "time": "s",
-}
 #: strain up to which a column without a unit is a ratio
 _NOT_PERCENT = 1.0
 #: strain beyond which it is in per cent; in between either may be meant
@@ -337,8 +330,7 @@ def _are_grouped(split: Sequence[Sequence[str]]) -> bool:
     Numbers that are written as short as they can be end in no zero, and those that are written
     with three digits have a point in every row.
     """
-    columns = zip_longest(*split[:_LOOKED_AT], fillvalue="")
-    for column in columns:
+    for column in zip_longest(*split[:_LOOKED_AT], fillvalue=""):
         cells = [cell for cell in column if is_number(cell, ".")]
         pointed = [cell for cell in cells if "." in cell]
         grouped = bool(pointed) and all(_GROUPED.fullmatch(cell) for cell in pointed)
@@ -353,10 +345,9 @@ def _width_and_start(counts: Sequence[int]) -> tuple[int, int]:
     if not usual:
         return 0, 0
     width = usual[0][0]
-    for k in range(len(counts) - _BLOCK + 1):
-        if all(n == width for n in counts[k : k + _BLOCK]):
-            return width, k
-    return 0, 0
+    starts = range(len(counts) - _BLOCK + 1)
+    whole = (k for k in starts if set(counts[k : k + _BLOCK]) == {width})
+    return next(((width, k) for k in whole), (0, 0))
 
 
 def _places_of_numbers(cells: Sequence[str], decimal: str) -> tuple[int, ...]:
@@ -407,17 +398,12 @@ def _are_units(cells: Sequence[str]) -> bool:
 def _known_unit(word: str) -> tuple[str, str] | None:
     """Give the unit as the program writes it, and its dimension."""
     plain = word.strip()
-    lower = plain.lower()
-    unit = next(
-        (_ALIASES[form] for form in (plain, lower, lower.removesuffix("s")) if form in _ALIASES),
-        plain,
-    )
-    for dimension in _USUAL:
-        try:
+    forms = (plain, plain.lower(), plain.lower().removesuffix("s"))
+    unit = next((_ALIASES[form] for form in forms if form in _ALIASES), plain)
+    for dimension in RECORDED:
+        with suppress(UnitError):
             unit_factor(unit, dimension)
-        except UnitError:
-            continue
-        return unit, dimension
+            return unit, dimension
     return None
 
 
@@ -480,21 +466,19 @@ def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int
                 k for k, column in enumerate(columns)
                 if column.quantity == quantity and column.name and column.low != column.high
             ]  # fmt: skip
-            if fitting:
-                words = _WORDS[quantity]
-                lower = {k: columns[k].name.lower() for k in fitting}
-                best = min(
-                    fitting,
-                    key=lambda k: next((n for n, word in enumerate(words) if word in lower[k]), 99),
-                )
-                chosen[quantity] = best
-                others = [columns[k].name for k in fitting if k != best]
-                if others:
-                    notes.append(
-                        f"{quantity}: {columns[best].name!r} is taken; there are also "
-                        + ", ".join(map(repr, others[:4]))
-                    )
-                break
+            if not fitting:
+                continue
+            lower = {k: columns[k].name.lower() for k in fitting}
+            ranks = {
+                k: [*(word in lower[k] for word in _WORDS[quantity]), True].index(True)
+                for k in fitting
+            }
+            best = chosen[quantity] = min(fitting, key=ranks.__getitem__)
+            others = ", ".join([repr(columns[k].name) for k in fitting if k != best][:4])
+            if others:
+                taken = f"{quantity}: {columns[best].name!r} is taken"
+                notes.append(f"{taken}; there are also {others}")
+            break
     return chosen
 
 
@@ -524,30 +508,26 @@ def _unit_for(
     """Give the unit of a column, or the usual one; empty where the file leaves it open."""
     if column.unit:
         return column.unit
-    dimension = DIMENSIONS[quantity]
-    unit = _USUAL[dimension]
+    dimension, key, unit = DIMENSIONS[quantity], f"units.{quantity}", ""
+    usual, none = INTERNAL[dimension], f"the file names no unit of {column.name!r}"
+    largest = float(np.abs(values).max()) if quantity in ("strain", "true_strain") else 0.0
     if word:
-        notes.append(
-            f"{word!r} of {column.name!r} is no unit of {dimension}: write units.{quantity}"
+        note = f"{word!r} of {column.name!r} is no unit of {dimension}: write {key}"
+    elif _NOT_PERCENT < largest <= _PERCENT:
+        note = (
+            f"{column.name!r} goes to {largest:.4g} and names no unit: a ratio (a stretch of "
+            f"{1 + largest:.4g}) or per cent (a stretch of {1 + largest / 100:.4g}): write "
+            f'{key} = "1" or "%"'
         )
-        return ""
-    if quantity in ("strain", "true_strain"):
-        largest = float(np.abs(values).max())
-        if _NOT_PERCENT < largest <= _PERCENT:
-            notes.append(
-                f"{column.name!r} goes to {largest:.4g} and names no unit: a ratio (a stretch of "
-                f"{1 + largest:.4g}) or per cent (a stretch of {1 + largest / 100:.4g}): write "
-                f'units.{quantity} = "1" or "%"'
-            )
-            return ""
-        unit = "%" if largest > _PERCENT else unit
-    if dimension != "ratio":
-        notes.append(
-            f"the file names no unit of {column.name!r}, {values.min():.4g} to {values.max():.4g}; "
-            f'{unit} is the guess: write units.{quantity} = "{unit}", or the unit of the instrument'
+    elif dimension != "ratio":
+        note = (
+            f"{none}, {values.min():.4g} to {values.max():.4g}; {usual} is the guess: write "
+            f'{key} = "{usual}", or the unit of the instrument'
         )
-        return ""
-    notes.append(f"the file names no unit of {column.name!r}: {unit} is assumed")
+    else:
+        unit = "%" if largest > _PERCENT else usual
+        note = f"{none}: {unit} is assumed"
+    notes.append(note)
     return unit
 
 
@@ -574,20 +554,17 @@ def _groups(
 
 def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
     """Keys that say how the text is written, where it is no plain CSV."""
-    made: dict[str, object] = {}
-    if block.skip:
-        made["skip_lines"] = block.skip
-    if block.header is None:
-        made["header"] = False
-    if block.units is not None and block.units > (block.header or 0):
-        made["unit_row"] = True
-    if block.decimal == ",":
-        made["decimal"] = ","
-    if block.delimiter == "space" or _DELIMITERS[block.delimiter] == block.decimal:
-        made["delimiter"] = block.delimiter
-    if block.comment:
-        made["comment"] = block.comment
-    elif block.others:
+    is_odd = block.delimiter == "space" or _DELIMITERS[block.delimiter] == block.decimal
+    keys: tuple[tuple[str, object, bool], ...] = (
+        ("skip_lines", block.skip, block.skip > 0),
+        ("header", False, block.header is None),
+        ("unit_row", True, (block.units or 0) > (block.header or 0)),
+        ("decimal", ",", block.decimal == ","),
+        ("delimiter", block.delimiter, is_odd),
+        ("comment", block.comment, bool(block.comment)),
+    )
+    made = {key: value for key, value, is_said in keys if is_said}
+    if block.others and not block.comment:
         shown = ", ".join(map(str, block.others[:6]))
         notes.append(f"lines among or below the rows that are no rows: {shown}: delete them")
     cells = [cell for row in block.rows for cell in row]

@@ -139,12 +139,11 @@ class Measurements:
             forces = np.array([test.force_N for test in chosen])
             return self.displacement_mm.copy(), forces, self.time_s
         first = rows[0]
-        same = all(
+        if all(
             row.places.shape == first.places.shape
             and np.allclose(row.places, first.places, rtol=1e-9, atol=0)
             for row in rows
-        )
-        if same:
+        ):
             return first.displacement_mm, np.array([row.force_N for row in rows]), first.time_s
         low = max(float(row.displacement_mm[0]) for row in rows)
         high = min(float(row.displacement_mm[-1]) for row in rows)
@@ -195,13 +194,13 @@ class Measurements:
         return chosen
 
     def _nothing(self, block: str | None, chosen_labels: Mapping[str, Sequence[str]]) -> Fault:
-        mend = "this combination is missing from the data"
-        for name, values in chosen_labels.items():
-            labels = self.groups[name]
-            unknown = [value for value in values if value not in labels]
-            if unknown:
-                mend = f"{name}: " + nearest(unknown[0], labels[:50])
-                break
+        mends = (
+            f"{name}: " + nearest(value, self.groups[name][:50])
+            for name, values in chosen_labels.items()
+            for value in values
+            if value not in self.groups[name]
+        )
+        mend = next(mends, "this combination is missing from the data")
         return Fault("measurements", f"no test matches {_words(block, chosen_labels)}", mend)
 
 

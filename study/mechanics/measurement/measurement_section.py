@@ -91,15 +91,16 @@ class Range:
         return self.low * height_mm / 100, self.high * height_mm / 100
 
 
-def _check_ending(path: str) -> None:
+def _table_path(value: object) -> str:
+    path = relative_path(value)
     if not path.lower().removesuffix(".gz").endswith(ENDINGS):
         raise Bad(f"must end in {', '.join(ENDINGS)}, or one of these and .gz, got {shown(path)}")
+    return path
 
 
 def csv_path(value: object) -> str:
     """Read the path of a table."""
-    path = relative_path(value)
-    _check_ending(path)
+    path = _table_path(value)
     if "{" in path or "}" in path:
         raise Bad(f"is one file, got a pattern {shown(value)}", "write files = ...")
     return path
@@ -107,8 +108,7 @@ def csv_path(value: object) -> str:
 
 def csv_pattern(value: object) -> str:
     """Read a pattern such as ``"indentation-{specimen}.csv"``."""
-    pattern = relative_path(value)
-    _check_ending(pattern)
+    pattern = _table_path(value)
     groups = _FIELD.findall(pattern)
     odd = "{" in _FIELD.sub("", pattern) or "}" in _FIELD.sub("", pattern)
     if odd or not groups or any(not re.fullmatch(r"[A-Za-z]\w{0,79}", g, re.A) for g in groups):
@@ -442,10 +442,7 @@ def _state(label: str, table: object) -> MarkedState:
 def _layers(value: object) -> tuple[str, ...]:
     """Read labels of layers, which may be numbers."""
     items = value if isinstance(value, list) else [value]
-    if (
-        any(isinstance(label, bool) or not isinstance(label, str | int) for label in items)
-        or not items
-    ):
+    if not items or not all(type(label) in (str, int) for label in items):
         raise Bad(f"must be labels of layers, got {shown(value)}", "for example fit = [1, 7]")
     return tuple(dict.fromkeys(str(label).strip() for label in items))
 

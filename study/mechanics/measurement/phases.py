@@ -179,12 +179,9 @@ class RowCount:
     @classmethod
     def sum_of(cls, counts: Iterable[RowCount]) -> RowCount:
         """Add up the rows of several tests."""
-        read = used = 0
-        aside: Counter[str] = Counter()
-        for count in counts:
-            read, used = read + count.read, used + count.used
-            aside.update(count.aside)
-        return cls(read, used, dict(aside))
+        every = list(counts)
+        aside = sum((Counter(count.aside) for count in every), Counter[str]())
+        return cls(sum(c.read for c in every), sum(c.used for c in every), dict(aside))
 
     def as_dict(self) -> dict[str, object]:
         """Key ``rows`` of the documents in JSON."""

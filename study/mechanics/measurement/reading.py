@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,12 +61,14 @@ def read_measurements(
     """
     both_ways = gauge is not None and gauge.is_homogeneous
     rules = rules_of(spec, height_mm, displacement_mm, both_ways=both_ways)
-    # closed forms of indentation find contact themselves, and come another way
-    rules = usual = replace(rules, judges_slack=gauge is not None and not fits_zero)
+    rules = usual = replace(
+        rules,
+        # closed forms of indentation find contact themselves, and come another way
+        judges_slack=gauge is not None and not fits_zero,
+        is_signed=both_ways and (spec.range is None or rules.low_mm < 0),
+    )
     recorded = recordings or read_recordings(spec, Path(root))
     test_notes: list[str] = []
-    if both_ways and (spec.range is None or rules.low_mm < 0):
-        rules = usual = replace(rules, is_signed=True)
     if spec.range is None and not rules.is_raw:
         rules = _begun(rules, recorded, gauge)
     tests: list[SingleTest] = []
@@ -98,12 +101,12 @@ def read_measurements(
     )  # fmt: skip
     # a block without its fit or score tests is refused now, not in the middle of a run
     missing: list[Fault] = []
-    for block in measurements.blocks or (None,):
-        for where in (spec.fit, spec.score):
-            try:
-                _ = None if where is None else measurements.curve(block, **where)
-            except InputError as error:
-                missing.extend(error.faults)
+    sides = [where for where in (spec.fit, spec.score) if where is not None]
+    for block, where in product(measurements.blocks or (None,), sides):
+        try:
+            measurements.curve(block, **where)
+        except InputError as error:
+            missing.extend(error.faults)
     if missing:
         raise InputError(capped(list(dict.fromkeys(missing))))
     return measurements
@@ -220,7 +223,16 @@ def rules_of(
 
     A range may begin below 0 where the specimen deforms the same everywhere (``both_ways``).
     """
-    low, high = _range(spec, height_mm, displacement_mm)
+    if spec.range is not None:
+        low, high = spec.range.in_mm(height_mm)
+    elif spec.points == "raw":
+        low, high = 0.0, np.inf if displacement_mm is None else displacement_mm
+    elif displacement_mm is not None:
+        low, high = displacement_mm / max(spec.points, 2), displacement_mm
+    else:
+        rule = "is missing, and no test.displacement stands for it"
+        mend = 'for example range = ["1 %", "20 %"]'
+        raise InputError(Fault("measurements.range", rule, mend))
     if not low < high or (low < 0 and not both_ways):
         rule = f"must rise from 0 or more, got {low:.4g} to {high:.4g} mm"
         mend = "rows below 0 belong to a specimen that deforms the same everywhere"
@@ -228,27 +240,10 @@ def rules_of(
     return Rules(spec, low, high, height_mm)
 
 
-def _range(
-    spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None
-) -> tuple[float, float]:
-    if spec.range is not None:
-        return spec.range.in_mm(height_mm)
-    if spec.points == "raw":
-        return 0.0, np.inf if displacement_mm is None else displacement_mm
-    if displacement_mm is None:
-        rule = "is missing, and no test.displacement stands for it"
-        mend = 'for example range = ["1 %", "20 %"]'
-        raise InputError(Fault("measurements.range", rule, mend))
-    return displacement_mm / max(spec.points, 2), displacement_mm
-
-
 def _summary(done: Sequence[SingleTest], rules: Rules) -> list[str]:
     """Report what the rules did over all tests, counted."""
-    total: Counter[str] = Counter()
-    tests: Counter[str] = Counter()
-    for result in done:
-        total.update(result.counts)
-        tests.update(result.counts.keys())
+    total = sum((result.counts for result in done), Counter[str]())
+    tests = Counter(what for result in done for what in result.counts)
     notes = [f"{total[w]} {w} (in {tests[w]} of {len(done)} tests)" for w in total]
     if rules.spec.zero != "none":
         zero = [result.zero_N for result in done]
@@ -271,14 +266,8 @@ def _summary(done: Sequence[SingleTest], rules: Rules) -> list[str]:
     notes.append(RowCount.sum_of(result.specimen.count for result in done).sentence)
     rows = sorted({result.rows for result in done})
     several = f"{rows[0]} to {rows[-1]}" if len(rows) > 1 else str(rows[0])
-    notes.append(
-        f"{len(done)} {'test' if len(done) == 1 else 'tests'} of {several} rows"
-        + (
-            ""
-            if np.isinf(rules.high_mm)
-            else f" in the range {rules.low_mm:.4g} to {rules.high_mm:.4g} mm"
-        )
-        + ", "
-        + ("as they were measured" if rules.is_raw else f"resampled at {rules.spec.points} points")
-    )
-    return notes
+    within = f" in the range {rules.low_mm:.4g} to {rules.high_mm:.4g} mm"
+    within = "" if np.isinf(rules.high_mm) else within
+    how = "as they were measured" if rules.is_raw else f"resampled at {rules.spec.points} points"
+    tests_of = "test of" if len(done) == 1 else "tests of"
+    return [*notes, f"{len(done)} {tests_of} {several} rows{within}, {how}"]

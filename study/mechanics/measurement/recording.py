@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, gathered
 from study.ground.bounded_file import read_bytes, table_text
 from study.ground.declaration import Bad, relative_path
 from study.ground.errors import Fault, InputError, MissingDataError
@@ -110,13 +110,12 @@ def displacement_and_force(recording: Recording, gauge: Gauge | None) -> tuple[A
             return shear * section.length_mm, force
         order = np.argsort(np.abs(shear), kind="stable")
         return np.abs(shear)[order] * section.length_mm, (turned * force)[order]
-    stretch = deformed
     if kinematic == "displacement":
         stretch = np.asarray(1 + section.sense * deformed / section.length_mm)
     elif kinematic != "volume_ratio":
         stretch = np.asarray(_TO_STRETCH[kinematic](deformed))
-    elif section.mode != "confined":
-        stretch = np.asarray(np.cbrt(deformed))
+    else:
+        stretch = deformed if section.mode == "confined" else np.asarray(np.cbrt(deformed))
     percent = f'if {kinematic} is in per cent, write units = {{ {kinematic} = "%" }}'
     if not (stretch > 0).all():
         rule = f"{kinematic} of {deformed[np.argmin(stretch)]:g} leaves nothing of the specimen"
@@ -328,9 +327,8 @@ def _recorded(columns: Columns) -> list[str]:
 
 def _declared(spec: MeasurementSpec) -> list[str]:
     """Name the grouping columns of the specification, each once."""
-    names = [spec.block] if spec.block else []
-    names += [*(spec.average or ()), *(spec.fit or {}), *(spec.score or {})]
-    return list(dict.fromkeys(names))
+    block = [spec.block] if spec.block else []
+    return list(dict.fromkeys([*block, *spec.average, *(spec.fit or {}), *(spec.score or {})]))
 
 
 def _split(
@@ -356,15 +354,12 @@ def _split(
     inside = [name for name in groups if name not in labels]
     keys = list(zip(*(table.text(name) for name in inside), strict=True)) or [()] * d.size
     _check_labels(table, labels, inside, keys)
-    rows: dict[tuple[str, ...], list[int]] = {}
-    for k, key in enumerate(keys):
-        rows.setdefault(key, []).append(k)
-    for key, members in rows.items():
+    held = (spec.columns.kinematic, spec.columns.kinetic)
+    for key, members in gathered((key, k) for k, key in enumerate(keys)).items():
         labels_of_test = {**dict(zip(inside, key, strict=True)), **labels}
         ordered = {name: labels_of_test[name] for name in groups}
         words = ", ".join(f"{n} = {v}" for n, v in ordered.items())
         where = f"{table.source}: {words}" if words else table.source
-        held = (spec.columns.kinematic, spec.columns.kinetic)
         lines = tuple(table.lines[k] for k in members)
         if spec.columns.is_biaxial:
             far, hard = (
@@ -467,20 +462,15 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
         mend = f'write units = {{ {what} = "..." }}'
         raise InputError(Fault(f"{table.source}: column {column!r}", "has no unit", mend))
     dimension = "time" if what == "time" else {**KINEMATIC, **KINETIC}[first]
-    factor = parse(f"1 {unit}", dimension)
     suffix = _UNIT_SUFFIX.fullmatch(column)
-    shown = {
-        "its name": _UNIT_WORDS.get(suffix[1], suffix[1]) if suffix else "",
-        "the row of units": row,
-    }
-    if spec.unit_row:
-        shown = {}  # what is declared wins over the file
-    for who, word in shown.items():
-        if word and agree(word, unit) is False:  # the last word of a name may be no unit at all
+    named = _UNIT_WORDS.get(suffix[1], suffix[1]) if suffix else ""
+    for who, word in (("its name", named), ("the row of units", row)):
+        # what is declared wins over the file; the last word of a name may be no unit at all
+        if word and not spec.unit_row and agree(word, unit) is False:
             rule = f"{who} says {word}, but {unit} is declared in measurements.units"
             mend = "declare the unit that the file is in"
             raise InputError(Fault(f"{table.source}: column {column!r}", rule, mend))
-    return factor
+    return parse(f"1 {unit}", dimension)
 
 
 def capped(faults: Sequence[Fault]) -> list[Fault]:
