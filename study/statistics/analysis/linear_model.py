@@ -44,6 +44,10 @@ class CellLayout:
         """Return the same layout for some of the rows."""
         return CellLayout(self.levels, {name: codes[rows] for name, codes in self.codes.items()})
 
+    def labels(self, name: str) -> list[str]:
+        """Level of a factor in each row."""
+        return [self.levels[name][code] for code in self.codes[name]]
+
     def cell(self, names: Sequence[str]) -> Ints:
         """Index of the combination of levels of ``names`` in each row (row-major)."""
         index = np.zeros(self.n, dtype=np.int64)

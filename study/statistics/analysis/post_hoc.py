@@ -478,16 +478,9 @@ def cells_of(analysis: AnalysisResult) -> Cells:
     codes = {name: pd.Categorical(table[name], of_all[name]).codes.astype(np.int64)
              for name in of_all}  # fmt: skip
     terms = [tuple(e.term.split(":")) for e in analysis.effects]
-    model, *_ = mixed_cells(
-        CellLayout(of_all, codes),
-        terms,
-        "block",
-        table["y"].to_numpy(),
-        request.alpha,
-        request.seed,
-        request.layout.whole_plot,
-    )
-    return cells if model is None else replace(cells, estimate=model.between)
+    layout, y = CellLayout(of_all, codes), table["y"].to_numpy()
+    mixed = mixed_cells(layout, terms, "block", y, request)
+    return cells if mixed is None else replace(cells, estimate=mixed[0].between)
 
 
 def with_contrasts(analysis: AnalysisResult, texts: Sequence[str]) -> AnalysisResult:
