@@ -118,6 +118,7 @@ def _summary_of_data(out: AnalysisOutcome) -> DataSummary:
         out.model,
         crossed=out.crossed,
         structure=out.structure,
+        scale=out.scale,
     )
 
 

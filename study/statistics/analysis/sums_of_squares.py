@@ -106,9 +106,8 @@ def fitted(model: Factorization, y: Array, shift: float | None = None) -> Factor
     ols = OLS(y - shift, model.q, hasconst=True)
     ols.pinv_wexog, ols.rank = model.q.T, model.rank
     results = OLSResults(ols, model.q.T @ ols.endog, np.eye(model.rank))
-    return Factored(
-        model.matrix, model.q, model.r, model.scale, results, shift, spaces=model.spaces
-    )
+    factors = model.matrix, model.q, model.r, model.scale
+    return Factored(*factors, results, shift, spaces=model.spaces)
 
 
 def term_sums(fit: Factored, kind: str) -> list[TermSum]:
@@ -207,11 +206,11 @@ def extra_sum(ss: float, df: float, ss_error: float, df_error: float) -> FRatioT
 
 def with_shares(rows: Sequence[Row], total: float) -> tuple[Row, ...]:
     """Rows with their share of the variation and the interval of partial eta squared."""
-    done = []
-    for row in rows:
-        share = row.ss / total if total > 0 else None
-        done.append(replace(row, share=share, partial_eta_sq_ci95=eta_interval(row)))
-    return tuple(done)
+    shares = [row.ss / total if total > 0 else None for row in rows]
+    return tuple(
+        replace(row, share=share, partial_eta_sq_ci95=eta_interval(row))
+        for row, share in zip(rows, shares, strict=True)
+    )
 
 
 def alias_warnings(sums: Sequence[TermSum], *, partial: bool = False) -> list[str]:
@@ -238,14 +237,9 @@ def eta_interval(row: Row) -> tuple[float, float] | None:
     """
     if row.f is None or row.df_error is None or not 0 < row.f < 1e5:
         return None
+    low, high = (_noncentrality(row.f, row.df, row.df_error, q) for q in (0.975, 0.025))
     total = row.df + row.df_error + 1
-    bounds = []
-    for q in (0.975, 0.025):
-        value = _noncentrality(row.f, row.df, row.df_error, q)
-        if value is None:
-            return None
-        bounds.append(value / (value + total))
-    return bounds[0], bounds[1]
+    return None if low is None or high is None else (low / (low + total), high / (high + total))
 
 
 def _noncentrality(f: float, df1: float, df2: float, q: float) -> float | None:
@@ -415,13 +409,10 @@ def sphericity(residual: Array, df: int) -> SphericityResult:
         return SphericityResult(1.0, 0.0, 0, None, 1.0, 1.0, "one degree of freedom")
     bottom = d * (b - 1 - d * gg)
     hf = 1.0 if bottom <= 0 else min(1.0, (b * d * gg - 2) / bottom)
-    if b - 1 < d:
-        return SphericityResult(
-            None, None, None, None, gg, hf, f"needs more than {d} blocks, got {b}"
-        )
     sign, logdet = np.linalg.slogdet(s)
-    if sign <= 0:
-        return SphericityResult(None, None, None, None, gg, hf, "the contrasts are singular")
+    if b - 1 < d or sign <= 0:
+        why = f"needs more than {d} blocks, got {b}" if b - 1 < d else "the contrasts are singular"
+        return SphericityResult(None, None, None, None, gg, hf, why)
     log_w = float(logdet - d * math.log(np.trace(s) / d))
     factor = 1 - (2 * d * d + d + 2) / (6 * d * (b - 1))
     chi2, df = -(b - 1) * factor * log_w, d * (d + 1) // 2 - 1
@@ -540,11 +531,9 @@ def influential(fit: Factored | TwoWayFit) -> Influential | None:
     of_rows = influence(fit)
     judged = np.isfinite(of_rows.cook) & (of_rows.leverage < EXACT)
     limit = float(fdtri(fit.rank, fit.df_residual, 0.5))
-    rows = np.flatnonzero(judged & (np.where(judged, of_rows.cook, 0.0) > limit))
+    rows = 1 + np.flatnonzero(judged & (np.where(judged, of_rows.cook, 0.0) > limit))
     largest = float(of_rows.cook[judged].max()) if judged.any() else None
-    return Influential(
-        float(of_rows.leverage.max()), largest, limit, tuple(int(i) + 1 for i in rows)
-    )
+    return Influential(float(of_rows.leverage.max()), largest, limit, tuple(rows.tolist()))
 
 
 def summary_of(fit: Factored) -> ModelSummary | None:
@@ -556,10 +545,6 @@ def summary_of(fit: Factored) -> ModelSummary | None:
     if fit.df_residual == 0 or fit.tss <= 0:
         return None
     predictable = float(fit.leverage.max()) < EXACT
-    press = float(np.sum(influence(fit).press ** 2)) if predictable else None
-    return ModelSummary(
-        float(np.sqrt(fit.ols.mse_resid)),
-        float(fit.ols.rsquared),
-        float(fit.ols.rsquared_adj),
-        None if press is None else 1 - press / fit.tss,
-    )
+    predicted = 1 - float(np.sum(influence(fit).press ** 2)) / fit.tss if predictable else None
+    shares = float(fit.ols.rsquared), float(fit.ols.rsquared_adj), predicted
+    return ModelSummary(float(np.sqrt(fit.ols.mse_resid)), *shares)
