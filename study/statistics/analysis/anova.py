@@ -551,7 +551,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     within, computed = max(10 * out.tolerance, low or 0.0), request.records or out.tolerance > 0
     copies = copies_of(data, within, computed=computed)
     out = replace(out, y=y, scale=scale, u_raw=high, copies=copies).warn(*data.warnings, *notes)
-    declared = data.also or (request.layout.whole_plot and request.error == "auto")
+    declared = len(data.blocks) > 1 or (request.layout.whole_plot and request.error == "auto")
     # pooled over unequal variances the test of a true null rejects in up to .48 of cases
     if data.block is not None and not declared and request.error != "pooled":
         between_blocks = plots if plots is not None and plots.nested else None

@@ -31,16 +31,16 @@ class Data:
     y: Array
     layout: CellLayout
     factors: tuple[str, ...]
-    block: str | None
+    #: Columns of all blocks: the first, and those that cross it (a Latin square).
+    blocks: tuple[str, ...]
     rows: Ints
     missing: int
     warnings: tuple[str, ...]
-    also: tuple[str, ...] = ()
 
     @property
-    def blocks(self) -> tuple[str, ...]:
-        """Columns of all blocks: the first, and those that cross it (a Latin square)."""
-        return (*((self.block,) if self.block else ()), *self.also)
+    def block(self) -> str | None:
+        """Column of the first blocks."""
+        return self.blocks[0] if self.blocks else None
 
     @property
     def cell(self) -> Ints:
@@ -67,21 +67,19 @@ def prepare(
     missing, warnings = np.flatnonzero(~keep), []
     if missing.size:
         listed = ", ".join(str(i + 1) for i in missing[:10]) + ", ..." * (missing.size > 10)
-        rows = f"{missing.size} of {keep.size} rows (rows {listed})"
-        warnings.append(f"{response} is missing in {rows}")
+        where = f"{missing.size} of {keep.size} rows (rows {listed})"
+        warnings.append(f"{response} is missing in {where}")
     if keep.sum() < 2:
         rule = f"has {int(keep.sum())} values"
         mend = "an analysis needs two rows with a response, and better more"
         raise InputError(Fault(f"response {response!r}", rule, mend))
     faults, levels, codes = [], {}, {}
     for name, text in labels.items():
-        order = _level_order(table[name], text)
-        warnings += _alike(order, name)
-        present = set(text[keep])
-        lost = [level for level in order if level not in present]
-        if lost:
+        every, present = _level_order(table[name], text), set(text[keep])
+        warnings += _alike(every, name)
+        order = [level for level in every if level in present]
+        if lost := [level for level in every if level not in present]:
             warnings.append(f"{name}: no response at level {', '.join(lost)}")
-        order = [level for level in order if level in present]
         if len(order) < 2:
             kind = "block" if name in blocks else "factor"
             others = [other for other in factors if other != name]
@@ -96,16 +94,8 @@ def prepare(
         codes[name] = np.array([index[t] for t in text[keep]], dtype=np.int64)
     if faults:
         raise InputError(faults)
-    return Data(
-        raw[keep],
-        CellLayout(levels, codes),
-        tuple(factors),
-        blocks[0] if blocks else None,
-        np.flatnonzero(keep),
-        int((~keep).sum()),
-        tuple(warnings),
-        blocks[1:],
-    )
+    layout, rows = CellLayout(levels, codes), np.flatnonzero(keep)
+    return Data(raw[keep], layout, tuple(factors), blocks, rows, missing.size, tuple(warnings))
 
 
 def _response(table: pd.DataFrame, response: str) -> Array:
@@ -367,7 +357,7 @@ def refuse_copied_rows(data: Data) -> None:
         near = _NEAR if data.y.size <= _MOST_ROWS else ()
         texts = (_copied_within(data, part) for part in (0.0, *near))
         copies = next(filter(None, texts), "")
-    elif not data.also and (twins := _copied_blocks(data, data.layout.codes[data.block])):
+    elif len(data.blocks) == 1 and (twins := _copied_blocks(data, data.layout.codes[data.block])):
         names = data.layout.levels[data.block]
         listed = ", ".join(f"{names[j]} repeats {names[i]}" for i, j, _ in twins[:5])
         apart = max(apart for *_, apart in twins)

@@ -17,6 +17,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.units import p_phrase
 from study.statistics.analysis.analysis_request import AnalysisOutcome
+from study.statistics.analysis.anova_table import SimpleEffect
 from study.statistics.analysis.comparisons import t_quantile
 from study.statistics.analysis.data import chance_of_tie
 from study.statistics.analysis.effects import (
@@ -165,13 +166,12 @@ def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -
     """Withdraw those printed verdicts that a rival does not make."""
     by_setting = {(e.first, e.second, e.at): e.verdict for e in (other.effects if other else ())}
     whole = CANNOT_TELL if other is None else other.verdict
-    effects = tuple(
-        replace(e, verdict=CANNOT_TELL)
-        if e.verdict in rival.claims
-        and by_setting.get((e.first, e.second, e.at), whole) != e.verdict
-        else e
-        for e in printed.effects
-    )
+
+    def agreed(e: SimpleEffect) -> SimpleEffect:
+        same = by_setting.get((e.first, e.second, e.at), whole) == e.verdict
+        return e if same or e.verdict not in rival.claims else replace(e, verdict=CANNOT_TELL)
+
+    effects = tuple(map(agreed, printed.effects))
     left = {effect.verdict for effect in effects}
     some_matter, none_matters = MATTERS in left, left == {NO_DIFFERENCE} == {whole}
     stands = some_matter if printed.verdict == MATTERS else none_matters
@@ -210,10 +210,8 @@ def limit_rivals(out: AnalysisOutcome, sample: Sample, means: Array) -> list[Riv
         f"{UNSURE_LIMIT}: {100 * limit.value:g} % of a mean of {means.mean():.4g} \u00b1 "
         f"{half:.2g} is {low:.3g} to {high:.3g}"
     )
-    return [
-        Rival(why, sample, (NO_DIFFERENCE,), practical=low),
-        Rival(why, sample, (MATTERS,), practical=high),
-    ]
+    ends = ((NO_DIFFERENCE, low), (MATTERS, high))
+    return [Rival(why, sample, (verdict,), practical=end) for verdict, end in ends]
 
 
 def block_means(out: AnalysisOutcome) -> Array:
@@ -482,17 +480,16 @@ def any_shape(
                 ends[i] = (min(low, end), max(high, end), wide)
         if not ends:
             return estimates
-        single, every = (np.broadcast_to(np.asarray(k, dtype=float), m).copy()
-                         for k in (estimates.single, estimates.simultaneous))  # fmt: skip
         centre, error = estimates.value.copy(), estimates.error.copy()
+        single, every = (np.full(m, k, dtype=float)
+                         for k in (estimates.single, estimates.simultaneous))  # fmt: skip
         for i, (low, high, widest) in ends.items():
             farthest = _FARTHEST * b * float(np.abs(value[i]).max())
-            low, high, widest = max(low, -farthest), min(high, farthest), min(widest, farthest)
-            low = min(low, centre[i] - error[i] * single[i])
-            high = max(high, centre[i] + error[i] * single[i])
-            wide = max(widest, error[i] * every[i])
-            centre[i], error[i] = (low + high) / 2, 1.0
-            single[i], every[i] = (high - low) / 2, wide
+            half = error[i] * single[i]
+            low = min(max(low, -farthest), centre[i] - half)
+            high = max(min(high, farthest), centre[i] + half)
+            every[i] = max(min(widest, farthest), error[i] * every[i])
+            centre[i], error[i], single[i] = (low + high) / 2, 1.0, (high - low) / 2
         return Estimates(centre, error, single, every)
 
     return Rival(SKEW, estimate)

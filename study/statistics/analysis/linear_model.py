@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 from scipy import linalg
@@ -286,11 +286,9 @@ def _products(layout: CellLayout, coded: Mapping[str, Array]) -> Array:
 
 def grid(layout: CellLayout, names: Sequence[str]) -> CellLayout:
     """Every combination of the levels of ``names`` once (row-major)."""
-    combos = np.array(
-        list(product(*(range(len(layout.levels[name])) for name in names))), dtype=np.int64
-    ).reshape(-1, len(names))
-    codes = {name: combos[:, i] for i, name in enumerate(names)}
-    return CellLayout({name: layout.levels[name] for name in names}, codes)
+    levels = {name: layout.levels[name] for name in names}
+    codes = np.indices([*map(len, levels.values())]).reshape(len(levels), -1)
+    return CellLayout(levels, dict(zip(levels, codes, strict=True)))
 
 
 def balanced(layout: CellLayout, names: Sequence[str]) -> bool:

@@ -97,7 +97,7 @@ class Plots:
 
 def whole_plots(data: Data, named: Sequence[str]) -> Plots | None:
     """Whole plots of a design: the blocks, where factors are constant in them, or as asked."""
-    if data.block is None or data.also:
+    if data.block is None or len(data.blocks) > 1:
         return None
     for name in named:
         if name not in data.factors:
@@ -167,26 +167,20 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
         more, notes = rival_of_every_term(out, every, partial(_over_strata, every, within))
         rivals, out = [*rivals, *more], out.warn(*notes)
     simple = judge_factors(out, data.layout, whole, sample, rivals)
-    effects = []
-    by_name = {row.term: row.p for row in rows}
+    effects, p = [], {row.term: row.p for row in rows}
     for term in out.terms:
-        stratum, p = place.get(term), by_name[term_name(term)]
+        stratum = place.get(term)
         fit, df = (whole, 0) if stratum is None else (stratum.fit, stratum.df)
-        estimate = pooled_estimate(data.layout, fit, term, df, p, alpha, fit.rss)
+        estimate = pooled_estimate(data.layout, fit, term, df, p[term_name(term)], alpha, fit.rss)
         of_means = sampled_estimate(data.layout, whole, term, None, sample)
         estimate = replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half)
         effects.append(size(estimate, out.scale, simple))
     df_of = {term_name(t): float(place[t].df) for t in complete if t in place}
     error = error_of_strata(str(data.block), plots, "the pooled scatter within whole plots", df_of)
-    return replace(
-        out,
-        error=error,
-        anova=Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss),
-        effects=tuple(effects),
-        fit=error_ledger.within_fit(data, out.y, plots=plots.code),
-        model=strata[-1].fit,
-        plots=plots.code,
-    )
+    anova = Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss)
+    within = error_ledger.within_fit(data, out.y, plots=plots.code)
+    out = replace(out, error=error, anova=anova, effects=tuple(effects), plots=plots.code)
+    return replace(out, fit=within, model=strata[-1].fit)
 
 
 def _over_strata(
@@ -417,16 +411,16 @@ def own(out: AnalysisOutcome, plots: Plots | None = None) -> AnalysisOutcome | N
         error = replace(error, reason="asked for" if asked else f"{error.reason}; {alike}")
     layout = table.layout if groups is None else _product(table.layout, groups)
     effects, notes = _effects(out, tests, table, layout, members)
-    return replace(
+    listed = with_shares([*rows, *tests.errors], tests.total)
+    out = replace(
         out.warn(*notes),
         error=error,
-        anova=Anova(kind, with_shares([*rows, *tests.errors], tests.total), n * b - 1, tests.total),
+        anova=Anova(kind, listed, n * b - 1, tests.total),
         effects=effects,
         sphericity=tests.sphericity,
         fit=error_ledger.within_fit(data, out.y),
-        crossed=table if plots is None else None,
-        plots=None if plots is None else plots.code,
-    )  # fmt: skip
+    )
+    return replace(out, crossed=table) if plots is None else replace(out, plots=plots.code)
 
 
 def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
