@@ -16,10 +16,7 @@ from study.ground.errors import InputError
 from study.reporting.content.effect_words import told
 from study.statistics.analysis import simple_effects as simple_effects_module
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.comparisons import (
-    block_multiplier,
-    holm_family,
-)
+from study.statistics.analysis.comparisons import block_multiplier, holm_family
 from study.statistics.analysis.effects import over_groups
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, model_matrix, terms_of
@@ -147,10 +144,8 @@ def test_primary_terms_form_the_family() -> None:
 
 def test_a_study_is_one_family() -> None:
     found = holm_family({"force": {"A": 0.01}, "work": {"A": 0.02}})
-    assert [(t.response, t.p_holm, t.family) for t in found] == [
-        ("force", 0.02, 2),
-        ("work", 0.02, 2),
-    ]
+    tests = [(t.response, t.p_holm, t.family) for t in found]
+    assert tests == [("force", 0.02, 2), ("work", 0.02, 2)]
 
 
 @dataclass(frozen=True)

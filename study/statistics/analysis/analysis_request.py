@@ -320,10 +320,7 @@ def kind_of(
 
 
 def scale_of(out: AnalysisOutcome, y: Array) -> Scale:
-    """Scale of a response: its practical difference and numerical bound as was asked.
-
-    Shapes: y (n,).
-    """
+    """Scale of a response y (n,): its practical difference and numerical bound as was asked."""
     scale, block, specimens = out.request.scale, out.data.block, out.request.specimens
     mean = float(np.exp(y.mean())) if scale.is_log else float(y.mean())
     limit = scale.practical

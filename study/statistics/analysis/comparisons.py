@@ -92,9 +92,7 @@ class GroupMoments:
 
 
 def holm(p: ArrayLike) -> Array:
-    """Holm's adjusted p of a family (Holm 1979).
-
-    Shapes: p (m,).
+    """Holm's adjusted p (m,) of a family (Holm 1979).
 
     Examples
     --------
@@ -250,10 +248,7 @@ def two_sided(t: float, df: float) -> float:
 def block_multiplier(
     contrasts: Array, alpha: float, seed: int | None, groups: Sequence[Ints], df: Array
 ) -> Array:
-    """Multiplier of the standard errors for simultaneous intervals of all contrasts.
-
-    Shapes: contrasts (m, b); df (m,); returns (m,).
-    """
+    """Multipliers (m,) of the standard errors for simultaneous intervals of contrasts (m, b)."""
     m, b = contrasts.shape
     safe = t_quantile(alpha / (2 * max(m, 1)), df)
     if seed is None or m <= 1 or min(len(part) for part in groups) < FEWEST_BLOCKS:
@@ -337,10 +332,10 @@ def _short(z: Array) -> Array:
 def pooled_multiplier(
     differences: Differences, length: Array, df: float, alpha: float, seed: int | None
 ) -> float:
-    """Multiplier where one error variance with ``df`` degrees of freedom serves all contrasts.
+    """Multiplier where one error variance serves all contrasts of some length (m,).
 
-    Shapes: length (m,); returns Quantile of the largest |t| of a multivariate t (Hothorn, Bretz and
-    Westfall 2008), simulated; never above Bonferroni's.
+    Simulated quantile of the largest |t| of a multivariate t (Hothorn, Bretz and Westfall 2008);
+    never above Bonferroni's.
     """
     estimated = np.flatnonzero(length > 1e-12 * length.max(initial=0.0))
     safe = t_quantile(alpha / (2 * max(len(estimated), 1)), df)

@@ -195,10 +195,7 @@ class Crossed:
 
 
 def crossed(data: Data, y: Array) -> Crossed:
-    """Cells against blocks, one row each; incomplete cells and blocks are left out, and said.
-
-    Shapes: y (n,).
-    """
+    """Cells against blocks of y (n,); incomplete cells and blocks are left out, and said."""
     block = data.block or ""
     names = data.layout.levels[block]
     cells, start, index = np.unique(data.cell, return_index=True, return_inverse=True)
@@ -292,10 +289,7 @@ def blocks_that_lack_cells(data: Data, factors: Sequence[str]) -> tuple[int, int
 
 
 def _decimals(y: Array) -> Array:
-    """Decimals of each value; infinite for computed ones, with ten after the first digit or more.
-
-    Shapes: y (n,).
-    """
+    """Decimals of values (n,); infinite for computed ones, with ten after the first or more."""
     decimals = np.full(y.size, np.inf)
     scale = float(np.abs(y).max(initial=0.0))
     # of small numbers those after their first digit count, whatever the unit
@@ -434,7 +428,7 @@ def _copied_within(data: Data, part: float) -> str:
 def _density(y: Array, cell: Ints, counts: Ints, wide: Array, spread: Array) -> Array:
     """Pairs of rows of each cell that lie apart, but no farther than ``wide`` of its scatter.
 
-    Shapes: y, cell, counts (clusters,), sorted by cell and value; wide, spread (cells,).
+    Clusters of rows are sorted by cell and value.
     """
     start = np.searchsorted(cell, np.arange(spread.size))
     above = (y - y[np.minimum(start, y.size - 1)][cell]) / spread[cell]
@@ -446,10 +440,7 @@ def _density(y: Array, cell: Ints, counts: Ints, wide: Array, spread: Array) -> 
 
 
 def _spreads(cell: Ints, y: Array) -> Array:
-    """Scatter in each cell by the median absolute deviation, which no single row moves.
-
-    Shapes: cell, y (n,), sorted by cell and value; returns (cells,).
-    """
+    """Median absolute deviation in each cell, of rows that are sorted by cell and value."""
     count = np.bincount(cell)
     start = np.cumsum(count) - count
 

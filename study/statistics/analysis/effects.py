@@ -64,10 +64,7 @@ class TermEstimate:
 def term_rows(
     layout: CellLayout, fit: Factored, term: Term
 ) -> tuple[tuple[str, ...], Array, Array]:
-    """Linear combinations of the coefficients that give a term's components and means.
-
-    Shapes: returns (k, p).
-    """
+    """Levels of a term, and the combinations (k, p) that give their components and means."""
     matrix = fit.matrix
     cells = grid(layout, term)
     inner = [t for t in matrix.terms[1:] if set(t) <= set(term)]
@@ -83,14 +80,11 @@ def term_rows(
         mean[:, at] = local.columns[:, local.of(t)]
     component[:, matrix.of(term)] = local.columns[:, local.of(term)]
     labels = tuple(map(" ".join, zip(*map(cells.labels, term), strict=True)))
-    return labels, component, mean
+    return labels, _over_complete_settings(layout, fit, term, component), mean
 
 
-def over_complete_settings(layout: CellLayout, fit: Factored, term: Term, rows: Array) -> Array:
-    """Rows of a main effect; where cells are empty, over the settings that have all its levels.
-
-    Shapes: rows (k, p); returns (k, p).
-    """
+def _over_complete_settings(layout: CellLayout, fit: Factored, term: Term, rows: Array) -> Array:
+    """Rows (k, p) of a main effect; beside empty cells over the settings that have all levels."""
     if len(term) != 1 or fit.estimable(rows).all():
         return rows
     k, names = len(layout.levels[term[0]]), partners(term[0], fit.matrix.terms)
@@ -131,7 +125,6 @@ def sampled_estimate(
     ``critical`` is the multiplier of the differences; None for that of the sample.
     """
     levels, component_rows, mean_rows = term_rows(layout, fit, term)
-    component_rows = over_complete_settings(layout, fit, term, component_rows)
     k = len(levels)
     alone = sample(Differences.alone(np.vstack([component_rows, mean_rows])))
     component, mean = alone.value[:k], fit.shift + alone.value[k:]
@@ -195,6 +188,12 @@ def estimable_differences(fit: Factored, differences: Differences) -> Flags:
     return differences.each(lambda rows: fit.estimable(rows).astype(float)) > 0
 
 
+def estimated_differences(fit: Factored, differences: Differences) -> Array:
+    """Differences by least squares, NaN where they cannot be estimated, shape (m,)."""
+    value = differences.times(fit.coefficients())
+    return np.where(estimable_differences(fit, differences), value, np.nan)
+
+
 def over_groups(
     fit: Factored,
     added: Array,
@@ -203,10 +202,7 @@ def over_groups(
     seed: int | None,
     reading: float = 0.0,
 ) -> Sample:
-    """Estimate combinations by their own variance in each group of blocks (Welch 1938).
-
-    Shapes: added (p, b).
-    """
+    """Estimate combinations of ``added`` (p, b) by a variance in each group of blocks (Welch)."""
 
     def estimate(differences: Differences) -> Estimates:
         estimable = estimable_differences(fit, differences)
@@ -225,10 +221,7 @@ def over_groups(
 
 
 def group_errors(value: Array, groups: Sequence[Ints]) -> tuple[Array, Array]:
-    """Find the standard errors of sums over blocks and their degrees of freedom, shape (m,).
-
-    Shapes: value (m, b).
-    """
+    """Find the standard errors (m,) of sums of values (m, b) over blocks, and their df."""
     n = np.array([len(group) for group in groups])
     parts = n[:, None] * np.array([value[:, group].var(axis=1, ddof=1) for group in groups])
     total = parts.sum(axis=0)
@@ -242,16 +235,13 @@ def with_pooled_error(
     fit: Factored, rss: float, df: float, alpha: float, seed: int | None
 ) -> Sample:
     """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
-    coefficients = fit.coefficients()
-    inverse = fit.inverse
 
     def estimate(differences: Differences) -> Estimates:
-        estimable = estimable_differences(fit, differences)
-        value = np.where(estimable, differences.times(coefficients), np.nan)
+        value = estimated_differences(fit, differences)
         if df <= 0 or rss <= 0:
             return Estimates(value, None)
         estimable, wide = np.isfinite(value), 0.0
-        roots = replace(differences, settings=differences.settings @ inverse)
+        roots = replace(differences, settings=differences.settings @ fit.inverse)
         length = roots.lengths()
         if estimable.any():
             some = roots.take(estimable)
@@ -264,14 +254,12 @@ def with_pooled_error(
 def by_components(
     share: Array, variance: Array, free: Array, *, cautious: bool = False
 ) -> tuple[Array, Array]:
-    """Find standard errors of combinations of independent sources, and Satterthwaite's df.
+    """Find standard errors (m,) of shares (m, k) of independent sources, and Satterthwaite's df.
 
     The error is infinite where a source that counts has an infinite variance or none does. With
     ``cautious`` a source of one degree of freedom, whose variance may be small by chance, leaves
     no more df than the sum of the shares over its own: simulated, 10 and 2 rows, the two with 3.3
     times the scatter: false claims .085 without, .05 with it.
-
-    Shapes: share (m, k); variance, free (k,); returns (m,).
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.where(share == 0, 0.0, share * variance)
@@ -298,9 +286,7 @@ def cell_welch(
 
     Of one factor the simultaneous intervals are those of Games and Howell (1976); a contrast that
     needs a cell with an infinite variance has no interval. Rows that the model describes alike
-    have one number in ``rows_alike``: those of a cell where there are no blocks.
-
-    Shapes: cell, rows_alike (n,); variances and their degrees of freedom (cells,).
+    have one number in ``rows_alike`` (n,): those of a cell where there are no blocks.
     """
     _, first, count = np.unique(
         cell if rows_alike is None else rows_alike, return_index=True, return_counts=True
@@ -329,15 +315,11 @@ def with_sources(
     """Estimate combinations whose variance is a sum over sources, with Satterthwaite's df.
 
     ``shares`` gives the part (m, k) that combinations along the orthonormal columns have of each
-    source; with ``ranges`` pairs of levels have the multipliers of Games and Howell.
-
-    Shapes: variance, free (k,).
+    source (k,); with ``ranges`` pairs of levels have the multipliers of Games and Howell.
     """
-    coefficients = fit.coefficients()
 
     def estimate(differences: Differences) -> Estimates:
-        estimable = estimable_differences(fit, differences)
-        value = np.where(estimable, differences.times(coefficients), np.nan)
+        value = estimated_differences(fit, differences)
 
         def scatter(rows: Array) -> Array:
             parts = by_components(shares(rows @ fit.inverse), variance, free, cautious=cautious)
@@ -353,10 +335,7 @@ def with_sources(
 
 
 def games_howell_multiplier(differences: Differences, df: Array, alpha: float) -> Array:
-    """Multiplier of each standard error: Games and Howell's at each setting, or Bonferroni's.
-
-    Shapes: df (m,).
-    """
+    """Multipliers (m,) of standard errors: Games and Howell's at each setting, or Bonferroni's."""
     m = len(df)
     safe = t_quantile(alpha / (2 * max(m, 1)), df)
     levels = len(differences.settings)
@@ -379,8 +358,6 @@ def with_pseudo_error(
 
     Limits are quantiles of the same combinations of simulated null contrasts over their own
     pseudo standard error, as those of :func:`study.statistics.analysis.unreplicated.lenth`.
-
-    Shapes: contrasts (n, m); y (n,).
     """
     values = contrasts.T @ (y - y[0])
     pse = float(pseudo_standard_error(values))

@@ -285,10 +285,7 @@ def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
 def additive_fit(
     data: Data, y: Array, rows: Ints | None = None, *, plots: Ints | None = None
 ) -> Factored:
-    """Fit of cells plus blocks (or whole plots) to some of the rows: residuals within them.
-
-    Shapes: y (n,); plots (n,).
-    """
+    """Fit of cells plus blocks (or whole plots) to some of the rows of y (n,)."""
     keep = np.arange(y.size) if rows is None else rows
     blocks = {f"block {i}": code for i, code in enumerate(_blocks(data, plots))}
     levels, codes = {}, {}

@@ -195,10 +195,7 @@ def reading_error(out: AnalysisOutcome) -> float:
 
 
 def limit_rivals(out: AnalysisOutcome, sample: Sample, means: Array) -> list[Rival]:
-    """Hold claims against both ends of a practical difference that is a share of the mean.
-
-    Shapes: means (n,).
-    """
+    """Hold claims against both ends of a difference that is a share of the mean of ``means``."""
     limit = out.request.scale.practical
     if limit is None or not limit.relative or out.request.scale.is_log or means.size < 2:
         return []
@@ -230,9 +227,7 @@ def rivals_over_groups(
 ) -> list[Rival]:
     """Rivals where each effect is tested over blocks, which may lie in groups.
 
-    ``added`` is what each block adds to the coefficients.
-
-    Shapes: added (p, b); y (cells, b).
+    ``added`` (p, b) is what each block of y (cells, b) adds to the coefficients.
     """
     alpha, seed = out.request.alpha, out.request.interval_seed
     rivals, reading = [], reading_error(out)
@@ -315,7 +310,7 @@ def rival_over_blocks(
     """Rival of the full model, where what the declared one leaves out is seen over the blocks.
 
     ``sample`` is that of the full model; the terms left out are tested against their own
-    interactions, all together and each direction. Shapes: y (cells, b).
+    interactions in y (cells, b), all together and each direction.
     """
     from scipy.special import stdtr
 

@@ -156,12 +156,10 @@ def _rivals(
 def mixed_cells(
     layout: CellLayout, terms: Sequence[Term], block: str, y: Array, request: AnalysisRequest
 ) -> tuple[MixedCells, Sandwich, list[Term]] | None:
-    """Mixed model of one row a cell and block, its sandwich and its random terms.
+    """Mixed model of one row of y (n,) a cell and block, its sandwich and its random terms.
 
     Random are the blocks and their interactions with the terms, or the whole plots of the factors
     named. None where no model can be fitted.
-
-    Shapes: y (n,).
     """
     bare = model_matrix(layout, terms)
     shift = float(y.mean())

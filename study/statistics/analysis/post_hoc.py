@@ -29,7 +29,6 @@ from study.statistics.analysis.comparisons import (
 from study.statistics.analysis.data import Crossed
 from study.statistics.analysis.effects import (
     group_errors,
-    over_complete_settings,
     own_critical,
     pooled_critical,
     term_rows,
@@ -159,7 +158,7 @@ def _of_model(
     """
     layout, request = fit.matrix.layout, analysis.request
     names, rows, _ = term_rows(layout, fit, (factor,))
-    rows, at = over_complete_settings(layout, fit, (factor,), rows), names.index(reference)
+    at = names.index(reference)
     differences = np.delete(rows, at, axis=0) - rows[at]
     if not fit.estimable(differences).all():
         rule = "compares levels that stand in the same cells, and some cells are empty"
@@ -211,11 +210,9 @@ def dunnett_over_groups(
 ) -> Comparisons:
     """Compare levels with one of them, each difference with an error of its own.
 
-    A level's values add up to its mean over blocks, or over the rows of its cells; the scatter of
-    each group of them (all blocks, or the rows of a cell) is its own. The differences depend
+    A level's values (b,) add up to its mean over blocks, or over the rows of its cells; the scatter
+    of each group of them (all blocks, or the rows of a cell) is its own. The differences depend
     on each other, which the simulated multiplier of the largest |t| counts.
-
-    Shapes: values (b,).
     """
     names = [name for name in values if name != reference]
     parts = np.array([values[name] - values[reference] for name in names])

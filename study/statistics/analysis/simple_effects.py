@@ -73,10 +73,7 @@ def claim(low: float, high: float, practical: float) -> str:
 
 
 def judge_all(low: Array, high: Array, practical: float, u: Array) -> Judgement:
-    """Judge several differences together.
-
-    Shapes: low, high (m,); u (m,).
-    """
+    """Judge several differences together, by the ends (m,) of their intervals and bounds u (m,)."""
     beyond = np.maximum(low, -high)
     if (beyond - u > practical).any():
         return Judgement(MATTERS, "the interval lies beyond the practical band")
@@ -295,10 +292,7 @@ def columns_at(
     others: Sequence[str],
     settings: Sequence[tuple[int, ...]],
 ) -> Array:
-    """Combine the coefficients in which a factor enters, at settings of its partners.
-
-    Shapes: returns (settings * k, p).
-    """
+    """Combine the coefficients of a factor at settings of others, shape (settings * k, p)."""
     k = len(layout.levels[factor])
     codes = {name: np.zeros(len(settings) * k, dtype=np.int64) for name in layout.levels}
     codes[factor] = np.tile(np.arange(k), len(settings))

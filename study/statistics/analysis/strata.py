@@ -178,9 +178,9 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
     df_of = {term_name(t): float(place[t].df) for t in complete if t in place}
     error = error_of_strata(str(data.block), plots, "the pooled scatter within whole plots", df_of)
     anova = Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss)
-    within = error_ledger.within_fit(data, out.y, plots=plots.code)
+    judged = error_ledger.within_fit(data, out.y, plots=plots.code)
     out = replace(out, error=error, anova=anova, effects=tuple(effects), plots=plots.code)
-    return replace(out, fit=within, model=strata[-1].fit)
+    return replace(out, fit=judged, model=strata[-1].fit)
 
 
 def _over_strata(

@@ -85,20 +85,15 @@ class TermSum(TermSpace):
 
 
 def factor(matrix: ModelMatrix, y: Array) -> Factored:
-    """Factor the model and fit the response.
-
-    Shapes: matrix (n, p); y (n,).
-    """
+    """Factor a model (n, p) and fit a response y (n,)."""
     return fitted(factorize(matrix), y)
 
 
 def fitted(model: Factorization, y: Array, shift: float | None = None) -> Factored:
-    """Fit a response, less its first value or ``shift``, with a model that is factored already.
+    """Fit y (n,), less its first value or ``shift``, with a model that is factored already.
 
     Of orthonormal columns the transpose is the pseudo-inverse. ``OLS.fit`` would take a singular
     value decomposition of them: 3.6 s of 1,000,000 rows and 12 columns, this 0.1 s.
-
-    Shapes: y (n,).
     """
     from statsmodels.regression.linear_model import OLS, OLSResults
 
@@ -391,12 +386,8 @@ def epsilon_gg(covariance: Array) -> float:
 
 
 def sphericity(residual: Array, df: int) -> SphericityResult:
-    """Mauchly's test of the orthonormal contrasts of a term, by their residuals over the blocks.
+    """Mauchly's test of orthonormal contrasts, by residuals (d, b) of ``df`` = b - 1 in one group.
 
-    Shapes: residual (d, b), of ``df`` degrees of freedom (b - 1 of one group).
-
-    Notes
-    -----
     Mauchly (1940); Anderson (2003), 10.7.4; Huynh and Feldt (1976). With d = 1 sphericity
     holds by construction.
     """
@@ -440,15 +431,10 @@ LEAST_OWN = 3
 
 
 def welch_box(groups: Sequence[Array], weights: Array) -> tuple[float, float, float] | None:
-    """F of weighted sums over groups of a term's mean contrasts, and its degrees of freedom.
+    """F of sums, weighted (k, G), of a term's mean contrasts in groups (d, n_g), and its df.
 
-    None where nothing varies. Every group needs as many blocks as ``LEAST_OWN``.
-
-    Shapes: groups (d, n_g); weights (G,) or (k, G).
-
-    Notes
-    -----
-    With S_g the covariance in group g, theta_i = sum_g w_ig mean_g and M the covariance of all
+    None where nothing varies. Every group needs as many blocks as ``LEAST_OWN``. With S_g the
+    covariance in group g, theta_i = sum_g w_ig mean_g and M the covariance of all
     theta: F = theta' theta / tr M, df1 = (tr M)^2 / tr M^2, df2 = df1 (tr M)^2 /
     sum_g [(sum_i w_ig^2)^2 (tr S_g)^2 / n_g^2 / (n_g - 1)]. One group is Greenhouse-Geisser.
 
@@ -475,10 +461,7 @@ def welch_box(groups: Sequence[Array], weights: Array) -> tuple[float, float, fl
 
 
 def over_blocks(values: Array, least: float = 0.0) -> FRatioTest | None:
-    """Test whether contrasts of blocks have the mean zero; None where none scatters so much.
-
-    Shapes: values (d, b).
-    """
+    """Test whether contrasts (d, b) of blocks have the mean zero; None where none scatters more."""
     test = welch_box([values], np.ones(1))
     if test is None or float(np.sum(np.var(values, axis=1, ddof=1))) <= least:
         return None
@@ -506,10 +489,7 @@ class Influence:
 
 
 def influence(fit: Factored | TwoWayFit) -> Influence:
-    """Leverage, Cook's distance (Cook 1977) and PRESS residuals of a fit.
-
-    Shapes: returns (n,).
-    """
+    """Leverage, Cook's distance (Cook 1977) and PRESS residuals (n,) of a fit."""
     # a row of leverage one, or a saturated fit, has 0 / 0 here
     with np.errstate(divide="ignore", invalid="ignore"):
         if isinstance(fit, Factored):
