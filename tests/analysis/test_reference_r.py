@@ -30,8 +30,8 @@ FOLDER = Path(__file__).resolve().parents[2] / "validation" / "statistics"
 
 
 @cache
-def reference() -> dict[tuple[str, str, str, str], float]:
-    table = pd.read_csv(FOLDER / "reference_r.csv", comment="#", keep_default_na=False)
+def reference(name: str = "reference_r") -> dict[tuple[str, str, str, str], float]:
+    table = pd.read_csv(FOLDER / f"{name}.csv", comment="#", keep_default_na=False)
     keys = table[["design", "analysis", "term", "quantity"]].itertuples(index=False, name=None)
     return dict(zip(keys, table["value"].astype(float), strict=True))
 

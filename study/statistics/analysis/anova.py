@@ -163,8 +163,8 @@ def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
     if blocks is None and not replicated:
         return {}
     n = round(float(cells.mean())) if blocks is None else blocks
-    terms = {f: (out.anova.row(f), len(out.data.layout.levels[f]))
-             for f in out.data.factors if (f,) in out.terms}  # fmt: skip
+    names = [f for f in out.data.factors if (f,) in out.terms]
+    terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
     alpha, ratio = out.request.alpha, out.request.scale.is_log
     return planned(terms, n, cells.size, blocked=blocks is not None, alpha=alpha, ratio=ratio)
 
@@ -209,9 +209,8 @@ def _residual_frame(out: AnalysisOutcome) -> pd.DataFrame:
     import pandas as pd
 
     data, names = out.data, out.data.cell_names()
-    cell = [names[c] for c in data.cell]
-    frame = {"row": data.rows, "cell": cell, "representative": is_representative(out)}
-    frame["response"] = data.y
+    cell, is_first = [names[c] for c in data.cell], is_representative(out)
+    frame = {"row": data.rows, "cell": cell, "representative": is_first, "response": data.y}
     if data.block is not None:
         frame["block"] = data.layout.labels(data.block)
     if out.fit is not None:

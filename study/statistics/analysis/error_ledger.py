@@ -23,12 +23,7 @@ from study.statistics.analysis.effects import (
     with_pseudo_error,
 )
 from study.statistics.analysis.equal_variance import own_variances, welch_tests
-from study.statistics.analysis.gate import (
-    LEAST_CONTRASTS,
-    judge_factors,
-    refusal,
-    rivals_of_rows,
-)
+from study.statistics.analysis.gate import LEAST_CONTRASTS, judge_factors, refusal, rivals_of_rows
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Term,

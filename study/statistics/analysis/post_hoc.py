@@ -27,12 +27,7 @@ from study.statistics.analysis.comparisons import (
     two_sided,
 )
 from study.statistics.analysis.data import Crossed
-from study.statistics.analysis.effects import (
-    group_errors,
-    own_critical,
-    pooled_critical,
-    term_rows,
-)
+from study.statistics.analysis.effects import group_errors, own_critical, pooled_critical, term_rows
 from study.statistics.analysis.incomplete_blocks import mixed_cells
 from study.statistics.analysis.linear_contrast import Cells, possible_contrasts
 from study.statistics.analysis.linear_model import CellLayout, Term, nested_in, terms_of
@@ -331,9 +326,7 @@ def diagnosed_rows(analysis: AnalysisResult) -> pd.DataFrame | None:
     # a row that is fitted exactly leaves 0 / 0: it has no residual to judge
     left = np.where(leverage < EXACT, 1 - leverage, np.nan)
     return rows.assign(
-        row=rows["row"] + 1,
-        standardized=residual / s / np.sqrt(left),
-        press=residual / left,
+        row=rows["row"] + 1, standardized=residual / s / np.sqrt(left), press=residual / left
     )
 
 
