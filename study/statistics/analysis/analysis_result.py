@@ -52,6 +52,8 @@ class Detection:
     u_num_by_term: bool
     #: Detectable difference of each factor with other numbers of blocks or replicates.
     power: dict[str, tuple[PowerRow, ...]]
+    #: What turns differences into verdicts.
+    scale: Scale = field(default_factory=lambda: Scale("none", None, None, False))
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,6 @@ class DataSummary:
     crossed: Crossed | None = None
     #: What the table is: step of the readings, nesting, empty cells, terms that are not told apart.
     structure: Structure = field(default_factory=Structure)
-    #: What turns differences into verdicts.
-    scale: Scale = field(default_factory=lambda: Scale("none", None, None, False))
 
     @property
     def distinct(self) -> int:

@@ -98,6 +98,7 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
             out.u_raw,
             out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
             _power(out),
+            out.scale,
         ),
         assumptions,
         _summary_of_data(out),
@@ -118,7 +119,6 @@ def _summary_of_data(out: AnalysisOutcome) -> DataSummary:
         out.model,
         crossed=out.crossed,
         structure=out.structure,
-        scale=out.scale,
     )
 
 

@@ -105,7 +105,7 @@ class FailureBound:
 
 
 @dataclass(frozen=True)
-class LevelDifference:
+class DifferenceInterval:
     """Difference ``first - second`` (or ratio) of two levels with its simultaneous interval."""
 
     first: str
@@ -121,7 +121,7 @@ class LevelDifference:
 
 
 @dataclass(frozen=True)
-class PairDifference(LevelDifference):
+class PairDifference(DifferenceInterval):
     """Difference of two level means, and whether its interval excludes none."""
 
     different: bool

@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest
-from study.statistics.analysis.anova_table import LevelDifference
+from study.statistics.analysis.anova_table import DifferenceInterval
 from study.statistics.analysis.simple_effects import CANNOT_TELL, Differences, claim
 
 
 @dataclass(frozen=True)
-class LevelPair(LevelDifference):
+class LevelPair(DifferenceInterval):
     """Difference of two levels with its adjusted p."""
 
     p: float

@@ -17,7 +17,7 @@ import pandas as pd
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
-from study.statistics.analysis.anova_table import Effect, LevelDifference, PairDifference, Row
+from study.statistics.analysis.anova_table import DifferenceInterval, Effect, PairDifference, Row
 from study.statistics.analysis.comparisons import (
     Comparisons,
     LevelPair,
@@ -240,7 +240,7 @@ TWO_LEVELS = "t"
 
 
 @dataclass(frozen=True)
-class PairwiseDifference(LevelDifference):
+class PairwiseDifference(DifferenceInterval):
     """Difference of two levels of one factor, with the interval of all its pairs together."""
 
     factor: str
@@ -414,7 +414,7 @@ def cells_of(analysis: AnalysisResult) -> Cells:
     levels = {e.term: e.levels for e in analysis.effects if e.is_main}
     table = rows.assign(y=np.log(values) if request.scale.is_log else values)
     resampled = analysis.error_term.source == "E2"
-    cells = Cells(table, levels, analysis.data.scale, request.alpha, request.seed, resampled)
+    cells = Cells(table, levels, analysis.detection.scale, request.alpha, request.seed, resampled)
     if all(row.error != "REML" for row in analysis.anova.rows):
         return cells
     of_all = {**levels, "block": tuple(dict.fromkeys(table["block"]))}
