@@ -44,9 +44,11 @@ def test_two_factors_are_fitted_as_with_all_columns(drop: float) -> None:
         assert fit.projected(other) == pytest.approx(dense.projected(other), abs=1e-12)
 
 
-@pytest.mark.parametrize("terms", ["full", 2])
-def test_many_columns_of_a_complete_layout_are_products_of_small_factors(terms: str | int) -> None:
-    here = layout((12, 9, 8), None, 1)
+@pytest.mark.parametrize(("sizes", "terms"), [((7, 6, 5), "full"), ((12, 9, 8), 2)])
+def test_many_columns_of_a_complete_layout_are_products_of_small_factors(
+    sizes: tuple[int, ...], terms: str | int
+) -> None:
+    here = layout(sizes, None, 1)
     matrix = model_matrix(here, terms_of(list("abc"), terms))
     assert matrix.columns.shape[1] >= 200
     y = 1e3 + np.random.default_rng(2).normal(size=here.n)

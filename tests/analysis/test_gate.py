@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -13,16 +13,14 @@ from scipy.stats import t as student
 
 from study.api import contrasts
 from study.ground.errors import RefusedError
+from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
+from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.data import prepare, refuse_copied_rows
 from study.statistics.analysis.equal_variance import own_variances, variances_beside_blocks
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
-from study.statistics.analysis.simple_effects import (
-    CANNOT_TELL,
-    MATTERS,
-    NO_DIFFERENCE,
-)
+from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.statistics.analysis.sums_of_squares import factor
 
 
@@ -35,6 +33,28 @@ def sign(table: pd.DataFrame, *factors: str) -> pd.Series:
     return (2 * table[list(factors)] - 1).prod(axis=1)
 
 
+def analyzed(table: pd.DataFrame, factors: Sequence[str], **asked: object) -> AnalysisResult:
+    """Analysis with a practical difference of 1 where no other is asked for."""
+    return anova(table, "y", list(factors), **{"practical": 1.0, "exact": False} | asked)
+
+
+def verdicts(table: pd.DataFrame, factors: Sequence[str], **asked: object) -> set[str]:
+    found = analyzed(table, factors, **asked)
+    return {found.effect(name).verdict for name in factors}
+
+
+def judged(table: pd.DataFrame, factor: str = "a", **asked: object) -> Effect:
+    return analyzed(table, asked.pop("factors", [factor]), **asked).effect(factor)
+
+
+def withdrawn(why: str, table: pd.DataFrame, factor: str = "a", **asked: object) -> Effect:
+    """Effect of a factor of which nothing is claimed, for that reason."""
+    effect = judged(table, factor, **asked)
+    assert effect.verdict == CANNOT_TELL
+    assert why in effect.why
+    return effect
+
+
 def groups(seed: int, counts: tuple[int, ...], sds: tuple[float, ...]) -> pd.DataFrame:
     random = np.random.default_rng(seed)
     code = np.repeat(np.arange(len(counts)), counts)
@@ -45,15 +65,14 @@ def test_an_interaction_of_an_unreplicated_design_is_seen_in_simple_effects() ->
     table = crossed(a=2, b=2, c=2, d=2)
     noise = np.random.default_rng(3).normal(0, 0.2, 16)
     table["y"] = 10 + 2 * sign(table, "a", "b") + noise
-    found = anova(table, "y", list("abcd"), practical=1.0, exact=False)
+    found = analyzed(table, "abcd")
     assert found.error_term.source == "E6"
     assert [found.effect(f).verdict for f in "ab"] == [MATTERS, MATTERS]
     assert found.effect("a").deciding_simple.difference == pytest.approx(4, abs=0.8)
     # at a practical difference of 4 itself neither claim may be made
-    at_limit = anova(table, "y", list("abcd"), practical=4.0, exact=False)
+    at_limit = analyzed(table, "abcd", practical=4.0)
     assert NO_DIFFERENCE not in {at_limit.effect(f).verdict for f in "ab"}
-    flat = anova(table.assign(y=10 + noise), "y", list("abcd"), practical=3.0, exact=False)
-    assert {flat.effect(f).verdict for f in "abcd"} == {NO_DIFFERENCE}
+    assert verdicts(table.assign(y=10 + noise), "abcd", practical=3.0) == {NO_DIFFERENCE}
 
 
 @pytest.mark.parametrize("block", [None, "s"])
@@ -61,17 +80,16 @@ def test_a_model_that_leaves_an_interaction_out_claims_nothing(block: str | None
     table = crossed(s=5, a=2, b=2)
     random = np.random.default_rng(1)
     noise = random.normal(0, 0.05, 20) + (0 if block is None else table["s"])
-    asked = {"block": block, "model": ["a", "b"], "practical": 1.0, "exact": False}
+    asked = {"block": block, "model": ["a", "b"]}
     crossing = table.assign(y=3 * sign(table, "a", "b") + noise)
-    found = anova(crossing, "y", ["a", "b"], **asked | {"practical": 8.0})
-    assert {e.verdict for e in found.effects} == {NO_DIFFERENCE}  # so does the full model
-    found = anova(crossing, "y", ["a", "b"], **asked | {"practical": 4.0})
+    # so does the full model
+    assert verdicts(crossing, "ab", **asked, practical=8.0) == {NO_DIFFERENCE}
+    found = analyzed(crossing, "ab", **asked, practical=4.0)
     assert {e.verdict for e in found.effects} == {CANNOT_TELL}
     if block:
         assert "leaves out interactions" in found.effect("a").why
     assert any("lack of fit of the declared model: F(1, " in note for note in found.notes)
-    fits = anova(table.assign(y=noise), "y", ["a", "b"], **asked)
-    assert {e.verdict for e in fits.effects} == {NO_DIFFERENCE}
+    assert verdicts(table.assign(y=noise), "ab", **asked) == {NO_DIFFERENCE}
 
 
 def test_blocks_that_lack_a_cell_are_pooled_only_where_that_is_asked_for() -> None:
@@ -82,49 +100,39 @@ def test_blocks_that_lack_a_cell_are_pooled_only_where_that_is_asked_for() -> No
     table["y"] = 2 * table["a"] + own + 0.02 * random.normal(size=len(table))
     cut = table.drop(index=[8 * s + s % 8 for s in range(6)])
     for error in ("auto", "own"):
-        found = anova(cut, "y", ["a", "m"], block="s", practical=1.0, error=error, exact=False)
-        whole = anova(table, "y", ["a", "m"], block="s", practical=1.0, error=error, exact=False)
+        found, whole = (analyzed(rows, "am", block="s", error=error) for rows in (cut, table))
         assert "6 of 6 levels of s lack a cell" in found.error_term.reason
         assert found.error_term.df["a"] == pytest.approx(5.0, abs=0.1)
         assert found.anova.row("a").p == pytest.approx(whole.anova.row("a").p, rel=0.1)
         assert (found.effect("a").verdict, found.effect("m").verdict) == (MATTERS, NO_DIFFERENCE)
         assert found.effect("a").range == pytest.approx(2 + own[table["a"] == 1].mean(), abs=0.3)
-    asked = anova(cut, "y", ["a", "m"], block="s", practical=1.0, error="pooled", exact=False)
+    asked = analyzed(cut, "am", block="s", error="pooled")
     assert asked.effect("a").verdict == MATTERS
     assert asked.error_term.reason == "asked for"
 
 
 def test_welch_withdraws_what_the_pooled_variance_claims() -> None:
-    table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
-    found = anova(table, "y", ["a"], practical=2.5, exact=False)
-    assert found.effect("a").verdict == CANNOT_TELL
-    assert "Welch" in found.effect("a").why
-    assert found.effect("a").high is not None
-    assert found.effect("a").high < 2.5  # the pooled interval alone would claim
+    effect = withdrawn("Welch", groups(5, (20, 20, 4), (0.2, 0.2, 2.0)), practical=2.5)
+    assert effect.high < 2.5  # the pooled interval alone would claim
     even = groups(5, (20, 20, 4), (0.2, 0.2, 0.2))
-    assert anova(even, "y", ["a"], practical=2.5, exact=False).effect("a").verdict == NO_DIFFERENCE
+    assert judged(even, practical=2.5).verdict == NO_DIFFERENCE
 
 
 def test_two_rows_that_agree_by_chance_do_not_make_their_group_sure() -> None:
     """Welch's interval alone would take them for the surest rows: .085 false claims, not .05."""
     table = groups(5, (10, 2), (0.3, 0.0))
     table.loc[10:, "y"] += [2.3, 2.35]
-    found = anova(table, "y", ["a"], practical=1.7, exact=False)
-    assert found.effect("a").verdict == CANNOT_TELL
-    assert "Welch" in found.effect("a").why
+    withdrawn("Welch", table, practical=1.7)
     tests = pd.concat([table] + [table[10:] + [0, shift] for shift in (0.3, -0.3)])
-    assert anova(tests, "y", ["a"], practical=1.7, exact=False).effect("a").verdict == MATTERS
+    assert judged(tests, practical=1.7).verdict == MATTERS
 
 
 def test_readings_as_coarse_as_the_differences_claim_nothing() -> None:
     table = crossed(s=3, a=2)
     table["y"] = 7.0 + table["s"] + 2.0 * table["a"]  # one step more, in every block
-    found = anova(table, "y", ["a"], block="s", practical=1.5, exact=False)
-    assert found.effect("a").verdict == CANNOT_TELL
+    withdrawn("", table, block="s", practical=1.5)
     fine = table.assign(y=table["y"] + np.random.default_rng(0).normal(0, 0.01, 6))
-    assert anova(fine, "y", ["a"], block="s", practical=1.5, exact=False).effect("a").verdict == (
-        MATTERS
-    )
+    assert judged(fine, block="s", practical=1.5).verdict == MATTERS
 
 
 @pytest.mark.parametrize("times", [2, 3])
@@ -150,12 +158,10 @@ def test_copies_with_other_last_digits_are_refused(times: int, digit: float) -> 
         anova(copied, "y", ["a"], exact=False)
     blocks = crossed(s=5, a=4)
     blocks["y"] = 3 * blocks["s"] + blocks["a"] + random.normal(0, 0.3, 20)
-    blocks.loc[blocks["s"] == 4, "y"] = blocks["y"][blocks["s"] == 1].to_numpy() + 1e-5
-    with pytest.raises(RefusedError, match="to within 1e-05 s 4 repeats 1"):
-        anova(blocks, "y", ["a"], block="s", exact=False)
-    blocks.loc[blocks["s"] == 4, "y"] = blocks["y"][blocks["s"] == 1].to_numpy()
-    with pytest.raises(RefusedError, match="in every digit s 4 repeats 1"):
-        anova(blocks, "y", ["a"], block="s", exact=False)
+    for shift, how in ((1e-5, "to within 1e-05"), (0.0, "in every digit")):
+        blocks.loc[blocks["s"] == 4, "y"] = blocks["y"][blocks["s"] == 1].to_numpy() + shift
+        with pytest.raises(RefusedError, match=f"{how} s 4 repeats 1"):
+            anova(blocks, "y", ["a"], block="s", exact=False)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -178,11 +184,8 @@ def test_skewed_differences_need_an_interval_without_a_normal_distribution() -> 
     differences = np.array([0.05, 0.12, 0.2, 0.31, 0.45, 0.7])
     table = crossed(s=6, a=2)
     table["y"] = 3.7 * table["s"] + np.repeat(differences, 2) * table["a"]
-    found = anova(table, "y", ["a"], block="s", practical=0.65, exact=False)
-    assert found.effect("a").verdict == CANNOT_TELL
-    assert "skewed" in found.effect("a").why
-    assert found.effect("a").high is not None
-    assert found.effect("a").high < 0.65
+    effect = withdrawn("skewed", table, block="s", practical=0.65)
+    assert effect.high < 0.65
 
 
 def test_a_share_of_a_mean_that_is_not_known_is_no_exact_limit() -> None:
@@ -190,9 +193,7 @@ def test_a_share_of_a_mean_that_is_not_known_is_no_exact_limit() -> None:
     random = np.random.default_rng(6)
     table["y"] = np.repeat(20 + 3 * random.normal(size=5), 2) + 1.02 * table["a"]
     table["y"] += random.normal(0, 0.005, 10)
-    found = anova(table, "y", ["a"], block="s", practical="5 % of mean", exact=False)
-    assert found.effect("a").verdict == CANNOT_TELL
-    assert "5 % of a mean of" in found.effect("a").why
+    withdrawn("5 % of a mean of", table, block="s", practical="5 % of mean")
 
 
 @pytest.mark.parametrize(
@@ -203,10 +204,7 @@ def test_the_gate_changes_no_number(levels: dict[str, int], block: str | None) -
     table = crossed(**levels)
     table["y"] = 5 + np.random.default_rng(8).normal(0, 0.2, len(table))
     factors = [f for f in levels if f not in ("s", "r")]
-    ask: Callable[[float], object] = lambda limit: anova(  # noqa: E731
-        table, "y", factors, block=block, practical=limit, exact=False
-    )
-    claims, refuses = ask(1.5), ask(0.01)
+    claims, refuses = (analyzed(table, factors, block=block, practical=p) for p in (1.5, 0.01))
     assert claims.anova == refuses.anova
     assert [e.ci95 for e in claims.effects] == [e.ci95 for e in refuses.effects]
     assert {e.verdict for e in claims.effects if e.is_main} == {NO_DIFFERENCE}
@@ -296,14 +294,10 @@ def test_failed_combinations_leave_the_good_cases_their_verdicts() -> None:
     table["y"] = 10 + 5.0 * table["material"] + 0.2 * table["space"] + 0.01 * table["mesh"]
     failed = (table["space"] == 1) & (table["order"] == 1)
     factors = ["space", "material", "order", "mesh"]
-    found = anova(
-        table.assign(y=table["y"].mask(failed)), "y", factors, records=True, practical=1.0,
-        exact=False,
-    )  # fmt: skip
-    verdicts = {f: found.effect(f).verdict for f in factors}
-    assert verdicts == {
-        "space": NO_DIFFERENCE, "material": MATTERS, "order": NO_DIFFERENCE, "mesh": NO_DIFFERENCE,
-    }  # fmt: skip
+    found = analyzed(table.assign(y=table["y"].mask(failed)), factors, records=True)
+    matters = {f: found.effect(f).verdict == MATTERS for f in factors}
+    assert matters == {"space": False, "material": True, "order": False, "mesh": False}
+    assert {found.effect(f).verdict for f in factors} == {MATTERS, NO_DIFFERENCE}
     assert {dict(e.at)["order"] for e in found.effect("space").simple_effects} == {"0"}
     assert sum("left out, for these runs" in note for note in found.notes) == 1
 
@@ -332,12 +326,11 @@ def test_an_interaction_hidden_from_a_declared_model_withdraws_claims(
     table["E"] = table[list("ABCD")].sum(axis=1) % 2
     noise = np.random.default_rng(1).normal(0, 0.05, 16)
     table["y"] = 10 + 0.6 * sign(table, "A", "B") + noise
-    asked = {"model": 1, "practical": 1.0, "exact": False}
-    found = anova(table.drop(index=lost), "y", list(factors), **asked)
+    found = analyzed(table.drop(index=lost), factors, model=1)
     assert [found.effect(f).verdict for f in "AB"] == [CANNOT_TELL, CANNOT_TELL]
     assert any("A:B stands out" in note for note in found.notes)
-    flat = anova(table.assign(y=10 + noise).drop(index=lost), "y", list(factors), **asked)
-    assert {flat.effect(f).verdict for f in factors} == {NO_DIFFERENCE}
+    flat = table.assign(y=10 + noise).drop(index=lost)
+    assert verdicts(flat, factors, model=1) == {NO_DIFFERENCE}
 
 
 def test_an_interaction_that_main_effects_share_withdraws_claims_too() -> None:
@@ -347,18 +340,16 @@ def test_an_interaction_that_main_effects_share_withdraws_claims_too() -> None:
     table = pd.DataFrame(runs[:, :5], columns=list("ABCDE"))
     noise = np.random.default_rng(12).normal(0, 0.05, 12)
     table["y"] = 10 + 0.6 * table["A"] * table["B"] + noise
-    found = anova(table, "y", list("ABCDE"), model=1, practical=1.0, exact=False)
+    found = analyzed(table, "ABCDE", model=1)
     assert NO_DIFFERENCE not in {found.effect(f).verdict for f in "AB"}
-    flat = anova(table.assign(y=noise), "y", list("ABCDE"), model=1, practical=1.0, exact=False)
-    assert {flat.effect(f).verdict for f in "ABCDE"} == {NO_DIFFERENCE}
+    assert verdicts(table.assign(y=noise), "ABCDE", model=1) == {NO_DIFFERENCE}
 
 
 def test_a_fraction_leaves_out_aliases_in_one_sentence() -> None:
     table = crossed(A=2, B=2, C=2, D=2)
     table["E"] = table[list("ABCD")].sum(axis=1) % 2
     table["y"] = 10 + 2 * sign(table, "A", "B") + np.random.default_rng(1).normal(0, 0.2, 16)
-    found = anova(table, "y", list("ABCDE"), practical=1.0, exact=False)
-    declared = anova(table, "y", list("ABCDE"), model=2, practical=1.0, exact=False)
+    found, declared = analyzed(table, "ABCDE"), analyzed(table, "ABCDE", model=2)
     assert found.anova == declared.anova
     assert {e.verdict for e in found.effects if e.is_main} == {CANNOT_TELL}
     assert [declared.effect(f).verdict for f in "AC"] == [MATTERS, NO_DIFFERENCE]
@@ -387,9 +378,8 @@ def sessions() -> pd.DataFrame:
 
 def test_a_unit_in_several_cells_is_a_block() -> None:
     table = sessions()
-    asked = {"practical": 1.0, "exact": False}
-    unit = anova(table, "y", ["treat", "session"], unit="subject", **asked)
-    block = anova(table, "y", ["treat", "session"], block="subject", **asked)
+    unit = analyzed(table, ["treat", "session"], unit="subject")
+    block = analyzed(table, ["treat", "session"], block="subject")
     assert unit.anova == block.anova
     assert [unit.anova.row(t).df for t in ("subject", "subject:session")] == [6, 12]
     assert any("--block subject" in note for note in unit.notes)
@@ -398,10 +388,8 @@ def test_a_unit_in_several_cells_is_a_block() -> None:
 def test_means_of_a_split_plot_have_intervals() -> None:
     """Of a whole plot's level: the scatter of whole plots; of the others: of both strata."""
     table = sessions()
-    found = anova(
-        table, "y", ["treat", "session"], block="subject", whole_plot="treat", practical=9.0,
-        exact=False,
-    )  # fmt: skip
+    asked = {"block": "subject", "whole_plot": "treat", "practical": 9.0}
+    found = analyzed(table, ["treat", "session"], **asked)
     ms = {row.term: row.ms for row in found.anova.rows}
     half = student.ppf(0.975, 6) * np.sqrt(ms["subject"] / 12)
     ((low, high), _) = found.effect("treat").mean_ci95
@@ -416,10 +404,8 @@ def test_means_of_a_split_plot_have_intervals() -> None:
 def test_one_specimen_tells_nothing_of_another() -> None:
     table = crossed(a=3, r=2).assign(s="only")
     table["y"] = np.random.default_rng(1).normal(size=6) + 9 * table["a"]
-    found = anova(table, "y", ["a"], block="s", practical=1.0, exact=False)
-    assert found.effect("a").verdict == CANNOT_TELL
-    assert "one specimen" in found.effect("a").why
-    assert any("one s (only)" in note for note in found.notes)
+    withdrawn("one specimen", table, block="s")
+    assert any("one s (only)" in note for note in analyzed(table, "a", block="s").notes)
 
 
 def test_contrasts_asked_for_by_name_pass_the_gate() -> None:
@@ -434,39 +420,29 @@ def test_differences_of_rounding_are_no_skewed_sample() -> None:
     """Cells that compute the same differ in their last digits alone, all to one side."""
     table = crossed(s=8, a=2)
     table["y"] = 3.0 + table["s"] + 4e-16 * (table["a"] * (1 + table["s"] ** 3))
-    found = anova(table, "y", ["a"], block="s", records=True, practical=0.5, exact=False)
-    assert found.effect("a").verdict == NO_DIFFERENCE
-
-
-def lacking_a_cell(seed: int, step: float, bend: float, noise: float) -> pd.DataFrame:
-    """Three by two in six blocks, each of which lacks one of its cells."""
-    random = np.random.default_rng(seed)
-    table = crossed(s=6, a=3, c=2)
-    bent = bend * (1 - table["a"]) * (2 * table["c"] - 1)
-    y = np.repeat(random.normal(0, 3, 6), 6) + bent + random.normal(0, noise, 36)
-    table["y"] = step * np.round(y / step) if step else y
-    return table.drop(index=[6 * s + s for s in range(6)])
+    assert judged(table, block="s", records=True, practical=0.5).verdict == NO_DIFFERENCE
 
 
 def test_a_declared_model_over_blocks_that_lack_cells_is_held_against_its_lack_of_fit() -> None:
-    table = lacking_a_cell(59, 0.0, 0.3, 0.3)
-    found = anova(table, "y", ["a", "c"], block="s", model=1, practical=0.9, exact=False)
+    """Three by two in six blocks, each of which lacks one of its cells."""
+    random = np.random.default_rng(59)
+    table = crossed(s=6, a=3, c=2)
+    bent = 0.3 * (1 - table["a"]) * (2 * table["c"] - 1)
+    table["y"] = np.repeat(random.normal(0, 3, 6), 6) + bent + random.normal(0, 0.3, 36)
+    table = table.drop(index=[6 * s + s for s in range(6)])
+    asked = {"block": "s", "model": 1, "practical": 0.9}
     for name in "ac":
-        effect = found.effect(name)
-        assert effect.verdict == CANNOT_TELL
-        assert "leaves out interactions" in effect.why
+        effect = withdrawn("leaves out interactions", table, name, factors="ac", **asked)
         assert effect.withdrawn == (effect.why,)
-    assert any(note.startswith("lack of fit") for note in found.notes)
+    assert any(n.startswith("lack of fit") for n in analyzed(table, "ac", **asked).notes)
 
 
 def test_a_verdict_says_what_withdrew_it_and_is_null_without_a_practical_difference() -> None:
     table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
     found = anova(table, "y", ["a"], practical=2.5, exact=False)
-    document = found.to_json()
-    (effect,) = document["effects"]
+    (effect,), (row,) = found.to_json()["effects"], found.verdicts()
     assert (effect["verdict"], len(effect["withdrawn"])) == (CANNOT_TELL, 1)
-    assert document["structure"]["empty_cells"] == 0
-    (row,) = found.verdicts()
+    assert found.to_json()["structure"]["empty_cells"] == 0
     assert row["withdrawn"] == effect["withdrawn"]
     (effect,) = anova(table, "y", ["a"], exact=False).to_json()["effects"]
     assert effect["verdict"] is None
@@ -491,12 +467,11 @@ def test_a_declared_model_of_groups_of_blocks_is_held_against_its_lack_of_fit(
     bend = 1.5 * (2 * table["m"] - 1) * (table["b"] - 1)
     scatter = np.repeat(random.normal(0, 2, 2 * specimens), 3) + random.normal(0, 0.05, len(table))
     table = table.assign(s=10 * table["m"] + table["k"], y=bend + scatter)
-    declared = anova(table, "y", ["m", "b"], block="s", model=1, practical=1.0, exact=False)
+    declared = analyzed(table, "mb", block="s", model=1)
     assert NO_DIFFERENCE not in {declared.effect(f).verdict for f in "mb"}
     if specimens > 2:
         assert "leaves out interactions" in declared.effect("b").why
-        whole = anova(table, "y", ["m", "b"], block="s", practical=1.0, exact=False)
-        assert whole.effect("b").verdict == MATTERS
+        assert judged(table, "b", factors="mb", block="s").verdict == MATTERS
 
 
 def test_a_declared_model_of_a_split_plot_is_held_against_its_lack_of_fit() -> None:
@@ -505,14 +480,10 @@ def test_a_declared_model_of_a_split_plot_is_held_against_its_lack_of_fit() -> N
     plots = np.repeat(random.normal(0, 2, 5), 6) + np.repeat(random.normal(0, 0.2, 10), 3)
     bend = 1.5 * (2 * table["a"] - 1) * (table["b"] - 1)
     table["y"] = plots + bend + random.normal(0, 0.1, 30)
-    found = anova(table, "y", ["a", "b"], block="s", whole_plot="a", model=1, practical=1.0,
-                  exact=False)  # fmt: skip
-    assert found.effect("a").verdict == CANNOT_TELL
-    assert "leaves out interactions" in found.effect("a").why
+    asked = {"factors": ["a", "b"], "block": "s", "whole_plot": "a", "model": 1}
+    withdrawn("leaves out interactions", table, **asked)
     flat = table.assign(y=plots + random.normal(0, 0.1, 30))
-    sound = anova(flat, "y", ["a", "b"], block="s", whole_plot="a", model=1, practical=1.0,
-                  exact=False)  # fmt: skip
-    assert sound.effect("b").verdict == NO_DIFFERENCE
+    assert judged(flat, "b", **asked).verdict == NO_DIFFERENCE
 
 
 @pytest.mark.parametrize(("k", "seed"), [(5, 3), (5, 20), (5, 21), (4, 42), (4, 46), (4, 47)])
@@ -525,9 +496,7 @@ def test_one_treatment_of_a_latin_square_scatters_more(k: int, seed: int) -> Non
     rows, columns = random.normal(0, 1, k), random.normal(0, 1, k)
     scatter = sd * random.normal(size=k * k)
     table["y"] = rows[table["r"]] + columns[table["c"]] + scatter + 1.5 * (table["v"] == k - 1)
-    found = anova(table, "y", ["v"], block=["r", "c"], practical=1.5, exact=False)
-    assert found.effect("v").verdict == CANNOT_TELL
-    assert "scatter unequally" in found.effect("v").why
+    withdrawn("scatter unequally", table, "v", block=["r", "c"], practical=1.5)
 
 
 def test_variances_beside_blocks_are_those_of_the_cells_where_there_are_none() -> None:
@@ -546,16 +515,11 @@ def test_groups_of_blocks_are_held_to_what_blocks_alone_are() -> None:
     random = np.random.default_rng(4)
     base = np.repeat(random.permutation([15, 17, 18, 20, 20, 22, 23, 25]), 2)
     table["y"] = base + 1.08 * table["v"] + random.normal(0, 0.01, 16)
-    found = anova(table, "y", ["g", "v"], block="s", practical="5 % of mean", exact=False)
-    assert found.effect("v").verdict == CANNOT_TELL
-    assert "is not known well enough" in found.effect("v").why
-    assert anova(table, "y", ["g", "v"], block="s", practical=1.0, exact=False).effect(
-        "v"
-    ).verdict == MATTERS  # fmt: skip
+    asked = {"factors": ["g", "v"], "block": "s"}
+    withdrawn("is not known well enough", table, "v", practical="5 % of mean", **asked)
+    assert judged(table, "v", **asked).verdict == MATTERS
     table["y"] = base + np.repeat(random.integers(0, 2**20, 8), 2) / 2**20 + 2.0 * table["v"]
-    same = anova(table, "y", ["g", "v"], block="s", practical=1.0, exact=False)
-    assert same.effect("v").verdict == CANNOT_TELL
-    assert "no scatter to judge by" in same.effect("v").why
+    withdrawn("no scatter to judge by", table, "v", **asked)
 
 
 def test_rows_around_an_outlier_and_beside_a_volatile_cell_are_no_copies() -> None:
@@ -583,21 +547,14 @@ def test_readings_of_two_instruments_are_as_coarse_as_both() -> None:
     table["y"] = 7.0 + table["s"] + 2.0 * table["a"]
     table.loc[4:, "y"] += [0.113, 0.108, -0.094, -0.102]
     for unit in (1.0, 1e-12):
-        found = anova(
-            table.assign(y=unit * table["y"]), "y", ["a"], block="s", practical=1.75 * unit,
-            exact=False,
-        )  # fmt: skip
-        assert found.effect("a").verdict == CANNOT_TELL
-        assert "coarse" in found.effect("a").why
+        withdrawn("coarse", table.assign(y=unit * table["y"]), block="s", practical=1.75 * unit)
 
 
 def test_a_cell_without_scatter_beside_others_judges_nothing() -> None:
     random = np.random.default_rng(10)
     table = pd.DataFrame({"a": np.repeat([0, 1], 8), "y": 10 + random.normal(0, 0.15, 16).round(3)})
     table.loc[:7, "y"] = 10.0
-    found = anova(table, "y", ["a"], practical=0.5, exact=False).effect("a")
-    assert found.verdict == CANNOT_TELL
-    assert "no scatter" in found.why
+    withdrawn("no scatter", table, practical=0.5)
 
 
 def test_a_block_that_changes_with_a_factor_is_refused_with_the_words_to_type() -> None:

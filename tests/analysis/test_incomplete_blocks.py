@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import combinations
 
 import numpy as np
@@ -66,11 +67,8 @@ def test_an_effect_is_still_tested_against_its_own_interaction() -> None:
     assert row.df_error == 6
     assert part.df_error == pytest.approx(6, abs=0.05)
     assert part.f == pytest.approx(row.f, rel=0.1)
-    assert part.p_deciding is not None
     assert part.p_deciding > 0.5 * row.p_deciding
     whole, effect = full.effects[0], less.effects[0]
-    assert whole.ci95 is not None
-    assert effect.ci95 is not None
     assert np.ptp(effect.ci95) == pytest.approx(np.ptp(whole.ci95), rel=0.1)
     assert effect.verdict == whole.verdict
     assert "7 of 7 levels of specimen lack a cell" in less.error_term.reason
@@ -116,21 +114,17 @@ def rates(scatter: list[float], blocks: int, practical: float, data_sets: int) -
     """Share of each verdict where levels do not differ and each block lacks a cell."""
     random = np.random.default_rng(17)
     levels = len(scatter)
-    request = AnalysisRequest(
-        "y", ("a",), Blocking(("s",)), scale=ResponseScale(practical=Threshold(practical))
-    )
-    block, cell = (g.ravel() for g in np.meshgrid(range(blocks), range(levels), indexing="ij"))
-    count: dict[str, float] = {}
+    scale = ResponseScale(practical=Threshold(practical))
+    request = AnalysisRequest("y", ("a",), Blocking(("s",)), scale=scale)
+    block, cell = np.divmod(np.arange(blocks * levels), levels)
+    verdicts = []
     for _ in range(data_sets):
-        y = (
-            random.normal(0, 2, blocks)[block]
-            + random.normal(size=block.size) * np.array(scatter)[cell]
-        )
+        y = random.normal(0, 2, blocks)[block]
+        y += random.normal(size=block.size) * np.array(scatter)[cell]
         lost = random.integers(0, levels, blocks)[block] == cell
         table = pd.DataFrame({"s": block, "a": cell, "y": y})[~lost]
-        (effect,) = effects(table, request)
-        count[effect.verdict] = count.get(effect.verdict, 0) + 1 / data_sets
-    return count
+        verdicts += [effect.verdict for effect in effects(table, request)]
+    return {verdict: n / data_sets for verdict, n in Counter(verdicts).items()}
 
 
 def test_a_volatile_level_makes_no_more_false_claims_than_promised() -> None:

@@ -169,8 +169,7 @@ def test_the_dyestuff_of_davies_as_lme4_has_it() -> None:
     Their criterion leaves out log |X'X| = log 30. In a balanced layout the restricted likelihood
     is a function of the two mean squares, which the intervals are compared with.
     """
-    rows = [(batch, value) for batch, values in DYESTUFF.items() for value in values]
-    table = pd.DataFrame(rows, columns=["batch", "y"])
+    table = pd.DataFrame(DYESTUFF).melt(var_name="batch", value_name="y")
     found = study.mixed_model(table, "y", [], block="batch")
     batch, within = found.components
     values = np.array(list(DYESTUFF.values()), dtype=float)
@@ -198,20 +197,14 @@ def test_the_dyestuff_of_davies_as_lme4_has_it() -> None:
 
 def test_the_pastes_of_davies_as_lme4_has_them() -> None:
     """Pastes of lme4: strength ~ 1 + (1 | batch) + (1 | sample), REML criterion 246.9907."""
-    rows = [
-        (batch, cask, PASTES[6 * i + 2 * j + k])
-        for i, batch in enumerate("ABCDEFGHIJ")
-        for j, cask in enumerate("abc")
-        for k in range(2)
-    ]
-    table = pd.DataFrame(rows, columns=["batch", "cask", "strength"])
+    cells = list(product("ABCDEFGHIJ", "abc", range(2)))
+    table = pd.DataFrame(cells, columns=["batch", "cask", "row"]).assign(strength=PASTES)
     found = study.mixed_model(table, "strength", [], random=["batch", "batch:cask"])
     sd = {c.source: c.sd for c in found.components}
     of_r = {"batch": 1.287365170, "batch:cask": 2.904077585, "within": 0.823407544}
     assert sd == pytest.approx(of_r, rel=1e-6)
     assert found.deviance == pytest.approx(246.9907 - np.log(60), abs=1e-4)
-    for component in found.components:
-        assert component.low <= component.sd <= component.high
+    assert all(c.low <= c.sd <= c.high for c in found.components)
 
 
 def blocked(seed: int = 1, blocks: int = 8) -> pd.DataFrame:
@@ -312,8 +305,8 @@ def test_random_factors_that_cross_are_two_components() -> None:
     """Ten materials in six laboratories, every pair once: a two-way table of mean squares."""
     random = np.random.default_rng(12)
     y = random.normal(0, 2, (6, 1)) + random.normal(0, 1, (1, 10)) + random.normal(0, 0.5, (6, 10))
-    rows = [(f"l{i}", f"m{j}", y[i, j]) for i, j in product(range(6), range(10))]
-    table = pd.DataFrame(rows, columns=["lab", "material", "y"])
+    pairs = list(product(range(6), range(10)))
+    table = pd.DataFrame(pairs, columns=["lab", "material"]).assign(y=y.ravel())
     found = study.mixed_model(table, "y", [], block=["lab", "material"])
     left = y - y.mean(axis=1, keepdims=True) - y.mean(axis=0) + y.mean()
     rest = float((left**2).sum()) / 45

@@ -140,7 +140,6 @@ def test_the_naive_size_is_what_null_studies_show() -> None:
     unit = np.repeat(np.arange(8), 6)
     y = 1 + rng.normal(size=8)[unit] + rng.normal(size=48)
     nested = anova(table.assign(y=y), "y", ["a"], unit="s", exact=False).data.nested
-    assert nested is not None
     assert nested.units == 8
     from study.statistics.analysis.repeats import _naive_size
 

@@ -7,29 +7,22 @@ components come from two optimizers, at 1e-5.
 
 from __future__ import annotations
 
-from functools import cache
+from functools import partial
 
 import pandas as pd
 import pytest
 from scipy import stats
 
 import study
-from tests.conftest import ROOT
+from tests.analysis.test_reference_r import FOLDER, data
+from tests.analysis.test_reference_r import reference as figures_of
 
-FOLDER = ROOT / "validation" / "statistics"
 SAME = 1e-8
-
-
-@cache
-def reference() -> dict[tuple[str, ...], float]:
-    table = pd.read_csv(FOLDER / "reference_packages.csv", comment="#", keep_default_na=False)
-    keys = table[["design", "analysis", "term", "quantity"]].itertuples(index=False, name=None)
-    return dict(zip(keys, table["value"].astype(float), strict=True))
+reference = partial(figures_of, "reference_packages")
 
 
 def crossed(design: str) -> pd.DataFrame:
-    table = pd.read_csv(FOLDER / "crossed.csv")
-    return table[table["keep"] == 1] if design.endswith("unbalanced") else table
+    return data("crossed", whole=not design.endswith("unbalanced"))
 
 
 @pytest.mark.parametrize("design", ["crossed", "crossed-unbalanced"])
@@ -42,7 +35,6 @@ def test_simple_effects_are_those_of_emmeans(design: str) -> None:
         term = f"{one.first}-{one.second}|{at['b']}|{at['c']}"
         r = {q: reference()[design, "simple", term, q] for q in ("difference", "error", "df")}
         assert one.difference == pytest.approx(r["difference"], rel=SAME)
-        assert one.ci is not None
         half = stats.t.ppf(0.975, r["df"]) * r["error"]
         assert (one.ci[1] - one.ci[0]) / 2 == pytest.approx(half, rel=SAME)
 
@@ -57,8 +49,7 @@ def test_a_named_contrast_is_that_of_emmeans(design: str) -> None:
 
 
 def test_variance_components_of_incomplete_blocks_are_those_of_lme4() -> None:
-    table = pd.read_csv(FOLDER / "incomplete.csv")
-    blocks, within = study.mixed_model(table, "y", ["t"], block="k").components
+    blocks, within = study.mixed_model(data("incomplete"), "y", ["t"], block="k").components
     assert blocks.sd == pytest.approx(reference()["incomplete", "reml", "k", "sd"], rel=1e-5)
     assert within.sd == pytest.approx(reference()["incomplete", "reml", "within", "sd"], rel=1e-5)
 

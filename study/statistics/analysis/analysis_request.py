@@ -15,11 +15,7 @@ from study.ground.arrays import Array, Ints
 from study.ground.contrast import Threshold
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.units import converted, naming
-from study.statistics.analysis.anova_table import (
-    Anova,
-    Effect,
-    ErrorTerm,
-)
+from study.statistics.analysis.anova_table import Anova, Effect, ErrorTerm
 from study.statistics.analysis.data import Crossed, Data, Structure
 from study.statistics.analysis.effects import MOST_LEVELS, Scale
 from study.statistics.analysis.linear_model import Model, Term, term_name
@@ -54,16 +50,14 @@ def threshold(practical: Practical, unit: str = "") -> Threshold | None:
 def _parse(text: str, response_unit: str) -> Threshold:
     match = _TEXT.match(text)
     if match is None:
-        raise InputError(
-            Fault("practical", f"cannot read {text!r}", "write '0.5 pp', '0.05 N' or '5 % of mean'")
-        )
+        mend = "write '0.5 pp', '0.05 N' or '5 % of mean'"
+        raise InputError(Fault("practical", f"cannot read {text!r}", mend))
     value, unit = float(match["value"]), " ".join((match["unit"] or "").split())
     if unit.replace(" ", "") == "%ofmean":
         return Threshold(value / 100, relative=True)
     if unit == "%":
-        raise InputError(
-            Fault("practical", f"{text!r} can mean two things", "write 'pp' or '% of mean'")
-        )
+        rule = f"{text!r} can mean two things"
+        raise InputError(Fault("practical", rule, "write 'pp' or '% of mean'"))
     if not unit or not response_unit or (unit, response_unit) == ("pp", "%"):
         return Threshold(value)
     with naming("practical"):
@@ -212,11 +206,15 @@ class AnalysisRequest:
         return self.seed if self.simulated else None
 
     @property
+    def is_ordered(self) -> bool:
+        """Whether the terms are all those up to an order."""
+        return self.model == "full" or isinstance(self.model, int)
+
+    @property
     def lower_order(self) -> int:
         """Highest order of a smaller model, at most two; 0 where none of fewer terms has a name."""
         order = self.model if isinstance(self.model, int) else len(self.factors)
-        ordered = self.model == "full" or isinstance(self.model, int)
-        return min(2, order - 1, len(self.factors) - 1) if ordered else 0
+        return min(2, order - 1, len(self.factors) - 1) if self.is_ordered else 0
 
     def __post_init__(self) -> None:
         faults = [
@@ -224,8 +222,8 @@ class AnalysisRequest:
             *_not_one_of("error", self.error, ("auto", "pooled", "own", "welch")),
             *self.layout.faults(),
             *self.scale.faults(),
+            *alpha_faults(self.alpha),
         ]
-        faults += alpha_faults(self.alpha)
         if self.error == "welch" and (self.layout.block or self.layout.unit):
             rule = "'welch' gives each cell a variance of its own, which needs rows without blocks"
             faults.append(Fault("error", rule, "leave it out: effects over blocks need none"))
@@ -233,9 +231,8 @@ class AnalysisRequest:
             rule = f"'welch' tests each term given all others, which is III, not {self.sums}"
             faults.append(Fault("type", rule, "leave it out"))
         if self.error == "own" and not self.layout.block:
-            mend = "name the replicated unit with --block"
             rule = "'own' tests against interactions with the blocks, but no block is named"
-            faults.append(Fault("error", rule, mend))
+            faults.append(Fault("error", rule, "name the replicated unit with --block"))
         if self.error == "own" and len(self.layout.block) > 1:
             faults.append(Fault("error", "'own' needs one block; several that cross are pooled"))
         if faults:
@@ -304,17 +301,13 @@ class AnalysisOutcome:
 
     def constant(self) -> AnalysisOutcome:
         """Outcome of a response that does not vary."""
+        y = self.data.y
         message = (
-            f"{self.request.response} is constant ({self.data.y[0]:.6g} in all "
-            f"{self.data.y.size} rows, to rounding or solver tolerance): no ANOVA"
+            f"{self.request.response} is constant ({y[0]:.6g} in all {y.size} rows, to rounding or "
+            "solver tolerance): no ANOVA"
         )
-        cells = tuple(int(c) for c in np.unique(self.data.cell))
-        return replace(
-            self,
-            y=self.data.y,
-            copies=CopyGroups((cells,)),
-            warnings=(*self.data.warnings, message),
-        )
+        copies = CopyGroups((tuple(np.unique(self.data.cell).tolist()),))
+        return replace(self, y=y, copies=copies).warn(*self.data.warnings, message)
 
 
 def kind_of(
@@ -334,29 +327,18 @@ def kind_of(
 
 
 def scale_of(out: AnalysisOutcome, y: Array) -> Scale:
-    """Scale of a response: its practical difference and numerical bound as was asked.
-
-    Shapes: y (n,).
-    """
-    scale = out.request.scale
+    """Scale of a response y (n,): its practical difference and numerical bound as was asked."""
+    scale, block, specimens = out.request.scale, out.data.block, out.request.specimens
     mean = float(np.exp(y.mean())) if scale.is_log else float(y.mean())
     limit = scale.practical
     practical = None if limit is None else limit.on_scale(mean, scale.transform)
     unit = 1 / mean if scale.is_log else 1.0
     bound = scale.bound(map(term_name, out.terms), unit)
-    specimens = out.request.specimens
-    measured = out.replicates not in ("mesh-seeds", "noise")
-    if specimens is None and out.data.block is not None and measured:
-        specimens = len(out.data.layout.levels[out.data.block])
-    return Scale(
-        scale.transform,
-        practical,
-        bound,
-        out.request.records and out.data.block is None,
-        unit,
-        specimens,
-        bound.only if isinstance(bound, SeriesBounds) else {},
-    )
+    if specimens is None and block is not None and out.replicates not in ("mesh-seeds", "noise"):
+        specimens = len(out.data.layout.levels[block])
+    deterministic = out.request.records and block is None
+    only = bound.only if isinstance(bound, SeriesBounds) else {}
+    return Scale(scale.transform, practical, bound, deterministic, unit, specimens, only)
 
 
 def range_of_bounds(out: AnalysisOutcome, scale: Scale) -> tuple[float | None, float | None]:

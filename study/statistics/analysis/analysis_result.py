@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from study.ground.canonical import Keyed, plain
+from study.ground.canonical import Keyed
 from study.statistics.analysis.anova_table import (
     Anova,
     Effect,
@@ -15,6 +15,7 @@ from study.statistics.analysis.anova_table import (
 )
 from study.statistics.analysis.assumptions import Assumptions
 from study.statistics.analysis.data import Crossed, Structure
+from study.statistics.analysis.effects import Scale
 from study.statistics.analysis.power import PowerRow
 from study.statistics.analysis.sums_of_squares import Factored
 
@@ -51,6 +52,8 @@ class Detection:
     u_num_by_term: bool
     #: Detectable difference of each factor with other numbers of blocks or replicates.
     power: dict[str, tuple[PowerRow, ...]]
+    #: What turns differences into verdicts.
+    scale: Scale = field(default_factory=lambda: Scale("none", None, None, False))
 
 
 @dataclass(frozen=True)
@@ -132,26 +135,17 @@ class AnalysisResult(Keyed):
 
     def verdicts(self) -> list[dict[str, object]]:
         """One line a factor or interaction, as ``study run --json`` lists them."""
-        return [
-            {
-                "response": self.request.response,
-                "factor": effect.term,
-                "verdict": None if effect.practical is None else effect.verdict,
-                "effect": plain(effect.range),
-                "ci95": plain(effect.ci95),
-                "practical": plain(effect.practical),
-                "u_num": plain(effect.u_num),
-                "p": plain(effect.p),
-                "effect_over_u_num": plain(effect.effect_over_u_num),
-                "resolved": effect.resolved,
-                "why": effect.why,
-                "U": plain(effect.u_num),
-                "U_needed": plain(effect.u_needed),
-                "p_holm": plain(effect.p_holm),
-                "lost_without": plain(effect.lost_without),
-                "of_components": effect.of_components or None,
-                "simple_effects": effect.to_json()["simple_effects"],
-                "withdrawn": plain(effect.withdrawn),
-            }
-            for effect in self.effects
-        ]
+        lines = []
+        for effect in self.effects:
+            document = effect.to_json() | {"of_components": effect.of_components or None}
+            pairs = (key.partition("=") for key in _VERDICT_KEYS.split())
+            line = {key: document[name or key] for key, _, name in pairs}
+            lines.append({"response": self.request.response, **line})
+        return lines
+
+
+#: keys of the line of a factor, with the field of its effect where it has another name
+_VERDICT_KEYS = (
+    "factor=term verdict effect=range ci95 practical u_num p effect_over_u_num resolved why "
+    "U=u_num U_needed=u_needed p_holm lost_without of_components simple_effects withdrawn"
+)

@@ -33,13 +33,11 @@ from study.statistics.analysis.analysis_result import (
     Variation,
 )
 from study.statistics.analysis.anova_table import Effect
-from study.statistics.analysis.assumptions import (
-    assumptions_of,
-    is_representative,
-)
+from study.statistics.analysis.assumptions import assumptions_of, is_representative
 from study.statistics.analysis.data import (
     Data,
     Structure,
+    blocks_that_lack_cells,
     prepare,
     refuse_copied_rows,
     structure_of,
@@ -100,6 +98,7 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
             out.u_raw,
             out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
             _power(out),
+            out.scale,
         ),
         assumptions,
         _summary_of_data(out),
@@ -166,9 +165,8 @@ def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
     n = round(float(cells.mean())) if blocks is None else blocks
     names = [f for f in out.data.factors if (f,) in out.terms]
     terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
-    request, blocked = out.request, blocks is not None
-    ratio = request.scale.is_log
-    return planned(terms, n, cells.size, blocked=blocked, alpha=request.alpha, ratio=ratio)
+    alpha, ratio = out.request.alpha, out.request.scale.is_log
+    return planned(terms, n, cells.size, blocked=blocks is not None, alpha=alpha, ratio=ratio)
 
 
 def _shares(out: AnalysisOutcome) -> dict[str, float]:
@@ -191,26 +189,18 @@ def _cell_means(out: AnalysisOutcome) -> pd.DataFrame:
 
     data = out.data
     rows = []
-    groups = {c: g for g in out.copies.groups for c in g}
+    copies = {cell for group in out.copies.groups for cell in group[1:]}
     order = np.argsort(data.cell, kind="stable")
     cells, start = np.unique(data.cell[order], return_index=True)
-    for cell, here in zip(cells, np.split(order, start[1:]), strict=True):
-        values = data.y[here]
+    for cell, here in zip(cells.tolist(), np.split(order, start[1:]), strict=True):
+        values, shifted = data.y[here], data.y[here] - data.y[here[0]]
         levels = {f: data.layout.levels[f][data.layout.codes[f][here[0]]] for f in data.factors}
-        mean = values[0] + float(np.mean(values - values[0]))
+        mean = values[0] + float(np.mean(shifted))
         if out.request.scale.is_log:
             mean = float(np.exp(np.mean(np.log(values))))
-        sd = float(np.std(values - values[0], ddof=1)) if values.size > 1 else None
-        same = groups.get(int(cell), (int(cell),))
-        rows.append(
-            {
-                **levels,
-                "n": values.size,
-                "mean": mean,
-                "sd": sd,
-                "representative": same[0] == int(cell),
-            }
-        )
+        sd = float(np.std(shifted, ddof=1)) if values.size > 1 else None
+        size = {"n": values.size, "mean": mean, "sd": sd, "representative": cell not in copies}
+        rows.append({**levels, **size})
     return pd.DataFrame(rows)
 
 
@@ -218,25 +208,17 @@ def _residual_frame(out: AnalysisOutcome) -> pd.DataFrame:
     """One row a run: fitted, residual, cell, block, and whether it represents its copies."""
     import pandas as pd
 
-    data = out.data
-    names = data.cell_names()
-    frame = {
-        "row": data.rows,
-        "cell": [names[c] for c in data.cell],
-        "representative": is_representative(out),
-        "response": data.y,
-    }
+    data, names = out.data, out.data.cell_names()
+    cell, is_first = [names[c] for c in data.cell], is_representative(out)
+    frame = {"row": data.rows, "cell": cell, "representative": is_first, "response": data.y}
     if data.block is not None:
-        labels = data.layout.levels[data.block]
-        frame["block"] = [labels[c] for c in data.layout.codes[data.block]]
+        frame["block"] = data.layout.labels(data.block)
     if out.fit is not None:
         frame["fitted"], frame["residual"] = out.fit.fitted, out.fit.residual
         of_rows = influence(out.fit)
         frame["leverage"], frame["cook"] = of_rows.leverage, of_rows.cook
-    for f in data.factors:
-        if f not in frame:
-            frame[f] = [data.layout.levels[f][c] for c in data.layout.codes[f]]
-    return pd.DataFrame(frame)
+    of_factors = {f: data.layout.labels(f) for f in data.factors if f not in frame}
+    return pd.DataFrame({**frame, **of_factors})
 
 
 _DEFAULT_TOLERANCE = 1e-8
@@ -512,13 +494,9 @@ def _with_nested(
             listed.append(row)
             continue
         against = higher.error if len(above) > 1 and ":" in (higher.error or "") else error
-        listed.append(
-            replace(row, f=higher.f, p=higher.p, df_error=higher.df_error,
-                    error=f"{outer}:{higher.error}" if crosses else against,
-                    epsilon_gg=higher.epsilon_gg, p_gg=higher.p_gg, omega_sq=None,
-                    partial_eta_sq=higher.partial_eta_sq,
-                    partial_eta_sq_ci95=higher.partial_eta_sq_ci95)
-        )  # fmt: skip
+        against = f"{outer}:{higher.error}" if crosses else against
+        test = replace(higher, df=row.df, ss=row.ss, ms=row.ms, share=row.share, omega_sq=None)
+        listed.append(replace(test, error=against))
     return replace(result, anova=replace(rows.anova, rows=tuple(listed)))
 
 
@@ -569,22 +547,17 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     y = np.asarray(np.log(data.y)) if request.scale.is_log else data.y
     scale = scale_of(out, y)
     low, high = range_of_bounds(out, scale)
-    out = replace(out, y=y, scale=scale, u_raw=high)
-    out = replace(out, warnings=(*data.warnings, *notes))
-    within = max(10 * out.tolerance, low or 0.0)
-    computed = request.records or out.tolerance > 0
-    out = replace(out, copies=copies_of(data, within, computed=computed))
-    declared = data.also or (request.layout.whole_plot and request.error == "auto")
+    within, computed = max(10 * out.tolerance, low or 0.0), request.records or out.tolerance > 0
+    copies = copies_of(data, within, computed=computed)
+    out = replace(out, y=y, scale=scale, u_raw=high, copies=copies).warn(*data.warnings, *notes)
+    declared = len(data.blocks) > 1 or (request.layout.whole_plot and request.error == "auto")
     # pooled over unequal variances the test of a true null rejects in up to .48 of cases
     if data.block is not None and not declared and request.error != "pooled":
-        mixed = incomplete_blocks(out) if plots is None or not plots.nested else None
-        if mixed is not None:
-            return mixed
-        tested = own(out, plots if plots is not None and plots.nested else None)
-        if tested is not None:
-            return tested
-        lacking = _lacking(data, plots)
-        if lacking:
+        between_blocks = plots if plots is not None and plots.nested else None
+        judged = None if between_blocks else incomplete_blocks(out)
+        if (judged := judged or own(out, between_blocks)) is not None:
+            return judged
+        if lacking := _lacking(data, between_blocks):
             return pooled(out, untested=lacking)
     if plots is not None:
         asked_for = request.layout.whole_plot and request.error != "pooled"
@@ -597,58 +570,43 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     data = prepare(table, request.response, request.factors, request.layout.block)
     terms = terms_of(data.factors, request.model)
     nested_factors = nested_in(terms)
+    notes = [
+        f"{name} is nested in {' and '.join(parents)}, which is tested against the rows within: "
+        f"to ask whether other levels of {name} would show it, use --unit {name}"
+        for name, parents in nested_factors.items()
+    ]
     if nested_factors:
-        data = replace(
-            data,
-            layout=number_within(data.layout, nested_factors),
-            warnings=(
-                *data.warnings,
-                *(
-                    f"{name} is nested in {' and '.join(parents)}, which is tested against the "
-                    f"rows within: to ask whether other levels of {name} would show it, use "
-                    f"--unit {name}"
-                    for name, parents in nested_factors.items()
-                ),
-            ),
-        )
+        data = replace(data, layout=number_within(data.layout, nested_factors))
     structure = structure_of(data)
     if structure.empty_cells:
-        structure, terms, note = _with_empty_cells(data, request, structure, terms)
-        if note:
-            data = replace(data, warnings=(*data.warnings, note))
+        structure, terms, left_out = _with_empty_cells(data, request, structure, terms)
+        notes += left_out
+    data = replace(data, warnings=(*data.warnings, *notes))
     tol = request.scale.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
-    return AnalysisOutcome(
-        request,
-        data,
-        terms,
-        tol,
-        replicates=_replicates(table, data, request),
-        structure=structure,
-    )
+    replicates = _replicates(table, data, request)
+    return AnalysisOutcome(request, data, terms, tol, replicates=replicates, structure=structure)
 
 
 def _with_empty_cells(
     data: Data, request: AnalysisRequest, structure: Structure, terms: tuple[Term, ...]
-) -> tuple[Structure, tuple[Term, ...], str]:
+) -> tuple[Structure, tuple[Term, ...], list[str]]:
     """Structure without the cells that the model does not need, and the terms that are told apart.
 
     Terms that add nothing to those before them are left out; a note names them with their aliases.
     """
     cells = np.unique(data.cell, return_index=True)[1]
     model = factorize(model_matrix(data.layout.take(cells), terms))
-    ordered = request.model == "full" or isinstance(request.model, int)
     if model.is_full or nested_in(terms):
-        return replace(structure, empty_cells=0), terms, ""
+        return replace(structure, empty_cells=0), terms, []
     spaces = {t: model.space(i, "I") for i, t in enumerate(model.matrix.terms) if t}
     told_apart = tuple(t for t, space in spaces.items() if space.basis.shape[1])
     reduced = factorize(model_matrix(data.layout.take(cells), told_apart))
-    is_fraction = reduced.is_full and reduced.is_orthogonal()
-    if is_fraction and len(told_apart) < len(terms):
-        structure = replace(structure, empty_cells=0)
-    if len(told_apart) == len(terms) or not ordered or not request.any_type:
-        return structure, terms, ""
+    if len(told_apart) < len(terms) and reduced.is_full and reduced.is_orthogonal():
+        structure = replace(structure, empty_cells=0)  # of a fraction
+    if len(told_apart) == len(terms) or not (request.is_ordered and request.any_type):
+        return structure, terms, []
     lost = [
         term_name(t)
         + (f" (= {space.aliases[0]})" if space.aliases and space.nominal_df == 1 else "")
@@ -666,7 +624,7 @@ def _with_empty_cells(
         f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
         f"which are negligible to have all factors judged ({smaller})"
     )
-    return replace(structure, undecided=reason, asked=terms), told_apart, note
+    return replace(structure, undecided=reason, asked=terms), told_apart, [note]
 
 
 def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:
@@ -680,20 +638,18 @@ def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> st
 
 
 def _lacking(data: Data, plots: Plots | None) -> str:
-    """Why effects have no error where blocks lack cells; empty where no block does."""
-    within = [
-        f for f in data.factors if plots is None or not plots.nested or f not in plots.between
-    ]
-    cell = np.unique(data.layout.cell(within), return_inverse=True)[1]
-    block = data.layout.codes[str(data.block)]
-    cells = np.bincount(np.unique(np.column_stack([block, cell]), axis=0)[:, 0])
-    lacking = int((cells < cell.max() + 1).sum())
+    """Why effects have no error where blocks lack cells; empty where no block does.
+
+    ``plots`` are blocks between which some factors lie.
+    """
+    between = () if plots is None else plots.between
+    lacking, blocks = blocks_that_lack_cells(data, [f for f in data.factors if f not in between])
     if not lacking:
         return ""
     return (
-        f"{lacking} of {cells.size} levels of {data.block} lack a cell, and too few have all of "
-        "them to test effects against their own interaction with the blocks: --error reml fits a "
-        "mixed model to all rows; --error pooled takes all these interactions to be of one size"
+        f"{lacking} of {blocks} levels of {data.block} lack a cell, and too few have all of them "
+        "to test effects against their own interaction with the blocks: --error reml fits a mixed "
+        "model to all rows; --error pooled takes all these interactions to be of one size"
     )
 
 

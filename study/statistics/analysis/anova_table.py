@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Self
 
 from study.ground.canonical import plain
 
@@ -105,14 +105,25 @@ class FailureBound:
 
 
 @dataclass(frozen=True)
-class PairDifference:
-    """Difference (or ratio) of two level means with its simultaneous interval."""
+class DifferenceInterval:
+    """Difference ``first - second`` (or ratio) of two levels with its simultaneous interval."""
 
     first: str
     second: str
     difference: float
     lower: float
     upper: float
+
+    def as_ratio(self) -> Self:
+        """Copy with the difference of logarithms as a ratio."""
+        difference, lower, upper = map(math.exp, (self.difference, self.lower, self.upper))
+        return replace(self, difference=difference, lower=lower, upper=upper)
+
+
+@dataclass(frozen=True)
+class PairDifference(DifferenceInterval):
+    """Difference of two level means, and whether its interval excludes none."""
+
     different: bool
 
 
@@ -206,12 +217,12 @@ class Effect:
     @property
     def low(self) -> float | None:
         """Lower end of the interval of the largest difference."""
-        return None if self.ci95 is None or not math.isfinite(self.ci95[0]) else self.ci95[0]
+        return self.ci95[0] if self.ci95 and math.isfinite(self.ci95[0]) else None
 
     @property
     def high(self) -> float | None:
         """Upper end of the interval of the largest difference."""
-        return None if self.ci95 is None or not math.isfinite(self.ci95[1]) else self.ci95[1]
+        return self.ci95[1] if self.ci95 and math.isfinite(self.ci95[1]) else None
 
     @property
     def highest(self) -> str:
@@ -244,7 +255,7 @@ class Effect:
     @property
     def is_partial(self) -> bool:
         """Whether its levels are compared at some settings of the others alone: cells are empty."""
-        return ":" not in self.term and self.range is not None and None in self.mean
+        return self.is_main and self.range is not None and None in self.mean
 
     @property
     def depends_on_settings(self) -> bool:
@@ -257,15 +268,14 @@ class Effect:
         if self.low is None or self.practical is None:
             return True
         u = (self.u_num or 0.0) * self.u_unit
-        if self.is_ratio:
-            return math.log(self.low) - u > math.log(self.practical)
-        return self.low - u > self.practical
+        return self._analyzed(self.low) - u > self._analyzed(self.practical)
 
     def distance(self, simple_effect: SimpleEffect) -> float:
         """How far a simple effect is from no difference, on the scale of the analysis."""
-        return abs(
-            math.log(simple_effect.difference) if self.is_ratio else simple_effect.difference
-        )
+        return abs(self._analyzed(simple_effect.difference))
+
+    def _analyzed(self, size: float) -> float:
+        return math.log(size) if self.is_ratio else size
 
 
 @dataclass(frozen=True)

@@ -383,7 +383,7 @@ _MOST_CELLS = 600
 
 def _robustness(out: AnalysisOutcome) -> tuple[AnalysisSensitivity | None, BoxCoxResult | None]:
     """Table of defensible analyses and Box and Cox's exponent, where there is an error."""
-    if out.fit is None or out.plots is not None or out.data.also:
+    if out.fit is None or out.plots is not None or len(out.data.blocks) > 1:
         return None, None
     if out.crossed is not None:
         return _blocked(out, out.crossed), None

@@ -16,21 +16,14 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest
+from study.statistics.analysis.anova_table import DifferenceInterval
 from study.statistics.analysis.simple_effects import CANNOT_TELL, Differences, claim
 
 
 @dataclass(frozen=True)
-class LevelPair:
-    """Difference ``first - second``, or ratio ``first / second``.
+class LevelPair(DifferenceInterval):
+    """Difference of two levels with its adjusted p."""
 
-    With its simultaneous interval and adjusted p.
-    """
-
-    first: str
-    second: str
-    difference: float
-    lower: float
-    upper: float
     p: float
 
 
@@ -51,15 +44,7 @@ class Comparisons:
 
     def as_ratios(self) -> Comparisons:
         """Copy with differences of logarithms as ratios."""
-        pairs = tuple(
-            replace(
-                pair,
-                difference=math.exp(pair.difference),
-                lower=math.exp(pair.lower),
-                upper=math.exp(pair.upper),
-            )
-            for pair in self.pairs
-        )
+        pairs = tuple(pair.as_ratio() for pair in self.pairs)
         return replace(self, pairs=pairs, is_ratio=True)
 
 
@@ -89,17 +74,14 @@ class GroupMoments:
 
     def pairs(self, alpha: float, *, equal: bool) -> Comparisons:
         """All pairs by the studentized range: Tukey and Kramer's, or Games and Howell's."""
-        ms, total = self.pooled
-        share = (np.full(len(self.n), ms) if equal else self.variance) / self.n
-        pairs = []
-        for i, j in combinations(range(len(self.names)), 2):
+        (ms, df), k, pairs = self.pooled, len(self.names), []
+        share = (np.full(k, ms) if equal else self.variance) / self.n
+        for i, j in combinations(range(k), 2):
             square = float(share[i] + share[j])
-            df = total
             if not equal:
-                parts = np.array([share[i], share[j]])
+                parts = share[[i, j]]
                 df = square**2 / float(np.sum(parts**2 / (self.n[[i, j]] - 1)))
-            error = math.sqrt(square / 2)
-            d, k = float(self.mean[i] - self.mean[j]), len(self.names)
+            error, d = math.sqrt(square / 2), float(self.mean[i] - self.mean[j])
             half = studentized_range_quantile(1 - alpha, k, df) * error
             p = 1 - studentized_range_cdf(abs(d) / error, k, df)
             pairs.append(LevelPair(self.names[i], self.names[j], d, d - half, d + half, p))
@@ -110,9 +92,7 @@ class GroupMoments:
 
 
 def holm(p: ArrayLike) -> Array:
-    """Holm's adjusted p of a family (Holm 1979).
-
-    Shapes: p (m,).
+    """Holm's adjusted p (m,) of a family (Holm 1979).
 
     Examples
     --------
@@ -145,11 +125,8 @@ def letters(names: Sequence[str], different: set[frozenset[str]]) -> dict[str, s
                 split += [column - {first}, column - {second}]
             else:
                 split.append(column)
-        columns = [
-            c
-            for i, c in enumerate(split)
-            if not any(c < other or (c == other and j < i) for j, other in enumerate(split))
-        ]
+        distinct = [c for i, c in enumerate(split) if c not in split[:i]]
+        columns = [c for c in distinct if not any(c < other for other in distinct)]
     columns.sort(key=lambda c: [names.index(n) for n in names if n in c])
     tags = [ascii_letters[i] if i < 52 else f"({i})" for i in range(len(columns))]
     return {n: "".join(tag for tag, c in zip(tags, columns, strict=True) if n in c) for n in names}
@@ -261,13 +238,17 @@ def t_quantile(upper: float, df: float | Array) -> float | Array:
     return np.asarray(quantile) if np.ndim(quantile) else float(quantile)
 
 
+def two_sided(t: float, df: float) -> float:
+    """Two-sided p of Student's t."""
+    from scipy.special import stdtr
+
+    return 2 * float(stdtr(df, -abs(t)))
+
+
 def block_multiplier(
     contrasts: Array, alpha: float, seed: int | None, groups: Sequence[Ints], df: Array
 ) -> Array:
-    """Multiplier of the standard errors for simultaneous intervals of all contrasts.
-
-    Shapes: contrasts (m, b); df (m,); returns (m,).
-    """
+    """Multipliers (m,) of the standard errors for simultaneous intervals of contrasts (m, b)."""
     m, b = contrasts.shape
     safe = t_quantile(alpha / (2 * max(m, 1)), df)
     if seed is None or m <= 1 or min(len(part) for part in groups) < FEWEST_BLOCKS:
@@ -351,10 +332,10 @@ def _short(z: Array) -> Array:
 def pooled_multiplier(
     differences: Differences, length: Array, df: float, alpha: float, seed: int | None
 ) -> float:
-    """Multiplier where one error variance with ``df`` degrees of freedom serves all contrasts.
+    """Multiplier where one error variance serves all contrasts of some length (m,).
 
-    Shapes: length (m,); returns Quantile of the largest |t| of a multivariate t (Hothorn, Bretz and
-    Westfall 2008), simulated; never above Bonferroni's.
+    Simulated quantile of the largest |t| of a multivariate t (Hothorn, Bretz and Westfall 2008);
+    never above Bonferroni's.
     """
     estimated = np.flatnonzero(length > 1e-12 * length.max(initial=0.0))
     safe = t_quantile(alpha / (2 * max(len(estimated), 1)), df)
@@ -365,10 +346,7 @@ def pooled_multiplier(
     drawn = np.random.default_rng(0).standard_normal((differences.settings.shape[1], 2))
     product = differences.of(differences.settings @ drawn)[estimated] / length[estimated, None]
     estimated = estimated[np.unique(product.round(9), axis=0, return_index=True)[1]]
-    few = Differences(
-        differences.settings, differences.first[estimated], differences.second[estimated]
-    )
-    random = np.random.default_rng(seed)
+    few, random = differences.take(estimated), np.random.default_rng(seed)
     largest = np.empty(DRAWS)
     step = max(1, min(DRAWS, _AT_ONCE // len(estimated)))
     for start in range(0, DRAWS, step):
@@ -465,7 +443,7 @@ class SummaryAnalysis(Keyed):
         if self.practical is None:
             return [None] * len(self.tukey.pairs)
         verdicts: list[str | None] = []
-        for pooled, own in zip(self.tukey.pairs, self.games_howell.pairs, strict=True):
-            claims = {claim(one.lower, one.upper, self.practical) for one in (pooled, own)}
-            verdicts.append(claims.pop() or CANNOT_TELL if len(claims) == 1 else CANNOT_TELL)
+        for both in zip(self.tukey.pairs, self.games_howell.pairs, strict=True):
+            claims = {claim(pair.lower, pair.upper, self.practical) for pair in both}
+            verdicts.append((len(claims) == 1 and claims.pop()) or CANNOT_TELL)
         return verdicts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, permutations
+from itertools import combinations, compress, permutations, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,16 +31,16 @@ class Data:
     y: Array
     layout: CellLayout
     factors: tuple[str, ...]
-    block: str | None
+    #: Columns of all blocks: the first, and those that cross it (a Latin square).
+    blocks: tuple[str, ...]
     rows: Ints
     missing: int
     warnings: tuple[str, ...]
-    also: tuple[str, ...] = ()
 
     @property
-    def blocks(self) -> tuple[str, ...]:
-        """Columns of all blocks: the first, and those that cross it (a Latin square)."""
-        return (*((self.block,) if self.block else ()), *self.also)
+    def block(self) -> str | None:
+        """Column of the first blocks."""
+        return self.blocks[0] if self.blocks else None
 
     @property
     def cell(self) -> Ints:
@@ -49,8 +49,6 @@ class Data:
 
     def cell_names(self) -> list[str]:
         """Names of all cells of the full grid, in the order of their index."""
-        from itertools import product
-
         return [" ".join(c) for c in product(*(self.layout.levels[f] for f in self.factors))]
 
 
@@ -69,21 +67,19 @@ def prepare(
     missing, warnings = np.flatnonzero(~keep), []
     if missing.size:
         listed = ", ".join(str(i + 1) for i in missing[:10]) + ", ..." * (missing.size > 10)
-        rows = f"{missing.size} of {keep.size} rows (rows {listed})"
-        warnings.append(f"{response} is missing in {rows}")
+        where = f"{missing.size} of {keep.size} rows (rows {listed})"
+        warnings.append(f"{response} is missing in {where}")
     if keep.sum() < 2:
         rule = f"has {int(keep.sum())} values"
         mend = "an analysis needs two rows with a response, and better more"
         raise InputError(Fault(f"response {response!r}", rule, mend))
     faults, levels, codes = [], {}, {}
     for name, text in labels.items():
-        order = _level_order(table[name], text)
-        warnings += _alike(order, name)
-        present = set(text[keep])
-        lost = [level for level in order if level not in present]
-        if lost:
+        every, present = _level_order(table[name], text), set(text[keep])
+        warnings += _alike(every, name)
+        order = [level for level in every if level in present]
+        if lost := [level for level in every if level not in present]:
             warnings.append(f"{name}: no response at level {', '.join(lost)}")
-        order = [level for level in order if level in present]
         if len(order) < 2:
             kind = "block" if name in blocks else "factor"
             others = [other for other in factors if other != name]
@@ -91,24 +87,15 @@ def prepare(
             mend = f"leave the {kind} out{option}, or add rows with another level"
             if lost:
                 mend = f"level {', '.join(lost)} has no response: {mend}"
-            faults.append(
-                Fault(f"{kind} {name!r}", f"needs at least two levels, got {order}", mend)
-            )
+            rule = f"needs at least two levels, got {order}"
+            faults.append(Fault(f"{kind} {name!r}", rule, mend))
         index = {level: i for i, level in enumerate(order)}
         levels[name] = tuple(order)
         codes[name] = np.array([index[t] for t in text[keep]], dtype=np.int64)
     if faults:
         raise InputError(faults)
-    return Data(
-        raw[keep],
-        CellLayout(levels, codes),
-        tuple(factors),
-        blocks[0] if blocks else None,
-        np.flatnonzero(keep),
-        int((~keep).sum()),
-        tuple(warnings),
-        blocks[1:],
-    )
+    layout, rows = CellLayout(levels, codes), np.flatnonzero(keep)
+    return Data(raw[keep], layout, tuple(factors), blocks, rows, missing.size, tuple(warnings))
 
 
 def _response(table: pd.DataFrame, response: str) -> Array:
@@ -118,10 +105,8 @@ def _response(table: pd.DataFrame, response: str) -> Array:
     if not (pd.api.types.is_numeric_dtype(column) or column.isna().all()):
         bad = pd.to_numeric(column, errors="coerce").isna() & column.notna()
         if bad.any():
-            row = column.index[bad.to_numpy()][0]
-            raise InputError(
-                Fault(f"row {row}, column {response!r}", f"{column[row]!r} is not a number")
-            )
+            row, rule = bad.idxmax(), f"{column[bad].iloc[0]!r} is not a number"
+            raise InputError(Fault(f"row {row}, column {response!r}", rule))
         column = pd.to_numeric(column)
     values = np.asarray(column.to_numpy(dtype=float, na_value=math.nan), dtype=float)
     _check_range(values, response)
@@ -174,13 +159,8 @@ def _labels(column: pd.Series, name: str) -> Texts:
     for (_, value), text in label.items():
         first = seen.setdefault(text.strip(), value)
         if isinstance(first, str) != isinstance(value, str) or _label(first) != text:
-            raise InputError(
-                Fault(
-                    f"column {name!r}",
-                    f"the levels {first!r} and {value!r} look the same",
-                    "write both the same way",
-                )
-            )
+            rule = f"the levels {first!r} and {value!r} look the same"
+            raise InputError(Fault(f"column {name!r}", rule, "write both the same way"))
     return np.array([label[key] for key in keys], dtype=object)
 
 
@@ -215,41 +195,30 @@ class Crossed:
 
 
 def crossed(data: Data, y: Array) -> Crossed:
-    """Cells against blocks, one row each; incomplete cells and blocks are left out, and said.
-
-    Shapes: y (n,).
-    """
+    """Cells against blocks of y (n,); incomplete cells and blocks are left out, and said."""
     block = data.block or ""
     names = data.layout.levels[block]
     cells, start, index = np.unique(data.cell, return_index=True, return_inverse=True)
     table = np.full((cells.size, len(names)), np.nan)
     table[index, data.layout.codes[block]] = y
     filled = np.isfinite(table)
-    warnings = []
     keep_cells = filled.mean(axis=1) > 0.5
     keep_blocks = filled[keep_cells].all(axis=0)
-    if not keep_cells.all():
-        labels = data.cell_names()
-        lost = [labels[c] for c in cells[~keep_cells]]
+    labels, warnings = data.cell_names(), []
+    if lost := [labels[c] for c in cells[~keep_cells]]:
         warnings.append(f"cells missing in half of the blocks are left out: {', '.join(lost)}")
-    if not keep_blocks.all():
-        gone = [n for n, complete in zip(names, keep_blocks, strict=True) if not complete]
+    if gone := list(compress(names, ~keep_blocks)):
         warnings.append(f"incomplete blocks are left out: {', '.join(gone)}")
     first = start[keep_cells]
     layout = data.layout.take(first) if first.size else data.layout
     # a level without a cell left would make its siblings impossible to compare
     present = {f: np.unique(layout.codes[f], return_inverse=True) for f in data.factors}
     only = CellLayout(
-        {f: tuple(layout.levels[f][i] for i in present[f][0]) for f in data.factors},
-        {f: present[f][1].astype(np.int64) for f in data.factors},
+        {f: tuple(layout.levels[f][i] for i in at) for f, (at, _) in present.items()},
+        {f: code.astype(np.int64) for f, (_, code) in present.items()},
     )
-    return Crossed(
-        table[np.ix_(keep_cells, keep_blocks)],
-        cells[keep_cells],
-        only,
-        tuple(n for n, complete in zip(names, keep_blocks, strict=True) if complete),
-        tuple(warnings),
-    )
+    blocks, complete = tuple(compress(names, keep_blocks)), np.ix_(keep_cells, keep_blocks)
+    return Crossed(table[complete], cells[keep_cells], only, blocks, tuple(warnings))
 
 
 # -------------------------------------------------------------------------------------------------
@@ -298,20 +267,29 @@ def structure_of(data: Data) -> Structure:
     """Look at checked rows."""
     size = math.prod(len(data.layout.levels[f]) for f in data.factors)
     empty = size - np.unique(data.cell).size
-    constant: tuple[str, ...] = ()
-    if data.block is not None:
-        codes = data.layout.codes
-        pairs = {f: np.unique(data.layout.cell([data.block, f])).size for f in data.factors}
-        blocks = np.unique(codes[data.block]).size
-        constant = tuple(f for f in data.factors if pairs[f] == blocks)
+    constant = constant_in_blocks(data)
     return Structure(_step_of_readings(data), _nested(data) if empty else (), empty, constant)
 
 
-def _decimals(y: Array) -> Array:
-    """Decimals of each value; infinite for computed ones, with ten after the first digit or more.
+def constant_in_blocks(data: Data) -> tuple[str, ...]:
+    """Factors with one level in every block."""
+    if data.block is None:
+        return ()
+    blocks = np.unique(data.layout.codes[data.block]).size
+    pairs = {f: np.unique(data.layout.cell([data.block, f])).size for f in data.factors}
+    return tuple(f for f in data.factors if pairs[f] == blocks)
 
-    Shapes: y (n,).
-    """
+
+def blocks_that_lack_cells(data: Data, factors: Sequence[str]) -> tuple[int, int]:
+    """Count the blocks that lack some cell of these factors, and all blocks."""
+    cell = np.unique(data.layout.cell(factors), return_inverse=True)[1]
+    pairs = np.unique(np.column_stack([data.layout.codes[str(data.block)], cell]), axis=0)
+    cells = np.bincount(pairs[:, 0])
+    return int((cells < cell.max() + 1).sum()), cells.size
+
+
+def _decimals(y: Array) -> Array:
+    """Decimals of values (n,); infinite for computed ones, with ten after the first or more."""
     decimals = np.full(y.size, np.inf)
     scale = float(np.abs(y).max(initial=0.0))
     # of small numbers those after their first digit count, whatever the unit
@@ -358,42 +336,32 @@ def _step_of_readings(data: Data) -> float:
 
 def _nested(data: Data) -> tuple[tuple[str, str], ...]:
     """Pairs of factors of which the first is nested in the second, with names of its own."""
-    pairs_of_factors = []
-    for inner, outer in permutations(data.factors, 2):
-        code, parent = data.layout.codes[inner], data.layout.codes[outer]
-        levels, parents = len(data.layout.levels[inner]), len(data.layout.levels[outer])
-        pairs = np.unique(code * parents + parent).size
-        if pairs == levels > parents:
-            pairs_of_factors.append((inner, outer))
-    return tuple(pairs_of_factors)
+    levels = {name: len(data.layout.levels[name]) for name in data.factors}
+    return tuple(
+        (inner, outer)
+        for inner, outer in permutations(data.factors, 2)
+        if np.unique(data.layout.cell([inner, outer])).size == levels[inner] > levels[outer]
+    )
 
 
 def refuse_copied_rows(data: Data) -> None:
     """Refuse rows that repeat others, more often or more closely than chance explains."""
-    mend = "; where every one of them was measured, say --copies independent"
+    copies = ""
     if data.block is None:
-        copies = _copied_rows(data)
-        if copies:
-            raise RefusedError(
-                f"copied rows: {copies}. Copies tell nothing new: leave them out{mend}"
-            )
-    elif not data.also:
-        twins = _copied_blocks(data, data.layout.codes[data.block])
-        if twins:
-            names = data.layout.levels[data.block]
-            listed = ", ".join(f"{names[j]} repeats {names[i]}" for i, j, _ in twins[:5])
-            apart = max(apart for *_, apart in twins)
-            how = f"to within {apart:.2g}" if apart else "in every digit"
-            raise RefusedError(
-                f"copied rows: {how} {data.block} {listed}. Copies tell nothing new: "
-                f"leave them out{mend}"
-            )
-
-
-def _copied_rows(data: Data) -> str:
-    """Describe the copies; empty where ties are no more than the resolution makes."""
-    near = _NEAR if data.y.size <= _MOST_ROWS else ()
-    return next((text for part in (0.0, *near) if (text := _copied_within(data, part))), "")
+        near = _NEAR if data.y.size <= _MOST_ROWS else ()
+        texts = (_copied_within(data, part) for part in (0.0, *near))
+        copies = next(filter(None, texts), "")
+    elif len(data.blocks) == 1 and (twins := _copied_blocks(data, data.layout.codes[data.block])):
+        names = data.layout.levels[data.block]
+        listed = ", ".join(f"{names[j]} repeats {names[i]}" for i, j, _ in twins[:5])
+        apart = max(apart for *_, apart in twins)
+        copies = f"to within {apart:.2g}" if apart else "in every digit"
+        copies = f"{copies} {data.block} {listed}"
+    if copies:
+        raise RefusedError(
+            f"copied rows: {copies}. Copies tell nothing new: leave them out; where every one of "
+            "them was measured, say --copies independent"
+        )
 
 
 def _copied_within(data: Data, part: float) -> str:
@@ -460,7 +428,7 @@ def _copied_within(data: Data, part: float) -> str:
 def _density(y: Array, cell: Ints, counts: Ints, wide: Array, spread: Array) -> Array:
     """Pairs of rows of each cell that lie apart, but no farther than ``wide`` of its scatter.
 
-    Shapes: y, cell, counts (clusters,), sorted by cell and value; wide, spread (cells,).
+    Clusters of rows are sorted by cell and value.
     """
     start = np.searchsorted(cell, np.arange(spread.size))
     above = (y - y[np.minimum(start, y.size - 1)][cell]) / spread[cell]
@@ -472,10 +440,7 @@ def _density(y: Array, cell: Ints, counts: Ints, wide: Array, spread: Array) -> 
 
 
 def _spreads(cell: Ints, y: Array) -> Array:
-    """Scatter in each cell by the median absolute deviation, which no single row moves.
-
-    Shapes: cell, y (n,), sorted by cell and value; returns (cells,).
-    """
+    """Median absolute deviation in each cell, of rows that are sorted by cell and value."""
     count = np.bincount(cell)
     start = np.cumsum(count) - count
 
@@ -512,23 +477,17 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:
     table[block, index] = data.y
     with np.errstate(invalid="ignore"):
         centred = table - np.nanmean(table, axis=0)
-        own = centred - np.nanmean(centred, axis=1, keepdims=True)
-    sd, interaction = (float(np.sqrt(np.nanmean(part**2))) for part in (centred, own))
-    chance = blocks * (blocks - 1) / 2
-    step = _least_step(data.y)
-    twins = []
+        of_both = centred - np.nanmean(centred, axis=1, keepdims=True)
+    sd, interaction = (float(np.sqrt(np.nanmean(part**2))) for part in (centred, of_both))
+    pairs, step, twins = blocks * (blocks - 1) / 2, _least_step(data.y), []
     for i, j in combinations(range(blocks), 2):
         apart = np.abs(table[i] - table[j])
         both = int(np.isfinite(apart).sum())
-        if both < 2:
-            continue
-        farthest = float(np.nanmax(apart))
+        farthest = float(np.nanmax(apart)) if both > 1 else math.inf
         if farthest == 0:
-            rare = (3 * chance_of_tie(step, sd)) ** both
-        elif farthest <= _FARTHEST * interaction:
-            rare = (3 * chance_of_tie(step + 2 * farthest, interaction)) ** (both - 1)
+            chance = (3 * chance_of_tie(step, sd)) ** both
         else:
-            continue
-        if chance * rare < _CHANCE:
+            chance = (3 * chance_of_tie(step + 2 * farthest, interaction)) ** (both - 1)
+        if farthest <= _FARTHEST * interaction and pairs * chance < _CHANCE:
             twins.append((i, j, farthest))
     return twins

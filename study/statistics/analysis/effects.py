@@ -21,8 +21,7 @@ from study.statistics.analysis.comparisons import (
 from study.statistics.analysis.linear_model import CellLayout, Term, grid, model_matrix, term_name
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
-    MATTERS,
-    NO_DIFFERENCE,
+    CLAIMS,
     NOT_RESOLVED,
     ONE_SPECIMEN,
     SEE_SIMPLE,
@@ -65,10 +64,7 @@ class TermEstimate:
 def term_rows(
     layout: CellLayout, fit: Factored, term: Term
 ) -> tuple[tuple[str, ...], Array, Array]:
-    """Linear combinations of the coefficients that give a term's components and means.
-
-    Shapes: returns (k, p).
-    """
+    """Levels of a term, and the combinations (k, p) that give their components and means."""
     matrix = fit.matrix
     cells = grid(layout, term)
     inner = [t for t in matrix.terms[1:] if set(t) <= set(term)]
@@ -83,17 +79,12 @@ def term_rows(
         at = matrix.of(t)
         mean[:, at] = local.columns[:, local.of(t)]
     component[:, matrix.of(term)] = local.columns[:, local.of(term)]
-    labels = tuple(
-        " ".join(layout.levels[name][cells.codes[name][i]] for name in term) for i in range(cells.n)
-    )
-    return labels, component, mean
+    labels = tuple(map(" ".join, zip(*map(cells.labels, term), strict=True)))
+    return labels, _over_complete_settings(layout, fit, term, component), mean
 
 
-def over_complete_settings(layout: CellLayout, fit: Factored, term: Term, rows: Array) -> Array:
-    """Rows of a main effect; where cells are empty, over the settings that have all its levels.
-
-    Shapes: rows (k, p); returns (k, p).
-    """
+def _over_complete_settings(layout: CellLayout, fit: Factored, term: Term, rows: Array) -> Array:
+    """Rows (k, p) of a main effect; beside empty cells over the settings that have all levels."""
     if len(term) != 1 or fit.estimable(rows).all():
         return rows
     k, names = len(layout.levels[term[0]]), partners(term[0], fit.matrix.terms)
@@ -134,13 +125,8 @@ def sampled_estimate(
     ``critical`` is the multiplier of the differences; None for that of the sample.
     """
     levels, component_rows, mean_rows = term_rows(layout, fit, term)
-    component_rows = over_complete_settings(layout, fit, term, component_rows)
     k = len(levels)
-    zero = np.zeros((1, mean_rows.shape[1]))
-    each = np.arange(1, 2 * k + 1)
-    alone = sample(
-        Differences(np.vstack([zero, component_rows, mean_rows]), each, np.zeros_like(each))
-    )
+    alone = sample(Differences.alone(np.vstack([component_rows, mean_rows])))
     component, mean = alone.value[:k], fit.shift + alone.value[k:]
     if np.isnan(component).any():
         component = np.full(k, np.nan)
@@ -154,14 +140,8 @@ def sampled_estimate(
             half = np.zeros((k, k))
             wide = pairs.error * (pairs.simultaneous if critical is None else critical)
             half[first, second] = half[second, first] = wide
-    return TermEstimate(
-        term, levels, component, mean, half, mean_half, p, settings_of(layout, term)
-    )
-
-
-def settings_of(layout: CellLayout, term: Term) -> tuple[tuple[str, ...], ...]:
-    """Levels of the factors of a term in every combination, in the order of its components."""
-    return tuple(product(*(layout.levels[name] for name in term)))
+    settings = tuple(product(*(layout.levels[name] for name in term)))
+    return TermEstimate(term, levels, component, mean, half, mean_half, p, settings)
 
 
 def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
@@ -208,6 +188,12 @@ def estimable_differences(fit: Factored, differences: Differences) -> Flags:
     return differences.each(lambda rows: fit.estimable(rows).astype(float)) > 0
 
 
+def estimated_differences(fit: Factored, differences: Differences) -> Array:
+    """Differences by least squares, NaN where they cannot be estimated, shape (m,)."""
+    value = differences.times(fit.coefficients())
+    return np.where(estimable_differences(fit, differences), value, np.nan)
+
+
 def over_groups(
     fit: Factored,
     added: Array,
@@ -216,10 +202,7 @@ def over_groups(
     seed: int | None,
     reading: float = 0.0,
 ) -> Sample:
-    """Estimate combinations by their own variance in each group of blocks (Welch 1938).
-
-    Shapes: added (p, b).
-    """
+    """Estimate combinations of ``added`` (p, b) by a variance in each group of blocks (Welch)."""
 
     def estimate(differences: Differences) -> Estimates:
         estimable = estimable_differences(fit, differences)
@@ -238,10 +221,7 @@ def over_groups(
 
 
 def group_errors(value: Array, groups: Sequence[Ints]) -> tuple[Array, Array]:
-    """Find the standard errors of sums over blocks and their degrees of freedom, shape (m,).
-
-    Shapes: value (m, b).
-    """
+    """Find the standard errors (m,) of sums of values (m, b) over blocks, and their df."""
     n = np.array([len(group) for group in groups])
     parts = n[:, None] * np.array([value[:, group].var(axis=1, ddof=1) for group in groups])
     total = parts.sum(axis=0)
@@ -255,23 +235,18 @@ def with_pooled_error(
     fit: Factored, rss: float, df: float, alpha: float, seed: int | None
 ) -> Sample:
     """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
-    coefficients = fit.coefficients()
-    inverse = fit.inverse
 
     def estimate(differences: Differences) -> Estimates:
-        estimable = estimable_differences(fit, differences)
-        value = np.where(estimable, differences.times(coefficients), np.nan)
+        value = estimated_differences(fit, differences)
         if df <= 0 or rss <= 0:
             return Estimates(value, None)
-        estimable = np.isfinite(value)
-        roots = differences.settings @ inverse
-        length = replace(differences, settings=roots).lengths()
-        some = Differences(roots, differences.first[estimable], differences.second[estimable])
-        wide = (
-            pooled_multiplier(some, length[estimable], df, alpha, seed) if estimable.any() else 0.0
-        )
-        error = length * math.sqrt(rss / df)
-        return Estimates(value, error, t_quantile(alpha / 2, df), wide)
+        estimable, wide = np.isfinite(value), 0.0
+        roots = replace(differences, settings=differences.settings @ fit.inverse)
+        length = roots.lengths()
+        if estimable.any():
+            some = roots.take(estimable)
+            wide = pooled_multiplier(some, length[estimable], df, alpha, seed)
+        return Estimates(value, length * math.sqrt(rss / df), t_quantile(alpha / 2, df), wide)
 
     return estimate
 
@@ -279,14 +254,12 @@ def with_pooled_error(
 def by_components(
     share: Array, variance: Array, free: Array, *, cautious: bool = False
 ) -> tuple[Array, Array]:
-    """Find standard errors of combinations of independent sources, and Satterthwaite's df.
+    """Find standard errors (m,) of shares (m, k) of independent sources, and Satterthwaite's df.
 
     The error is infinite where a source that counts has an infinite variance or none does. With
     ``cautious`` a source of one degree of freedom, whose variance may be small by chance, leaves
     no more df than the sum of the shares over its own: simulated, 10 and 2 rows, the two with 3.3
     times the scatter: false claims .085 without, .05 with it.
-
-    Shapes: share (m, k); variance, free (k,); returns (m,).
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.where(share == 0, 0.0, share * variance)
@@ -313,9 +286,7 @@ def cell_welch(
 
     Of one factor the simultaneous intervals are those of Games and Howell (1976); a contrast that
     needs a cell with an infinite variance has no interval. Rows that the model describes alike
-    have one number in ``rows_alike``: those of a cell where there are no blocks.
-
-    Shapes: cell, rows_alike (n,); variances and their degrees of freedom (cells,).
+    have one number in ``rows_alike`` (n,): those of a cell where there are no blocks.
     """
     _, first, count = np.unique(
         cell if rows_alike is None else rows_alike, return_index=True, return_counts=True
@@ -344,15 +315,11 @@ def with_sources(
     """Estimate combinations whose variance is a sum over sources, with Satterthwaite's df.
 
     ``shares`` gives the part (m, k) that combinations along the orthonormal columns have of each
-    source; with ``ranges`` pairs of levels have the multipliers of Games and Howell.
-
-    Shapes: variance, free (k,).
+    source (k,); with ``ranges`` pairs of levels have the multipliers of Games and Howell.
     """
-    coefficients = fit.coefficients()
 
     def estimate(differences: Differences) -> Estimates:
-        estimable = estimable_differences(fit, differences)
-        value = np.where(estimable, differences.times(coefficients), np.nan)
+        value = estimated_differences(fit, differences)
 
         def scatter(rows: Array) -> Array:
             parts = by_components(shares(rows @ fit.inverse), variance, free, cautious=cautious)
@@ -368,10 +335,7 @@ def with_sources(
 
 
 def games_howell_multiplier(differences: Differences, df: Array, alpha: float) -> Array:
-    """Multiplier of each standard error: Games and Howell's at each setting, or Bonferroni's.
-
-    Shapes: df (m,).
-    """
+    """Multipliers (m,) of standard errors: Games and Howell's at each setting, or Bonferroni's."""
     m = len(df)
     safe = t_quantile(alpha / (2 * max(m, 1)), df)
     levels = len(differences.settings)
@@ -394,8 +358,6 @@ def with_pseudo_error(
 
     Limits are quantiles of the same combinations of simulated null contrasts over their own
     pseudo standard error, as those of :func:`study.statistics.analysis.unreplicated.lenth`.
-
-    Shapes: contrasts (n, m); y (n,).
     """
     values = contrasts.T @ (y - y[0])
     pse = float(pseudo_standard_error(values))
@@ -463,6 +425,10 @@ class Scale:
         """From the working scale to that of the report."""
         return _exp if self.transform == "log" else float
 
+    def ends(self, interval: tuple[float, float] | None) -> tuple[float, float] | None:
+        """Interval on the scale of the report."""
+        return None if interval is None else (self.back(interval[0]), self.back(interval[1]))
+
     def between(self, estimate: TermEstimate, first: int, second: int) -> float | None:
         """Bound of the difference of two levels (or combinations) of a term, by their index."""
         if self.bound is None:
@@ -491,13 +457,11 @@ def size(
     estimate: TermEstimate, scale: Scale, simple: Mapping[str, SimpleEffects] | None = None
 ) -> Effect:
     """Turn an estimate into the reported effect with its verdict."""
-    simple_effects = (simple or {}).get(term_name(estimate.term))
-    back = scale.back
-    mean = tuple(None if math.isnan(m) else back(float(m)) for m in estimate.mean)
+    name, back = term_name(estimate.term), scale.back
     effect = Effect(
-        term_name(estimate.term),
+        name,
         estimate.levels,
-        mean,
+        tuple(None if math.isnan(m) else back(float(m)) for m in estimate.mean),
         None,
         None,
         CANNOT_TELL,
@@ -509,64 +473,57 @@ def size(
         return replace(effect, why="not estimable")
     top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
     largest = float(estimate.component[top] - estimate.component[bottom])
-    half = estimate.half
-    interval = None
-    if half is not None:
-        interval = (largest - half[top, bottom], largest + half[top, bottom])
-    u = scale.between(estimate, top, bottom)
-    mean_ci95 = None
-    if estimate.mean_half is not None and not np.isnan(estimate.mean).any():
-        around = zip(estimate.mean, estimate.mean_half, strict=True)
-        mean_ci95 = tuple((back(float(m - h)), back(float(m + h))) for m, h in around)
-    judgement = _judged(estimate, half, scale, simple_effects)
-    main = len(estimate.term) == 1
-    pairs, tags = _pairs(estimate, half, back)
-    return replace(
+    simple_effects = (simple or {}).get(name)
+    verdict, why, needed = _judged(estimate, scale, simple_effects)
+    pairs, tags = _pairs(estimate, back)
+    effect = replace(
         effect,
-        ci95=None if interval is None else (back(interval[0]), back(interval[1])),
         range=back(largest),
-        verdict=judgement.verdict if main else SEE_SIMPLE,
-        of_components="" if main else judgement.verdict,
+        verdict=verdict,
         largest=(estimate.levels[top], estimate.levels[bottom]),
-        mean_ci95=mean_ci95,
-        u_num=None if u is None else u / scale.unit,
-        effect_over_u_num=largest / u if u else None,
-        resolved=_resolved(largest / u) if u else None,
-        why=judgement.why
-        if main
-        else "an interaction is read from the simple effects of its factors",
+        why=why,
         pairs=pairs,
         letters=tags,
-        u_needed=None if judgement.u_needed is None else judgement.u_needed / scale.unit,
+        u_needed=None if needed is None else needed / scale.unit,
         u_unit=scale.unit,
-        simple_effects=() if simple_effects is None else _listed(simple_effects, scale),
-        always=() if simple_effects is None else simple_effects.always,
-        withdrawn=() if simple_effects is None else simple_effects.withdrawn,
     )
+    if estimate.half is not None:
+        wide = estimate.half[top, bottom]
+        effect = replace(effect, ci95=(back(largest - wide), back(largest + wide)))
+    if estimate.mean_half is not None and not np.isnan(estimate.mean).any():
+        around = zip(estimate.mean.tolist(), estimate.mean_half.tolist(), strict=True)
+        effect = replace(effect, mean_ci95=tuple((back(m - h), back(m + h)) for m, h in around))
+    if (u := scale.between(estimate, top, bottom)) is not None:
+        effect = replace(effect, u_num=u / scale.unit)
+    if u:
+        effect = replace(effect, effect_over_u_num=largest / u, resolved=_resolved(largest / u))
+    if simple_effects is not None:
+        listed, always = _listed(simple_effects, scale), simple_effects.always
+        withdrawn = simple_effects.withdrawn
+        effect = replace(effect, simple_effects=listed, always=always, withdrawn=withdrawn)
+    if effect.is_main:
+        return effect
+    why = "an interaction is read from the simple effects of its factors"
+    return replace(effect, verdict=SEE_SIMPLE, of_components=verdict, why=why)
 
 
-def _judged(
-    estimate: TermEstimate, half: Array | None, scale: Scale, simple: SimpleEffects | None
-) -> Judgement:
+def _judged(estimate: TermEstimate, scale: Scale, simple: SimpleEffects | None) -> Judgement:
     """Verdict of a term: that of its simple effects where it has some."""
     if scale.practical is None:
         return Judgement(CANNOT_TELL, "no practical threshold was given")
     if scale.specimens == 1:
         return Judgement(CANNOT_TELL, ONE_SPECIMEN)
-    if half is None and not scale.deterministic:
+    if estimate.half is None and not scale.deterministic:
         return Judgement(CANNOT_TELL, "there is no error to judge the effect against")
-    if simple is not None:
-        judgement = _of_settings(simple, scale)
+    if simple is None:
+        verdict, why, needed = _of_components(estimate, scale)
     else:
-        judgement = _of_components(estimate, half, scale)
-    if judgement.verdict not in (MATTERS, NO_DIFFERENCE):
-        return judgement
-    remarks = [] if half is not None else ["no p" if estimate.p is None else "no interval"]
-    if scale.specimens == 2:
-        remarks.append("2 specimens")
-    return (
-        replace(judgement, why=f"{judgement.why} ({', '.join(remarks)})") if remarks else judgement
-    )
+        verdict, why, needed = _of_settings(simple, scale)
+    remarks = ["no p" if estimate.p is None else "no interval"] * (estimate.half is None)
+    remarks += ["2 specimens"] * (scale.specimens == 2)
+    if remarks and verdict in CLAIMS:
+        why = f"{why} ({', '.join(remarks)})"
+    return Judgement(verdict, why, needed)
 
 
 def _of_settings(simple: SimpleEffects, scale: Scale) -> Judgement:
@@ -580,26 +537,23 @@ def _of_settings(simple: SimpleEffects, scale: Scale) -> Judgement:
     return Judgement(simple.verdict, why, simple.u_needed)
 
 
-def _of_components(estimate: TermEstimate, half: Array | None, scale: Scale) -> Judgement:
+def _of_components(estimate: TermEstimate, scale: Scale) -> Judgement:
     """Verdict of the pure components of a term, over all pairs of levels."""
     k = len(estimate.levels)
     top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
     # all pairs of many levels would take longer than the study: the largest bound serves
     is_common = scale.bound is None or k > MOST_LEVELS
     first, second = np.triu_indices(k, 1)
-    if half is None and is_common:  # no pair says more than the two farthest apart
+    if estimate.half is None and is_common:  # no pair says more than the two farthest apart
         first, second = np.array([top]), np.array([bottom])
     d = estimate.component[first] - estimate.component[second]
-    u = np.zeros(d.size)
+    bounds: list[float | None] = [0.0]
     if scale.bound is not None:
-        pairs = [(top, bottom)]
-        if not is_common:
-            pairs = list(zip(first.tolist(), second.tolist(), strict=True))
+        pairs = [(top, bottom)] if is_common else zip(first.tolist(), second.tolist(), strict=True)
         bounds = [scale.between(estimate, i, j) for i, j in pairs]
-        # nothing bounds the numerical error of a quantity that diverges
-        u = np.array([math.inf if v is None else v for v in bounds])
-        u = u if u.size == d.size else np.full(d.size, u.max(initial=0.0))
-    w = np.zeros(d.size) if half is None else half[first, second]
+    # nothing bounds the numerical error of a quantity that diverges
+    u = np.broadcast_to([math.inf if v is None else v for v in bounds], d.shape)
+    w = np.zeros(d.size) if estimate.half is None else estimate.half[first, second]
     return judge_all(d - w, d + w, scale.practical or 0.0, u)
 
 
@@ -612,18 +566,12 @@ def _listed(simple: SimpleEffects, scale: Scale) -> tuple[SimpleEffect, ...]:
         replace(
             e,
             difference=scale.back(e.difference),
-            ci=_ends(e.ci, scale.back),
-            ci_simultaneous=_ends(e.ci_simultaneous, scale.back),
+            ci=scale.ends(e.ci),
+            ci_simultaneous=scale.ends(e.ci_simultaneous),
             u=None if e.u is None else e.u / scale.unit,
         )
         for e in largest
     )
-
-
-def _ends(
-    interval: tuple[float, float] | None, back: Callable[[float], float]
-) -> tuple[float, float] | None:
-    return None if interval is None else (back(interval[0]), back(interval[1]))
 
 
 def _resolved(ratio: float) -> str:
@@ -633,18 +581,16 @@ def _resolved(ratio: float) -> str:
 
 
 def _pairs(
-    estimate: TermEstimate, half: Array | None, back: Callable[[float], float]
+    estimate: TermEstimate, back: Callable[[float], float]
 ) -> tuple[tuple[PairDifference, ...], tuple[str, ...]]:
     """Differences of all pairs of levels of a factor, and the letters of the levels."""
-    k = len(estimate.levels)
-    if half is None or len(estimate.term) != 1 or k > MOST_LEVELS:
+    levels, pairs = estimate.levels, []
+    if estimate.half is None or len(estimate.term) != 1 or len(levels) > MOST_LEVELS:
         return (), ()
-    pairs = []
-    for i, j in combinations(range(k), 2):
-        d, h = float(estimate.component[i] - estimate.component[j]), float(half[i, j])
-        names = estimate.levels[i], estimate.levels[j]
-        pairs.append(PairDifference(*names, back(d), back(d - h), back(d + h), abs(d) > h))
+    for i, j in combinations(range(len(levels)), 2):
+        d, h = float(estimate.component[i] - estimate.component[j]), float(estimate.half[i, j])
+        ends = back(d), back(d - h), back(d + h)
+        pairs.append(PairDifference(levels[i], levels[j], *ends, abs(d) > h))
     apart = {frozenset((pair.first, pair.second)) for pair in pairs if pair.different}
-    order = np.argsort(-estimate.component, kind="stable")
-    by_level = letters([estimate.levels[i] for i in order], apart)
-    return tuple(pairs), tuple(by_level[level] for level in estimate.levels)
+    by_level = letters([levels[i] for i in np.argsort(-estimate.component, kind="stable")], apart)
+    return tuple(pairs), tuple(by_level[level] for level in levels)

@@ -23,12 +23,7 @@ from study.statistics.analysis.effects import (
     with_pseudo_error,
 )
 from study.statistics.analysis.equal_variance import own_variances, welch_tests
-from study.statistics.analysis.gate import (
-    LEAST_CONTRASTS,
-    judge_factors,
-    refusal,
-    rivals_of_rows,
-)
+from study.statistics.analysis.gate import LEAST_CONTRASTS, judge_factors, refusal, rivals_of_rows
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Term,
@@ -73,39 +68,35 @@ def best_source(
     records, df = out.request.records, float(fit.df_residual)
     if df > 0 and out.data.block is not None:
         why = "asked for" if out.request.error == "pooled" else "independently run trials"
+        why = "asked for instead of own interactions" if records else why
+        caution = (
+            "pooled error on a study's cells: those that differ only in discretization add "
+            "degrees of freedom and no variance, so p is far too small (use --error own)"
+        )
         blocks = " and ".join(out.data.blocks)
-        cautions: tuple[str, ...] = ()
-        if records:
-            why = "asked for instead of own interactions"
-            cautions = (
-                "pooled error on a study's cells: those that differ only in discretization add "
-                "degrees of freedom and no variance, so p is far too small (use --error own)",
-            )
         question = f"would the ranking change with another {blocks}? (interactions with {blocks} "
-        return ErrorTerm("E1", f"{question}pooled)", df, why), cautions
+        return ErrorTerm("E1", f"{question}pooled)", df, why), (caution,) if records else ()
     if df > 0 and int(np.bincount(out.data.cell).max()) > 1:
         return _replicates(out, df)
     contrasts = sum(s.df for s in sums)
     if records and out.u_raw is not None and out.request.model == "full":
-        source, df = "E4", 0.0
         question = (
             "no p: is the effect resolved by the discretization? (effect over numerical "
             "uncertainty: resolved from 3, marginal from 1)"
         )
         reason = "no replicates and no blocks; the numerical uncertainty is known"
-    elif df > 0:
-        source = "E5"
+        return ErrorTerm("E4", question, 0.0, reason), ()
+    if df > 0:
         question = "is the effect larger than the interactions declared negligible?"
         reason = "assumption: the interactions left out of the model are zero"
-    elif _sparse_ready(out, fit) and contrasts >= LEAST_CONTRASTS:
-        source = "E6"
+        return ErrorTerm("E5", question, df, reason), ()
+    if _sparse_ready(out, fit) and contrasts >= LEAST_CONTRASTS:
         question = "is the effect an outlier among the effects (effect sparsity)?"
         reason = f"no replicates and no blocks; Lenth's method on {contrasts} contrasts"
-    else:
-        source = "E7"
-        question = "no p: shares of variation and effects against the practical threshold"
-        reason = "no replicates, no blocks and nothing declared negligible"
-    return ErrorTerm(source, question, df, reason), ()
+        return ErrorTerm("E6", question, df, reason), ()
+    question = "no p: shares of variation and effects against the practical threshold"
+    reason = "no replicates, no blocks and nothing declared negligible"
+    return ErrorTerm("E7", question, df, reason), ()
 
 
 def _replicates(
@@ -152,15 +143,13 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
     if sums and all(s.df == 0 for s in sums):
         out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
     error, cautions = best_source(out, fit, sums)
-    if untested and len(data.factors) > 1:
-        # with one factor the residual is its own interaction with the blocks
-        error = replace(error, df=0.0, question="no p: sizes of effects alone")
-        cautions = ()
     if untested:
         error = replace(error, reason=untested)
-    df = fit.df_residual if error.df else 0
+    if untested and len(data.factors) > 1:
+        # with one factor the residual is its own interaction with the blocks
+        error, cautions = replace(error, df=0.0, question="no p: sizes of effects alone"), ()
+    df, order = fit.df_residual if error.df else 0, out.request.lower_order
     if untested or (df == 0 and (out.request.records or out.scale.specimens != 1)):
-        order = out.request.lower_order
         fewer_terms = f"model = {order}" if order else "name the terms of the model"
         out = out.warn(untested or REMEDIES.format(fewer_terms))
     out = out.warn(*cautions)
@@ -186,10 +175,9 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
             return pooled_estimate(data.layout, fit, term, df, p, alpha, error_rss)
         return estimate
 
-    estimates = [estimated(term) for term in out.terms]
-    two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
     alpha, seed = out.request.alpha, out.request.interval_seed
-    simple = {}
+    estimates, simple = [estimated(term) for term in out.terms], {}
+    two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
     if lenth is not None and error.source == "E6" and two_levels and not out.request.records:
         estimates = [_with_margin(e, lenth) for e in estimates]
         every = terms_of(data.factors) if balanced(data.layout, data.factors) else out.terms
@@ -203,17 +191,12 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         out = out.warn(*notes)
         simple = judge_factors(out, data.layout, judged, sample, rivals)
     effects = [size(e, out.scale, simple) for e in estimates]
-    if untested:
-        effects = [replace(e, why=untested) if e.is_main and df == 0 else e for e in effects]
-    return replace(
-        out,
-        error=error,
-        anova=Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
-        effects=tuple(effects),
-        fit=fit if df else None,
-        model=fit if df else None,
-        lenth=lenth,
-    )
+    if untested and df == 0:
+        effects = [replace(e, why=untested) if e.is_main else e for e in effects]
+    anova = Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss)
+    judged_fit = fit if df else None
+    out = replace(out, error=error, anova=anova, effects=tuple(effects), lenth=lenth)
+    return replace(out, fit=judged_fit, model=judged_fit)
 
 
 def welch(out: AnalysisOutcome) -> AnalysisOutcome:
@@ -246,20 +229,15 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
         sampled_estimate(data.layout, fit, term, tests[term_name(term)].p, sample)
         for term in out.terms
     ]
-    error = replace(
-        error,
-        df={row.term: row.df_error for row in rows if row.df_error is not None},
-        reason="as asked for: every cell has a variance of its own (Welch, Johansen 1980; "
-        "intervals of one factor by Games and Howell)",
+    reason = (
+        "as asked for: every cell has a variance of its own (Welch, Johansen 1980; intervals of "
+        "one factor by Games and Howell)"
     )
-    return replace(
-        out.warn(*notes),
-        error=error,
-        anova=Anova("III", with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
-        effects=tuple(size(e, out.scale, simple) for e in estimates),
-        fit=fit,
-        model=fit,
-    )
+    df = {row.term: row.df_error for row in rows if row.df_error is not None}
+    anova = Anova("III", with_shares(rows, fit.tss), out.y.size - 1, fit.tss)
+    effects = tuple(size(e, out.scale, simple) for e in estimates)
+    out, error = out.warn(*notes), replace(error, df=df, reason=reason)
+    return replace(out, error=error, anova=anova, effects=effects, fit=fit, model=fit)
 
 
 def _resamples(out: AnalysisOutcome) -> float:
@@ -302,22 +280,16 @@ def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
 def additive_fit(
     data: Data, y: Array, rows: Ints | None = None, *, plots: Ints | None = None
 ) -> Factored:
-    """Fit of cells plus blocks (or whole plots) to some of the rows: residuals within them.
-
-    Shapes: y (n,); plots (n,).
-    """
+    """Fit of cells plus blocks (or whole plots) to some of the rows of y (n,)."""
     keep = np.arange(y.size) if rows is None else rows
-    cells, index = np.unique(data.cell[keep], return_inverse=True)
-    levels = {"cell": tuple(str(c) for c in cells)}
-    codes = {"cell": index.astype(np.int64)}
-    extra: list[Term] = []
-    for i, code in enumerate(_blocks(data, plots)):
-        present, at = np.unique(code[keep], return_inverse=True)
-        levels[f"block {i}"] = tuple(str(c) for c in present)
-        codes[f"block {i}"] = at.astype(np.int64)
-        extra += [(f"block {i}",)] if present.size > 1 else []
-    terms: list[Term] = [("cell",)] if cells.size > 1 else []
-    return factor(model_matrix(CellLayout(levels, codes), terms, extra=extra), y[keep])
+    blocks = {f"block {i}": code for i, code in enumerate(_blocks(data, plots))}
+    levels, codes = {}, {}
+    for name, code in {"cell": data.cell, **blocks}.items():
+        present, codes[name] = np.unique(code[keep], return_inverse=True)
+        levels[name] = tuple(map(str, present))
+    varying: list[Term] = [(name,) for name, its_levels in levels.items() if len(its_levels) > 1]
+    cells, extra = [t for t in varying if t == ("cell",)], [t for t in varying if t != ("cell",)]
+    return factor(model_matrix(CellLayout(levels, codes), cells, extra=extra), y[keep])
 
 
 def within_fit(

@@ -17,6 +17,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.units import p_phrase
 from study.statistics.analysis.analysis_request import AnalysisOutcome
+from study.statistics.analysis.anova_table import SimpleEffect
 from study.statistics.analysis.comparisons import t_quantile
 from study.statistics.analysis.data import chance_of_tie
 from study.statistics.analysis.effects import (
@@ -119,9 +120,8 @@ def refusal(why: str) -> Rival:
     """Rival that makes no claim: no analysis of these rows is defensible enough."""
 
     def estimate(differences: Differences) -> Estimates:
-        return Estimates(
-            np.zeros(len(differences.first)), np.full(len(differences.first), np.inf), 1.0, 1.0
-        )
+        zero = np.zeros(len(differences.first))
+        return Estimates(zero, zero + np.inf, 1.0, 1.0)
 
     return Rival(why, estimate)
 
@@ -166,19 +166,16 @@ def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -
     """Withdraw those printed verdicts that a rival does not make."""
     by_setting = {(e.first, e.second, e.at): e.verdict for e in (other.effects if other else ())}
     whole = CANNOT_TELL if other is None else other.verdict
-    effects = tuple(
-        replace(e, verdict=CANNOT_TELL)
-        if e.verdict in rival.claims
-        and by_setting.get((e.first, e.second, e.at), whole) != e.verdict
-        else e
-        for e in printed.effects
-    )
+
+    def agreed(e: SimpleEffect) -> SimpleEffect:
+        same = by_setting.get((e.first, e.second, e.at), whole) == e.verdict
+        return e if same or e.verdict not in rival.claims else replace(e, verdict=CANNOT_TELL)
+
+    effects = tuple(map(agreed, printed.effects))
     left = {effect.verdict for effect in effects}
-    stands = printed.verdict not in rival.claims or (
-        MATTERS in left
-        if printed.verdict == MATTERS
-        else left == {NO_DIFFERENCE} and whole == NO_DIFFERENCE
-    )
+    some_matter, none_matters = MATTERS in left, left == {NO_DIFFERENCE} == {whole}
+    stands = some_matter if printed.verdict == MATTERS else none_matters
+    stands = stands or printed.verdict not in rival.claims
     if not stands or effects != printed.effects:
         printed = replace(printed, effects=effects, withdrawn=(*printed.withdrawn, rival.why))
     if not stands:
@@ -198,32 +195,26 @@ def reading_error(out: AnalysisOutcome) -> float:
 
 
 def limit_rivals(out: AnalysisOutcome, sample: Sample, means: Array) -> list[Rival]:
-    """Hold claims against both ends of a practical difference that is a share of the mean.
-
-    Shapes: means (n,).
-    """
+    """Hold claims against both ends of a difference that is a share of the mean of ``means``."""
     limit = out.request.scale.practical
     if limit is None or not limit.relative or out.request.scale.is_log or means.size < 2:
         return []
     centre = abs(float(means.mean()))
-    half = t_quantile(out.request.alpha / 2, means.size - 1) * float(
-        means.std(ddof=1) / math.sqrt(means.size)
-    )
+    error = float(means.std(ddof=1) / math.sqrt(means.size))
+    half = t_quantile(out.request.alpha / 2, means.size - 1) * error
     low, high = max(limit.value * (centre - half), 1e-300), limit.value * (centre + half)
     why = (
         f"{UNSURE_LIMIT}: {100 * limit.value:g} % of a mean of {means.mean():.4g} \u00b1 "
         f"{half:.2g} is {low:.3g} to {high:.3g}"
     )
-    return [
-        Rival(why, sample, (NO_DIFFERENCE,), practical=low),
-        Rival(why, sample, (MATTERS,), practical=high),
-    ]
+    ends = ((NO_DIFFERENCE, low), (MATTERS, high))
+    return [Rival(why, sample, (verdict,), practical=end) for verdict, end in ends]
 
 
 def block_means(out: AnalysisOutcome) -> Array:
     """Mean of the response in each block, on the working scale."""
-    block = out.data.layout.codes[str(out.data.block)]
-    return np.asarray(out.y[0] + np.bincount(block, out.y - out.y[0]) / np.bincount(block))
+    block, shifted = out.data.layout.codes[str(out.data.block)], out.y - out.y[0]
+    return np.asarray(out.y[0] + np.bincount(block, shifted) / np.bincount(block))
 
 
 def rivals_over_groups(
@@ -236,13 +227,10 @@ def rivals_over_groups(
 ) -> list[Rival]:
     """Rivals where each effect is tested over blocks, which may lie in groups.
 
-    ``added`` is what each block adds to the coefficients.
-
-    Shapes: added (p, b); y (cells, b).
+    ``added`` (p, b) is what each block of y (cells, b) adds to the coefficients.
     """
     alpha, seed = out.request.alpha, out.request.interval_seed
-    rivals = []
-    reading = reading_error(out)
+    rivals, reading = [], reading_error(out)
     if not out.request.records and out.replicates == "runs":
         rivals.append(Rival(NO_SCATTER, _with_scatter(sample, float(np.abs(y).max()))))
     if reading and out.replicates == "runs":
@@ -263,8 +251,7 @@ def rivals_of_rows(
 ) -> tuple[list[Rival], list[str]]:
     """Rivals where one pooled variance serves all rows, and what was seen of the declared model."""
     alpha, seed = out.request.alpha, out.request.interval_seed
-    rivals, notes = [], []
-    reading = reading_error(out)
+    rivals, reading = [], reading_error(out)
     if reading and rss < df * reading**2:
         rivals.append(Rival(COARSE, with_pooled_error(fit, df * reading**2, df, alpha, seed)))
     if out.data.block is None and out.replicates in ("runs", "mesh-seeds"):
@@ -275,18 +262,11 @@ def rivals_of_rows(
             rows = np.arange(out.y.size)
             unequal = cell_welch(fit, index, variances, alpha, reading, rows)
             rivals.append(Rival(UNEQUAL, unequal))
-    blocks = [(name,) for name in out.data.blocks]
     means = out.y.mean() + fit.residual if out.data.block is None else block_means(out)
     if out.replicates != "noise" and not out.request.records:
         rivals += limit_rivals(out, sample, means)
-    full = every_term(out, out.data.layout)
-    if full is not None:
-        whole = factor(model_matrix(out.data.layout, full, extra=blocks), out.y)
-        p, note, other, matrix = _lack_of_fit_of_rows(out, fit, whole)
-        notes += [note] if note else []
-        if p < DOUBT and other is not None:
-            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=matrix))
-    return rivals, notes
+    more, notes = _rival_of_rows(out, fit)
+    return rivals + more, notes
 
 
 def every_term(out: AnalysisOutcome, layout: CellLayout) -> tuple[Term, ...] | None:
@@ -310,25 +290,17 @@ def rival_of_every_term(
     """
     factors = set(out.data.factors)
     left_out = [t for t in whole.matrix.terms if t and t not in out.terms and set(t) <= factors]
-    places = [whole.matrix.of(term) for term in left_out]
-    if not places:
+    if not left_out:
         return [], []
-    columns = np.concatenate([np.arange(p.start, p.stop) for p in places])
-    rows = np.vstack([np.zeros(whole.columns.shape[1]), np.eye(whole.columns.shape[1])[columns]])
-    m = len(columns)
-    left_out_estimates = at(DOUBT / m)(
-        Differences(rows, np.arange(1, m + 1), np.zeros(m, dtype=np.int64))
-    )
-    if left_out_estimates.error is None:
+    rows = np.eye(whole.columns.shape[1])[np.r_[tuple(map(whole.matrix.of, left_out))]]
+    estimates = at(DOUBT / len(rows))(Differences.alone(rows))
+    if estimates.error is None:
         return [], []
     with np.errstate(invalid="ignore"):
-        seen = (
-            np.abs(left_out_estimates.value) > left_out_estimates.error * left_out_estimates.single
-        )
-    if not seen.any():
+        seen = int(np.sum(np.abs(estimates.value) > estimates.error * estimates.single))
+    if not seen:
         return [], []
-    note = f"{LACK}: {int(seen.sum())} of {m} coefficients that it "
-    note += "leaves out may not be zero"
+    note = f"{LACK}: {seen} of {len(rows)} coefficients that it leaves out may not be zero"
     return [Rival(f"{LACK_OF_FIT} ({note})", at(out.request.alpha), matrix=whole.matrix)], [note]
 
 
@@ -338,7 +310,7 @@ def rival_over_blocks(
     """Rival of the full model, where what the declared one leaves out is seen over the blocks.
 
     ``sample`` is that of the full model; the terms left out are tested against their own
-    interactions, all together and each direction. Shapes: y (cells, b).
+    interactions in y (cells, b), all together and each direction.
     """
     from scipy.special import stdtr
 
@@ -359,31 +331,35 @@ def rival_over_blocks(
     return rivals, [note]
 
 
-def _lack_of_fit_of_rows(
-    out: AnalysisOutcome, fit: Factored, whole: Factored
-) -> tuple[float, str, Sample | None, ModelMatrix]:
-    """P of the terms left out, what is said of it, and the sample of the model with them."""
-    alpha, seed = out.request.alpha, out.request.interval_seed
+def _rival_of_rows(out: AnalysisOutcome, fit: Factored) -> tuple[list[Rival], list[str]]:
+    """Rival of the full model, where the rows do not rule out what the declared one leaves out."""
+    alpha, seed, data = out.request.alpha, out.request.interval_seed, out.data
+    full = every_term(out, data.layout)
+    if full is None:
+        return [], []
+    blocks = [(name,) for name in data.blocks]
+    whole = factor(model_matrix(data.layout, full, extra=blocks), out.y)
     df, left = fit.df_residual - whole.df_residual, whole.df_residual
     if df <= 0:
-        return 1.0, "", None, whole.matrix
+        return [], []
     if (test := extra_sum(fit.rss - whole.rss, df, whole.rss, left)) is not None:
-        note = f"{LACK}: F({df:g}, {left:g}) = {test.f:.4g}, {p_phrase(test.p)}"
-        return test.p, note, with_pooled_error(whole, whole.rss, left, alpha, seed), whole.matrix
-    if out.data.block is not None or int(np.bincount(out.data.cell).max()) > 1:
-        return 1.0, "", None, whole.matrix
-    whole, names, contrasts, declared = _one_df_directions(out)
-    left_out = names[declared:]
-    is_full = balanced(out.data.layout, out.data.factors)
-    if len(left_out) < (LEAST_CONTRASTS if is_full else LEAST_LEFT_OUT):
-        return 1.0, "", None, whole.matrix
-    sparse = lenth(contrasts[:, declared:].T @ (out.y - out.y[0]), left_out, seed=out.request.seed)
-    p = min(sparse.p) * len(left_out)
-    largest = left_out[int(np.argmin(sparse.p))]
-    seen = "stands out" if p < DOUBT else "is the largest and does not stand out"
-    note = f"of the interactions declared negligible, {largest} {seen}: {p_phrase(min(1.0, p))}"
-    other = with_pseudo_error(whole, contrasts, alpha, seed, out.y)
-    return p, note, other, whole.matrix
+        p, note = test.p, f"{LACK}: F({df:g}, {left:g}) = {test.f:.4g}, {p_phrase(test.p)}"
+        sample = with_pooled_error(whole, whole.rss, left, alpha, seed)
+    elif data.block is not None or int(np.bincount(data.cell).max()) > 1:
+        return [], []
+    else:
+        whole, names, contrasts, declared = _one_df_directions(out)
+        left_out, is_full = names[declared:], balanced(data.layout, data.factors)
+        if len(left_out) < (LEAST_CONTRASTS if is_full else LEAST_LEFT_OUT):
+            return [], []
+        values = contrasts[:, declared:].T @ (out.y - out.y[0])
+        sparse = lenth(values, left_out, seed=out.request.seed)
+        p, largest = min(sparse.p) * len(left_out), left_out[int(np.argmin(sparse.p))]
+        seen = "stands out" if p < DOUBT else "is the largest and does not stand out"
+        note = f"of the interactions declared negligible, {largest} {seen}: {p_phrase(min(1.0, p))}"
+        sample = with_pseudo_error(whole, contrasts, alpha, seed, out.y)
+    rivals = [Rival(f"{LACK_OF_FIT} ({note})", sample, matrix=whole.matrix)] if p < DOUBT else []
+    return rivals, [note]
 
 
 def _one_df_directions(out: AnalysisOutcome) -> tuple[Factored, list[str], Array, int]:
@@ -419,11 +395,11 @@ def _rivals_of_cells(
         rivals.append(refusal(STILL))
     if variances := doubted_variances(out.y, index):
         rivals.append(Rival(UNEQUAL, cell_welch(fit, index, variances, out.request.alpha, reading)))
-    if counts.max() >= FEWEST_FOR_SHAPE and fit.q.shape[0] * fit.matrix.columns.shape[1] < 2e6:
+    is_small = fit.q.shape[0] * fit.matrix.columns.shape[1] < 2e6
+    if counts.max() >= FEWEST_FOR_SHAPE and counts.min() >= 2 and is_small:
         groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts)[:-1])
-        if counts.min() >= 2:
-            added = (fit.inverse @ fit.q.T) * (out.y - fit.shift)
-            rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, out.y))
+        added = (fit.inverse @ fit.q.T) * (out.y - fit.shift)
+        rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, out.y))
     return rivals
 
 
@@ -499,17 +475,16 @@ def any_shape(
                 ends[i] = (min(low, end), max(high, end), wide)
         if not ends:
             return estimates
-        single, every = (np.broadcast_to(np.asarray(k, dtype=float), m).copy()
-                         for k in (estimates.single, estimates.simultaneous))  # fmt: skip
         centre, error = estimates.value.copy(), estimates.error.copy()
+        single, every = (np.full(m, k, dtype=float)
+                         for k in (estimates.single, estimates.simultaneous))  # fmt: skip
         for i, (low, high, widest) in ends.items():
             farthest = _FARTHEST * b * float(np.abs(value[i]).max())
-            low, high, widest = max(low, -farthest), min(high, farthest), min(widest, farthest)
-            low = min(low, centre[i] - error[i] * single[i])
-            high = max(high, centre[i] + error[i] * single[i])
-            wide = max(widest, error[i] * every[i])
-            centre[i], error[i] = (low + high) / 2, 1.0
-            single[i], every[i] = (high - low) / 2, wide
+            half = error[i] * single[i]
+            low = min(max(low, -farthest), centre[i] - half)
+            high = max(min(high, farthest), centre[i] + half)
+            every[i] = max(min(widest, farthest), error[i] * every[i])
+            centre[i], error[i], single[i] = (low + high) / 2, 1.0, (high - low) / 2
         return Estimates(centre, error, single, every)
 
     return Rival(SKEW, estimate)

@@ -19,8 +19,9 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.units import p_phrase
 from study.statistics.analysis import error_ledger
-from study.statistics.analysis.analysis_request import AnalysisOutcome
+from study.statistics.analysis.analysis_request import AnalysisOutcome, AnalysisRequest
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
+from study.statistics.analysis.data import blocks_that_lack_cells
 from study.statistics.analysis.effects import DOUBT
 from study.statistics.analysis.gate import (
     COARSE,
@@ -36,11 +37,7 @@ from study.statistics.analysis.gate import (
 )
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
 from study.statistics.analysis.mixed_model import MixedCells
-from study.statistics.analysis.restricted_likelihood import (
-    Sandwich,
-    SingularError,
-    fit_restricted,
-)
+from study.statistics.analysis.restricted_likelihood import Sandwich, SingularError, fit_restricted
 from study.statistics.analysis.simple_effects import Differences, Estimates
 from study.statistics.analysis.strata import Plots
 from study.statistics.analysis.sums_of_squares import (
@@ -61,19 +58,13 @@ def incomplete_blocks(out: AnalysisOutcome, plots: Plots | None = None) -> Analy
     Where factors were declared to be set once for a whole plot, blocks and whole plots are random.
     """
     data, block = out.data, str(out.data.block)
-    cell = np.unique(data.cell, return_inverse=True)[1]
-    code = data.layout.codes[block]
-    cells = np.bincount(code)
-    lacking = int((cells < cell.max() + 1).sum())
+    lacking, b = blocks_that_lack_cells(data, data.factors)
     if not lacking or out.replicates in ("noise", "mesh-seeds"):
         return None
-    request = out.request
-    model, sandwich, sources = mixed_cells(
-        data.layout, out.terms, block, out.y, request.alpha, request.interval_seed,
-        request.layout.whole_plot,
-    )  # fmt: skip
-    if model is None or sandwich is None:
+    mixed = mixed_cells(data.layout, out.terms, block, out.y, out.request)
+    if mixed is None:
         return None
+    model, sandwich, sources = mixed
     fit, fixed = model.fit, model.fixed
     # sums of squares within blocks: shares of what varies there
     within = factor(model_matrix(data.layout, out.terms, extra=[(block,)]), out.y)
@@ -97,7 +88,6 @@ def incomplete_blocks(out: AnalysisOutcome, plots: Plots | None = None) -> Analy
     rivals, notes = _rivals(out, model, sandwich)
     out = out.warn(*notes)
     simple = judge_factors(out, data.layout, model.of_factors, model.sample, rivals)
-    b = cells.size
     scatter = f"interactions with {b} levels of {block}"
     if plots is not None:
         scatter = f"{b} levels of {block} and their whole plots ({plots.name})"
@@ -116,7 +106,7 @@ def incomplete_blocks(out: AnalysisOutcome, plots: Plots | None = None) -> Analy
         anova=Anova("III", with_shares(rows, within.tss), out.y.size - 1, within.tss),
         effects=model.effects(out.terms, p, out.scale, simple),
         fit=error_ledger.within_fit(data, out.y, plots=None if plots is None else plots.code),
-        plots=code if plots is None else plots.code,
+        plots=data.layout.codes[block] if plots is None else plots.code,
     )
 
 
@@ -146,18 +136,15 @@ def _rivals(
     full = every_term(out, out.data.layout)
     if full is None:
         return rivals, notes
-    request, block = out.request, str(out.data.block)
-    whole, its_own, _ = mixed_cells(
-        out.data.layout, full, block, out.y, request.alpha, request.interval_seed,
-        request.layout.whole_plot,
-    )  # fmt: skip
-    if whole is None or its_own is None:
+    mixed = mixed_cells(out.data.layout, full, str(out.data.block), out.y, out.request)
+    if mixed is None:
         return rivals, notes
+    whole, of_whole, _ = mixed
     bases = [s.basis for s in term_sums(whole.fixed, "III") if s.term not in out.terms and s.df]
     if bases:
         every = np.hstack(bases)
         test = whole.fit.test(every)
-        p = min(test.p, *(len(bases) * its_own.test(basis)[1] for basis in bases))
+        p = min(test.p, *(len(bases) * of_whole.test(basis)[1] for basis in bases))
         ratio = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}"
         note = f"{LACK}: {ratio}, {p_phrase(test.p)} by REML"
         notes.append(note)
@@ -167,25 +154,17 @@ def _rivals(
 
 
 def mixed_cells(
-    layout: CellLayout,
-    terms: Sequence[Term],
-    block: str,
-    y: Array,
-    alpha: float,
-    seed: int | None,
-    whole_plot: Sequence[str] = (),
-) -> tuple[MixedCells | None, Sandwich | None, list[Term]]:
-    """Mixed model of one row a cell and block, its sandwich and its random terms.
+    layout: CellLayout, terms: Sequence[Term], block: str, y: Array, request: AnalysisRequest
+) -> tuple[MixedCells, Sandwich, list[Term]] | None:
+    """Mixed model of one row of y (n,) a cell and block, its sandwich and its random terms.
 
     Random are the blocks and their interactions with the terms, or the whole plots of the factors
     named. None where no model can be fitted.
-
-    Shapes: y (n,).
     """
     bare = model_matrix(layout, terms)
     shift = float(y.mean())
     fixed = factor(bare, y - shift)
-    inner = [tuple(whole_plot)] if whole_plot else terms
+    inner = [request.layout.whole_plot] if request.layout.whole_plot else terms
     candidates = [(block,), *((block, *term) for term in inner)]
     codes = {t: np.unique(layout.cell(t), return_inverse=True)[1] for t in candidates}
     # what has a level of its own in every row is the scatter within
@@ -201,6 +180,7 @@ def mixed_cells(
             random.pop(min(error.which, len(random) - 1))
             continue
         sandwich = Sandwich(fit, fixed, y - shift, layout.codes[block])
+        alpha, seed = request.alpha, request.interval_seed
         model = MixedCells(fit, fixed, bare, layout, shift, alpha, seed, sandwich.errors)
         return model, sandwich, random
-    return None, None, []
+    return None

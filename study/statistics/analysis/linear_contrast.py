@@ -12,19 +12,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from scipy.special import stdtr
 
 from study.ground.arrays import Array
 from study.ground.contrast import Setting, sides_of
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.anova_table import Effect
-from study.statistics.analysis.comparisons import block_multiplier, holm, t_quantile
-from study.statistics.analysis.effects import (
-    UNEQUAL,
-    Scale,
-    by_components,
-    group_errors,
-)
+from study.statistics.analysis.comparisons import block_multiplier, holm, t_quantile, two_sided
+from study.statistics.analysis.effects import UNEQUAL, Scale, by_components, group_errors
 from study.statistics.analysis.equal_variance import doubted_variances
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
@@ -112,25 +106,21 @@ def possible_contrasts(
     cells: Cells, texts: Sequence[str]
 ) -> tuple[tuple[Contrast, ...], list[Fault]]:
     """Estimate those differences of sets of cells that can be, and say what keeps the others."""
-    sides, estimates, names = [], [], []
+    possible: list[tuple[str, tuple[Setting, Setting], _Estimate]] = []
     faults: list[Fault] = []
     for text in texts:
         try:
-            pair = sides_of(text, cells.levels)
+            sides = sides_of(text, cells.levels)
             if cells.estimate is None:
-                estimates.append(_estimate(cells, *pair, text))
+                estimate = _estimate(cells, *sides, text)
             else:
-                estimates.append(_Estimate(*cells.estimate(*pair)))
+                estimate = _Estimate(*cells.estimate(*sides))
+            possible.append((text, sides, estimate))
         except InputError as error:
             faults += error.faults
-            continue
-        sides.append(pair)
-        names.append(text)
-    wide = _multipliers(estimates, cells.alpha, cells.seed)
-    judged = [
-        _judged(text, pair, estimate, (factor, len(estimates)), cells)
-        for text, pair, estimate, factor in zip(names, sides, estimates, wide, strict=True)
-    ]
+    wide = _multipliers([estimate for *_, estimate in possible], cells.alpha, cells.seed)
+    together = ((multiplier, len(possible)) for multiplier in wide)
+    judged = [_judged(*of, both, cells) for of, both in zip(possible, together, strict=True)]
     return with_holm(judged), faults
 
 
@@ -194,17 +184,13 @@ def _of_cells(
 
 def _multipliers(estimates: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:
     """Multipliers of the standard errors for intervals of all contrasts together."""
-    blocks = [
-        estimate.by_block
-        for estimate in estimates
-        if estimate.by_block is not None and estimate.error
-    ]
+    blocks = [e.by_block for e in estimates if e.by_block is not None and e.error]
     if len(blocks) == len(estimates) > 1 and len({b.size for b in blocks}) == 1:
         m, b = len(blocks), blocks[0].size
         df = np.full(m, b - 1.0)
         return [*map(float, block_multiplier(np.array(blocks), alpha, seed, [np.arange(b)], df))]
     each = alpha / (2 * max(len(estimates), 1))
-    return [0.0 if one.df is None else t_quantile(each, one.df) for one in estimates]
+    return [0.0 if e.df is None else t_quantile(each, e.df) for e in estimates]
 
 
 def _judged(
@@ -215,40 +201,28 @@ def _judged(
     cells: Cells,
 ) -> Contrast:
     """Judge one of some contrasts, whose simultaneous multiplier and number are ``together``."""
-    multiplier, number = together
-    scale, back = cells.scale, cells.scale.back
+    (multiplier, number), scale, alpha = together, cells.scale, cells.alpha
+    value, error, df = estimate.value, estimate.error, estimate.df
     u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides))
     shown = None if u is None or scale.bound is None else u / scale.unit
-    if estimate.error is None or estimate.df is None:
-        why = "nothing scatters, so there is no interval"
-        return Contrast(
-            text, back(estimate.value), None, None, estimate.df, None, shown, CANNOT_TELL, why
-        )
-    halves = [m * estimate.error for m in (t_quantile(cells.alpha / 2, estimate.df), multiplier)]
-    ci, wide = ((estimate.value - half, estimate.value + half) for half in halves)
+    why = "nothing scatters, so there is no interval"
+    contrast = Contrast(text, scale.back(value), None, None, df, None, shown, CANNOT_TELL, why)
+    if error is None or df is None:
+        return contrast
+
+    def around(half: float) -> tuple[float, float]:
+        return value - half, value + half
+
+    ci, wide = around(t_quantile(alpha / 2, df) * error), around(multiplier * error)
     verdict, why = _verdict(ci, wide, u, scale)
     if estimate.welch is not None and verdict in CLAIMS:
-        error, df = estimate.welch
-        halves = [t_quantile(cells.alpha / (2 * m), df) * error for m in (1, number)]
-        ends = [(estimate.value - half, estimate.value + half) for half in halves]
-        if _verdict(ends[0], ends[1], u, scale)[0] != verdict:
+        of_cells, free = estimate.welch
+        alone, every = (around(t_quantile(alpha / (2 * m), free) * of_cells) for m in (1, number))
+        if _verdict(alone, every, u, scale)[0] != verdict:
             verdict, why = CANNOT_TELL, UNEQUAL
-    p = (
-        2 * float(stdtr(estimate.df, -abs(estimate.value) / estimate.error))
-        if estimate.error
-        else None
-    )
-    return Contrast(
-        text,
-        back(estimate.value),
-        (back(ci[0]), back(ci[1])),
-        (back(wide[0]), back(wide[1])),
-        estimate.df,
-        p,
-        shown,
-        verdict,
-        why,
-    )
+    p = two_sided(value / error, df) if error else None
+    contrast = replace(contrast, ci=scale.ends(ci), ci_simultaneous=scale.ends(wide), p=p)
+    return replace(contrast, verdict=verdict, why=why)
 
 
 def _verdict(
@@ -259,7 +233,7 @@ def _verdict(
         return CANNOT_TELL, "no practical threshold was given"
     if scale.specimens == 1:
         return CANNOT_TELL, ONE_SPECIMEN
-    verdict = verdict_of(ci, wide, np.nan if u is None else u, scale.practical)
+    verdict = verdict_of(ci, wide, u, scale.practical)
     if verdict == NOT_RESOLVED and u is None:
         return verdict, UNBOUNDED
     return verdict, "2 specimens" if scale.specimens == 2 and verdict in CLAIMS else ""

@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 from scipy import linalg
@@ -43,6 +43,10 @@ class CellLayout:
     def take(self, rows: Ints) -> CellLayout:
         """Return the same layout for some of the rows."""
         return CellLayout(self.levels, {name: codes[rows] for name, codes in self.codes.items()})
+
+    def labels(self, name: str) -> list[str]:
+        """Level of a factor in each row."""
+        return [self.levels[name][code] for code in self.codes[name]]
 
     def cell(self, names: Sequence[str]) -> Ints:
         """Index of the combination of levels of ``names`` in each row (row-major)."""
@@ -208,10 +212,7 @@ def _parse_term(item: str | Sequence[str], factors: Sequence[str]) -> Term:
 def model_matrix(
     layout: CellLayout, terms: Sequence[Term], *, extra: Sequence[Term] = ()
 ) -> ModelMatrix:
-    """Build the model matrix of an intercept, ``extra`` terms (blocks) and ``terms``.
-
-    Shapes: returns (n, p).
-    """
+    """Build the model matrix (n, p) of an intercept, ``extra`` terms (blocks) and ``terms``."""
     order: list[Term] = [(), *extra, *terms]
     present = {frozenset(t) for t in order}
     parts = [_term_columns(layout, term, present) for term in order]
@@ -282,11 +283,9 @@ def _products(layout: CellLayout, coded: Mapping[str, Array]) -> Array:
 
 def grid(layout: CellLayout, names: Sequence[str]) -> CellLayout:
     """Every combination of the levels of ``names`` once (row-major)."""
-    combos = np.array(
-        list(product(*(range(len(layout.levels[name])) for name in names))), dtype=np.int64
-    ).reshape(-1, len(names))
-    codes = {name: combos[:, i] for i, name in enumerate(names)}
-    return CellLayout({name: layout.levels[name] for name in names}, codes)
+    levels = {name: layout.levels[name] for name in names}
+    codes = np.indices([*map(len, levels.values())]).reshape(len(levels), -1)
+    return CellLayout(levels, dict(zip(levels, codes, strict=True)))
 
 
 def balanced(layout: CellLayout, names: Sequence[str]) -> bool:
@@ -459,10 +458,7 @@ class Factorization:
 
 
 def factorize(matrix: ModelMatrix) -> Factorization:
-    """Factor the columns of a model.
-
-    Shapes: matrix (n, p).
-    """
+    """Factor the columns (n, p) of a model."""
     scale = np.linalg.norm(matrix.columns, axis=0)
     scale[scale == 0] = 1.0
     if (products := _factored_products(matrix)) is not None:
@@ -545,10 +541,7 @@ def _others(terms: Sequence[Term], i: int, kind: str) -> list[int]:
 
 
 def span(columns: Array) -> Array:
-    """Orthonormal basis of the columns, shape (r, rank).
-
-    Shapes: columns (r, m).
-    """
+    """Orthonormal basis (r, rank) of columns (r, m)."""
     if columns.size == 0:
         return np.zeros((columns.shape[0], 0))
     cells = distinct_rows(columns)
@@ -583,10 +576,7 @@ class DistinctRows:
 
 
 def distinct_rows(columns: Array) -> DistinctRows | None:
-    """Distinct rows of a tall matrix; None where there are few rows, or few that repeat.
-
-    Shapes: columns (n, p).
-    """
+    """Distinct rows of a tall matrix (n, p); None where there are few, or few that repeat."""
     n = columns.shape[0]
     if n < _MANY_ROWS:
         return None
@@ -602,10 +592,7 @@ def distinct_rows(columns: Array) -> DistinctRows | None:
 
 
 def complement(rest: Array, columns: Array) -> Array:
-    """Orthonormal basis of what ``own`` adds to ``rest``, shape (r, df).
-
-    Shapes: rest, own (r, m).
-    """
+    """Orthonormal basis (r, df) of what columns (r, m) add to ``rest`` (r, k)."""
     base = span(rest)
     left = columns - base @ (base.T @ columns)
     left = left - base @ (base.T @ left)

@@ -25,12 +25,7 @@ from study.ground.tabular import names_of
 from study.statistics.analysis.analysis_request import Practical, alpha_faults, threshold
 from study.statistics.analysis.comparisons import pooled_multiplier, t_quantile
 from study.statistics.analysis.data import Data, prepare
-from study.statistics.analysis.effects import (
-    UNEQUAL,
-    Scale,
-    sampled_estimate,
-    size,
-)
+from study.statistics.analysis.effects import UNEQUAL, Scale, sampled_estimate, size
 from study.statistics.analysis.gate import Rival, judge_terms
 from study.statistics.analysis.linear_contrast import Cells, Contrast, with_holm
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
@@ -52,11 +47,7 @@ from study.statistics.analysis.restricted_likelihood import (
     SingularError,
     fit_restricted,
 )
-from study.statistics.analysis.simple_effects import (
-    Differences,
-    Estimates,
-    SimpleEffects,
-)
+from study.statistics.analysis.simple_effects import Differences, Estimates, SimpleEffects
 from study.statistics.analysis.sums_of_squares import Factored, factor, term_sums
 
 if TYPE_CHECKING:
@@ -204,31 +195,22 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     cells = MixedCells(fit, fixed, bare, data.layout, shift, alpha, seed)
     tests = {s.term: fit.test(s.basis) for s in term_sums(fixed, "III") if s.df}
     limit = threshold(practical)
-    scale = Scale(
-        "none",
-        None if limit is None else limit.on_scale(shift, "none"),
-        None,
-        deterministic=False,
-        specimens=len(data.layout.levels[blocks[0]]) if blocks else None,
-    )
+    difference = None if limit is None else limit.on_scale(shift, "none")
+    specimens = len(data.layout.levels[blocks[0]]) if blocks else None
+    scale = Scale("none", difference, None, deterministic=False, specimens=specimens)
     with _determined(sources):
         scatter = components(fit, [*map(term_name, sources), WITHIN], alpha)
     few = not sources and data.y.size <= _MOST_ROWS
     rivals = [_unequal_rows(cells, data.y - shift)] if few else []
+    simple = judge_terms(terms, scale, data.layout, bare, cells.sample, rivals)
+    p = {term: test.p for term, test in tests.items()}
     return MixedModel(
         scatter,
         tuple(MixedTerm(term_name(t), int(s.df), s.f, s.df_error, s.p) for t, s in tests.items()),
         fit.deviance,
         data.y.size,
         tuple(cells.slope(name) for name in covariates),
-        with_holm(
-            cells.effects(
-                terms,
-                {t: s.p for t, s in tests.items()},
-                scale,
-                judge_terms(terms, scale, data.layout, bare, cells.sample, rivals),
-            )
-        ),
+        with_holm(cells.effects(terms, p, scale, simple)),
         cells.contrasts(contrasts, scale),
         tuple(
             f"{inner} {data.layout.levels[inner][0]} is taken as the same {inner} in every "
@@ -274,19 +256,17 @@ def random_terms(
 ) -> tuple[Term, ...]:
     """Random terms: the blocks, interactions of fixed factors with them, and other columns."""
     terms: list[Term] = [(name,) for name in blocks]
-    faults = []
+    faults = [] if terms or random or factors else [_NOTHING_RANDOM]
     for text in random:
         term = tuple(part.strip() for part in text.split(":"))
         if not set(term) <= set(factors):
             terms.append(term)
-        elif blocks:
-            terms += [(name, *term) for name in blocks]
-        else:
+            continue
+        terms += [(name, *term) for name in blocks]
+        if not blocks:
             rule = f"{text!r} is a fixed factor, whose effect cannot be random without blocks"
             mend = f"name the blocks, or leave {text!r} out of the factors"
             faults.append(Fault("random", rule, mend))
-    if not (terms or factors):
-        faults.append(_NOTHING_RANDOM)
     if faults:
         raise InputError(faults)
     return tuple(dict.fromkeys(terms))
@@ -391,7 +371,7 @@ class MixedCells:
         single = t_quantile(self.alpha / 2, estimates.df)
         if not ok.any():
             return Estimates(value, estimates.error, single, single)
-        some = Differences(settings @ self._root, differences.first[ok], differences.second[ok])
+        some = replace(differences.take(ok), settings=settings @ self._root)
         df = float(estimates.df[ok].min())  # the least sure contrast decides for all
         wide = pooled_multiplier(some, estimates.error[ok], df, self.alpha, self.seed)
         every = np.full(value.size, wide)
@@ -427,16 +407,15 @@ class MixedCells:
 
     def between(self, first: Setting, second: Setting) -> tuple[float, float, float]:
         """Difference of means over the cells of two settings, standard error, df."""
-        names = list(dict.fromkeys(name for term in self.factors.terms for name in term))
-        cells = grid(self.layout, names)
+        names = dict.fromkeys(name for term in self.factors.terms for name in term)
+        cells = grid(self.layout, list(names))
         columns = model_matrix(cells, self.factors.terms[1:]).columns
-        sides = []
-        for setting in (first, second):
-            rows = np.ones(cells.n, dtype=bool)
-            for name, level in setting.items():
-                rows &= cells.codes[name] == self.layout.levels[name].index(level)
-            sides.append(columns[rows].mean(axis=0))
-        row = (sides[0] - sides[1])[None]
+
+        def mean(setting: Setting) -> Array:
+            codes = [cells.codes[n] == self.layout.levels[n].index(a) for n, a in setting.items()]
+            return np.asarray(columns[np.all(codes, axis=0)].mean(axis=0))
+
+        row = (mean(first) - mean(second))[None]
         if not self.fixed.estimable(self._padded(row)).all():
             raise InputError(Fault("contrast", "a cell that it needs has no row"))
         estimate = self.fit.estimate(self.along(row))
@@ -452,8 +431,7 @@ class MixedCells:
         import pandas as pd
 
         names = [term[0] for term in self.factors.terms if len(term) == 1]
-        levels = {name: self.layout.levels[name] for name in names}
-        seed = self.seed or 0
+        levels, seed = {name: self.layout.levels[name] for name in names}, self.seed or 0
         cells = Cells(pd.DataFrame(), levels, scale, self.alpha, seed, estimate=self.between)
         return contrasts_of(cells, texts)
 
@@ -462,14 +440,11 @@ def _with_covariates(
     matrix: ModelMatrix, table: pd.DataFrame, covariates: Sequence[str], data: Data
 ) -> ModelMatrix:
     """Append a column for every covariate, each about its mean."""
-    columns, terms, blocks = [matrix.columns], [*matrix.terms], [*matrix.blocks]
-    for name in covariates:
-        values = _numbers(table, name, data)
-        at = matrix.columns.shape[1] + len(columns) - 1
-        columns.append((values - values.mean())[:, None])
-        terms.append((name,))
-        blocks.append(slice(at, at + 1))
-    return ModelMatrix(np.hstack(columns), tuple(terms), tuple(blocks))
+    values = [_numbers(table, name, data) for name in covariates]
+    columns = np.column_stack([matrix.columns, *(v - v.mean() for v in values)])
+    places = (slice(k, k + 1) for k in range(matrix.columns.shape[1], columns.shape[1]))
+    terms = (*matrix.terms, *((name,) for name in covariates))
+    return ModelMatrix(columns, terms, (*matrix.blocks, *places))
 
 
 def _numbers(table: pd.DataFrame, name: str, data: Data) -> Array:
@@ -496,7 +471,7 @@ def _check(data: Data, fixed: Factored) -> None:
     faults = []
     if not np.ptp(data.y):
         faults.append(Fault("response", "is the same in every row", "there is nothing to explain"))
-    if fixed.rank < fixed.columns.shape[1]:
+    if not fixed.is_full:
         rule = "the rows cannot tell all terms apart"
         faults.append(Fault("model", rule, "leave interactions out: --model 1"))
     if faults:

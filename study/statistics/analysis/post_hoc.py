@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import compress, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,31 +17,20 @@ import pandas as pd
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
-from study.statistics.analysis.anova_table import Effect, PairDifference, Row
+from study.statistics.analysis.anova_table import DifferenceInterval, Effect, PairDifference, Row
 from study.statistics.analysis.comparisons import (
     Comparisons,
     LevelPair,
     block_multiplier,
     studentized_range_cdf,
     t_quantile,
+    two_sided,
 )
 from study.statistics.analysis.data import Crossed
-from study.statistics.analysis.effects import (
-    Scale,
-    group_errors,
-    over_complete_settings,
-    own_critical,
-    pooled_critical,
-    term_rows,
-)
+from study.statistics.analysis.effects import group_errors, own_critical, pooled_critical, term_rows
 from study.statistics.analysis.incomplete_blocks import mixed_cells
 from study.statistics.analysis.linear_contrast import Cells, possible_contrasts
-from study.statistics.analysis.linear_model import (
-    CellLayout,
-    Term,
-    nested_in,
-    terms_of,
-)
+from study.statistics.analysis.linear_model import CellLayout, Term, nested_in, terms_of
 from study.statistics.analysis.strata import cell_fit
 from study.statistics.analysis.sums_of_squares import EXACT, Factored
 
@@ -164,47 +153,40 @@ def _of_model(
     """
     layout, request = fit.matrix.layout, analysis.request
     names, rows, _ = term_rows(layout, fit, (factor,))
-    rows, at = over_complete_settings(layout, fit, (factor,), rows), names.index(reference)
+    at = names.index(reference)
     differences = np.delete(rows, at, axis=0) - rows[at]
     if not fit.estimable(differences).all():
         rule = "compares levels that stand in the same cells, and some cells are empty"
         raise InputError(Fault("--reference", rule, "analyze the complete part of the table"))
     along = differences @ fit.inverse
-    root = np.linalg.norm(along, axis=1)
-    ordered = (reference, *(name for name in names if name != reference))
-    correlation = along @ along.T / np.outer(root, root)
-    standard_error = root * math.sqrt(ms)
-    return _dunnett(
-        ordered, along @ fit.z, standard_error, correlation, df, request.alpha, request.seed
-    )
-
-
-def _dunnett(
-    names: Sequence[str],
-    means: Array,
-    standard_error: Array,
-    correlation: Array,
-    df: float,
-    alpha: float,
-    seed: int,
-) -> Comparisons:
-    """Compare with the first of the names, by correlated t of the differences from it."""
-    values, vectors = np.linalg.eigh(correlation)
+    length = np.linalg.norm(along, axis=1)
+    means, error = along @ fit.z, length * math.sqrt(ms)
+    values, vectors = np.linalg.eigh(along @ along.T / np.outer(length, length))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(request.seed)
     parts = []
     for _ in range(SAMPLES // CHUNK):
         z = np.abs(rng.standard_normal((CHUNK, len(values))) @ root.T).max(axis=1)
         parts.append(z / np.sqrt(rng.chisquare(df, CHUNK) / df))
     largest = np.concatenate(parts)
-    half = float(np.quantile(largest, 1 - alpha)) * standard_error
-    p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / standard_error]
-    ends = zip(means, means - half, means + half, strict=True)
-    pairs = tuple(
-        LevelPair(name, names[0], float(d), float(low), float(high), float(p_of_pair))
-        for name, (d, low, high), p_of_pair in zip(names[1:], ends, p, strict=True)
-    )
-    return Comparisons("Dunnett", alpha, pairs, {})
+    half = float(np.quantile(largest, 1 - request.alpha)) * error
+    p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / error]
+    others = [name for name in names if name != reference]
+    return _against(reference, others, means, half, p, "Dunnett", request.alpha)
+
+
+def _against(
+    reference: str,
+    others: Sequence[str],
+    means: Array,
+    half: Array,
+    p: Sequence[float],
+    method: str,
+    alpha: float,
+) -> Comparisons:
+    ends = zip(means.tolist(), (means - half).tolist(), (means + half).tolist(), p, strict=True)
+    pairs = (LevelPair(name, reference, *end) for name, end in zip(others, ends, strict=True))
+    return Comparisons(method, alpha, tuple(pairs), {})
 
 
 #: smallest p that is told apart: one of the 4,000 draws of the multiplier
@@ -223,11 +205,9 @@ def dunnett_over_groups(
 ) -> Comparisons:
     """Compare levels with one of them, each difference with an error of its own.
 
-    A level's values add up to its mean over blocks, or over the rows of its cells; the scatter of
-    each group of them (all blocks, or the rows of a cell) is its own. The differences depend
+    A level's values (b,) add up to its mean over blocks, or over the rows of its cells; the scatter
+    of each group of them (all blocks, or the rows of a cell) is its own. The differences depend
     on each other, which the simulated multiplier of the largest |t| counts.
-
-    Shapes: values (b,).
     """
     names = [name for name in values if name != reference]
     parts = np.array([values[name] - values[reference] for name in names])
@@ -246,12 +226,8 @@ def dunnett_over_groups(
             low, high = (low, middle) if beyond else (middle, high)
         return math.exp(high)
 
-    ends = zip(names, centre, half(alpha), strict=True)
-    pairs = tuple(
-        LevelPair(name, reference, float(d), float(d - h), float(d + h), p(i))
-        for i, (name, d, h) in enumerate(ends)
-    )
-    return Comparisons(method, alpha, pairs, {})
+    p_of_all = [p(i) for i in range(len(names))]
+    return _against(reference, names, centre, half(alpha), p_of_all, method, alpha)
 
 
 # -------------------------------------------------------------------------------------------------
@@ -264,17 +240,10 @@ TWO_LEVELS = "t"
 
 
 @dataclass(frozen=True)
-class PairwiseDifference:
-    """Difference (or ratio) of two levels of one factor."""
+class PairwiseDifference(DifferenceInterval):
+    """Difference of two levels of one factor, with the interval of all its pairs together."""
 
-    #: The difference is first - second (first / second for a log response).
     factor: str
-    first: str
-    second: str
-    #: With the simultaneous interval of all pairs of the factor.
-    difference: float
-    lower: float
-    upper: float
     #: Adjusted for all pairs of the factor; below alpha exactly where the interval excludes no
     #: difference. None where the error is made of several strata.
     p: float | None
@@ -293,9 +262,8 @@ def pairwise(analysis: AnalysisResult) -> tuple[PairwiseDifference, ...]:
     compared = []
     for effect, pair in ((e, pair) for e in analysis.effects if e.is_main for pair in e.pairs):
         method, p = _adjusted(effect, pair, rows.get(effect.term), analysis)
-        sides = effect.term, pair.first, pair.second
-        ends = pair.difference, pair.lower, pair.upper
-        compared.append(PairwiseDifference(*sides, *ends, p, method))
+        difference = pair.first, pair.second, pair.difference, pair.lower, pair.upper
+        compared.append(PairwiseDifference(*difference, effect.term, p, method))
     return tuple(compared)
 
 
@@ -333,13 +301,6 @@ def _adjusted(
     return method, min(1.0, pairs * two_sided(t, df))
 
 
-def two_sided(t: float, df: float) -> float:
-    """Two-sided p of Student's t."""
-    from scipy.special import stdtr
-
-    return 2 * float(stdtr(df, -abs(t)))
-
-
 # -------------------------------------------------------------------------------------------------
 # Rows that a fit describes badly or leans on: residuals, leverage, Cook's distance, PRESS.
 
@@ -365,9 +326,7 @@ def diagnosed_rows(analysis: AnalysisResult) -> pd.DataFrame | None:
     # a row that is fitted exactly leaves 0 / 0: it has no residual to judge
     left = np.where(leverage < EXACT, 1 - leverage, np.nan)
     return rows.assign(
-        row=rows["row"] + 1,
-        standardized=residual / s / np.sqrt(left),
-        press=residual / left,
+        row=rows["row"] + 1, standardized=residual / s / np.sqrt(left), press=residual / left
     )
 
 
@@ -381,22 +340,17 @@ def unusual_observations(analysis: AnalysisResult) -> pd.DataFrame | None:
         return None
     influence = analysis.assumptions.influence
     limit = None if influence is None else influence.limit
-    why = _reasons(rows, min(LARGE_LEVERAGE * float(rows["leverage"].mean()), 0.99), limit)
+    largest_leverage = min(LARGE_LEVERAGE * float(rows["leverage"].mean()), 0.99)
+    reasons = {
+        "large residual": rows["standardized"].abs() > LARGE_RESIDUAL,
+        "high leverage": rows["leverage"] > largest_leverage,
+        "moves the fit": rows["cook"] > (math.inf if limit is None else limit),
+    }
+    why = [", ".join(compress(reasons, flags)) for flags in zip(*reasons.values(), strict=True)]
     columns = ("row", "response", "fitted", "residual", "standardized", "leverage", "cook", "press")
-    listed = rows[list(columns)].assign(why=why)[np.array([bool(text) for text in why])]
+    listed = rows[list(columns)].assign(why=why)[np.array(list(map(bool, why)))]
     order = listed["standardized"].abs().sort_values(ascending=False, kind="stable").index
     return listed.loc[order].reset_index(drop=True)
-
-
-def _reasons(rows: pd.DataFrame, leverage: float, cook: float | None) -> list[str]:
-    large = rows["standardized"].abs() > LARGE_RESIDUAL
-    remote = rows["leverage"] > leverage
-    moves = rows["cook"] > (math.inf if cook is None else cook)
-    texts = []
-    for flags in zip(large, remote, moves, strict=True):
-        named = zip(flags, ("large residual", "high leverage", "moves the fit"), strict=True)
-        texts.append(", ".join(text for flag, text in named if flag))
-    return texts
 
 
 # Levels of a factor compared with one of them, and differences that an analyst names.
@@ -406,9 +360,7 @@ def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Compar
     """Compare all levels of a factor with one of them (Dunnett 1955)."""
     named, _, level_name = level.rpartition("=")
     levels = {e.term: e.levels for e in analysis.effects if e.term in analysis.request.factors}
-    holding = [
-        f for f, its_levels in levels.items() if level_name in its_levels and named in ("", f)
-    ]
+    holding = [f for f in levels if level_name in levels[f] and named in ("", f)]
     if len(holding) != 1:
         every = [name for its_levels in levels.values() for name in its_levels]
         rule = "is a level of several factors" if holding else "is no level of a factor"
@@ -459,35 +411,19 @@ def cells_of(analysis: AnalysisResult) -> Cells:
     """Rows of an analysis on its scale, with what matters."""
     request, rows = analysis.request, analysis.data.residuals
     values = rows["response"].to_numpy(dtype=float)
-    log, mean = request.scale.is_log, analysis.data.grand_mean
-    limit, unit = request.scale.practical, 1 / mean if log else 1.0
-    practical = None if limit is None else limit.on_scale(mean, request.scale.transform)
-    bound = request.scale.bound([e.term for e in analysis.effects], unit)
-    # blocks are specimens where they are no seeds of a mesh and no refits to resampled noise
-    resampled = analysis.error_term.source == "E2"
-    specimens = request.specimens
-    if specimens is None and "block" in rows and analysis.error_term.source not in ("E2", "E3"):
-        specimens = rows["block"].nunique()
-    scale = Scale(request.scale.transform, practical, bound, False, unit, specimens)
     levels = {e.term: e.levels for e in analysis.effects if e.is_main}
-    table = rows.assign(y=np.log(values) if log else values)
-    cells = Cells(table, levels, scale, request.alpha, request.seed, resampled)
+    table = rows.assign(y=np.log(values) if request.scale.is_log else values)
+    resampled = analysis.error_term.source == "E2"
+    cells = Cells(table, levels, analysis.detection.scale, request.alpha, request.seed, resampled)
     if all(row.error != "REML" for row in analysis.anova.rows):
         return cells
     of_all = {**levels, "block": tuple(dict.fromkeys(table["block"]))}
-    codes = {name: pd.Categorical(table[name], of_all[name]).codes.astype(np.int64)
-             for name in of_all}  # fmt: skip
+    codes = {name: pd.Categorical(table[name], its_levels).codes.astype(np.int64)
+             for name, its_levels in of_all.items()}  # fmt: skip
     terms = [tuple(e.term.split(":")) for e in analysis.effects]
-    model, *_ = mixed_cells(
-        CellLayout(of_all, codes),
-        terms,
-        "block",
-        table["y"].to_numpy(),
-        request.alpha,
-        request.seed,
-        request.layout.whole_plot,
-    )
-    return cells if model is None else replace(cells, estimate=model.between)
+    layout, y = CellLayout(of_all, codes), table["y"].to_numpy()
+    mixed = mixed_cells(layout, terms, "block", y, request)
+    return cells if mixed is None else replace(cells, estimate=mixed[0].between)
 
 
 def with_contrasts(analysis: AnalysisResult, texts: Sequence[str]) -> AnalysisResult:

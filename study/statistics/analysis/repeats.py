@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.ground.arrays import gathered
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.anova_table import Anova, NaiveTerm, NestedUnits
@@ -36,10 +37,9 @@ def average_units(
     data = prepare(table, response, factors, block)
     keys = [*factors, *block]
     y = data.y
-    if request.scale.is_log:
-        if y.min() <= 0:
-            raise InputError(Fault(f"response {response!r}", "the log needs positive values"))
-        y = np.log(y)
+    if request.scale.is_log and y.min() <= 0:
+        raise InputError(Fault(f"response {response!r}", "the log needs positive values"))
+    y = np.log(y) if request.scale.is_log else y
     frame = pd.DataFrame({name: table[name].to_numpy() for name in [*keys, unit]})
     shift = float(y[0])
     frame[response] = np.nan
@@ -92,18 +92,12 @@ def compare_naive(
     wider = t_quantile(0.025, df_unit) / t_quantile(0.025, df_unit + df_row)
     terms = _terms(nested, naive)
     df_term = int(terms[0].df[0]) if terms else 1
-    return NestedUnits(
-        unit,
-        int(y.size),
-        int(size.size),
-        correlation,
-        y.size / (1 + (m - 1) * correlation),
-        wider * float(np.sqrt(ms_unit / naive_ms)) if naive_ms > 0 else 1.0,
-        _naive_size(
-            1 + (m - 1) * correlation, 1 - correlation, df_term, df_unit, df_row, request.seed
-        ),
-        terms,
-    )
+    inflation = 1 + (m - 1) * correlation
+    too_narrow = wider * float(np.sqrt(ms_unit / naive_ms)) if naive_ms > 0 else 1.0
+    df = df_term, df_unit, df_row
+    size_of_naive = _naive_size(inflation, 1 - correlation, *df, request.seed)
+    rows = y.size, size.size, correlation, y.size / inflation
+    return NestedUnits(unit, *rows, too_narrow, size_of_naive, terms)
 
 
 def _naive_size(
@@ -128,17 +122,8 @@ def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
         other = naive.row(row.term)
         if other.f is None or other.df_error is None or other.p is None:
             continue
-        terms.append(
-            NaiveTerm(
-                row.term,
-                row.f,
-                (row.df, row.df_error),
-                row.p,
-                other.f,
-                (other.df, other.df_error),
-                other.p,
-            )
-        )
+        test = row.f, (row.df, row.df_error), row.p
+        terms.append(NaiveTerm(row.term, *test, other.f, (other.df, other.df_error), other.p))
     return tuple(terms)
 
 
@@ -183,11 +168,10 @@ def common_seeds(cells: Sequence[Hashable], seeds: Sequence[object]) -> tuple[tu
     if not cells or len(cells) != len(seeds):
         rule = f"one seed for each of {len(cells)} rows is needed, got {len(seeds)}"
         raise InputError(Fault("seeds", rule))
-    of_cell: dict[Hashable, set[str]] = {}
-    for cell, seed in zip(cells, seeds, strict=True):
-        of_cell.setdefault(cell, set()).add(str(seed))
-    labels = tuple(dict.fromkeys(str(seed) for seed in seeds))
-    common = tuple(s for s in labels if all(s in present for present in of_cell.values()))
+    of_cell = gathered(zip(cells, map(str, seeds), strict=True)).values()
+    labels = tuple(dict.fromkeys(map(str, seeds)))
+    in_all = set.intersection(*map(set, of_cell))
+    common = tuple(s for s in labels if s in in_all)
     if len(common) < 2 or 2 * len(common) < len(labels):
         return (), "mesh seeds differ between cells: replicates, pooled within cells"
     why = f"the {len(common)} mesh seeds are common to all cells, so they are blocks"

@@ -568,10 +568,7 @@ def _scaling(a1: float, a2: float, count: int) -> tuple[float, float]:
 
 
 def fit_restricted(x: Array, y: Array, codes: Sequence[Ints]) -> RestrictedFit:
-    """Fit a mixed model by restricted maximum likelihood.
-
-    Shapes: x (n, r); y (n,); codes (n,).
-    """
+    """Fit a mixed model of x (n, r) to y (n,) by restricted maximum likelihood."""
     likelihood = Likelihood(x, y, tuple(codes))
     likelihood.check()
     return RestrictedFit(likelihood, *likelihood.fit())
@@ -612,10 +609,7 @@ class Sandwich:
 
     @cached_property
     def _blocks(self) -> list[tuple[Ints, Array, Array]]:
-        """Rows of each block, CR2's weights of its residuals, and these times the covariance.
-
-        Shapes: rows (n_k,), the others (n_k, p).
-        """
+        """Rows (n_k,) of each block, CR2's weights (n_k, p), and these times the covariance."""
         x, phi, v = self.fixed.q, self.fit.covariance, self.fit.v
         weighted = []
         for k in range(int(self.block.max()) + 1):

@@ -10,14 +10,14 @@ simultaneous intervals.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import StudyError
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
 from study.statistics.analysis.linear_model import CellLayout, ModelMatrix, Term, model_matrix
@@ -48,8 +48,7 @@ UNBOUNDED = "with finer meshes a cell moves ever farther, so nothing bounds its 
 SEE_SIMPLE = "see simple effects"
 
 
-@dataclass(frozen=True)
-class Judgement:
+class Judgement(NamedTuple):
     """Verdict on one difference, or on several."""
 
     #: {"matters", "no practical difference", "not resolved by the mesh", "cannot tell"}: two claims
@@ -74,10 +73,7 @@ def claim(low: float, high: float, practical: float) -> str:
 
 
 def judge_all(low: Array, high: Array, practical: float, u: Array) -> Judgement:
-    """Judge several differences together.
-
-    Shapes: low, high (m,); u (m,).
-    """
+    """Judge several differences together, by the ends (m,) of their intervals and bounds u (m,)."""
     beyond = np.maximum(low, -high)
     if (beyond - u > practical).any():
         return Judgement(MATTERS, "the interval lies beyond the practical band")
@@ -131,6 +127,16 @@ class Differences:
     first: Ints
     second: Ints
 
+    @classmethod
+    def alone(cls, settings: Array) -> Differences:
+        """Every setting by itself: its difference from nothing."""
+        each = np.arange(1, len(settings) + 1)
+        return cls(np.vstack([np.zeros((1, settings.shape[1])), settings]), each, 0 * each)
+
+    def take(self, which: Ints | Flags) -> Differences:
+        """Return some of the differences."""
+        return replace(self, first=self.first[which], second=self.second[which])
+
     @property
     def rows(self) -> Array:
         """Combinations of the coefficients, shape (m, p); 256 GiB where 4,096 settings are paired.
@@ -175,8 +181,7 @@ class Differences:
         near = length < _CANCELS * both
         np.sqrt(length, out=length, where=~near)
         if near.any():
-            pairs = Differences(self.settings, self.first[near], self.second[near])
-            length[near] = pairs.each(_lengths)
+            length[near] = self.take(near).each(_lengths)
         return length
 
 
@@ -254,11 +259,26 @@ def simple_effects(
     start = np.arange(len(settings)) * len(layout.levels[factor])
     first, second = (np.concatenate([start + pair[side] for pair in pairs]) for side in (0, 1))
     estimates = sample(Differences(columns, first, second))
-    effects = tuple(_effects(factor, layout, others, settings, pairs, estimates, bound, practical))
+    levels, has_error = layout.levels[factor], estimates.error is not None
+    error = np.zeros_like(estimates.value) if estimates.error is None else estimates.error
+    alone, every = (error * estimates.single).tolist(), (error * estimates.simultaneous).tolist()
+    effects = []
+    for n, ((i, j), setting) in enumerate(product(pairs, settings)):
+        d = float(estimates.value[n])
+        if math.isnan(d):  # cells are missing: this difference cannot be estimated
+            continue
+        at = {name: layout.levels[name][c] for name, c in zip(others, setting, strict=True)}
+        cells = [{**at, factor: level} for level in (levels[i], levels[j])]
+        u = 0.0 if bound is None else bound.of(cells[0], cells[1])
+        ci, wide = ((d - h, d + h) for h in (alone[n], every[n]))
+        verdict, sides = verdict_of(ci, wide, u, practical), (levels[i], levels[j])
+        shown = (ci if has_error else None, wide if has_error else None)
+        bounded = None if u is None else float(u)
+        effects.append(SimpleEffect(*sides, tuple(at.items()), d, *shown, bounded, verdict))
     if not effects:
         return None
     lost = len(estimates.value) - len(effects)
-    judged = _together(factor, effects, practical)
+    judged = _together(factor, tuple(effects), practical)
     if not lost:
         return judged
     where = "has an empty cell" if lost == 1 else "have an empty cell"
@@ -272,10 +292,7 @@ def columns_at(
     others: Sequence[str],
     settings: Sequence[tuple[int, ...]],
 ) -> Array:
-    """Combine the coefficients in which a factor enters, at settings of its partners.
-
-    Shapes: returns (settings * k, p).
-    """
+    """Combine the coefficients of a factor at settings of others, shape (settings * k, p)."""
     k = len(layout.levels[factor])
     codes = {name: np.zeros(len(settings) * k, dtype=np.int64) for name in layout.levels}
     codes[factor] = np.tile(np.arange(k), len(settings))
@@ -289,53 +306,18 @@ def columns_at(
     return columns
 
 
-def _effects(
-    factor: str,
-    layout: CellLayout,
-    others: Sequence[str],
-    settings: Sequence[tuple[int, ...]],
-    pairs: Sequence[tuple[int, int]],
-    estimates: Estimates,
-    bound: NumericalBound | None,
-    practical: float | None,
-) -> Iterator[SimpleEffect]:
-    levels = layout.levels[factor]
-    zero = np.zeros_like(estimates.value)
-    error = zero if estimates.error is None else estimates.error
-    alone = (error * estimates.single).tolist()
-    every = (error * estimates.simultaneous).tolist()
-    for n, ((i, j), setting) in enumerate(product(pairs, settings)):
-        at = {name: layout.levels[name][c] for name, c in zip(others, setting, strict=True)}
-        u = 0.0
-        if bound is not None:
-            bounded = bound.of({**at, factor: levels[i]}, {**at, factor: levels[j]})
-            u = np.nan if bounded is None else bounded
-        d = float(estimates.value[n])
-        if math.isnan(d):  # cells are missing: this difference cannot be estimated
-            continue
-        ci, wide = ((d - h, d + h) for h in (alone[n], every[n]))
-        yield SimpleEffect(
-            levels[i],
-            levels[j],
-            tuple(at.items()),
-            d,
-            None if estimates.error is None else ci,
-            None if estimates.error is None else wide,
-            None if math.isnan(u) else float(u),
-            verdict_of(ci, wide, u, practical),
-        )
-
-
 def verdict_of(
-    ci: tuple[float, float], wide: tuple[float, float], u: float, practical: float | None
+    ci: tuple[float, float], wide: tuple[float, float], u: float | None, practical: float | None
 ) -> str:
-    """Judge one difference by its own interval and by the simultaneous one."""
+    """Judge one difference by its own interval and by the simultaneous one.
+
+    Of a quantity that diverges nothing bounds the numerical error (None), and nothing is claimed.
+    """
     if practical is None or not (math.isfinite(ci[0]) and math.isfinite(ci[1])):
         return CANNOT_TELL
-    # nothing bounds the numerical error of a quantity that diverges, so nothing is claimed of it
-    if not math.isnan(u) and claim(wide[0] - u, wide[1] + u, practical) == MATTERS:
+    if u is not None and claim(wide[0] - u, wide[1] + u, practical) == MATTERS:
         return MATTERS
-    if not math.isnan(u) and claim(ci[0] - u, ci[1] + u, practical) == NO_DIFFERENCE:
+    if u is not None and claim(ci[0] - u, ci[1] + u, practical) == NO_DIFFERENCE:
         return NO_DIFFERENCE
     resolvable = claim(*wide, practical) == MATTERS or claim(*ci, practical) == NO_DIFFERENCE
     return NOT_RESOLVED if resolvable else CANNOT_TELL
@@ -354,10 +336,8 @@ def _together(
         why = "the interval of every simple effect lies inside the practical band"
         return SimpleEffects(factor, NO_DIFFERENCE, why, effects)
     if (needed := _needed(effects, practical)) is not None:
-        open_ones = [e for e in effects if e.verdict == NOT_RESOLVED]
-        why = resolution(needed)
-        if open_ones and all(e.u is None for e in open_ones):
-            why = UNBOUNDED
+        bounds = [e.u for e in effects if e.verdict == NOT_RESOLVED]
+        why = UNBOUNDED if bounds and set(bounds) == {None} else resolution(needed)
         return SimpleEffects(factor, NOT_RESOLVED, why, effects, needed)
     why = "the interval of a simple effect crosses the practical threshold"
     return SimpleEffects(factor, CANNOT_TELL, why, effects)
@@ -404,15 +384,12 @@ FEWEST_BLOCKS = 3
 
 
 def without_each(
-    table: pd.DataFrame,
-    block: str,
-    effects: Sequence[Effect],
-    analyses: Sequence[Analysis],
+    table: pd.DataFrame, block: str, effects: Sequence[Effect], analyses: Sequence[Analysis]
 ) -> tuple[Effect, ...]:
     """Name the blocks without which a claim is not made."""
     labels = table[block].astype(str)
     names = list(dict.fromkeys(labels))
-    claims = {e.term: e.verdict for e in effects if e.verdict in (MATTERS, NO_DIFFERENCE)}
+    claims = {e.term: e.verdict for e in effects if e.verdict in CLAIMS}
     if not (claims and FEWEST_BLOCKS <= len(names) <= MOST_BLOCKS and len(table) <= MOST_ROWS):
         return tuple(effects)
     lost: dict[str, list[str]] = {term: [] for term in claims}

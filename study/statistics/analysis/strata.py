@@ -12,6 +12,7 @@ with two, one covariance serves all. Where blocks lack cells, strata mix: see
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,7 +24,7 @@ from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
 from study.statistics.analysis.anova_table import Anova, Effect, ErrorTerm, Row
-from study.statistics.analysis.data import Crossed, Data, crossed
+from study.statistics.analysis.data import Crossed, Data, constant_in_blocks, crossed
 from study.statistics.analysis.effects import (
     over_groups,
     own_critical,
@@ -96,27 +97,21 @@ class Plots:
 
 def whole_plots(data: Data, named: Sequence[str]) -> Plots | None:
     """Whole plots of a design: the blocks, where factors are constant in them, or as asked."""
-    if data.block is None or data.also:
+    if data.block is None or len(data.blocks) > 1:
         return None
-    block = data.layout.codes[data.block]
+    for name in named:
+        if name not in data.factors:
+            mend = nearest(name, data.factors)
+            raise InputError(Fault("whole plot", f"{name!r} is no factor", mend))
     if named:
-        for name in named:
-            if name not in data.factors:
-                mend = nearest(name, data.factors)
-                raise InputError(Fault("whole plot", f"{name!r} is no factor", mend))
-        pair = data.layout.cell([data.block, *named])
-        name = ":".join([data.block, *named])
-        return Plots(tuple(named), np.unique(pair, return_inverse=True)[1], name, False)
+        columns = (data.block, *named)
+        code = np.unique(data.layout.cell(columns), return_inverse=True)[1]
+        return Plots(tuple(named), code, term_name(columns), False)
     # every block holds one level, and a level lies in several blocks
-    blocks, codes = np.unique(block).size, data.layout.codes
-    constant = [
-        f
-        for f in data.factors
-        if np.unique(data.layout.cell([data.block, f])).size == blocks > np.unique(codes[f]).size
-    ]
-    if not constant:
-        return None
-    return Plots(tuple(constant), block, data.block, True)
+    code, codes = data.layout.codes[data.block], data.layout.codes
+    blocks = np.unique(code).size
+    constant = [f for f in constant_in_blocks(data) if blocks > np.unique(codes[f]).size]
+    return Plots(tuple(constant), code, data.block, True) if constant else None
 
 
 # -------------------------------------------------------------------------------------------------
@@ -156,11 +151,10 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
     place = {t.term: s for s in strata for t in sums[s.name] if t.df and t.df == complete[t.term]}
     rows = []
     for s in strata:
-        rss, ms = s.fit.rss, s.fit.rss / s.df if s.df else None
         tested = [t for t in sums[s.name] if place.get(t.term) is s]
-        rows += [term_row(t, s.df, rss, whole.tss, s.name) for t in tested]
+        rows += [term_row(t, s.df, s.fit.rss, whole.tss, s.name) for t in tested]
         if s.df or s.fit.rank:  # a block that is itself one whole plot holds none
-            rows.append(Row(s.name, s.df, rss, ms))
+            rows.append(Row(s.name, s.df, s.fit.rss, s.fit.rss / s.df if s.df else None))
     lost = [term_name(term) for term in out.terms if term not in place]
     rows += [Row(name, 0, 0.0) for name in lost]
     out = out.warn(*(f"{name}: is in no stratum whole; no test" for name in lost))
@@ -173,26 +167,20 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
         more, notes = rival_of_every_term(out, every, partial(_over_strata, every, within))
         rivals, out = [*rivals, *more], out.warn(*notes)
     simple = judge_factors(out, data.layout, whole, sample, rivals)
-    effects = []
-    by_name = {row.term: row.p for row in rows}
+    effects, p = [], {row.term: row.p for row in rows}
     for term in out.terms:
-        stratum, p = place.get(term), by_name[term_name(term)]
+        stratum = place.get(term)
         fit, df = (whole, 0) if stratum is None else (stratum.fit, stratum.df)
-        estimate = pooled_estimate(data.layout, fit, term, df, p, alpha, fit.rss)
+        estimate = pooled_estimate(data.layout, fit, term, df, p[term_name(term)], alpha, fit.rss)
         of_means = sampled_estimate(data.layout, whole, term, None, sample)
         estimate = replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half)
         effects.append(size(estimate, out.scale, simple))
     df_of = {term_name(t): float(place[t].df) for t in complete if t in place}
     error = error_of_strata(str(data.block), plots, "the pooled scatter within whole plots", df_of)
-    return replace(
-        out,
-        error=error,
-        anova=Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss),
-        effects=tuple(effects),
-        fit=error_ledger.within_fit(data, out.y, plots=plots.code),
-        model=strata[-1].fit,
-        plots=plots.code,
-    )
+    anova = Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss)
+    judged = error_ledger.within_fit(data, out.y, plots=plots.code)
+    out = replace(out, error=error, anova=anova, effects=tuple(effects), plots=plots.code)
+    return replace(out, fit=judged, model=strata[-1].fit)
 
 
 def _over_strata(
@@ -295,7 +283,7 @@ def own_tests(
     apart = members if len(members) > 1 and min(map(len, members)) >= LEAST_OWN else []
     total = float(np.sum((shifted - shifted.mean()) ** 2))
     tests = OwnTests({}, [], {}, [], total)
-    wanted = {frozenset(term): term for term in terms}
+    by_factors = {frozenset(term): term for term in terms}
     mean = TermSum(np.full((n, 1), 1 / np.sqrt(n)), 1)
     inner = [replace(s, basis=cells.q @ s.basis) for s in term_sums(cells, kind)]
     for s in (mean, *inner):
@@ -307,20 +295,24 @@ def own_tests(
         if s.df > 1:
             tests.sphericity[term_name(s.term)] = sphericity(residual, between.df_residual)
         for outer, direction in _directions(between, kind, s.term):
-            term = wanted.get(frozenset((*s.term, *outer)))
+            term = by_factors.get(frozenset((*s.term, *outer)))
             if term is None:
                 continue
             name, effect = term_name(term), values @ direction
             ss = float(np.sum(effect**2))
-            row = Row(name, effect.size, ss, ss / effect.size if effect.size else None)
+            tests.rows[term] = Row(name, effect.size, ss, ss / effect.size if effect.size else None)
             # what is left of a term that lost some is not the effect: an empty cell, or an alias
-            whole = effect.size and (partial or s.df == s.nominal_df)
-            why = _no_test(s.basis, values, residual, floor, name, block) if whole else ""
-            if whole and not why:
+            if not effect.size or not (partial or s.df == s.nominal_df):
+                continue
+            if float(np.abs(s.basis @ values).max()) <= floor:
+                why = "its levels agree within the solver tolerance in every block, no test"
+                tests.warnings.append(f"{name}: {why}")
+            elif float(np.abs(s.basis @ residual).max()) <= floor:
+                why = f"its effect is the same in every {block} to the solver tolerance, no test"
+                tests.warnings.append(f"{name}: {why}")
+            else:
                 sums = (effect.size, ss), (against, df, ss_error)
-                row = _row(name, sums, direction, values, residual, apart, total)
-            tests.warnings.extend([why] if why else [])
-            tests.rows[term] = row
+                tests.rows[term] = _row(name, sums, direction, values, residual, apart, total)
     return tests
 
 
@@ -337,26 +329,14 @@ def _between(groups: CellLayout | None, blocks: int) -> tuple[Factorization, lis
 def _directions(between: Factorization, kind: str, part: Term) -> list[tuple[Term, Array]]:
     """Orthonormal directions over blocks of the mean and of every term between blocks."""
     terms = between.matrix.terms
-    directions: list[tuple[Term, Array]] = []
-    if part:
-        n = between.q.shape[0]
-        mean = np.ones((n, 1)) / np.sqrt(n)
-        if kind == "III" and len(terms) > 1:
-            mean = between.q @ complement(between.r[:, 1:], between.r[:, :1])
-        directions.append(((), mean))
-    spaces = ((terms[i], between.space(i, kind)) for i in range(1, len(terms)))
-    return directions + [(term, between.q @ space.basis) for term, space in spaces]
-
-
-def _no_test(
-    basis: Array, values: Array, residual: Array, floor: float, name: str, block: str
-) -> str:
-    """Why an effect cannot be tested: it, or its interaction, is below the tolerance."""
-    if float(np.abs(basis @ values).max()) <= floor:
-        return f"{name}: its levels agree within the solver tolerance in every block, no test"
-    if float(np.abs(basis @ residual).max()) <= floor:
-        return f"{name}: its effect is the same in every {block} to the solver tolerance, no test"
-    return ""
+    spaces = [(terms[i], between.q @ between.space(i, kind).basis) for i in range(1, len(terms))]
+    if not part:
+        return spaces
+    n = between.q.shape[0]
+    mean = np.ones((n, 1)) / np.sqrt(n)
+    if kind == "III" and spaces:
+        mean = between.q @ complement(between.r[:, 1:], between.r[:, :1])
+    return [((), mean), *spaces]
 
 
 def _row(
@@ -402,7 +382,7 @@ def own(out: AnalysisOutcome, plots: Plots | None = None) -> AnalysisOutcome | N
         # (Efron and Tibshirani 1993, chapter 6); that of their mean would fall with their number
         mean = table.y.mean(axis=1, keepdims=True)
         table = replace(table, y=mean + np.sqrt(b) * (table.y - mean))
-    full = int(np.prod([len(table.layout.levels[f]) for f in within]))
+    full = math.prod(len(table.layout.levels[f]) for f in within)
     if plots is None:
         fewer = n < np.unique(data.cell).size
         empty = full - n if fewer or out.structure.empty_cells else 0
@@ -419,28 +399,28 @@ def own(out: AnalysisOutcome, plots: Plots | None = None) -> AnalysisOutcome | N
     if rest > 0 and plots is None:
         out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
     rows = [tests.rows[term] for term in out.terms if term in tests.rows]
-    df = {row.term: float(row.df_error or 0) for row in rows}
     if plots is None:
         df = {row.term: float(row.df * (b - 1)) for row in rows}
         error, cautions = _own_error(out, b, df)
         out = out.warn(*cautions)
     else:
+        df = {row.term: float(row.df_error or 0) for row in rows}
         error = error_of_strata(block, plots, "own interactions", df)
         alike = _COVARIANCES if min(map(len, members)) >= LEAST_OWN else _ONE_COVARIANCE
         asked = out.request.error == "own"
         error = replace(error, reason="asked for" if asked else f"{error.reason}; {alike}")
     layout = table.layout if groups is None else _product(table.layout, groups)
     effects, notes = _effects(out, tests, table, layout, members)
-    return replace(
+    listed = with_shares([*rows, *tests.errors], tests.total)
+    out = replace(
         out.warn(*notes),
         error=error,
-        anova=Anova(kind, with_shares([*rows, *tests.errors], tests.total), n * b - 1, tests.total),
+        anova=Anova(kind, listed, n * b - 1, tests.total),
         effects=effects,
         sphericity=tests.sphericity,
         fit=error_ledger.within_fit(data, out.y),
-        crossed=table if plots is None else None,
-        plots=None if plots is None else plots.code,
-    )  # fmt: skip
+    )
+    return replace(out, crossed=table) if plots is None else replace(out, plots=plots.code)
 
 
 def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
@@ -512,18 +492,16 @@ def _effects(
     for term in out.terms:
         row = tests.rows.get(term, Row(term_name(term), 0, 0.0))
         p = row.p_deciding
-        if not several:
-            levels = int(np.prod([len(layout.levels[name]) for name in term]))
-            critical = own_critical(levels, max(int(row.df), 1), b, request.alpha)
+        if not several or fewest >= LEAST_OWN:
+            levels = math.prod(len(layout.levels[name]) for name in term)
+            of_term = own_critical(levels, max(int(row.df), 1), b, request.alpha)
+            critical = None if several else of_term
             estimate = sampled_estimate(layout, fit, term, p, own_errors, critical)
-        elif fewest >= LEAST_OWN:
-            estimate = sampled_estimate(layout, fit, term, p, own_errors)
         else:
             error = by_error.get(row.error or "", row)
             df = error.df * (row.epsilon_gg or 1.0) if row.error else 0.0
-            estimate = pooled_estimate(
-                layout, fit, term, df, p, request.alpha, (error.ms or 0.0) * df
-            )
+            rss = (error.ms or 0.0) * df
+            estimate = pooled_estimate(layout, fit, term, df, p, request.alpha, rss)
             estimate = replace(estimate, mean_half=None)
         effects.append(size(estimate, out.scale, simple))
     return tuple(effects), notes
@@ -531,30 +509,25 @@ def _effects(
 
 def _own_error(
     out: AnalysisOutcome, blocks: int, df: dict[str, float]
-) -> tuple[ErrorTerm, tuple[str, ...]]:
+) -> tuple[ErrorTerm, list[str]]:
     """Error of effects against their own interaction with the blocks, and what to beware of."""
-    decides = "Greenhouse-Geisser deciding)"
-    if out.replicates == "noise":
-        question = (
-            f"{error_ledger.NOISE_QUESTION} (each effect against its own scatter over {blocks} "
-            f"refits to resampled residuals, {decides}"
-        )
-        why = "cells hold refits to resampled measurement noise, the same for all cells of a curve"
-        return ErrorTerm("E2", question, df, why), (error_ledger.ONE_CURVE,)
-    against = "(each effect against its own interaction with"
-    if out.replicates == "mesh-seeds":
-        question = (
-            f"would another mesh of this size change the effect? {against} {blocks} mesh seeds, "
-            f"{decides}"
-        )
-        few = blocks < error_ledger.ENOUGH_SEEDS
-        cautions = (f"{blocks} mesh seeds: ask for 8 or more",) if few else ()
-        why = "every cell has the same mesh seeds, so they are blocks"
-        return ErrorTerm("E3", question, df, why), (error_ledger.BIAS, *cautions)
     block = str(out.data.block)
-    question = (
-        f"would the ranking change with another {block}? {against} {blocks} levels of {block}, "
-        f"{decides}"
-    )
-    why = "asked for" if out.request.error == "own" else "every cell is seen in the same blocks"
-    return ErrorTerm("E1", question, df, why), ()
+    cautions: list[str] = []
+    if out.replicates == "noise":
+        source, question = "E2", error_ledger.NOISE_QUESTION
+        against = f"scatter over {blocks} refits to resampled residuals"
+        why = "cells hold refits to resampled measurement noise, the same for all cells of a curve"
+        cautions = [error_ledger.ONE_CURVE]
+    elif out.replicates == "mesh-seeds":
+        source, question = "E3", "would another mesh of this size change the effect?"
+        against = f"interaction with {blocks} mesh seeds"
+        why = "every cell has the same mesh seeds, so they are blocks"
+        few = blocks < error_ledger.ENOUGH_SEEDS
+        cautions = [error_ledger.BIAS, *([f"{blocks} mesh seeds: ask for 8 or more"] * few)]
+    else:
+        source, question = "E1", f"would the ranking change with another {block}?"
+        against = f"interaction with {blocks} levels of {block}"
+        asked = out.request.error == "own"
+        why = "asked for" if asked else "every cell is seen in the same blocks"
+    question += f" (each effect against its own {against}, Greenhouse-Geisser deciding)"
+    return ErrorTerm(source, question, df, why), cautions
