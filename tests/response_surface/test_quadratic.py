@@ -14,7 +14,8 @@ from study.statistics.surfaces.quadratic import (
     factorize,
     fit_quadratic,
     leave_one_out,
-    level_by_blocks,
+    level_at,
+    level_limit,
     second_order,
 )
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs, box_points, never_run
@@ -180,10 +181,12 @@ def region_coverage(rng: np.random.Generator, n: int) -> float:
     true = np.array([5.0, 0.3, -0.2, 0.1, -2.0, -1.5])
     surface = Polynomial(terms, true, 2)
     at = -0.5 * np.linalg.solve(surface.quadratic(), surface.linear())
-    hits = 0
+    hits, limit = 0, level_limit(2, 5, "blocks")
+    assert limit is not None
     for _ in range(n):
-        each = [Polynomial(terms, true + rng.normal(0, 0.4, 6), 2) for _ in range(6)]
-        hits += bool(level_by_blocks(each)(at[None, :])[0])
+        each = true + rng.normal(0, 0.4, (6, 6))
+        mean = Polynomial(terms, each.mean(axis=0), 2)
+        hits += bool(level_at(mean, np.cov(each.T) / 6, limit, at[None, :])[0])
     return hits / n
 
 
