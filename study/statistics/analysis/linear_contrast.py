@@ -194,11 +194,7 @@ def _of_cells(
 
 def _multipliers(estimates: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:
     """Multipliers of the standard errors for intervals of all contrasts together."""
-    blocks = [
-        estimate.by_block
-        for estimate in estimates
-        if estimate.by_block is not None and estimate.error
-    ]
+    blocks = [e.by_block for e in estimates if e.by_block is not None and e.error]
     if len(blocks) == len(estimates) > 1 and len({b.size for b in blocks}) == 1:
         m, b = len(blocks), blocks[0].size
         df = np.full(m, b - 1.0)
@@ -233,21 +229,11 @@ def _judged(
         ends = [(estimate.value - half, estimate.value + half) for half in halves]
         if _verdict(ends[0], ends[1], u, scale)[0] != verdict:
             verdict, why = CANNOT_TELL, UNEQUAL
-    p = (
-        2 * float(stdtr(estimate.df, -abs(estimate.value) / estimate.error))
-        if estimate.error
-        else None
-    )
+    t = abs(estimate.value) / estimate.error if estimate.error else None
+    p = None if t is None else 2 * float(stdtr(estimate.df, -t))
+    alone, simultaneous = ((back(low), back(high)) for low, high in (ci, wide))
     return Contrast(
-        text,
-        back(estimate.value),
-        (back(ci[0]), back(ci[1])),
-        (back(wide[0]), back(wide[1])),
-        estimate.df,
-        p,
-        shown,
-        verdict,
-        why,
+        text, back(estimate.value), alone, simultaneous, estimate.df, p, shown, verdict, why
     )
 
 

@@ -199,12 +199,23 @@ def _dunnett(
     largest = np.concatenate(parts)
     half = float(np.quantile(largest, 1 - alpha)) * standard_error
     p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / standard_error]
-    ends = zip(means, means - half, means + half, strict=True)
-    pairs = tuple(
-        LevelPair(name, names[0], float(d), float(low), float(high), float(p_of_pair))
-        for name, (d, low, high), p_of_pair in zip(names[1:], ends, p, strict=True)
-    )
-    return Comparisons("Dunnett", alpha, pairs, {})
+    return _against("Dunnett", alpha, (names[1:], names[0]), means, half, p)
+
+
+def _against(
+    method: str,
+    alpha: float,
+    names: tuple[Sequence[str], str],
+    differences: Array,
+    half: Array,
+    p: Sequence[float],
+) -> Comparisons:
+    """Comparisons of the first names with the second, from differences and half widths."""
+    ends = (differences, differences - half, differences + half)
+    rows = np.column_stack([*ends, p]).tolist()
+    levels, reference = names
+    pairs = (LevelPair(name, reference, *row) for name, row in zip(levels, rows, strict=True))
+    return Comparisons(method, alpha, tuple(pairs), {})
 
 
 #: smallest p that is told apart: one of the 4,000 draws of the multiplier
@@ -246,12 +257,8 @@ def dunnett_over_groups(
             low, high = (low, middle) if beyond else (middle, high)
         return math.exp(high)
 
-    ends = zip(names, centre, half(alpha), strict=True)
-    pairs = tuple(
-        LevelPair(name, reference, float(d), float(d - h), float(d + h), p(i))
-        for i, (name, d, h) in enumerate(ends)
-    )
-    return Comparisons(method, alpha, pairs, {})
+    each = [p(i) for i in range(len(names))]
+    return _against(method, alpha, (names, reference), centre, half(alpha), each)
 
 
 # -------------------------------------------------------------------------------------------------
