@@ -237,9 +237,6 @@ class Emulator(Keyed):
     #: In the unit box, for standardized responses; where it was fitted to the runs of several
     #: combinations of categories, it has those of the others, too.
     process: GaussianProcess
-    #: Mean and standard deviation of the responses, in their unit.
-    centre: float
-    scale: float
     seed: int
     #: Number of the combination of categories at which it is asked.
     combination: int | None = None
@@ -250,6 +247,16 @@ class Emulator(Keyed):
     def each(self) -> tuple[Emulator, ...]:
         """The emulator itself, as of blocks those of each."""
         return (self,)
+
+    @cached_property
+    def centre(self) -> float:
+        """Mean of the responses, in their unit."""
+        return float(self.runs.response.mean())
+
+    @cached_property
+    def scale(self) -> float:
+        """Standard deviation of the responses, in their unit."""
+        return float(self.runs.response.std())
 
     @property
     def kernel(self) -> dict[str, object]:
@@ -376,24 +383,21 @@ def fit_together(runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0) -> t
 
 
 def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emulator, ...]:
-    singles = [_emulator_averaged(one) for one in runs]
-    centres = [float(one.response.mean()) for one, _ in singles]
-    scales = [float(one.response.std()) for one, _ in singles]
-    for (one, _), centre, scale in zip(singles, centres, scales, strict=True):
+    averaged = [_emulator_averaged(one) for one in runs]
+    numbers = range(len(runs)) if sizes else [None]
+    parts = []
+    for (one, u), number in zip(averaged, numbers, strict=True):
+        centre, scale = one.response.mean(), one.response.std()
         if scale <= 1e-12 * abs(centre):
             rule = f"the response {one.name!r} is the same in every run"
             raise RefusedError(str(Fault("emulator", rule, "there is nothing to explain")))
-    numbers = range(len(runs)) if sizes else [None]
-    x, y, noise = (np.concatenate(parts) for parts in zip(*(
-        (_among(0.5 * (one.coded + 1.0), number), (one.response - centre) / scale, (u / scale) ** 2)
-        for (one, u), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
-    ), strict=True))  # fmt: skip
+        unit = _among(0.5 * (one.coded + 1.0), number)
+        parts.append((unit, (one.response - centre) / scale, (u / scale) ** 2))
+    x, y, noise = map(np.concatenate, zip(*parts, strict=True))
     fits = [fit_process(x, y, noise, family, seed, sizes) for family in FAMILIES]
     rival, best = sorted(fits, key=lambda p: 1.0 - float((p.loo_errors**2).sum() / (y**2).sum()))
-    return tuple(
-        Emulator(one, best, centre, scale, seed, number, rival)
-        for (one, _), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
-    )
+    each = zip(averaged, numbers, strict=True)
+    return tuple(Emulator(one, best, seed, number, rival) for (one, _), number in each)
 
 
 def _among(unit: Array, combination: int | None) -> Array:
@@ -415,12 +419,10 @@ def _emulator_averaged(runs: Runs) -> tuple[Runs, Array]:
 
 
 def _check(runs: Runs) -> None:
-    n = len(runs.distinct()[0])
-    k = len(runs.factors)
-    levels = runs.levels()
-    if runs.response.size > LARGEST:
-        rule = f"{runs.response.size} runs, at most {LARGEST}: the work grows with their cube"
-        mend = f"take every {-(-runs.response.size // LARGEST)}th row, or --surface quadratic"
+    n, k, levels = len(runs.distinct()[0]), len(runs.factors), runs.levels()
+    if runs.size > LARGEST:
+        rule = f"{runs.size} runs, at most {LARGEST}: the work grows with their cube"
+        mend = f"take every {-(-runs.size // LARGEST)}th row, or --surface quadratic"
         raise RefusedError(str(Fault("emulator", rule, mend)))
     for name, count in zip(runs.names, levels, strict=True):
         if count < FEWEST_SETTINGS:
