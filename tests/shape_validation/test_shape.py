@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from skfem import MeshHex, MeshTet
+from skfem.io.meshio import HEX_MAPPING
 
 import study
 from study.cli.app import run
@@ -306,36 +308,18 @@ def test_points_without_weight_are_set_aside_and_counted(tmp_path: Path) -> None
 # Surfaces of meshes of every kind of cell: closed, outward, of the right volume.
 
 
-#: Half a unit cube's nodes along an axis for the quadratic cell: corners, then middles.
-CUBE = np.array(
-    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
-    dtype=float,
-)
-
-
-def box_mesh(n: int, low: Array, high: Array) -> tuple[Array, Ints]:
-    """Hexahedra of a box."""
-    grid = [np.linspace(a, b, n + 1) for a, b in zip(low, high, strict=True)]
-    points = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange((n + 1) ** 3).reshape(n + 1, n + 1, n + 1)
-    corner = CUBE.astype(int)
-    cells = [
-        [number[i + a, j + b, k + c] for a, b, c in corner]
-        for i in range(n) for j in range(n) for k in range(n)
-    ]  # fmt: skip
-    return points, np.array(cells)
-
-
-def six_tetrahedra(cells: Ints) -> Ints:
-    """Split hexahedra along their diagonal 0-6."""
-    ways = [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)]
-    return np.concatenate([cells[:, list(way)] for way in ways])
+def box_mesh(kind: str, low: list[float], high: list[float], n: int) -> tuple[Array, Ints]:
+    """Points, and cells in the order of VTK, of a box of n^3 hexahedra or six tetrahedra each."""
+    ends = zip(low, high, strict=True)
+    mesh = (MeshHex if kind == "hexahedron" else MeshTet).init_tensor(
+        *(np.linspace(a, b, n + 1) for a, b in ends)
+    )
+    return mesh.p.T, (mesh.t[HEX_MAPPING[:8]] if kind == "hexahedron" else mesh.t).T
 
 
 @pytest.mark.parametrize("kind", ["hexahedron", "tetra"])
 def test_a_whole_box_has_its_volume(kind: str) -> None:
-    points, cells = box_mesh(3, np.array([-2.0, -1, 0]), np.array([2.0, 1, 3]))
-    cells = cells if kind == "hexahedron" else six_tetrahedra(cells)
+    points, cells = box_mesh(kind, [-2, -1, 0], [2, 1, 3], 3)
     mesh = DeformedMesh(points, 0.1 * points, kind, cells)
     found = surface_of(mesh)
     assert str(symmetry_of(mesh)) == "whole body"
@@ -345,7 +329,7 @@ def test_a_whole_box_has_its_volume(kind: str) -> None:
 
 
 def test_a_quarter_of_an_upper_half_becomes_the_whole() -> None:
-    points, cells = box_mesh(2, np.array([0.0, 0, 5]), np.array([2.0, 3, 10]))
+    points, cells = box_mesh("hexahedron", [0, 0, 5], [2, 3, 10], 2)
     stretch = np.array([0.1, 0.1, -0.2])
     mesh = DeformedMesh(points, (points - [0, 0, 5]) * stretch, "hexahedron", cells)
     found = surface_of(mesh)

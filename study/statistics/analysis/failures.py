@@ -193,13 +193,9 @@ def _p(
     independent = first.size == cells.size
     rows = levels if independent else cells
     bad, total = np.bincount(rows, failed).astype(float), np.bincount(rows).astype(float)
-    if independent:
-        return _independent(bad, total, rng)
-    return _by_cells(bad, total, levels[first], rng), "whole cells permuted"
-
-
-def _independent(bad: Array, total: Array, rng: np.random.Generator) -> tuple[float, str]:
-    """Fisher's test of independent cases, exact wherever its tables can be listed."""
+    if not independent:
+        return _by_cells(bad, total, levels[first], rng), "whole cells permuted"
+    # exact wherever the tables can be listed
     if math.prod(int(n) + 1 for n in total[:-1]) <= MOST_TABLES:
         name = "Fisher" if total.size == 2 else "Freeman and Halton"
         return _freeman_halton(bad, total), f"{name}'s exact test"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import compress, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -171,35 +171,19 @@ def _of_model(
         raise InputError(Fault("--reference", rule, "analyze the complete part of the table"))
     along = differences @ fit.inverse
     root = np.linalg.norm(along, axis=1)
-    ordered = (reference, *(name for name in names if name != reference))
-    correlation = along @ along.T / np.outer(root, root)
-    standard_error = root * math.sqrt(ms)
-    return _dunnett(
-        ordered, along @ fit.z, standard_error, correlation, df, request.alpha, request.seed
-    )
-
-
-def _dunnett(
-    names: Sequence[str],
-    means: Array,
-    standard_error: Array,
-    correlation: Array,
-    df: float,
-    alpha: float,
-    seed: int,
-) -> Comparisons:
-    """Compare with the first of the names, by correlated t of the differences from it."""
-    values, vectors = np.linalg.eigh(correlation)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    rng = np.random.default_rng(seed)
+    values, vectors = np.linalg.eigh(along @ along.T / np.outer(root, root))
+    correlated = vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(request.seed)
     parts = []
     for _ in range(SAMPLES // CHUNK):
-        z = np.abs(rng.standard_normal((CHUNK, len(values))) @ root.T).max(axis=1)
+        z = np.abs(rng.standard_normal((CHUNK, len(values))) @ correlated.T).max(axis=1)
         parts.append(z / np.sqrt(rng.chisquare(df, CHUNK) / df))
     largest = np.concatenate(parts)
-    half = float(np.quantile(largest, 1 - alpha)) * standard_error
+    standard_error, means = root * math.sqrt(ms), along @ fit.z
+    half = float(np.quantile(largest, 1 - request.alpha)) * standard_error
     p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / standard_error]
-    return _against("Dunnett", alpha, (names[1:], names[0]), means, half, p)
+    levels = [name for name in names if name != reference]
+    return _against("Dunnett", request.alpha, (levels, reference), means, half, p)
 
 
 def _against(
@@ -387,23 +371,16 @@ def unusual_observations(analysis: AnalysisResult) -> pd.DataFrame | None:
     if rows is None:
         return None
     influence = analysis.assumptions.influence
-    limit = None if influence is None else influence.limit
-    why = _reasons(rows, min(LARGE_LEVERAGE * float(rows["leverage"].mean()), 0.99), limit)
+    flags = {
+        "large residual": rows["standardized"].abs() > LARGE_RESIDUAL,
+        "high leverage": rows["leverage"] > min(LARGE_LEVERAGE * rows["leverage"].mean(), 0.99),
+        "moves the fit": rows["cook"] > (math.inf if influence is None else influence.limit),
+    }
+    why = [", ".join(compress(flags, large)) for large in zip(*flags.values(), strict=True)]
     columns = ("row", "response", "fitted", "residual", "standardized", "leverage", "cook", "press")
     listed = rows[list(columns)].assign(why=why)[np.array([bool(text) for text in why])]
     order = listed["standardized"].abs().sort_values(ascending=False, kind="stable").index
     return listed.loc[order].reset_index(drop=True)
-
-
-def _reasons(rows: pd.DataFrame, leverage: float, cook: float | None) -> list[str]:
-    large = rows["standardized"].abs() > LARGE_RESIDUAL
-    remote = rows["leverage"] > leverage
-    moves = rows["cook"] > (math.inf if cook is None else cook)
-    texts = []
-    for flags in zip(large, remote, moves, strict=True):
-        named = zip(flags, ("large residual", "high leverage", "moves the fit"), strict=True)
-        texts.append(", ".join(text for flag, text in named if flag))
-    return texts
 
 
 # Levels of a factor compared with one of them, and differences that an analyst names.

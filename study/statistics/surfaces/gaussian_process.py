@@ -70,9 +70,10 @@ class CategoryCorrelation:
                 if c == 2:  # both are the same number
                     slope[:] = -2.0 * own[0]
                 np.fill_diagonal(slope, 0.0)
-                around = [np.zeros_like(m) for m in self._logarithms]
-                around[q] = slope
-                found.append(_spread(around))
+                # logarithms of the factors of a Kronecker product add
+                ones = [np.ones_like(m) for m in self._logarithms]
+                ones[q] = slope
+                found.append(reduce(lambda a, b: np.asarray(np.kron(a, b)), ones))
         return found
 
     @cached_property
@@ -90,15 +91,6 @@ def fitted(sizes: Sequence[int]) -> int:
 
 def _own(c: int) -> int:
     return 1 if c == 2 else c
-
-
-def _spread(logarithms: Sequence[Array]) -> Array:
-    """Sum over the factors, shape (p, p), as the Kronecker product multiplies."""
-
-    def summed(a: Array, b: Array) -> Array:
-        return np.asarray(np.kron(a, np.ones_like(b)) + np.kron(np.ones_like(a), b))
-
-    return reduce(summed, logarithms)
 
 
 # Correlation of two points by their distance, with one length scale a factor.

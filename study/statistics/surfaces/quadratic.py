@@ -260,21 +260,17 @@ def stationary_point(surface: QuadraticPolynomial) -> StationaryPoint | None:
     """Canonical analysis of a surface (Box and Wilson 1951)."""
     matrix = surface.quadratic()
     eigenvalues, vectors = np.linalg.eigh(matrix)
-    largest = float(np.abs(eigenvalues).max())
-    if largest == 0 or float(np.abs(eigenvalues).min()) < 1e-12 * largest:
+    smallest, largest = (float(end) for end in np.sort(np.abs(eigenvalues))[[0, -1]])
+    if largest == 0 or smallest < 1e-12 * largest:
         return None
+    kind: Kind = "maximum" if eigenvalues.max() < 0 else "minimum"
+    if eigenvalues.min() < 0 < eigenvalues.max():
+        kind = "saddle"
+    kind = "ridge" if smallest < RIDGE * largest else kind
     at: Array = np.asarray(-0.5 * np.linalg.solve(matrix, surface.linear()), dtype=np.float64)
     inside = bool(np.abs(at).max() <= 1.0)
     value = float(surface.value(at[None, :])[0])
-    return StationaryPoint(_kind(eigenvalues), at, value, eigenvalues, vectors, inside)
-
-
-def _kind(eigenvalues: Array) -> Kind:
-    if np.abs(eigenvalues).min() < RIDGE * np.abs(eigenvalues).max():
-        return "ridge"
-    if eigenvalues.max() < 0:
-        return "maximum"
-    return "minimum" if eigenvalues.min() > 0 else "saddle"
+    return StationaryPoint(kind, at, value, eigenvalues, vectors, inside)
 
 
 def level_at(surface: QuadraticPolynomial, covariance: Array, limit: float, coded: Array) -> Flags:
@@ -619,21 +615,19 @@ def _surface(
         if limit is not None:
             level = partial(level_at, polynomial, covariance, limit)
             point = replace(point, region=_region(point, level))
-    terms = [
-        SurfaceTerm(term.label(runs.names), c)
-        for term, c in zip(columns.terms, polynomial.coefficients.tolist(), strict=True)
-    ]
+    label = {term: term.label(runs.names) for term in second_order(runs.levels())}
+    coefficients = polynomial.coefficients.tolist()
+    terms = [SurfaceTerm(label[t], c) for t, c in zip(columns.terms, coefficients, strict=True)]
     if covariance is not None and error != "none":
         t = float(stdtrit(df, 0.975))
         for i, se in enumerate(np.sqrt(np.diag(covariance)).tolist()):
-            c = terms[i].coefficient
+            c = coefficients[i]
             p = float(2.0 * stdtr(df, -abs(c) / se)) if se > 0 else None
             terms[i] = replace(terms[i], interval=(c - t * se, c + t * se), p=p)
     aliases = []
     for term, parts in columns.aliases:
-        labels = [(part.label(runs.names), weight) for part, weight in parts]
-        parts_text = [x if abs(w - 1) < 1e-9 else f"{w:.3g} {x}" for x, w in labels]
-        aliases.append(f"{term.label(runs.names)} = {' + '.join(parts_text)}")
+        sums = [label[x] if abs(w - 1) < 1e-9 else f"{w:.3g} {label[x]}" for x, w in parts]
+        aliases.append(f"{label[term]} = {' + '.join(sums)}")
     return QuadraticSurface(
         runs, polynomial, tuple(terms), {}, error, loo, lack, point,
         tuple(aliases), (*notes, *said), covariance, df,
