@@ -38,7 +38,7 @@ TINY = (
     + """
 [model]
 element_order = "linear"
-mesh_size = "10 mm"
+mesh_size = "8 mm"
 [presets.plates.closed]
 test.interface = "frictionless"
 calibration.method = "analytic"
