@@ -49,14 +49,13 @@ class Setting:
     coarsest: bool = False
 
 
-def settings(**only: object) -> list[Setting]:
-    """The whole grid, or the part of it with some values fixed."""
+def settings() -> list[Setting]:
+    """The whole grid."""
     axes = {
         "orders": list(ORDERS), "one_sign": [False, True], "correlation": [0.0, 0.8, 1.0],
         "error": [0.1, 0.3, 1.0], "ratio": [1.5, 2.0], "se": [0.02, 0.1],
         "coarsest": [False, True],
     }  # fmt: skip
-    axes |= {name: [value] for name, value in only.items()}
     return [Setting(*values) for values in product(*axes.values())]
 
 

@@ -17,19 +17,19 @@ from study.statistics.analysis.unreplicated import lenth, orthonormal_contrasts
 
 
 @pytest.mark.parametrize(
-    ("values", "reason"),
-    [([1.0, 2, 3], "needs n >= 4"), ([2.0] * 6, "all equal"), ([1, 2, 3, np.nan], "missing")],
+    ("values", "model", "reason"),
+    [
+        ([1.0, 2, 3], None, "needs n >= 4"),
+        ([2.0] * 6, None, "all equal"),
+        ([1, 2, 3, np.nan], None, "missing"),
+        ([1.0, 2, 3, 5], np.eye(4), "no residual degrees of freedom"),
+    ],
 )
-def test_ryan_joiner_guards(values, reason: str) -> None:
-    result = ryan_joiner(values)
+def test_ryan_joiner_guards(values, model, reason: str) -> None:
+    result = ryan_joiner(values, model_matrix=model)
     assert not result.applicable
     assert reason in result.reason
     assert result.to_json() is None
-
-
-def test_saturated_residuals_are_not_applicable() -> None:
-    result = ryan_joiner([1.0, 2, 3, 5], model_matrix=np.eye(4))
-    assert "no residual degrees of freedom" in result.reason
 
 
 @pytest.mark.parametrize("m", [3, 7, 15])

@@ -57,7 +57,7 @@ def test_exact_ryan_joiner_holds_its_size(name: str) -> None:
     basis = span(matrix / np.linalg.norm(matrix, axis=0))
     count = default_simulations(n)
     # exactly what ryan_joiner draws for its p_exact
-    null = np.sort(np.concatenate(list(null_rj(basis, count, 2011))))
+    null = np.sort(null_rj(basis, count, 2011))
     rng = np.random.default_rng(77)
     observed = np.concatenate(
         [simulated_rj(rng.standard_normal((2500, n)), basis) for _ in range(20)]

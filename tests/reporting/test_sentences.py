@@ -99,7 +99,7 @@ def test_an_open_verdict_names_the_difference_its_interval_and_why():
     ],
 )
 def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
-    found = RyanJoinerResult(0.9871, 30, printed, exact, 10_000, 1, True, "", "")
+    found = RyanJoinerResult(0.9871, 30, printed, exact, 10_000, 1, "", "")
     tested = with_result(error(), Assumptions(normality=found))
     text = effect_words.normality_phrase(tested, 0.05)
     assert ("is rejected" in text) is rejected
@@ -111,8 +111,8 @@ def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
 
 
 NORMAL, SPREAD = "Residuals as from a normal distribution", "Equal spread of the cells"
-MISSING = SpreadTest(None, None, None, False, "group a has zero variance")
-LEVENE = SpreadTest(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
+MISSING = SpreadTest(None, None, None, "group a has zero variance")
+LEVENE = SpreadTest(9.0, (3, 20), 0.03, p_monte_carlo=0.2)
 
 
 @pytest.mark.parametrize(

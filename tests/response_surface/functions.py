@@ -58,6 +58,40 @@ def friedman(x: Array) -> Array:
     return np.asarray(wave + 20.0 * (x[:, 2] - 0.5) ** 2 + 10.0 * x[:, 3] + 5.0 * x[:, 4])
 
 
+def friedman_indices() -> tuple[Array, Array]:
+    """Give indices of Friedman's function.
+
+    The wave of the first two inputs by Gauss's quadrature, the others in closed form.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    u, w = 0.5 * (nodes + 1.0), 0.5 * weights
+    wave = 10.0 * np.sin(np.pi * np.outer(u, u))
+    mean = float(w @ wave @ w)
+    along = wave @ w  # of either input, by symmetry
+    alone = float(w @ (along - mean) ** 2)
+    both = float(w @ (wave - mean) ** 2 @ w)
+    additive = np.array([20.0**2 / 180.0, 100.0 / 12.0, 25.0 / 12.0])
+    whole = both + additive.sum()
+    first = np.array([alone, alone, *additive]) / whole
+    total = np.array([both - alone, both - alone, *additive]) / whole
+    return first, total
+
+
+def harmonic(x: Array) -> Array:
+    """Fill a product of cosines and a straight line: indices follow from their variances."""
+    return np.asarray((1.0 + 0.6 * np.cos(2 * np.pi * x[:, 0])) * (2.0 + x[:, 1]) + 0.5 * x[:, 2])
+
+
+def harmonic_indices() -> tuple[Array, Array]:
+    """Relative variances of the factors: .36/2 and (1/12)/2.5^2; that of the sum beside."""
+    a, b, c = 0.18, 1.0 / 12.0 / 6.25, 0.25 / 12.0
+    square = 2.5**2
+    whole = square * ((1 + a) * (1 + b) - 1) + c
+    first = np.array([square * a, square * b, c]) / whole
+    total = np.array([square * a * (1 + b), square * b * (1 + a), c]) / whole
+    return first, total
+
+
 def hypercube(k: int, n: int, seed: int) -> Array:
     """Latin hypercube in the unit box, improved for centred discrepancy."""
     return np.asarray(qmc.LatinHypercube(k, seed=seed, optimization="random-cd").random(n))

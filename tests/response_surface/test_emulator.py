@@ -160,7 +160,7 @@ def test_paths_scatter_as_the_posterior_says(sizes: tuple[int, ...]) -> None:
         x = np.column_stack([x, np.arange(30) % 2])
         points = np.column_stack([points, np.ones(25)])
     process = condition(x, y, np.zeros(y.size), hyperparameters(theta, "Gaussian", sizes))
-    values = draw_paths(process, 3, paths=4000).values(points)
+    values = draw_paths(process, 3, paths=4000)(points)
     assert values[:, 0] == pytest.approx(process.mean(points), abs=1e-10)
     deviation = process.deviation(points)
     assert np.abs(values[:, 1:].mean(axis=1) - values[:, 0]).max() < 0.08 * deviation.max()
@@ -193,12 +193,8 @@ def errors_of_indices(found: Emulator, s: Array, t: Array) -> tuple[float, float
     indices = found.indices()
     first = np.array([i.first for i in indices])
     total = np.array([i.total for i in indices])
-    held = [
-        i.first_interval[0] <= v <= i.first_interval[1] for i, v in zip(indices, s, strict=True)
-    ]
-    held += [
-        i.total_interval[0] <= v <= i.total_interval[1] for i, v in zip(indices, t, strict=True)
-    ]
+    ends = np.array([(*i.first_interval, *i.total_interval) for i in indices])
+    held = [(ends[:, 0] <= s) & (s <= ends[:, 1]), (ends[:, 2] <= t) & (t <= ends[:, 3])]
     return float(np.abs(first - s).max()), float(np.abs(total - t).max()), float(np.mean(held))
 
 
@@ -253,47 +249,63 @@ def test_known_numerical_uncertainty_widens_deviations() -> None:
     assert (noisy.deviation(x) > exact.deviation(x)).all()
 
 
-def refused(runs: Runs, match: str) -> None:
-    with pytest.raises(RefusedError, match=match):
-        fit_emulator(runs)
-
-
 def test_what_no_emulator_can_be_made_of_is_refused() -> None:
     x = functions.hypercube(2, 30, 1)
-    refused(
-        functions.unit_runs(np.column_stack([x[:, 0], 1 - x[:, 0]]), x[:, 0]), "change together"
-    )
-    refused(functions.unit_runs(x, np.ones(30)), "same in every run")
-    refused(functions.unit_runs(np.round(x), x[:, 0]), "has 2 settings")
-    refused(functions.unit_runs(x[:5], x[:5, 0]), "at least 20")
-    eight = functions.hypercube(3, 8, 1)
-    refused(functions.unit_runs(eight, eight[:, 0]), "at least 9")
-    many = np.random.default_rng(1).random((10_000, 2))
-    refused(functions.unit_runs(many, many[:, 0]), "every 5th row")
+    eight, many = functions.hypercube(3, 8, 1), np.random.default_rng(1).random((10_000, 2))
+    for points, response, match in [
+        (x, np.ones(30), "same in every run"),
+        (x[:5], x[:5, 0], "at least 20"),
+        (eight, eight[:, 0], "at least 9"),
+        (many, many[:, 0], "every 5th row"),
+    ]:
+        with pytest.raises(RefusedError, match=match):
+            fit_emulator(functions.unit_runs(points, response))
+
+
+BOREHOLE = functions.BOREHOLE_S, functions.BOREHOLE_T
+ISHIGAMI = functions.ISHIGAMI_S, functions.ISHIGAMI_T
 
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_bar_11() -> None:
-    cases = [
-        (functions.borehole, 8, 50, functions.BOREHOLE_S, functions.BOREHOLE_T),
-        (functions.ishigami, 3, 100, functions.ISHIGAMI_S, functions.ISHIGAMI_T),
-        (functions.ishigami, 3, 200, functions.ISHIGAMI_S, functions.ISHIGAMI_T),
-    ]
-    limits = [(0.995, 0.01, 0.01), (0.85, np.inf, 0.12), (0.98, 0.02, 0.02)]
-    for (function, k, n, s, t), limit in zip(cases, limits, strict=True):
-        found = [emulated(function, k, n, seed) for seed in range(5)]
-        q2, cover = np.median([on_other_points(function, f) for f in found], axis=0)
-        told = [errors_of_indices(f, s, t) for f in found if f.gate != "refused"]
-        first, total, _ = np.median(told, axis=0)
-        held = np.mean([h for _, _, h in told])
-        print(f"{function.__name__} {n}: Q2 {q2:.4f}, S {first:.4f}, T {total:.4f}")
-        print(f"intervals {held:.3f}, points {cover:.3f}, {len(told)} of 5 gave indices")
-        assert q2 >= limit[0]
-        assert first <= limit[1]
-        assert total <= limit[2]
-        assert held >= 0.95
+@pytest.mark.parametrize(
+    ("function", "k", "n", "indices", "limits"),
+    [
+        (functions.borehole, 8, 50, BOREHOLE, (0.995, 0.01, 0.01)),
+        (functions.ishigami, 3, 100, ISHIGAMI, (0.85, np.inf, 0.12)),
+        (functions.ishigami, 3, 200, ISHIGAMI, (0.98, 0.02, 0.02)),
+        (functions.sobol_g, 4, 100, functions.sobol_g_indices(), None),
+        (functions.friedman, 5, 100, functions.friedman_indices(), None),
+        (functions.harmonic, 3, 60, functions.harmonic_indices(), None),
+    ],
+)
+def test_published_indices_lie_in_their_intervals(
+    function: Callable[[Array], Array],
+    k: int,
+    n: int,
+    indices: tuple[Array, Array],
+    limits: tuple[float, float, float] | None,
+) -> None:
+    """Bar 11; stated intervals are of about 95 %, over all indices of all seeds."""
+    found = [emulated(function, k, n, seed) for seed in range(8)]
+    q2, cover = np.median([on_other_points(function, f) for f in found[:5]], axis=0)
+    told = [errors_of_indices(f, *indices) for f in found if f.gate != "refused"]
+    first, total, _ = np.median(told[:5], axis=0)
+    held = np.mean([h for _, _, h in told])
+    print(f"{function.__name__} {n}: Q2 {q2:.4f}, S {first:.4f}, T {total:.4f}")
+    print(f"intervals {held:.3f}, points {cover:.3f}, {len(told)} of 8 gave indices")
+    assert len(told) >= 4
+    assert held >= 0.95
+    if limits is not None:
+        assert q2 >= limits[0]
+        assert first <= limits[1]
+        assert total <= limits[2]
         assert cover >= 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_few_runs_are_refused() -> None:
     few = [emulated(functions.ishigami, 3, 50, seed) for seed in range(5)]
     assert sum(f.gate == "refused" for f in few) >= 4
 

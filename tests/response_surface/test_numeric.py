@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import study as public
@@ -20,10 +21,7 @@ CHEMICAL = ROOT / "validation" / "statistics" / "chemical_process.csv"
 
 
 def write(path: Path, columns: dict[str, object]) -> Path:
-    names = list(columns)
-    rows = zip(*[np.asarray(c).tolist() for c in columns.values()], strict=True)
-    lines = [",".join(names), *(",".join(str(cell) for cell in row) for row in rows)]
-    path.write_text("\n".join(lines) + "\n")
+    pd.DataFrame(columns).to_csv(path, index=False)
     return path
 
 

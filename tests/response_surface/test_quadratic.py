@@ -14,10 +14,17 @@ from study.statistics.surfaces.quadratic import (
     factorize,
     fit_quadratic,
     leave_one_out,
-    level_by_blocks,
+    level_at,
+    level_limit,
     second_order,
 )
-from study.statistics.surfaces.surface_factors import NumericFactor, Runs, box_points, never_run
+from study.statistics.surfaces.surface_factors import (
+    NumericFactor,
+    Runs,
+    box_points,
+    never_run,
+    some_runs,
+)
 from study.statistics.surfaces.surface_optimum import check_carries
 from study.statistics.surfaces.surface_result import analysis_of
 
@@ -60,17 +67,13 @@ def test_constructed_surface_is_found_again(eigenvalues: tuple[float, float], ki
 def test_deterministic_surface_has_no_p_and_counts_copies_once() -> None:
     coded = face_centred(2)
     response = np.exp(coded[:, 0]) + coded[:, 1]
-    once = fit_quadratic(unit_runs(coded, response))
-    copied = fit_quadratic(
-        unit_runs(
-            np.vstack([coded, coded[-1:], coded[-1:]]), np.append(response, response[[-1, -1]])
-        )
+    once, copied = (
+        fit_quadratic(unit_runs(coded[rows], response[rows]))
+        for rows in (np.arange(9), np.r_[0:9, 8, 8])
     )
     assert all(term.p is None and term.interval is None for term in copied.terms)
     assert copied.lack_of_fit is None
-    assert [t.coefficient for t in copied.terms] == pytest.approx(
-        [t.coefficient for t in once.terms]
-    )
+    assert copied.terms == once.terms
     assert copied.loo == once.loo
     assert "2 copies of deterministic runs count once" in copied.notes
 
@@ -80,18 +83,15 @@ def test_leave_one_out_is_what_fitting_without_the_run_says() -> None:
     response = np.exp(coded @ [0.5, 0.3, -0.7])
     terms = second_order((3, 3, 3))
     found = leave_one_out(factorize(terms, coded), response)
-    errors = []
+    errors = np.zeros(len(coded))
     for i in range(len(coded)):
         rest = np.delete(np.arange(len(coded)), i)
         fit = factorize(terms, coded[rest]).coefficients(response[rest])
-        errors.append(response[i] - Polynomial(terms, fit, 3).value(coded[i : i + 1])[0])
+        errors[i] = response[i] - Polynomial(terms, fit, 3).value(coded[i : i + 1])[0]
     assert found is not None
-    assert found.rms == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
-    assert found.largest == pytest.approx(np.abs(errors).max(), rel=1e-9)
-    press = np.sum(np.square(errors))
-    assert found.q2 == pytest.approx(
-        1 - press / ((response - response.mean()) ** 2).sum(), rel=1e-9
-    )
+    q2 = 1 - (errors**2).sum() / ((response - response.mean()) ** 2).sum()
+    theirs = np.sqrt(np.mean(errors**2)), np.abs(errors).max(), q2
+    assert (found.rms, found.largest, found.q2) == pytest.approx(theirs, rel=1e-9)
 
 
 def test_terms_that_cannot_be_told_are_listed() -> None:
@@ -119,12 +119,10 @@ def test_incomplete_blocks_are_left_out_or_refused() -> None:
     coded = face_centred(2)
     true = Polynomial(second_order((3, 3)), np.arange(6.0), 2)
     runs = block_runs(np.random.default_rng(2), coded, true, 3)
-    part = Runs(runs.name, runs.factors, runs.coded[:-1], runs.response[:-1], runs.blocks[:-1])
+    part = some_runs(runs, np.arange(27) < 26)
     assert "left out, with settings that lack a run: b2" in fit_quadratic(part).notes
     with pytest.raises(RefusedError, match="complete the blocks"):
-        fit_quadratic(
-            Runs("y", runs.factors, runs.coded[1:17], runs.response[1:17], runs.blocks[1:17])
-        )
+        fit_quadratic(some_runs(runs, np.isin(np.arange(27), np.arange(1, 17))))
 
 
 def test_best_point_on_the_boundary() -> None:
@@ -180,10 +178,12 @@ def region_coverage(rng: np.random.Generator, n: int) -> float:
     true = np.array([5.0, 0.3, -0.2, 0.1, -2.0, -1.5])
     surface = Polynomial(terms, true, 2)
     at = -0.5 * np.linalg.solve(surface.quadratic(), surface.linear())
-    hits = 0
+    hits, limit = 0, level_limit(2, 5, "blocks")
+    assert limit is not None
     for _ in range(n):
-        each = [Polynomial(terms, true + rng.normal(0, 0.4, 6), 2) for _ in range(6)]
-        hits += bool(level_by_blocks(each)(at[None, :])[0])
+        each = true + rng.normal(0, 0.4, (6, 6))
+        mean = Polynomial(terms, each.mean(axis=0), 2)
+        hits += bool(level_at(mean, np.cov(each.T) / 6, limit, at[None, :])[0])
     return hits / n
 
 
@@ -259,9 +259,8 @@ def test_blocks_of_a_composite_design_shift_the_response() -> None:
 def test_noise_establishes_no_stationary_point(copies: int) -> None:
     random = np.random.default_rng(copies)
     coded = np.vstack([face_centred(2)] * copies)
-    factors = (NumericFactor("x1", -1, 1), NumericFactor("x2", -1, 1))
     points = [
-        fit_quadratic(Runs("y", factors, coded, random.normal(10, 1, len(coded)))).stationary
+        fit_quadratic(unit_runs(coded, random.normal(10, 1, len(coded)))).stationary
         for _ in range(40)
     ]
     assert sum(point is not None and point.inside for point in points) > 10

@@ -154,45 +154,31 @@ def test_the_first_touch_does_not_count() -> None:
 # The file and the program
 
 
-def rows(count: int, error: Callable[[Problem], float]) -> list[dict[str, Any]]:
-    out = []
-    for number in range(count):
-        problem = DRAWN[number]
-        row = {"seed": 2011, "number": number, "problem": repr(problem)}
-        out.append(row | sweep.outcome(problem, solver(error)))
-    return out
-
-
-def written(path: Path, found: list[dict[str, Any]]) -> Path:
-    path.write_text("".join(json.dumps(row) + "\n" for row in found))
-    return path
-
-
 def program(*arguments: object) -> Answer:
     return answer_of(sweep.main, *arguments)
 
 
-def test_what_the_file_holds_is_not_computed_again(tmp_path: Path) -> None:
-    file = written(tmp_path / "sweep.jsonl", rows(1, hidden))
-    found = program("--count", 1, "--file", file)
-    assert found.code == 1, found.err
-    assert found.err == ""
-    assert found.out.splitlines()[-1] == "silent misses: 1"
-
-
-def test_without_a_silent_miss_it_ends_well(tmp_path: Path) -> None:
-    file = written(tmp_path / "sweep.jsonl", rows(1, of_mesh))
-    # no time is left for the second problem
-    found = program("--count", 2, "--budget", 0, "--file", file)
-    assert found.code == 0, found.err
-    assert "1 of 2 problems: 1 off, covered" in found.out
-
-
-def test_a_file_of_another_seed_is_refused(tmp_path: Path) -> None:
-    file = written(tmp_path / "sweep.jsonl", rows(1, of_mesh))
-    found = program("--count", 1, "--seed", 1, "--file", file)
-    assert found.code == 2
-    assert "line 1: belongs to another seed or other problems" in found.err
+@pytest.mark.parametrize(
+    ("error", "asked", "code", "line"),
+    [
+        # what the file holds is not computed again
+        (hidden, (), 1, "\nsilent misses: 1\n"),
+        # no time is left for the second problem
+        (of_mesh, ("--count", 2, "--budget", 0), 0, "1 of 2 problems: 1 off, covered"),
+        (of_mesh, ("--seed", 1), 2, "line 1: belongs to another seed or other problems"),
+    ],
+)
+def test_a_file_is_gone_on_with_unless_it_is_of_another_seed(
+    tmp_path: Path, error: Callable[[Problem], float], asked: tuple[object, ...], code: int,
+    line: str,
+) -> None:  # fmt: skip
+    file = tmp_path / "sweep.jsonl"
+    row = {"seed": 2011, "number": 0, "problem": repr(PROBLEM)}
+    file.write_text(json.dumps(row | sweep.outcome(PROBLEM, solver(error))) + "\n")
+    found = program("--count", 1, "--file", file, *asked)
+    assert found.code == code, found.err
+    assert line in (found.err if code == 2 else found.out)
+    assert (found.err == "") == (code < 2)
 
 
 def test_a_problem_is_written_as_python() -> None:

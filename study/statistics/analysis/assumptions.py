@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array, Flags, gathered
-from study.ground.canonical import plain
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, settled
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome
@@ -64,8 +64,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Assumptions:
+class Assumptions(Keyed):
     """Tests of what the analysis assumes; what does not apply is None."""
+
+    KEYS = (
+        "normality=normality.to_json normality_rows variance sphericity non_additivity influence "
+        "robustness box_cox"
+    )
 
     normality: RyanJoinerResult | None = None
     normality_rows: tuple[RowTest, ...] = ()
@@ -88,22 +93,12 @@ class Assumptions:
         tests = {"bartlett": self.bartlett, "levene": self.levene}
         return {name: test for name, test in tests.items() if test is not None}
 
-    def to_json(self) -> dict[str, object]:
-        """Return the tests by their keys in ``study analyze --json``."""
-        return {
-            "normality": None if self.normality is None else self.normality.to_json(),
-            "normality_rows": plain(self.normality_rows),
-            "variance": {
-                "bartlett": None if self.bartlett is None else self.bartlett.to_json(),
-                "levene": None if self.levene is None else self.levene.to_json(),
-                "fligner": plain(self.fligner),
-            },
-            "sphericity": plain(self.sphericity),
-            "non_additivity": plain(self.non_additivity),
-            "influence": plain(self.influence),
-            "robustness": plain(self.robustness),
-            "box_cox": plain(self.box_cox),
-        }
+    @property
+    def variance(self) -> dict[str, object]:
+        """Documents of the tests of equal spread; null where they do not apply."""
+        tests = {"bartlett": self.bartlett, "levene": self.levene}
+        documents = {name: test and test.to_json() for name, test in tests.items()}
+        return {**documents, "fligner": self.fligner}
 
 
 def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
@@ -151,7 +146,7 @@ _OWN = "each effect is tested against its own interaction with the blocks, whose
 
 def _by_contrast(out: AnalysisOutcome, table: Crossed) -> tuple[Assumptions, tuple[str, ...]]:
     """Test each contrast over the blocks, and find the block that carries most of them."""
-    none = SpreadTest(None, None, None, False, _OWN)
+    none = SpreadTest(None, None, None, _OWN)
     unequal = Assumptions(bartlett=none, levene=none)
     warnings = _inapplicable(bartlett=none, levene=none)
     try:

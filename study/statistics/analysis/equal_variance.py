@@ -33,12 +33,16 @@ class SpreadTest:
     #: Of chi-squared; a pair of F's.
     df: int | tuple[int, int] | None
     p: float | None
-    applicable: bool
     reason: str = ""
     #: What deviations are taken from, "median" (Brown-Forsythe) or "mean"; empty of Bartlett's.
     center: str = ""
     p_monte_carlo: float | None = None
     approximate: bool = False
+
+    @property
+    def applicable(self) -> bool:
+        """Whether there is no reason against the test."""
+        return not self.reason
 
     def to_json(self) -> dict[str, object] | None:
         """JSON document; None where the test does not apply."""
@@ -55,7 +59,7 @@ class SpreadTest:
 
 
 def _inapplicable(reason: str, *, approximate: bool) -> SpreadTest:
-    return SpreadTest(None, None, None, False, reason, approximate=approximate)
+    return SpreadTest(None, None, None, reason, approximate=approximate)
 
 
 def _named(groups: Groups) -> dict[str, Array]:
@@ -163,7 +167,7 @@ def bartlett(
             parts = design.draws(simulations, seed)
             drawn = np.vstack([np.stack([g.var(axis=1, ddof=1) for g in p], axis=1) for p in parts])
         p_mc = _monte_carlo_p(_bartlett_statistic(drawn, df), t)
-    return SpreadTest(t, k, float(chdtrc(k, t)), True, "", "", p_mc, approximate)
+    return SpreadTest(t, k, float(chdtrc(k, t)), "", "", p_mc, approximate)
 
 
 def _bartlett_statistic(variance: Array, df: Array) -> Array:
@@ -211,7 +215,7 @@ def levene(
         if design is not None:
             drawn = design.draws(simulations, seed)
         p_mc = _monte_carlo_p(np.concatenate([_levene(d, center)[0] for d in drawn]), w)
-    return SpreadTest(w, df, p, True, "", center, p_mc, approximate)
+    return SpreadTest(w, df, p, "", center, p_mc, approximate)
 
 
 def _levene(groups: Sequence[Array], center: str) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -163,20 +163,17 @@ def _tests(cases: Sequence[CaseFate], block: str, seed: int) -> tuple[FailureTes
     settings = [_settings(case, block) for case in cases]
     failed = np.array([case.failed for case in cases], dtype=float)
     cells = _codes([tuple(sorted(case.levels.items())) for case in cases])
-    raw_tests = []
+    tests = []
     for factor in settings[0]:
         labels = [levels.get(factor, "") for levels in settings]
         if len(set(labels)) > 1:
             is_block = factor not in cases[0].levels
             p, method = _p(failed, _codes(labels), cells, is_block, rng)
-            raw_tests.append((factor, _counts(labels, failed), p, method))
-    if not raw_tests:
-        return ()
-    adjusted = holm([p for _, _, p, _ in raw_tests])
-    tests = [
-        FailureTest(factor, counts, p, float(q), method)
-        for (factor, counts, p, method), q in zip(raw_tests, adjusted, strict=True)
-    ]
+            total, bad = Counter(labels), Counter(itertools.compress(labels, failed))
+            counts = {label: (bad[label], total[label]) for label in total}
+            tests.append(FailureTest(factor, counts, p, p, method))
+    adjusted = holm([test.p for test in tests])
+    tests = [replace(test, p_holm=float(p)) for test, p in zip(tests, adjusted, strict=True)]
     return tuple(sorted(tests, key=lambda test: test.p))
 
 
@@ -186,11 +183,6 @@ def _codes(labels: Sequence[object]) -> Ints:
     return np.array([number[label] for label in labels])
 
 
-def _counts(labels: Sequence[str], failed: Array) -> dict[str, tuple[int, int]]:
-    total, bad = Counter(labels), Counter(itertools.compress(labels, failed))
-    return {label: (bad[label], total[label]) for label in total}
-
-
 def _p(
     failed: Array, levels: Ints, cells: Ints, is_block: bool, rng: np.random.Generator
 ) -> tuple[float, str]:
@@ -198,17 +190,12 @@ def _p(
     if is_block:
         return _by_order(failed, levels, cells, rng), "permuted within cells"
     first = np.unique(cells, return_index=True)[1]
-    if first.size == cells.size:
-        return _independent(failed, levels, rng)
-    bad = np.asarray(np.bincount(cells, failed), dtype=float)
-    total = np.asarray(np.bincount(cells), dtype=float)
-    return _by_cells(bad, total, levels[first], rng), "whole cells permuted"
-
-
-def _independent(failed: Array, levels: Ints, rng: np.random.Generator) -> tuple[float, str]:
-    """Fisher's test of independent cases, exact wherever its tables can be listed."""
-    bad = np.asarray(np.bincount(levels, failed), dtype=float)
-    total = np.asarray(np.bincount(levels), dtype=float)
+    independent = first.size == cells.size
+    rows = levels if independent else cells
+    bad, total = np.bincount(rows, failed).astype(float), np.bincount(rows).astype(float)
+    if not independent:
+        return _by_cells(bad, total, levels[first], rng), "whole cells permuted"
+    # exact wherever the tables can be listed
     if math.prod(int(n) + 1 for n in total[:-1]) <= MOST_TABLES:
         name = "Fisher" if total.size == 2 else "Freeman and Halton"
         return _freeman_halton(bad, total), f"{name}'s exact test"
@@ -255,9 +242,8 @@ def _by_order(failed: Array, levels: Ints, cells: Ints, rng: np.random.Generator
 
 def _weight(bad: Array, total: Array) -> Array:
     """Logarithm of the probability of a table, but for a constant: sum of ln C(total, bad)."""
-    return np.asarray(
-        np.sum(gammaln(total + 1) - gammaln(bad + 1) - gammaln(total - bad + 1), axis=-1)
-    )
+    logs = gammaln(total + 1) - gammaln(bad + 1) - gammaln(total - bad + 1)
+    return np.asarray(np.sum(logs, axis=-1))
 
 
 def _tail(observed: Array, drawn: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -44,10 +44,14 @@ class RyanJoinerResult:
     p_exact: float | None
     simulations: int
     seed: int
-    applicable: bool
     reason: str
     decision: str
     warning: str = ""
+
+    @property
+    def applicable(self) -> bool:
+        """Whether there is no reason against the test."""
+        return not self.reason
 
     def to_json(self) -> dict[str, object] | None:
         """JSON document; None where the test does not apply."""
@@ -157,31 +161,21 @@ def ryan_joiner(
     x = np.asarray(values, dtype=float)
     reason = _not_applicable(x, model_matrix)
     if reason:
-        return RyanJoinerResult(
-            None, int(x.size), None, None, 0, seed, False, reason, f"not applicable: {reason}"
-        )
+        decision = f"not applicable: {reason}"
+        return RyanJoinerResult(None, int(x.size), None, None, 0, seed, reason, decision)
     n = int(x.size)
     basis = span(np.ones((n, 1)) / math.sqrt(n) if model_matrix is None else _unit(model_matrix))
     rj = statistic(x)
     count = simulations or default_simulations(n)
     p_exact = None
     if exact:
-        null = null_rj(basis, count, seed)
-        p_exact = (1 + sum(int(np.count_nonzero(part <= rj)) for part in null)) / (count + 1)
+        p_exact = (1 + int(np.count_nonzero(null_rj(basis, count, seed) <= rj))) / (count + 1)
     p_text = minitab_p(rj, n)
     df = n - basis.shape[1]
     warning = f"Ryan-Joiner on {df} residual degrees of freedom has little power" if df < 8 else ""
+    decision = _decision(p_text, p_exact, alpha)
     return RyanJoinerResult(
-        rj,
-        n,
-        p_text,
-        p_exact,
-        count if exact else 0,
-        seed,
-        True,
-        "",
-        _decision(p_text, p_exact, alpha),
-        warning,
+        rj, n, p_text, p_exact, count if exact else 0, seed, "", decision, warning
     )
 
 
@@ -223,16 +217,16 @@ def _decision(p_text: str, p_exact: float | None, alpha: float) -> str:
     return f"normality {'rejected' if rejected else 'not rejected'} at {alpha:g} ({how})"
 
 
-def null_rj(basis: Array, simulations: int, seed: int) -> Iterator[Array]:
+def null_rj(basis: Array, simulations: int, seed: int) -> Array:
     """RJ of the residuals of standard normal data, in pieces that fit the memory.
 
-    Shapes: basis (n, p); returns (m,).
+    Shapes: basis (n, p); returns (simulations,).
     """
     n = basis.shape[0]
     rng = np.random.default_rng(seed)
     chunk = max(1, int(2e6 // n))
-    for start in range(0, simulations, chunk):
-        yield simulated_rj(rng.standard_normal((min(chunk, simulations - start), n)), basis)
+    pieces = (min(chunk, simulations - start) for start in range(0, simulations, chunk))
+    return np.concatenate([simulated_rj(rng.standard_normal((m, n)), basis) for m in pieces])
 
 
 def simulated_rj(z: Array, basis: Array) -> Array:
@@ -258,9 +252,7 @@ def anderson_darling(values: ArrayLike) -> NormalityResult:
 
     x = np.asarray(values, dtype=float)
     n = x.size
-    if n < 8:
-        return NormalityResult("Anderson-Darling", None, None, f"needs n >= 8, got n = {n}")
-    reason = _not_applicable(x, None)
+    reason = f"needs n >= 8, got n = {n}" if n < 8 else _not_applicable(x, None)
     if reason:
         return NormalityResult("Anderson-Darling", None, None, reason)
     # statsmodels' normal_ad takes the log of 1 - cdf, which is no number beyond 8.3 deviations
@@ -289,10 +281,10 @@ def shapiro_wilk(values: ArrayLike) -> NormalityResult:
     """
     x = np.asarray(values, dtype=float)
     reason = "needs n >= 3" if x.size < 3 else _not_applicable(np.r_[x, x], None)
+    if x.size > 5000:
+        reason = reason or "p is not accurate beyond n = 5000"
     if reason:
         return NormalityResult("Shapiro-Wilk", None, None, reason)
-    if x.size > 5000:
-        return NormalityResult("Shapiro-Wilk", None, None, "p is not accurate beyond n = 5000")
     from scipy.stats import shapiro
 
     # scipy takes a range below 1e-19 for none, whatever the unit
@@ -309,8 +301,6 @@ def shapiro_wilk(values: ArrayLike) -> NormalityResult:
 # Ryan-Joiner p is exact. The contrasts are those of a fixed Helmert basis: principal components
 # would be chosen by the data.
 
-#: simulated samples of the exact p
-SIMULATIONS = 100_000
 #: below this many blocks a test that does not reject says little
 FEW_BLOCKS = 9
 #: residual degrees of freedom that the Ryan-Joiner test needs (4 values about their mean)
@@ -504,5 +494,4 @@ def _mean_basis(blocks: int) -> Array:
 @lru_cache(maxsize=16)
 def _null(blocks: int, seed: int) -> Array:
     """RJ of residuals of normal samples about their means, sorted."""
-    count = min(SIMULATIONS, default_simulations(blocks))
-    return np.sort(np.concatenate(list(null_rj(_mean_basis(blocks), count, seed))))
+    return np.sort(null_rj(_mean_basis(blocks), default_simulations(blocks), seed))

@@ -210,14 +210,13 @@ def fewest_blocks(
 
 
 def _verdict_power_check(blocks: int, sd: float, practical: float, u: float) -> None:
-    faults = []
-    if blocks < 1:
-        faults.append(Fault("blocks", f"at least one is needed, got {blocks}"))
-    for name, value in (("sd", sd), ("practical", practical)):
-        if not (math.isfinite(value) and value > 0):
-            faults.append(Fault(name, f"must be a positive number, got {value!r}"))
-    if not (math.isfinite(u) and u >= 0):
-        rule = f"must be zero or a positive number, got {u!r}"
-        faults.append(Fault("numerical uncertainty", rule))
+    rules = [
+        ("blocks", blocks >= 1, f"at least one is needed, got {blocks}"),
+        ("sd", 0 < sd < math.inf, f"must be a positive number, got {sd!r}"),
+        ("practical", 0 < practical < math.inf, f"must be a positive number, got {practical!r}"),
+        ("numerical uncertainty", 0 <= u < math.inf,
+         f"must be zero or a positive number, got {u!r}"),
+    ]  # fmt: skip
+    faults = [Fault(name, rule) for name, holds, rule in rules if not holds]
     if faults:
         raise InputError(faults)

@@ -10,7 +10,7 @@ import numpy as np
 from study.ground.arrays import gathered
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.analysis_request import AnalysisRequest
-from study.statistics.analysis.anova_table import Anova, NaiveTerm, NestedUnits
+from study.statistics.analysis.anova_table import Anova, NaiveTerm, NestedUnits, Row
 from study.statistics.analysis.comparisons import t_quantile
 from study.statistics.analysis.data import prepare
 
@@ -115,16 +115,14 @@ def _naive_size(
 
 
 def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
-    terms = []
-    for row in nested.rows:
+    def tested(row: Row) -> tuple[float, tuple[float, float], float] | None:
         if row.f is None or row.df_error is None or row.p is None:
-            continue
-        other = naive.row(row.term)
-        if other.f is None or other.df_error is None or other.p is None:
-            continue
-        test = row.f, (row.df, row.df_error), row.p
-        terms.append(NaiveTerm(row.term, *test, other.f, (other.df, other.df_error), other.p))
-    return tuple(terms)
+            return None
+        return row.f, (row.df, row.df_error), row.p
+
+    each = [(row.term, tested(row)) for row in nested.rows]
+    both = [(term, own, tested(naive.row(term))) for term, own in each if own is not None]
+    return tuple(NaiveTerm(term, *own, *rows) for term, own, rows in both if rows is not None)
 
 
 def sentences(nested: NestedUnits, alpha: float) -> list[str]:

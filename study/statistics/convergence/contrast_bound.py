@@ -247,7 +247,7 @@ class SeriesBounds:
     mesh: str | None = None
     #: The finest mesh, on which the simple effects of the other factors are judged.
     only: Mapping[str, str] = field(default_factory=dict)
-    _known: dict[tuple[tuple[str, ...], ...], float | None] = field(default_factory=dict)
+    _known: dict[tuple[object, ...], float | None] = field(default_factory=dict)
 
     def of(self, plus: Levels, minus: Levels) -> float | None:
         """Bound of one difference."""
@@ -268,11 +268,13 @@ class SeriesBounds:
     ) -> float | None:
         """Bound of a difference of two sides, made once: it is asked for every block left out."""
         sides = (tuple(side.get(f, "") for f in self.factors) for side in (plus, minus))
-        key = (*sides, (str(on_one_mesh), str(pure)))
+        key = (*sides, on_one_mesh, pure)
         if key not in self._known:
             weights = self._component if pure else self._weights
-            weights_of_cells = _difference(weights(plus), weights(minus))
-            self._known[key] = self._bound(weights_of_cells, on_one_mesh=on_one_mesh)
+            first, second = weights(plus), weights(minus)
+            cells = {**first, **second} if first and second else {}
+            difference = {cell: first.get(cell, 0.0) - second.get(cell, 0.0) for cell in cells}
+            self._known[key] = self._bound(difference, on_one_mesh=on_one_mesh)
         return self._known[key]
 
     def _component(self, side: Levels) -> dict[tuple[str, ...], float]:
@@ -303,9 +305,7 @@ class SeriesBounds:
             by_element.setdefault(self.discretization[cell], {})[cell] = w
         series = self.series
         if on_one_mesh:
-            series = {
-                cell: replace(cell_series, studied=None) for cell, cell_series in series.items()
-            }
+            series = {cell: replace(values, studied=None) for cell, values in series.items()}
         parts = [self._part(name, part, series) for name, part in by_element.items()]
         bounds = [part for part in parts if part is not None]
         return sum(bounds) + 2 * self.more if len(bounds) == len(parts) else None
@@ -320,23 +320,11 @@ class SeriesBounds:
         if all(cell in series for cell in weights):
             return contrast_uncertainty(weights, series)
         refined = [s for c, s in series.items() if self.discretization.get(c) == element]
-        limits = [limit_of(s) for s in refined]
-        bounded = [limit for limit in limits if limit is not None]
-        if not bounded or len(bounded) < len(limits):
+        bounded = [limit for limit in map(limit_of, refined) if limit is not None]
+        if not bounded or len(bounded) < len(refined):
             return None
-        return inherited_uncertainty(
-            np.array(list(weights.values())),
-            np.array([error for error, _ in bounded]),
-            np.array([bound for _, bound in bounded]),
-        )
-
-
-def _difference(
-    plus: Mapping[tuple[str, ...], float], minus: Mapping[tuple[str, ...], float]
-) -> dict[tuple[str, ...], float]:
-    if not plus or not minus:
-        return {}
-    return {cell: plus.get(cell, 0.0) - minus.get(cell, 0.0) for cell in {**plus, **minus}}
+        error, bound = np.array(bounded).T
+        return inherited_uncertainty(np.array(list(weights.values())), error, bound)
 
 
 def bound_of(

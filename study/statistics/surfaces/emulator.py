@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 from scipy import linalg
+from scipy.special import stdtrit
 
 from study.ground.arrays import Array, Flags
 from study.ground.canonical import Keyed
@@ -73,50 +75,24 @@ def is_confirmed(runs: Runs, j: int, least: float) -> bool:
     Runs repeated at one setting count by their mean, over blocks their mean difference less its
     95 % interval. Settings of confirming runs are rounded to a ten-thousandth of their range.
     """
-    from scipy import stats
+    import pandas as pd
 
     others = np.round(np.delete(runs.coded, j, axis=1) / SAME_PLACE)
     place = np.unique(others, axis=0, return_inverse=True)[1].ravel()
-    names = runs.blocks or ("",) * runs.response.size
-    where: dict[str, list[int]] = {}
-    for i, name in enumerate(names):
-        where.setdefault(name, []).append(i)
-    for group in np.flatnonzero(np.bincount(place) > 1):
-        each: dict[tuple[float, float], list[float]] = {}
-        for rows in where.values():
-            values: dict[float, list[float]] = {}
-            for i in (i for i in rows if place[i] == group):
-                values.setdefault(round(float(runs.coded[i, j]), 3), []).append(runs.response[i])
-            for a, b in combinations(sorted(values), 2):
-                difference = float(np.mean(values[a]) - np.mean(values[b]))
-                each.setdefault((a, b), []).append(difference)
-        for found in each.values():
-            n = len(found)
-            if n == len(where) and n != 2:
-                half = 0.0
-                if n > 1:
-                    half = float(stats.t.ppf(0.975, n - 1) * np.std(found, ddof=1) / np.sqrt(n))
-                if abs(float(np.mean(found))) - half > least:
-                    return True
+    block = runs.blocks or ("",) * runs.size
+    rows = {"place": place, "at": runs.coded[:, j].round(3), "block": block, "y": runs.response}
+    # one column a block, NaN where it has no run there
+    means = pd.DataFrame(rows).pivot_table("y", ["place", "at"], "block")
+    means = means[means.index.get_level_values(0).duplicated(keep=False)]
+    n = means.shape[1]
+    t = float(stdtrit(n - 1, 0.975)) if n > 2 else math.nan  # two blocks have no interval
+    for _, at_place in means.groupby(level=0):
+        for a, b in combinations(at_place.to_numpy(), 2):
+            change = a - b
+            half = 0.0 if n == 1 else t * np.std(change, ddof=1) / math.sqrt(n)
+            if abs(change.mean()) - half > least:  # false of a NaN
+                return True
     return False
-
-
-def effect_range(
-    mean: Callable[[Array], Array], k: int, j: int, bound: float, small: tuple[float | None, float]
-) -> EffectRange:
-    """Range along factor j. Shapes: mean (m,)."""
-    from scipy.stats import qmc
-
-    others = qmc.Sobol(k, seed=j).random(SETTINGS)
-    steps = np.linspace(0.0, 1.0, STEPS)
-    points = np.repeat(others[:, None, :], STEPS, axis=1)
-    points[:, :, j] = steps
-    values = mean(points.reshape(-1, k)).reshape(SETTINGS, STEPS)
-    ranges = np.ptp(values, axis=1)
-    value = float(np.quantile(ranges, SHARE))
-    at = int(np.abs(ranges - value).argmin())
-    ends = points[at, [int(values[at].argmin()), int(values[at].argmax())]]
-    return EffectRange(value, bound, verdict_of(value, bound, *small), 2.0 * ends - 1.0)
 
 
 def effect_ranges(
@@ -127,14 +103,22 @@ def effect_ranges(
     u: float,
 ) -> tuple[EffectRange, ...]:
     """Range along every factor of a surface over coded points, with its bound, judged."""
-    small = practical, float(np.ptp(runs.response))
-    return tuple(
-        replace(
-            effect_range(lambda x: value(2.0 * x - 1.0), len(bounds), j, bound, small),
-            confirmed=practical is not None and is_confirmed(runs, j, practical + u),
-        )
-        for j, bound in enumerate(bounds)
-    )
+    from scipy.stats import qmc
+
+    k, spread, ranges = len(bounds), float(np.ptp(runs.response)), []
+    for j, bound in enumerate(bounds):
+        others = 2.0 * qmc.Sobol(k, seed=j).random(SETTINGS) - 1.0
+        points = np.repeat(others[:, None], STEPS, axis=1)
+        points[:, :, j] = 2.0 * np.linspace(0.0, 1.0, STEPS) - 1.0
+        values = value(points.reshape(-1, k)).reshape(SETTINGS, STEPS)
+        sizes = np.ptp(values, axis=1)
+        size = float(np.quantile(sizes, SHARE))
+        at = int(np.abs(sizes - size).argmin())
+        ends = points[at, [int(values[at].argmin()), int(values[at].argmax())]]
+        verdict = verdict_of(size, bound, practical, spread)
+        confirmed = practical is not None and is_confirmed(runs, j, practical + u)
+        ranges.append(EffectRange(size, bound, verdict, ends, confirmed))
+    return tuple(ranges)
 
 
 def verdict_of(
@@ -253,9 +237,6 @@ class Emulator(Keyed):
     #: In the unit box, for standardized responses; where it was fitted to the runs of several
     #: combinations of categories, it has those of the others, too.
     process: GaussianProcess
-    #: Mean and standard deviation of the responses, in their unit.
-    centre: float
-    scale: float
     seed: int
     #: Number of the combination of categories at which it is asked.
     combination: int | None = None
@@ -266,6 +247,16 @@ class Emulator(Keyed):
     def each(self) -> tuple[Emulator, ...]:
         """The emulator itself, as of blocks those of each."""
         return (self,)
+
+    @cached_property
+    def centre(self) -> float:
+        """Mean of the responses, in their unit."""
+        return float(self.runs.response.mean())
+
+    @cached_property
+    def scale(self) -> float:
+        """Standard deviation of the responses, in their unit."""
+        return float(self.runs.response.std())
 
     @property
     def kernel(self) -> dict[str, object]:
@@ -299,7 +290,7 @@ class Emulator(Keyed):
         """Draw posterior paths: the mean and functions, shape (m, 1 + paths), of points (m, k)."""
         # Points lie in the unit box; values are those of standardized responses.
         drawn = draw_paths(self.process, seed)
-        return lambda unit: drawn.values(self.points(unit))
+        return lambda unit: drawn(self.points(unit))
 
     @property
     def loo_rms(self) -> float:
@@ -392,24 +383,21 @@ def fit_together(runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0) -> t
 
 
 def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emulator, ...]:
-    singles = [_emulator_averaged(one) for one in runs]
-    centres = [float(one.response.mean()) for one, _ in singles]
-    scales = [float(one.response.std()) for one, _ in singles]
-    for (one, _), centre, scale in zip(singles, centres, scales, strict=True):
+    averaged = [_emulator_averaged(one) for one in runs]
+    numbers = range(len(runs)) if sizes else [None]
+    parts = []
+    for (one, u), number in zip(averaged, numbers, strict=True):
+        centre, scale = one.response.mean(), one.response.std()
         if scale <= 1e-12 * abs(centre):
             rule = f"the response {one.name!r} is the same in every run"
             raise RefusedError(str(Fault("emulator", rule, "there is nothing to explain")))
-    numbers = range(len(runs)) if sizes else [None]
-    x, y, noise = (np.concatenate(parts) for parts in zip(*(
-        (_among(0.5 * (one.coded + 1.0), number), (one.response - centre) / scale, (u / scale) ** 2)
-        for (one, u), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
-    ), strict=True))  # fmt: skip
+        unit = _among(0.5 * (one.coded + 1.0), number)
+        parts.append((unit, (one.response - centre) / scale, (u / scale) ** 2))
+    x, y, noise = map(np.concatenate, zip(*parts, strict=True))
     fits = [fit_process(x, y, noise, family, seed, sizes) for family in FAMILIES]
     rival, best = sorted(fits, key=lambda p: 1.0 - float((p.loo_errors**2).sum() / (y**2).sum()))
-    return tuple(
-        Emulator(one, best, centre, scale, seed, number, rival)
-        for (one, _), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
-    )
+    each = zip(averaged, numbers, strict=True)
+    return tuple(Emulator(one, best, seed, number, rival) for (one, _), number in each)
 
 
 def _among(unit: Array, combination: int | None) -> Array:
@@ -431,12 +419,10 @@ def _emulator_averaged(runs: Runs) -> tuple[Runs, Array]:
 
 
 def _check(runs: Runs) -> None:
-    n = len(runs.distinct()[0])
-    k = len(runs.factors)
-    levels = runs.levels()
-    if runs.response.size > LARGEST:
-        rule = f"{runs.response.size} runs, at most {LARGEST}: the work grows with their cube"
-        mend = f"take every {-(-runs.response.size // LARGEST)}th row, or --surface quadratic"
+    n, k, levels = len(runs.distinct()[0]), len(runs.factors), runs.levels()
+    if runs.size > LARGEST:
+        rule = f"{runs.size} runs, at most {LARGEST}: the work grows with their cube"
+        mend = f"take every {-(-runs.size // LARGEST)}th row, or --surface quadratic"
         raise RefusedError(str(Fault("emulator", rule, mend)))
     for name, count in zip(runs.names, levels, strict=True):
         if count < FEWEST_SETTINGS:
@@ -543,10 +529,8 @@ class BlockedEmulator(Keyed):
 
     def _scatter(self, values: Array) -> Array:
         """Half width of the 95 % interval of a mean over blocks, the first axis of the values."""
-        from scipy import stats
-
         b = len(self.each)
-        t = float(stats.t.ppf(0.975, b - 1))
+        t = float(stdtrit(b - 1, 0.975))
         return np.asarray(t * values.std(axis=0, ddof=1) / np.sqrt(b))
 
 

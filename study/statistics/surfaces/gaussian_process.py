@@ -8,7 +8,7 @@ likelihood and the prediction with scikit-learn's.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from typing import Literal
@@ -70,9 +70,10 @@ class CategoryCorrelation:
                 if c == 2:  # both are the same number
                     slope[:] = -2.0 * own[0]
                 np.fill_diagonal(slope, 0.0)
-                around = [np.zeros_like(m) for m in self._logarithms]
-                around[q] = slope
-                found.append(_spread(around))
+                # logarithms of the factors of a Kronecker product add
+                ones = [np.ones_like(m) for m in self._logarithms]
+                ones[q] = slope
+                found.append(reduce(lambda a, b: np.asarray(np.kron(a, b)), ones))
         return found
 
     @cached_property
@@ -90,15 +91,6 @@ def fitted(sizes: Sequence[int]) -> int:
 
 def _own(c: int) -> int:
     return 1 if c == 2 else c
-
-
-def _spread(logarithms: Sequence[Array]) -> Array:
-    """Sum over the factors, shape (p, p), as the Kronecker product multiplies."""
-
-    def summed(a: Array, b: Array) -> Array:
-        return np.asarray(np.kron(a, np.ones_like(b)) + np.kron(np.ones_like(a), b))
-
-    return reduce(summed, logarithms)
 
 
 # Correlation of two points by their distance, with one length scale a factor.
@@ -390,60 +382,42 @@ FEATURES = 1000
 PATHS = 40
 
 
-@dataclass(frozen=True)
-class PosteriorPaths:
-    """The posterior mean and functions drawn from the posterior (Wilson et al. 2021).
+def draw_paths(process: GaussianProcess, seed: int, paths: int = PATHS) -> Callable[[Array], Array]:
+    """Draw functions from the posterior (Wilson et al. 2021).
 
-    A path is a function of the prior, plus what the process makes of the difference between
-    the data and that function at the runs.
+    A path is a function of the prior, plus what the process makes of the difference between the
+    data and that function at the runs. Values have the shape (m, 1 + paths), the posterior mean
+    first, at points of the unit box of shape (m, k).
     """
-
-    process: GaussianProcess
-    #: shape (features, k); of the cosines.
-    frequencies: Array
-    #: shape (features,); in radians.
-    phases: Array
-    #: shape (p, features, paths); of each path, for every combination of categories; p is 1 without
-    #: them.
-    amplitudes: Array
-    #: shape (n, 1 + paths); the data, and the data without each path.
-    differences: Array
-
-    def values(self, x: Array) -> Array:
-        """Values, shape (m, 1 + paths), at points (m, k) of the unit box; the mean comes first."""
-        found = self.process.interpolated(self.differences, x)
-        found[:, 1:] += _prior(self.process, x, self.frequencies, self.phases, self.amplitudes)
-        return found
-
-
-def draw_paths(process: GaussianProcess, seed: int, paths: int = PATHS) -> PosteriorPaths:
-    """Draw functions from the posterior."""
     rng = np.random.default_rng(seed)
     found = process.found
-    frequencies = found.kernel.frequencies(rng, FEATURES)
+    kernel = found.kernel
+    frequencies = kernel.frequencies(rng, FEATURES)
     phases = rng.uniform(0.0, 2.0 * np.pi, FEATURES)
     size = np.sqrt(2.0 * found.variance / FEATURES)
-    categories = found.kernel.categories
-    parts = np.ones((1, 1)) if categories is None else categories.parts
+    parts = np.ones((1, 1)) if kernel.categories is None else kernel.categories.parts
     independent = size * rng.standard_normal((len(parts), FEATURES, paths))
+    # of each path (features, paths), for every combination of categories
     amplitudes = np.tensordot(parts, independent, axes=1)
-    prior = _prior(process, process.x, frequencies, phases, amplitudes)
+
+    def prior(x: Array) -> Array:
+        which = kernel.combination(x)
+        values = np.empty((len(x), paths))
+        for combination in np.unique(which):
+            here = which == combination
+            # half the digits: a path of 1,000 cosines is a few percent off the process anyway
+            angles = (kernel.numbers(x[here]) @ frequencies.T + phases).astype(np.float32)
+            values[here] = np.cos(angles) @ amplitudes[combination].astype(np.float32)
+        return values
+
     deviation = np.sqrt(process.noise + found.variance * found.nugget)
     noise = deviation[:, None] * rng.standard_normal((process.y.size, paths))
-    differences = np.column_stack([process.y, process.y[:, None] - prior - noise])
-    return PosteriorPaths(process, frequencies, phases, amplitudes, differences)
+    # the data, and the data without each path
+    rest = np.column_stack([process.y, process.y[:, None] - prior(process.x) - noise])
 
+    def values(x: Array) -> Array:
+        paths_at = process.interpolated(rest, x)
+        paths_at[:, 1:] += prior(x)
+        return paths_at
 
-def _prior(
-    process: GaussianProcess, x: Array, frequencies: Array, phases: Array, amplitudes: Array
-) -> Array:
-    """Paths of the prior, shape (m, paths), at points of the unit box."""
-    kernel = process.found.kernel
-    which = kernel.combination(x)
-    found = np.empty((len(x), amplitudes.shape[2]))
-    for one in np.unique(which):
-        own = which == one
-        # half the digits: a path of 1,000 cosines is a few percent off that of the process anyway
-        angles = (kernel.numbers(x[own]) @ frequencies.T + phases).astype(np.float32)
-        found[own] = np.cos(angles) @ amplitudes[one].astype(np.float32)
-    return found
+    return values

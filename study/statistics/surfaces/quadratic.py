@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 from typing import Literal
 
@@ -216,6 +217,7 @@ RIDGE = 0.05
 SEARCHED = 4096
 
 Kind = Literal["maximum", "minimum", "saddle", "ridge"]
+Error = Literal["none", "blocks", "replicates"]
 
 
 @dataclass(frozen=True)
@@ -258,60 +260,42 @@ def stationary_point(surface: QuadraticPolynomial) -> StationaryPoint | None:
     """Canonical analysis of a surface (Box and Wilson 1951)."""
     matrix = surface.quadratic()
     eigenvalues, vectors = np.linalg.eigh(matrix)
-    largest = float(np.abs(eigenvalues).max())
-    if largest == 0 or float(np.abs(eigenvalues).min()) < 1e-12 * largest:
+    smallest, largest = (float(end) for end in np.sort(np.abs(eigenvalues))[[0, -1]])
+    if largest == 0 or smallest < 1e-12 * largest:
         return None
+    kind: Kind = "maximum" if eigenvalues.max() < 0 else "minimum"
+    if eigenvalues.min() < 0 < eigenvalues.max():
+        kind = "saddle"
+    kind = "ridge" if smallest < RIDGE * largest else kind
     at: Array = np.asarray(-0.5 * np.linalg.solve(matrix, surface.linear()), dtype=np.float64)
     inside = bool(np.abs(at).max() <= 1.0)
     value = float(surface.value(at[None, :])[0])
-    return StationaryPoint(_kind(eigenvalues), at, value, eigenvalues, vectors, inside)
+    return StationaryPoint(kind, at, value, eigenvalues, vectors, inside)
 
 
-def _kind(eigenvalues: Array) -> Kind:
-    if np.abs(eigenvalues).min() < RIDGE * np.abs(eigenvalues).max():
-        return "ridge"
-    if eigenvalues.max() < 0:
-        return "maximum"
-    return "minimum" if eigenvalues.min() > 0 else "saddle"
+def level_at(surface: QuadraticPolynomial, covariance: Array, limit: float, coded: Array) -> Flags:
+    """Whether the gradient may be zero at coded points: those whose T^2 is below a limit.
 
-
-#: Whether points of the box, shape (n, k), may be where the surface is level.
-Member = Callable[[Array], Flags]
-
-
-def level_by_blocks(surfaces: Sequence[QuadraticPolynomial]) -> Member:
-    """95 % region in which the blocks' gradients may have the mean zero (Hotelling's T^2)."""
-    b, k = len(surfaces), surfaces[0].k
-    limit = k * (b - 1) / (b - k) * fdtri(k, b - k, 0.95)
-
-    def member(coded: Array) -> Flags:
-        gradients = np.stack([surface.gradient(coded) for surface in surfaces])  # (b, n, k)
-        mean = gradients.mean(axis=0)
-        centred = gradients - mean
-        covariance = np.einsum("bni,bnj->nij", centred, centred) / (b - 1)
-        t2 = b * np.einsum("ni,nij,nj->n", mean, np.linalg.pinv(covariance), mean)
-        return np.asarray(t2 <= limit)
-
-    return member
-
-
-def level_by_residual(surface: QuadraticPolynomial, covariance: Array, df: int) -> Member:
-    """95 % region in which the gradient may be zero (Box and Hunter 1954, Biometrika 41, 190-199).
-
-    Shapes: covariance (p, p) of the coefficients of the terms.
+    Shapes: covariance (p, p) of the coefficients of the terms; coded (n, k); returns (n,).
     """
-    k = surface.k
-    limit = k * float(fdtri(k, df, 0.95))
-    units = [replace(surface, coefficients=one) for one in np.eye(len(surface.terms))]
+    units = [replace(surface, coefficients=row) for row in np.eye(len(surface.terms))]
+    slopes = np.stack([unit.gradient(coded) for unit in units], axis=-1)  # (n, k, p)
+    gradient = slopes @ surface.coefficients
+    spread = slopes @ covariance @ slopes.transpose(0, 2, 1)
+    t2 = np.einsum("ni,nij,nj->n", gradient, np.linalg.pinv(spread), gradient)
+    return np.asarray(t2 <= limit)
 
-    def member(coded: Array) -> Flags:
-        slopes = np.stack([one.gradient(coded) for one in units], axis=-1)  # (n, k, p)
-        gradient = slopes @ surface.coefficients
-        spread = slopes @ covariance @ slopes.transpose(0, 2, 1)
-        t2 = np.einsum("ni,nij,nj->n", gradient, np.linalg.pinv(spread), gradient)
-        return np.asarray(t2 <= limit)
 
-    return member
+def level_limit(k: int, df: int, error: Error) -> float | None:
+    """T^2 of the 95 % region of k slopes; None of too few blocks.
+
+    The residual has df degrees of freedom (Box and Hunter 1954, Biometrika 41, 190-199); the
+    gradients of df + 1 blocks have the mean zero by Hotelling's T^2.
+    """
+    if error != "blocks":
+        return k * float(fdtri(k, df, 0.95))
+    free = df + 1 - k
+    return k * df / free * float(fdtri(k, free, 0.95)) if free > 0 else None
 
 
 # A quadratic surface fitted to runs, and what may be said of it.
@@ -328,8 +312,6 @@ FAR = 100.0
 #: share of the settings that blocks may have in common where each holds a part of the design:
 #: blocks that share more are crossed with the settings, and differ in more than a constant
 SHARED = 0.5
-
-Error = Literal["none", "blocks", "replicates"]
 
 
 @dataclass(frozen=True)
@@ -549,18 +531,12 @@ def _with_blocks(runs: Runs) -> QuadraticSurface:
         lack=against_blocks(columns.complement(), table), notes=notes,
         of_blocks=(np.atleast_2d(np.cov(each)) / blocks, blocks - 1),
     )  # fmt: skip
-    surfaces = [QuadraticPolynomial(columns.terms, c, len(runs.factors)) for c in each.T]
-    tests = {}
+    tests: dict[str, FRatioTest] = {}
     for j, name in enumerate(runs.names):
         of_factor = [i for i, term in enumerate(columns.terms) if j in term.factors]
-        tests[name] = against_blocks(columns.alone(of_factor), table)
-    return replace(
-        found,
-        factor_tests={name: test for name, test in tests.items() if test is not None},
-        stationary=_with_region(
-            found.stationary, level_by_blocks(surfaces) if blocks > len(runs.factors) else None
-        ),
-    )
+        test = against_blocks(columns.alone(of_factor), table)
+        tests |= {} if test is None else {name: test}
+    return replace(found, factor_tests=tests)
 
 
 def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints) -> QuadraticSurface:
@@ -580,20 +556,17 @@ def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints) -> QuadraticSurface
     return replace(found, notes=(note, *found.notes))
 
 
-def _with_region(point: StationaryPoint | None, member: Member | None) -> StationaryPoint | None:
-    """Point with the part of the box that its confidence region takes."""
-    if point is None or member is None:
-        return point
+def _region(point: StationaryPoint, level: Callable[[Array], Flags]) -> Region:
+    """Part of the box in which points, shape (n, k), may be level."""
     k = point.at.size
     points = np.vstack([box_points(k, SEARCHED), np.clip(point.at, -1, 1)])
-    inside = points[member(points)]
+    inside = points[level(points)]
     nowhere = np.full(k, np.nan)
     low, high = (inside.min(axis=0), inside.max(axis=0)) if len(inside) else (nowhere, nowhere)
     faces = [np.array(points) for _ in range(2 * k)]
     for side, face in enumerate(faces):
         face[:, side // 2] = -1.0 if side % 2 else 1.0
-    leaves = any(bool(member(face).any()) for face in faces)
-    return replace(point, region=Region(low, high, leaves))
+    return Region(low, high, any(bool(level(face).any()) for face in faces))
 
 
 def _surface(
@@ -637,22 +610,24 @@ def _surface(
             df * (ROUNDING * float(np.abs(response).max())) ** 2,
         )
         covariance = columns.model.unscaled_covariance[:count, :count] * residual / df
-        point = _with_region(point, level_by_residual(polynomial, covariance, df))
-    terms = [
-        SurfaceTerm(term.label(runs.names), c)
-        for term, c in zip(columns.terms, polynomial.coefficients.tolist(), strict=True)
-    ]
+    if point is not None and covariance is not None:
+        limit = level_limit(polynomial.k, df, error)
+        if limit is not None:
+            level = partial(level_at, polynomial, covariance, limit)
+            point = replace(point, region=_region(point, level))
+    label = {term: term.label(runs.names) for term in second_order(runs.levels())}
+    coefficients = polynomial.coefficients.tolist()
+    terms = [SurfaceTerm(label[t], c) for t, c in zip(columns.terms, coefficients, strict=True)]
     if covariance is not None and error != "none":
         t = float(stdtrit(df, 0.975))
         for i, se in enumerate(np.sqrt(np.diag(covariance)).tolist()):
-            c = terms[i].coefficient
+            c = coefficients[i]
             p = float(2.0 * stdtr(df, -abs(c) / se)) if se > 0 else None
             terms[i] = replace(terms[i], interval=(c - t * se, c + t * se), p=p)
     aliases = []
     for term, parts in columns.aliases:
-        labels = [(part.label(runs.names), weight) for part, weight in parts]
-        parts_text = [x if abs(w - 1) < 1e-9 else f"{w:.3g} {x}" for x, w in labels]
-        aliases.append(f"{term.label(runs.names)} = {' + '.join(parts_text)}")
+        sums = [label[x] if abs(w - 1) < 1e-9 else f"{w:.3g} {label[x]}" for x, w in parts]
+        aliases.append(f"{label[term]} = {' + '.join(sums)}")
     return QuadraticSurface(
         runs, polynomial, tuple(terms), {}, error, loo, lack, point,
         tuple(aliases), (*notes, *said), covariance, df,

@@ -84,19 +84,14 @@ class Runs:
         if not self.response.size:
             rule = "none has an answer, so no surface is fitted"
             raise InputError(Fault("runs", rule, "study status says what failed"))
+        mend = "leave it out of --numeric, or run other settings"
         constant = [
-            f
-            for f, column in zip(self.factors, self.coded.T, strict=True)
-            if bool(np.ptp(column) <= SAME_SETTING)
+            Fault(f"factor {name!r}", "has one setting in every run", mend)
+            for name, extent in zip(self.names, np.ptp(self.coded, axis=0), strict=True)
+            if extent <= SAME_SETTING
         ]
         if constant:
-            mend = "leave it out of --numeric, or run other settings"
-            raise InputError(
-                [
-                    Fault(f"factor {f.name!r}", "has one setting in every run", mend)
-                    for f in constant
-                ]
-            )
+            raise InputError(constant)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -202,19 +197,16 @@ def never_run(runs: Runs, at: Array | None = None) -> list[str]:
     Where coded points are given, shape (m, k), only the quarters that hold one of them.
     """
     found = []
+    every = [runs.coded, *([] if at is None else [at])]
     for i, j in combinations(range(len(runs.factors)), 2):
         for side in product((1.0, -1.0), repeat=2):
-            inside = [
-                bool((points[:, [i, j]] * side > QUARTER).all(axis=1).any())
-                for points in (runs.coded, *([] if at is None else [at]))
-            ]
+            inside = [(p[:, [i, j]] * side > QUARTER).all(axis=1).any() for p in every]
             if not inside[0] and all(inside[1:]):
-                ends = [
-                    f"{runs.factors[m].name} {'above' if end > 0 else 'below'} "
-                    f"{runs.factors[m].setting(0.0):.4g}"
-                    for m, end in zip((i, j), side, strict=True)
-                ]
-                found.append(" with ".join(ends))
+                ends = zip((runs.factors[i], runs.factors[j]), side, strict=True)
+                found.append(" with ".join(
+                    f"{factor.name} {'above' if end > 0 else 'below'} {factor.setting(0.0):.4g}"
+                    for factor, end in ends
+                ))  # fmt: skip
     if not found:
         return []
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""

@@ -26,7 +26,7 @@ from study.statistics.surfaces.emulator import (
     fit_own,
     fit_together,
 )
-from study.statistics.surfaces.quadratic import QuadraticSurface, fit_quadratic
+from study.statistics.surfaces.quadratic import fit_quadratic
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_profile import (
     SCREENS,
@@ -53,11 +53,6 @@ BEYOND = 0.2 + 1e-9
 _WITH_UNIT = re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*(?P<unit>[^\W\d_%][\w/^*]*|%)")
 #: ``time``, ``time=80..90``, ``time=1..100 log``, ``time log``
 _NUMERIC = re.compile(r"(?P<name>.+?)(=(?P<low>[^=]+?)\.\.(?P<high>[^=]+?))?(?P<log> +log)?")
-
-
-def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | BlockedEmulator:
-    """Fit runs by the surface that is asked for, or by the one that suits them."""
-    return fit_quadratic(runs) if kind_of(runs, surface) == "quadratic" else fit_own(runs)
 
 
 def fitted_together(
@@ -250,7 +245,8 @@ def surfaces_at(
                 screened = elementary_effects(runs)
                 each.append(replace(fitted_here, refused=SCREENS, screened=screened))
                 continue
-            model = fitted(runs, surface) if together is None else together[k]
+            fit = fit_quadratic if kind_of(runs, surface) == "quadratic" else fit_own
+            model = fit(runs) if together is None else together[k]
             made = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
             each.append(replace(fitted_here, found=made))
         except StudyError as error:

@@ -12,8 +12,7 @@ from scipy.special import fdtri
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import settled
-from study.statistics.surfaces.surface_factors import box_points
-from study.statistics.surfaces.surface_optimum import run_box
+from study.statistics.surfaces.surface_optimum import FreeSettings
 from study.statistics.surfaces.surface_profile import CurveEmulator
 
 #: points at which the search looks around, and the best of them from which it goes on
@@ -107,10 +106,11 @@ def agreeing(
 
     Shapes: measured (m,); held (k,).
     """
-    search = _Search.of(model, measured, held)
+    space = FreeSettings.of([model.runs], held)
+    search = _Search(model, measured, space)
     least = search.minima()
     at = least[0]
-    rms, p, m = search.rms(at), search.free.size, measured.size
+    rms, p, m = search.rms(at), space.free.size, measured.size
     if largest is None:
         worth = min(max(rows_worth or float(m), p + 1.0), float(m))
         f = float(fdtri(p, max(m - p, 1), LEVEL))
@@ -119,22 +119,22 @@ def agreeing(
     is_open = np.zeros((2, at.size), dtype=bool)
     branches = [at, *(one for one in least[1:] if search.rms(one) <= largest)]
     members = list(branches)
-    for j in search.free:
-        for side, end in enumerate((search.low[j], search.high[j])):
+    for j in space.free:
+        for side, end in enumerate((space.low[j], space.high[j])):
             for branch in branches:
                 found = search.profile_end(int(j), float(end), branch, largest)
                 is_open[side, j] |= search.ends_with_the_runs(int(j), found[-1], rms, largest)
                 members += found[1:]
     points = np.array(members)
     low, high = points.min(axis=0), points.max(axis=0)
-    width = (high - low)[search.free] / (search.high - search.low)[search.free]
-    loose = int(search.free[int(np.argmax(width))])
+    width = (high - low)[space.free] / (space.high - space.low)[space.free]
+    loose = int(space.free[int(np.argmax(width))])
     whole = points[[int(np.argmin(points[:, loose])), int(np.argmax(points[:, loose]))]]
     alone = ~(is_open[0] | is_open[1])
-    loose_ones = np.array([j for j in search.free if not alone[j]], dtype=np.int64)
+    loose_ones = np.array([j for j in space.free if not alone[j]], dtype=np.int64)
     told = search.combinations(at, rms, largest, loose_ones)
     # a profile follows the best settings; others agree as well, and a rule is for all of them
-    around = search.around()
+    around = space.sample(SAMPLE)
     agree = np.vstack([points, around[search.each_rms(around) <= largest]])
     rules = tuple(rule for one in told if (rule := search.holding(one, agree)) is not None)
     return InversionAgreement(
@@ -148,15 +148,7 @@ class _Search:
 
     model: CurveEmulator
     measured: Array
-    held: Array
-    free: Ints
-    low: Array
-    high: Array
-
-    @classmethod
-    def of(cls, model: CurveEmulator, measured: Array, held: Array) -> _Search:
-        low, high = run_box(model.runs)
-        return cls(model, measured, held, np.flatnonzero(np.isnan(held)), low, high)
+    space: FreeSettings
 
     def rms(self, at: Array) -> float:
         """Root mean square of what the curve at a point misses."""
@@ -166,22 +158,15 @@ class _Search:
         """Give the same, shape (n,), for points of shape (n, k)."""
         return np.asarray(np.sqrt(((self.model.value(points) - self.measured) ** 2).mean(axis=1)))
 
-    def around(self) -> Array:
-        """Points all over what was run, shape (SAMPLE, k)."""
-        points = np.repeat(np.nan_to_num(self.held)[None, :], SAMPLE, axis=0)
-        low, high = self.low[self.free], self.high[self.free]
-        points[:, self.free] = low + 0.5 * (box_points(self.free.size, SAMPLE) + 1) * (high - low)
-        return points
-
     def minima(self) -> list[Array]:
         """Points (k,) at which the sum of squares is least about them, the best one first."""
-        points = self.around()
+        points = self.space.sample(SAMPLE)
         rest = points[np.argsort(self.each_rms(points))]
         found: list[Array] = []
         for _ in range(STARTS):
             if not len(rest):
                 break
-            found.append(self.fitted(rest[0], self.free))
+            found.append(self.fitted(rest[0], self.space.free))
             # the next one starts away from those that have been followed
             starts = np.array([rest[0], *found])
             near = np.abs(rest[:, None] - starts[None]).max(axis=2).min(axis=1) < APART
@@ -198,7 +183,7 @@ class _Search:
         if not free.size:
             return start
         scale = float(np.abs(self.measured).max()) or 1.0
-        low, high = self.low[free], self.high[free]
+        low, high = self.space.low[free], self.space.high[free]
         inside = np.clip(start[free], low + 1e-9, high - 1e-9)
 
         def whole(x: Array) -> Array:
@@ -238,7 +223,7 @@ class _Search:
 
     def profile_end(self, j: int, end: float, best: Array, largest: float) -> list[Array]:
         """Members of the set on the way from the best one to an end of an input."""
-        others = np.asarray(self.free[self.free != j])
+        others = self.space.free[self.space.free != j]
 
         def at(value: float, near: Array) -> Array:
             starts = (near.copy(), best.copy())
@@ -271,12 +256,13 @@ class _Search:
         Another input that stands at an end of what was run limits this one only if the sum of
         squares would still fall beyond; where a third makes up for it, it stands there by chance.
         """
-        below, above = at - self.low < NEAR_END, self.high - at < NEAR_END
+        below, above = at - self.space.low < NEAR_END, self.space.high - at < NEAR_END
         if below[j] or above[j]:
             return True
         missed = self.model.value(at[None, :])[0] - self.measured
-        rise = 2.0 * self.slope(at, self.free).T @ missed
-        gain = np.where(below[self.free], rise, 0.0) - np.where(above[self.free], rise, 0.0)
+        free = self.space.free
+        rise = 2.0 * self.slope(at, free).T @ missed
+        gain = np.where(below[free], rise, 0.0) - np.where(above[free], rise, 0.0)
         return bool(gain.max() > LIMITS * self.measured.size * (largest**2 - rms**2))
 
     def combinations(

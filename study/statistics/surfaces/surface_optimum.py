@@ -86,15 +86,121 @@ def check_carries(model: Model) -> None:
         raise RefusedError(str(Fault("optimize", rule, f"add runs: {twice} in all")))
 
 
-def run_box(runs: Runs) -> tuple[Array, Array]:
-    """Give the ends, shape (k,) each, of what was run inside of the coded box.
+@dataclass(frozen=True)
+class FreeSettings:
+    """Factors that are not held, and what was run of them inside of the coded box."""
 
-    Nothing is extrapolated beyond them.
+    #: shape (k,); coded settings, NaN where a factor is free.
+    held: Array
+    free: Ints
+    #: shape (k,); ends beyond which nothing is extrapolated.
+    low: Array
+    high: Array
 
-    Shapes: runs (n, k).
-    """
-    low, high = runs.coded.min(axis=0), runs.coded.max(axis=0)
-    return np.maximum(low, -1.0), np.minimum(high, 1.0)
+    @classmethod
+    def of(cls, every: Sequence[Runs], held: Array) -> FreeSettings:
+        """Give the ends that all runs reach."""
+        low = np.max([runs.coded.min(axis=0) for runs in every], axis=0)
+        high = np.min([runs.coded.max(axis=0) for runs in every], axis=0)
+        free = np.flatnonzero(np.isnan(held))
+        return cls(held, free, np.maximum(low, -1.0), np.minimum(high, 1.0))
+
+    def whole(self, settings: Array) -> Array:
+        """Coded points (m, k) of free settings (m, f)."""
+        points = np.repeat(self.held[None, :], len(settings), axis=0)
+        points[:, self.free] = settings
+        return points
+
+    def sample(self, count: int, *, corners: bool = False) -> Array:
+        """Coded points, shape (m, k), that fill what was run evenly, with its corners if few."""
+        f = self.free.size
+        points = box_points(f, count) if f else np.empty((1, 0))
+        if corners and 0 < f <= CORNERS:
+            points = np.vstack([points, np.array(list(product((-1.0, 1.0), repeat=f)))])
+        low, high = self.low[self.free], self.high[self.free]
+        return self.whole(low + 0.5 * (points + 1.0) * (high - low))
+
+
+@dataclass(frozen=True)
+class _Question:
+    """What is to be best, within which limits; sign is 1 of what is to be small, else -1."""
+
+    model: Model
+    sign: float
+    limits: Sequence[ResponseLimit]
+    space: FreeSettings
+
+    def best(self, share: float) -> Array | None:
+        """Best coded setting, shape (k,), whose half widths leave room so far; None if none do."""
+        free, sample = self.space.free, self.space.sample(SAMPLE, corners=True)
+        rooms = self.rooms(sample, share)
+        order = np.lexsort((self.sign * self.model.value(sample), -np.minimum(rooms, 0.0)))
+        starts = sample[order[:STARTS]]
+        if self.limits:  # a narrow set may lie between the points: begin from where it is nearest
+            starts = np.vstack([starts, sample[np.argsort(-rooms)[:STARTS]]])
+        searches = [self._polished(share, at[free]) for at in starts]
+        points = np.vstack([starts, self.space.whole(np.array([x for x, _ in searches]))])
+        points[:, free] = np.clip(points[:, free], self.space.low[free], self.space.high[free])
+        holds = self.holds(points, share)
+        if not holds.any():
+            return None
+        best = int(np.argmin(np.where(holds, self.sign * self.model.value(points), np.inf)))
+        if best >= len(starts) and searches[best - len(starts)][1]:
+            rule = f"the search for the best setting has not converged in {STEPS} steps"
+            mend = "hold a factor, or move a limit that hardly any setting keeps"
+            raise RefusedError(str(Fault("optimize", rule, mend)))
+        return np.asarray(points[best])
+
+    def _polished(self, share: float, start: Array) -> tuple[Array, bool]:
+        """Free settings where sequential quadratic programming ends; whether by count."""
+        if not start.size:
+            return start, False
+        scale = self.sign / (float(np.ptp(self.model.runs.response)) or 1.0)
+
+        def each(function: Callable[[Array], Array]) -> Callable[[Array], float]:
+            return lambda x: float(function(self.space.whole(x[None, :]))[0])
+
+        def rule(limit: ResponseLimit) -> dict[str, object]:
+            # kept by a hair more than is asked, so that rounding does not lose the limit
+            return {"type": "ineq", "fun": each(lambda p: limit.room(p, share) - 0.1 * ROUNDING)}
+
+        low, high = self.space.low[self.space.free], self.space.high[self.space.free]
+        search = scipy.optimize.minimize(
+            each(lambda p: scale * self.model.value(p)), start, method="SLSQP",
+            constraints=[rule(limit) for limit in self.limits],
+            bounds=list(zip(low, high, strict=True)),
+            options={"ftol": 1e-13, "maxiter": STEPS},
+        )  # fmt: skip
+        return np.asarray(search.x, dtype=np.float64), search.status == BY_COUNT
+
+    def rooms(self, coded: Array, share: float) -> Array:
+        """Smallest distance to a limit, shape (m,); zero without limits."""
+        rooms = [limit.room(coded, share) for limit in self.limits]
+        return np.asarray(np.min(rooms, axis=0)) if rooms else np.zeros(len(coded))
+
+    def holds(self, coded: Array, share: float) -> Flags:
+        """Whether the limits are kept, shape (m,)."""
+        return np.asarray(self.rooms(coded, share) >= -ROUNDING)
+
+    def infeasible(self) -> Fault:
+        """Say how near to the limits the surfaces come."""
+        points = self.space.sample(SAMPLE, corners=True)
+        at = points[int(np.argmax(self.rooms(points, 0.0)))]
+        words = ", ".join(f"{name} = {x:.4g}" for name, x in self.model.runs.settings(at).items())
+        reached = ", ".join(
+            f"{limit.model.runs.name} {limit.model.predict(at[None, :])[0][0]:.4g} "
+            f"(limit {'>=' if limit.sign > 0 else '<='} {limit.value:.4g})"
+            for limit in self.limits
+        )
+        rule = "no setting inside of what was run is predicted to keep the limits; nearest: "
+        mend = f"there, {words}; move a limit, or run wider ranges"
+        return Fault("--subject-to", rule + reached, mend)
+
+
+def _question(model: Model, goal: Goal, limits: Sequence[ResponseLimit], held: Array) -> _Question:
+    every = [model.runs, *(limit.model.runs for limit in limits)]
+    sign = 1.0 if goal == "minimize" else -1.0
+    return _Question(model, sign, limits, FreeSettings.of(every, held))
 
 
 def optimum(model: Model, goal: Goal, limits: Sequence[ResponseLimit], held: Array) -> Optimum:
@@ -105,136 +211,21 @@ def optimum(model: Model, goal: Goal, limits: Sequence[ResponseLimit], held: Arr
 
     Shapes: held (k,).
     """
-    space = _Space.of([model, *(one.model for one in limits)], held)
-    sign = 1.0 if goal == "minimize" else -1.0
-    shares = (1.0, 0.0) if limits else (0.0,)
-    for share in shares:
-        found = _searched(model, sign, limits, space, share)
-        if found is not None:
-            said: Assurance = "" if not limits else "surely" if share else "predicted"
-            return _told(model, limits, space, found, said)
-    raise RefusedError(str(_infeasible(model, limits, space)))
-
-
-@dataclass(frozen=True)
-class _Space:
-    """Free factors and their bounds."""
-
-    held: Array
-    free: Ints
-    low: Array
-    high: Array
-
-    @classmethod
-    def of(cls, models: Sequence[Model], held: Array) -> _Space:
-        boxes = [run_box(one.runs) for one in models]
-        low = np.max([one for one, _ in boxes], axis=0)
-        high = np.min([one for _, one in boxes], axis=0)
-        free = np.flatnonzero(np.isnan(held))
-        return cls(held, free, low[free], high[free])
-
-    def whole(self, own: Array) -> Array:
-        """Coded points (m, k) of free settings (m, f)."""
-        points = np.repeat(self.held[None, :], len(own), axis=0)
-        points[:, self.free] = own
-        return points
-
-    def sample(self) -> Array:
-        """Free settings, shape (m, f), that fill the box, with its corners."""
-        f = self.free.size
-        if not f:
-            return np.empty((1, 0))
-        points = box_points(f, SAMPLE)
-        if f <= CORNERS:
-            points = np.vstack([points, np.array(list(product((-1.0, 1.0), repeat=f)))])
-        return np.asarray(self.low + 0.5 * (points + 1.0) * (self.high - self.low))
-
-
-def _searched(
-    model: Model, sign: float, limits: Sequence[ResponseLimit], space: _Space, share: float
-) -> Array | None:
-    """Best free settings, shape (f,), that keep the limits; None where none do."""
-    sample = space.sample()
-    rooms = _rooms(limits, space.whole(sample), share)
-    order = np.lexsort((sign * model.value(space.whole(sample)), -np.minimum(rooms, 0.0)))
-    starts = sample[order[:STARTS]]
-    if limits:  # a narrow set may lie between the points: begin from where it is nearest, too
-        starts = np.vstack([starts, sample[np.argsort(-rooms)[:STARTS]]])
-    scale = float(np.ptp(model.runs.response)) or 1.0
-    searches = [_polished(model, sign / scale, limits, space, share, x) for x in starts]
-    ends = [x for x, _ in searches]
-    points = np.clip(np.vstack([starts, *ends]), space.low, space.high)
-    kept: Flags = np.asarray(_rooms(limits, space.whole(points), share) >= -ROUNDING)
-    if not kept.any():
-        return None
-    good = np.flatnonzero(kept)
-    best = int(good[np.argmin(sign * model.value(space.whole(points[good])))])
-    if best >= len(starts) and searches[best - len(starts)][1]:
-        rule = f"the search for the best setting has not converged in {STEPS} steps"
-        mend = "hold a factor, or move a limit that hardly any setting keeps"
-        raise RefusedError(str(Fault("optimize", rule, mend)))
-    return np.asarray(points[best])
-
-
-def _polished(
-    model: Model,
-    sign: float,
-    limits: Sequence[ResponseLimit],
-    space: _Space,
-    share: float,
-    start: Array,
-) -> tuple[Array, bool]:
-    """Free settings, shape (f,), where sequential quadratic programming ends; whether by count."""
-    if not start.size:
-        return start, False
-
-    def each(function: Callable[[Array], Array]) -> Callable[[Array], float]:
-        return lambda x: float(function(space.whole(x[None, :]))[0])
-
-    def rule(one: ResponseLimit) -> dict[str, object]:
-        # kept by a hair more than is asked, so that rounding does not lose the limit
-        return {"type": "ineq", "fun": each(lambda p: one.room(p, share) - 0.1 * ROUNDING)}
-
-    found = scipy.optimize.minimize(
-        each(lambda p: sign * model.value(p)), start, method="SLSQP",
-        constraints=[rule(one) for one in limits],
-        bounds=list(zip(space.low, space.high, strict=True)),
-        options={"ftol": 1e-13, "maxiter": STEPS},
-    )  # fmt: skip
-    return np.asarray(found.x, dtype=np.float64), found.status == BY_COUNT
-
-
-def _rooms(limits: Sequence[ResponseLimit], coded: Array, share: float) -> Array:
-    """Smallest distance to a limit, shape (m,); zero without limits."""
-    if not limits:
-        return np.zeros(len(coded))
-    return np.asarray(np.min([one.room(coded, share) for one in limits], axis=0))
-
-
-def _told(
-    model: Model, limits: Sequence[ResponseLimit], space: _Space, own: Array, said: Assurance
-) -> Optimum:
-    at = space.whole(own[None, :])
-    value, half = model.predict(at)
-    beside = [one.model.predict(at) for one in limits]
-    limited = tuple((float(v[0]), float(h[0])) for v, h in beside)
-    near = np.minimum(own - space.low, space.high - own) <= BOUNDARY
-    ends = tuple(int(j) for j in space.free[near])
-    return Optimum(at[0], float(value[0]), float(half[0]), limited, said, ends)
-
-
-def _infeasible(model: Model, limits: Sequence[ResponseLimit], space: _Space) -> Fault:
-    """Say how near to the limits the surfaces come."""
-    points = space.whole(space.sample())
-    at = points[int(np.argmax(_rooms(limits, points, 0.0)))]
-    words = ", ".join(f"{name} = {x:.4g}" for name, x in model.runs.settings(at).items())
-    reached = ", ".join(
-        f"{one.model.runs.name} {one.model.predict(at[None, :])[0][0]:.4g} "
-        f"(limit {'>=' if one.sign > 0 else '<='} {one.value:.4g})"
-        for one in limits
-    )
-    rule = f"no setting inside of what was run is predicted to keep the limits; nearest: {reached}"
-    return Fault("--subject-to", rule, f"there, {words}; move a limit, or run wider ranges")
+    question = _question(model, goal, limits, held)
+    space = question.space
+    for share in (1.0, 0.0) if limits else (0.0,):
+        at = question.best(share)
+        if at is None:
+            continue
+        (value,), (half,) = model.predict(at[None, :])
+        of_limits = [limit.model.predict(at[None, :]) for limit in limits]
+        near = np.minimum(at - space.low, space.high - at)[space.free] <= BOUNDARY
+        assurance: Assurance = "" if not limits else "surely" if share else "predicted"
+        return Optimum(
+            at, float(value), float(half), tuple((float(v[0]), float(h[0])) for v, h in of_limits),
+            assurance, tuple(space.free[near].tolist()),
+        )  # fmt: skip
+    raise RefusedError(str(question.infeasible()))
 
 
 @dataclass(frozen=True)
@@ -256,8 +247,8 @@ def spread_over(
         return None
     held = found.at.copy()
     held[list(others)] = np.nan
-    space = _Space.of([model, *(one.model for one in limits)], held)
-    points = space.whole(space.sample())
+    question = _question(model, "minimize", limits, held)
+    points = question.space.sample(SAMPLE, corners=True)
     value = model.value(points)
-    kept = float((_rooms(limits, points, 0.0) >= -ROUNDING).mean())
-    return ResponseSpread(float(value.min()), float(value.max()), kept)
+    share = float(question.holds(points, 0.0).mean())
+    return ResponseSpread(float(value.min()), float(value.max()), share)

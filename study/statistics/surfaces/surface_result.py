@@ -29,6 +29,7 @@ from study.statistics.surfaces.emulator import (
 from study.statistics.surfaces.input_distribution import InputDistribution
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes, never_run
+from study.statistics.surfaces.surface_optimum import Model
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class SurfaceAnalysis(Keyed):
 
     KEYS = "response=runs.name runs=runs.size factors=runs.ranges surface sensitivity notes"
 
-    model: QuadraticSurface | Emulator | BlockedEmulator
+    model: Model
     #: One entry a factor; empty where Q2 refuses it, or a quadratic is not asked.
     sensitivity: tuple[Sensitivity, ...]
     smallest: Extreme
@@ -110,11 +111,7 @@ class SurfaceAnalysis(Keyed):
         return {"kind": self.kind, **self.model.keyed(), "best": best}
 
 
-def analysis_of(
-    model: QuadraticSurface | Emulator | BlockedEmulator,
-    practical: float | None = None,
-    u: float = 0.0,
-) -> SurfaceAnalysis:
+def analysis_of(model: Model, practical: float | None = None, u: float = 0.0) -> SurfaceAnalysis:
     """Say what a surface means; of an emulator all that its Q2 allows."""
     if isinstance(model, QuadraticSurface):
         judged, said = _of_quadratic(model, practical, u)
@@ -199,8 +196,6 @@ SAMPLE = 13
 PERCENTILES = np.array([2.5, 5.0, 25.0, 50.0, 75.0, 95.0, 97.5])
 #: points at which the surface's own uncertainty is asked: 2,048
 OWN_SAMPLE = 11
-
-Model = QuadraticSurface | Emulator | BlockedEmulator
 
 
 @dataclass(frozen=True)
