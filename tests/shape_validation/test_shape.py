@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skfem import MeshHex, MeshTet
-from skfem.io.meshio import HEX_MAPPING
 
 import study
 from study.cli.app import run
