@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
@@ -31,6 +31,16 @@ QUIET_S = 10.0
 
 #: places that are listed of faults with the same rule and mend
 SAME = 4
+
+
+def option(words: str, *names: str, **more: Any) -> Any:
+    """Option of a verb with its help."""
+    return typer.Option(*names, help=words, **more)
+
+
+def argument(words: str, offered: Callable[..., list[str]] | None = None, **more: Any) -> Any:
+    """Argument of a verb with its help, and what a shell offers for it."""
+    return typer.Argument(help=words, autocompletion=offered, **more)
 
 
 def print_json(result: object) -> None:
