@@ -132,7 +132,8 @@ def _say_version(is_asked: bool) -> None:
 @app.callback()
 def root(
     version: Annotated[
-        bool, option("Print the version.", "--version", callback=_say_version, is_eager=True)
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_say_version, is_eager=True),
     ] = False,
 ) -> None:
     """Design of experiments and honest statistics for simulations of soft materials."""

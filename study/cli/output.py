@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
@@ -33,14 +33,14 @@ QUIET_S = 10.0
 SAME = 4
 
 
-def option(words: str, *names: str, **more: Any) -> Any:
+def option(words: str, *names: str, min: float | None = None, max: float | None = None) -> object:
     """Option of a verb with its help."""
-    return typer.Option(*names, help=words, **more)
+    return typer.Option(*names, help=words, min=min, max=max)
 
 
-def argument(words: str, offered: Callable[..., list[str]] | None = None, **more: Any) -> Any:
+def argument(words: str, offered: Callable[..., list[str]] | None = None) -> object:
     """Argument of a verb with its help, and what a shell offers for it."""
-    return typer.Argument(help=words, autocompletion=offered, **more)
+    return typer.Argument(help=words, autocompletion=offered)
 
 
 def print_json(result: object) -> None:

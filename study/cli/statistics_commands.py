@@ -55,7 +55,9 @@ def analyze(
     ],
     formula: Annotated[
         str | None,
-        argument("'len ~ supp * dose': response, factors and model in one.", metavar="FORMULA"),
+        typer.Argument(
+            metavar="FORMULA", help="'len ~ supp * dose': response, factors and model in one."
+        ),
     ] = None,
     response: Annotated[str | None, option("Column of the response.")] = None,
     factors: Annotated[str, option("Columns of the factors, with commas.")] = "",
