@@ -28,15 +28,15 @@ Reply = tuple[int, dict[str, str], str]
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two finished studies with their reports, and a secret beside them."""
+    """Two finished studies, one with its report, and a secret beside them."""
     folder = tmp_path_factory.mktemp("served")
     write_files(folder)
     coarse = DESIGN.replace('"small"', '"coarse"', 1).replace("points = 30", "points = 20")
     coarse = coarse.replace("Does the energy", "<script>document.title=1</script> Does the energy")
     (folder / "coarse.toml").write_text(coarse)
     with contextlib.chdir(folder):
-        for name in ("small", "coarse"):
-            api.run(f"{name}.toml", data="data", jobs=1, formats=("html",))
+        api.run("small.toml", data="data", jobs=1, formats=("html",))
+        api.run("coarse.toml", data="data", jobs=1, reports=None)
     (folder / "secret.html").write_text("secret")
     return folder
 
