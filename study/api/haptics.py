@@ -25,24 +25,11 @@ from study.harness.record.store import Store
 from study.harness.runner.expansion import cases_by_id
 from study.harness.runner.fit_problem import data_root, folders, located
 from study.harness.runner.tasks import Costs, default_jobs
-from study.laboratory.haptics.haptic_export import (
-    TOLERANCE,
-    ForceLaw,
-    ForceLawSource,
-    files,
-    solved_force_law,
-    surface_function,
-)
+from study.laboratory.haptics import haptic_export
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement
+from study.laboratory.shape import shape_deviation
 from study.laboratory.shape.boundary import DeformedMesh, SimulatedBody, body_of_mesh, read_body
-from study.laboratory.shape.shape_deviation import (
-    ShapeDeviation,
-    ShapeOptions,
-    judge_shape,
-    read_markers,
-    read_scan,
-)
 from study.laboratory.tracker.tracker_error import TrackerAccuracy, judge_tracker
 from study.laboratory.tracker.tracker_recording import load_tracking
 from study.mechanics.material import input_file
@@ -77,7 +64,7 @@ class Export:
     #: Such as a tolerance that is not met.
     warnings: tuple[str, ...]
     #: The law, where one was made.
-    law: ForceLaw | None = None
+    law: haptic_export.ForceLaw | None = None
 
 
 def _exported(
@@ -85,7 +72,7 @@ def _exported(
     lines: Sequence[str],
     paths: Sequence[Path],
     warnings: Sequence[str],
-    law: ForceLaw | None = None,
+    law: haptic_export.ForceLaw | None = None,
 ) -> Export:
     """Make the result of an export whose files are told apart by their endings."""
     by_ending = {path.suffix.removeprefix("."): str(path) for path in paths}
@@ -141,7 +128,7 @@ class _Source:
         """Material with the constants."""
         return self.problem.material.material(self.values or None)
 
-    def of_law(self) -> ForceLawSource:
+    def of_law(self) -> haptic_export.ForceLawSource:
         """Problem of a force law: constants are not moved so far that the material is another."""
         half_ranges = {
             name: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs(self.values[name]))
@@ -153,7 +140,7 @@ class _Source:
             size = np.array(list(self.errors.values()))
             covariance = np.outer(size, size) * self.correlation
         problem = self.problem.at(self.values or None)
-        return ForceLawSource(self.name, problem, half_ranges, covariance)
+        return haptic_export.ForceLawSource(self.name, problem, half_ranges, covariance)
 
 
 def _written(path: Path, overrides: Sequence[str]) -> _Source:
@@ -250,7 +237,7 @@ def export(
     case: str = "",
     test: int = 1,
     overrides: Sequence[str] = (),
-    tolerance: float = TOLERANCE,
+    tolerance: float = haptic_export.TOLERANCE,
     out: str | Path = REPORTS,
     progress: Callable[[str], None] | None = None,
 ) -> Export:
@@ -304,7 +291,7 @@ def export(
     if form in PROGRAMS:
         return export_material(read.name, read.material, form, Path(out))
     check(read.material, None)
-    law = solved_force_law(read.of_law(), tolerance, progress)
+    law = haptic_export.solved_force_law(read.of_law(), tolerance, progress)
     warnings = []
     if law.relative_error > tolerance:
         warnings.append(
@@ -312,7 +299,7 @@ def export(
             f"{100 * tolerance:.2g} %: a finer mesh bends the curve less where contact begins"
         )
     folder = Path(out)
-    made = files(law, folder)
+    made = haptic_export.files(law, folder)
     for path, text in made.items():
         write_atomic(path, text.encode())
     question = "How does the force follow from displacement and constants?"
@@ -416,14 +403,14 @@ def export_surface(
     if not good:
         rule = "has no surface that could be a function"
         raise InputError(Fault(study.design.name, rule, chosen[0].refused))
-    made = tuple(surface_function(study.design.name, fitted) for fitted in good)
+    made = tuple(haptic_export.surface_function(study.design.name, fitted) for fitted in good)
     folder = Path(out)
     texts = {place: text for function in made for place, text in function.files(folder).items()}
     for place, text in texts.items():
         write_atomic(place, text.encode())
     missing = tuple(f"{one.response}: {one.refused}" for one in chosen if one.found is None)
-    files = {"files": [str(place) for place in texts], "warnings": list(missing)}
-    content = {"functions": [function.to_json() for function in made], **files}
+    haptic_export.files = {"files": [str(place) for place in texts], "warnings": list(missing)}
+    content = {"functions": [function.to_json() for function in made], **haptic_export.files}
     lines = tuple(sentence for function in made for sentence in function.sentences())
     return Export(content, lines, tuple(texts), missing)
 
@@ -438,10 +425,10 @@ def shape(
     markers: str | Path | None = None,
     unit: str = "mm",
     surface_unit: str = "mm",
-    options: ShapeOptions | None = None,
+    options: shape_deviation.ShapeOptions | None = None,
     overrides: Sequence[str] = (),
     reports: str | Path | None = None,
-) -> ShapeDeviation:
+) -> shape_deviation.ShapeDeviation:
     """Compare a simulated, deformed body with a scan of the real one.
 
     Parameters
@@ -480,10 +467,12 @@ def shape(
         if path is not None and not Path(path).is_file():
             raise InputError(Fault(where, f"there is no file {str(path)!r}", "check the path"))
     body = _body(Path(simulation), surface_unit, overrides)
-    cloud = read_scan(Path(scan), unit, body.deformed.size)
-    marked = None if markers is None else read_markers(Path(markers), unit)
+    cloud = shape_deviation.read_scan(Path(scan), unit, body.deformed.size)
+    marked = None if markers is None else shape_deviation.read_markers(Path(markers), unit)
     name = default_name(str(simulation))
-    deviation = judge_shape(name, body, cloud, marked, options or ShapeOptions())
+    deviation = shape_deviation.judge_shape(
+        name, body, cloud, marked, options or shape_deviation.ShapeOptions()
+    )
     if reports is None:
         return deviation
     return replace(deviation, report=str(write_shape(deviation, Path(reports) / slug(name))))

@@ -21,6 +21,7 @@ from study.ground.errors import InputError
 from study.harness.record.record import seal
 from study.harness.record.store import FileStamp, Store
 from tests.cli.small import DESIGN, write_files
+from tests.pages import served
 from tests.waiting import CAP_S
 
 Reply = tuple[int, dict[str, str], str]
@@ -43,13 +44,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(home: Path) -> Iterator[StudyServer]:
-    made = StudyServer(Folders(home / "results", home / "reports"), 0)
-    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
-    yield made
-    made.shutdown()
-    thread.join()
-    made.server_close()
+    with served(home) as made:
+        yield made
 
 
 def ask(

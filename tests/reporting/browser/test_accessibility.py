@@ -10,7 +10,6 @@ import json
 import os
 import shutil
 import subprocess
-import threading
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -19,7 +18,7 @@ import pandas as pd
 import pytest
 
 from study import api
-from study.api.serving import Folders, StudyServer
+from study.api.serving import StudyServer
 from study.harness.record.store import Store
 from study.reporting.output import write
 from study.reporting.output.analysis_page import AnalysisSource as Source
@@ -27,6 +26,7 @@ from study.reporting.output.analysis_page import surface_data
 from tests.cli.small import PROBLEM
 from tests.cli.test_labels_and_numbers import table as mixed_table
 from tests.cli.test_require import PLATES
+from tests.pages import served
 from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
 from tests.tracker_accuracy.test_tracking import distance_study
 
@@ -77,13 +77,8 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(demo: Path) -> Iterator[StudyServer]:
-    made = StudyServer(Folders(demo / "results", demo / "reports"), 0)
-    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
-    yield made
-    made.shutdown()
-    thread.join()
-    made.server_close()
+    with served(demo) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")

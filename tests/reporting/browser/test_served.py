@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from study import api
-from study.api.serving import Folders, StudyServer
+from study.api.serving import StudyServer
 from study.harness.record.store import Store
 from tests.cli.small import DESIGN, write_files
+from tests.pages import served
 from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
 from tests.waiting import CAP_S
 
@@ -36,13 +36,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(home: Path) -> Iterator[StudyServer]:
-    made = StudyServer(Folders(home / "results", home / "reports"), 0)
-    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
-    yield made
-    made.shutdown()
-    thread.join()
-    made.server_close()
+    with served(home) as made:
+        yield made
 
 
 def until(tab: Browser, expression: str) -> None:
