@@ -11,8 +11,8 @@ import pytest
 
 from tests.cli import test_analytic, test_confirming_runs, test_layouts, test_single
 from tests.cli import test_numeric_factors as ranges
-from tests.cli import test_simulated_responses as alone
 from tests.cli.small import DESIGN, Edit, pressed, refusal, study, success
+from tests.cli.test_closed_form_studies import ALONE
 from tests.cli.test_require import PLATES
 from tests.conftest import ROOT
 from tests.fem.surfaces import sphere, write
@@ -38,7 +38,7 @@ RANGES = ranges.DESIGN.partition("[factors]\n")[2].partition("[[response]]")[0]
 SOUND = {
     "small": (DESIGN, "plan small.toml --data data"),
     "plates": (PLATES, "require plates.toml"),
-    "alone": (alone.DESIGN, "run alone.toml"),
+    "alone": (ALONE, "run alone.toml"),
     "ranges": (ranges.DESIGN, "plan ranges.toml"),
     "hill": (test_confirming_runs.HILL, "plan hill.toml"),
     "gravity": (test_single.HEAVY, "solve gravity.toml"),
