@@ -218,13 +218,11 @@ def test_a_file_that_cannot_be_read_is_a_difference_and_takes_no_memory(finished
         assert said in reported.get(name, ""), name
 
 
-@pytest.mark.parametrize("damage", [slice(0, -9), slice(12, None)])
-def test_a_damaged_packed_file_is_a_difference(finished, tmp_path, damage, monkeypatch):
+def test_a_damaged_packed_file_is_a_difference(finished, tmp_path, monkeypatch):
     moved = tmp_path / "damaged"
     shutil.copytree(finished, moved)
     path = moved / "reports/verified/verified-data/curves.csv.gz"
-    raw = path.read_bytes()
-    path.write_bytes(raw[:12] + bytes(8) + raw[20:] if damage.start else raw[damage])
+    path.write_bytes(path.read_bytes()[:-9])
     monkeypatch.chdir(moved)
     (only,) = api.verify("verified").differences
     assert only.where == "verified-data/curves.csv.gz"
