@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import os
 import signal
@@ -33,12 +32,11 @@ def serve(
     """Show studies at work, finished ones and their reports in a browser, on this machine alone."""
     from study import api
 
-    with contextlib.suppress(KeyboardInterrupt):  # the usual end, nothing was interrupted
-        api.serve(results=results, reports=reports, port=port, ready=_say)
+    def say(address: str) -> None:
+        print(f"{address}  (Ctrl-C ends it)", flush=True)
 
-
-def _say(address: str) -> None:
-    print(f"{address}  (Ctrl-C ends it)", flush=True)
+    with suppress(KeyboardInterrupt):  # the usual end, nothing was interrupted
+        api.serve(results=results, reports=reports, port=port, ready=say)
 
 
 # Verbs that write files to start from: new, virtual.
