@@ -16,7 +16,6 @@ from scipy import stats
 import study as package
 from study.ground.errors import InputError
 from study.statistics.analysis.linear_model import read_formula
-from study.statistics.analysis.power import planned_verdicts
 from tests.cli.small import refusal, success
 from tests.conftest import ROOT
 
@@ -194,16 +193,21 @@ def test_a_reference_of_a_log_response_gives_ratios(tmp_path: Path, error: str) 
 
 
 def test_how_many_specimens_a_claim_needs() -> None:
-    """Probabilities are those of planned verdicts, which tests/analysis simulate."""
+    """Probability of the right claim against a simulation of t intervals."""
     design = ROOT / "designs" / "ecoflex-compression.toml"
     found = success(f"power {design} --sd 0.3 -s study.seed=1 --json").json
     one = next(d for d in found["detections"] if d["response"] == "relative_rms_force_error")
     assert (one["practical"], one["sd"], one["source"]) == (0.5, 0.3, "as given")
     rows = {row["blocks"]: row for row in one["rows"]}
     assert rows[1]["equal"]["no_practical_difference"] == 0  # one specimen makes no claim
-    for plan in planned_verdicts((3, 6), 0.3, 0.5):
-        assert rows[plan.blocks]["equal"] == vars(plan.equal)
-        assert rows[plan.blocks]["double"] == vars(plan.double)
+    random = np.random.default_rng(1)
+    for b in (3, 6):
+        y = 0.3 * random.standard_normal((20_000, b))
+        half = stats.t.ppf(0.975, b - 1) * y.std(axis=1, ddof=1) / np.sqrt(b)
+        none = np.mean(np.abs(y.mean(axis=1)) + half < 0.5)
+        matters = np.mean(1.0 + y.mean(axis=1) - half > 0.5)
+        assert rows[b]["equal"]["no_practical_difference"] == pytest.approx(none, abs=0.012)
+        assert rows[b]["double"]["matters"] == pytest.approx(matters, abs=0.012)
     assert "positive" in refusal(f"power {design} --sd -1").err
 
 
