@@ -121,17 +121,18 @@ def _source(
 
     Values and standard errors in MPa (exponents plain); none where the problem states its own.
     """
+    values, errors = values or {}, errors or {}
     half_ranges = {
-        constant: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs((values or {})[constant]))
-        for constant, error in (errors or {}).items()
+        constant: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs(values[constant]))
+        for constant, error in errors.items()
         if np.isfinite(error) and error > 0
     }
     covariance = None
     if correlation is not None and np.isfinite(correlation).all():
-        size = np.array(list((errors or {}).values()))
+        size = np.array(list(errors.values()))
         covariance = np.outer(size, size) * correlation
-    law = haptic_export.ForceLawSource
-    return law(name, problem.at(values or None), half_ranges, covariance)
+    solved = problem.at(values or None)
+    return haptic_export.ForceLawSource(name, solved, half_ranges, covariance)
 
 
 def _written(path: Path, overrides: Sequence[str]) -> haptic_export.ForceLawSource:
