@@ -401,8 +401,8 @@ def export_surface(
     for place, text in texts.items():
         write_atomic(place, text.encode())
     missing = tuple(f"{one.response}: {one.refused}" for one in chosen if one.found is None)
-    haptic_export.files = {"files": [str(place) for place in texts], "warnings": list(missing)}
-    content = {"functions": [function.to_json() for function in made], **haptic_export.files}
+    paths = {"files": [str(place) for place in texts], "warnings": list(missing)}
+    content = {"functions": [function.to_json() for function in made], **paths}
     lines = tuple(sentence for function in made for sentence in function.sentences())
     return Export(content, lines, tuple(texts), missing)
 
