@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from study.ground import working_folder
-from tests.cli.small import write_files
+from tests.cli.small import CSV, pressed, responses, write_files
 from tests.cli.test_numeric_factors import CENTRE
 from tests.cli.test_numeric_factors import DESIGN as RANGES
 from tests.cli.test_program import verbs
@@ -93,20 +93,8 @@ print("codes", json.dumps(codes))
 
 #: a forward model whose version and curve are said by Python itself, and one with a module of its
 #: own beside it
-COMMANDS = """
-schema = 1
-[study]
-name = "programs"
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "20 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-displacement = "3 mm"
-steps = 2
-[material]
+COMMANDS = pressed(
+    """[material]
 model = "neo-hookean"
 C10 = "5 kPa"
 incompressible = true
@@ -121,12 +109,12 @@ files = ["solver.py", "helper.py"]
 version = ["python", "-c", "print(1)"]
 [factors]
 forward = ["text", "file"]
-[[response]]
-name = "peak_force"
-practical = "0.05 N"
-[report]
-format = ["csv"]
 """
+    + responses(peak_force="0.05 N")
+    + CSV,
+    study='[study]\nname = "programs"\n',
+    test='displacement = "3 mm"\nsteps = 2\n',
+)
 TEXT = """
 import colorsys, json
 points = json.load(open("problem.json"))["displacement_mm"]

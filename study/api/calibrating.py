@@ -52,25 +52,18 @@ def panels_of(found: CalibrationResult) -> list[FitPanel]:
     """Every measured curve with its prediction."""
     from study.reporting.figures.curve_figures import FitPanel
 
-    return [
-        FitPanel(
+    panels = []
+    for curve in found.curves:
+        test, measured, predicted = curve.measured, curve.measured.curve, curve.predicted
+        recordings = [one.specimen.recording for one in test.tests]
+        panels.append(FitPanel(
             curve.file if curve.specimen is None else f"{curve.file}, {curve.specimen}",
-            curve.role == "fit",
-            curve.measured.curve.places,
-            curve.measured.curve.force_N,
-            None
-            if curve.predicted is None
-            else curve.predicted.force_at(curve.measured.curve.displacement_mm),
-            curve.measured.scatter_N,
-            curve.measured.curve.time_s is not None,
-            any(
-                one.specimen.recording.directions > 1
-                for one in curve.measured.tests
-                if one.specimen.recording is not None
-            ),
-        )
-        for curve in found.curves
-    ]
+            curve.role == "fit", measured.places, measured.force_N,
+            None if predicted is None else predicted.force_at(measured.displacement_mm),
+            test.scatter_N, measured.time_s is not None,
+            any(r.directions > 1 for r in recordings if r is not None),
+        ))  # fmt: skip
+    return panels
 
 
 def recording_points(found: CalibrationResult) -> pd.DataFrame:

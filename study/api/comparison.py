@@ -61,14 +61,15 @@ def diff(
 ) -> StudyComparison:
     """Compare two finished studies: which of their conclusions hold under both."""
     folders = [results_folder(path, results) for path in (first, second)]
-    _refuse_same(folders[0], folders[1])
     studies = load_study(folders[0], results), load_study(folders[1], results)
     return StudyComparison(studies, compare(*studies))
 
 
 def compare(first: StudyResult, second: StudyResult) -> Beside:
     """Set two opened studies beside each other."""
-    _refuse_same(first.folder, second.folder)
+    if first.folder.resolve() == second.folder.resolve():
+        mend = "name two different studies, for example results/NAME and results/OTHER"
+        raise InputError(Fault(str(second.folder), "is the same study as the other one", mend))
     studies = (first, second)
     names = first.design.name, second.design.name
     if names[0] == names[1]:  # told apart by their folders
@@ -104,12 +105,6 @@ _Studies = tuple["StudyResult", "StudyResult"]
 #: a response and its analysis, and those of one response in both studies
 _Analyzed = tuple["ResponseAnalysis", "AnalysisResult"]
 _Pair = tuple[_Analyzed, _Analyzed]
-
-
-def _refuse_same(first: Path, second: Path) -> None:
-    if first.resolve() == second.resolve():
-        mend = "name two different studies, for example results/NAME and results/OTHER"
-        raise InputError(Fault(str(second), "is the same study as the other one", mend))
 
 
 def _analyzed(study: StudyResult) -> dict[str, _Analyzed]:

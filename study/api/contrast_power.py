@@ -196,9 +196,8 @@ def _detections(
 
 def _practical(response: ResponseSpec, scatter: tuple[float, float, float] | None) -> float | None:
     limit = threshold(response.practical)
-    if limit is None or (scatter is None and limit.relative and response.transform != "log"):
-        return None
-    if scatter is None and response.transform == "log" and not limit.relative:
+    # without a mean a share is known on the logarithm alone, and a difference off it alone
+    if limit is None or (scatter is None and limit.relative != (response.transform == "log")):
         return None
     return limit.on_scale(1.0 if scatter is None else scatter[2], response.transform)
 

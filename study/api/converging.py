@@ -19,7 +19,7 @@ from study.harness.design.spec import LoadedProblem
 from study.harness.execution.task import Executor
 from study.harness.record.folder import own_folder
 from study.harness.record.store import Store
-from study.harness.runner import study_refinement
+from study.harness.runner import refinement, study_refinement
 from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed
 from study.harness.runner.case_series import (
@@ -29,12 +29,6 @@ from study.harness.runner.case_series import (
 )
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import data_root, folders, located
-from study.harness.runner.refinement import (
-    SeriesJudgement,
-    cost_fronts,
-    meshes,
-    refined_and_judged,
-)
 from study.harness.runner.solve_task import by_workers, in_process, kept, slug, store_of
 from study.harness.runner.tasks import default_jobs, processes
 from study.mechanics.forward.formal_order import FormalOrder
@@ -82,12 +76,12 @@ class SeriesDocument(Shown, dict[str, object]):
         name: str,
         question: str,
         reports: Path | None,
-        cells: Sequence[SeriesJudgement],
+        cells: Sequence[refinement.SeriesJudgement],
         problems: Sequence[ForwardCell],
     ) -> Self:
         """Write the page where a folder is given, and name it."""
         if reports is not None:
-            pictures, window = meshes(cells, problems)
+            pictures, window = refinement.meshes(cells, problems)
             folder = reports / slug(name)
             page = write_convergence(name, question, self, folder, pictures, window)
             self["report"] = str(page)
@@ -116,10 +110,10 @@ def problem_cells(
     problems = [located(tested(t.cell.problem), places) for t in design.treatments]
     solver = solve or kept(by_workers(processes(jobs)), store_of(results, design.name))
     levels = (dict(treatment.levels) for treatment in design.treatments)
-    cells, judged = refined_and_judged(
+    cells, judged = refinement.refined_and_judged(
         list(zip(problems, levels, strict=True)), spec, solver, progress, memory_MB=memory_MB
     )
-    fronts = cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
+    fronts = refinement.cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
     found = SeriesDocument(cells=[one.to_json() for one in judged], fronts=plain(fronts))
     return found.paged(design.name, design.question, reports, judged, problems)
 
@@ -282,7 +276,7 @@ def refined(
 ) -> SeriesDocument:
     """Refine one problem until its meshes are enough, and study the other errors besides."""
     spec, cell = loaded.converge, loaded.problem
-    _, judged = refined_and_judged(
+    _, judged = refinement.refined_and_judged(
         [(cell, {})], spec, solve or kept(in_process, store_of(results, name)), progress,
         memory_MB=memory_MB, tolerance=tolerance or None,
         formal=None if formal_order is None else FormalOrder(formal_order, "as given"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,24 +25,11 @@ from study.harness.record.store import Store
 from study.harness.runner.expansion import cases_by_id
 from study.harness.runner.fit_problem import data_root, folders, located
 from study.harness.runner.tasks import Costs, default_jobs
-from study.laboratory.haptics.haptic_export import (
-    TOLERANCE,
-    ForceLaw,
-    ForceLawSource,
-    files,
-    solved_force_law,
-    surface_function,
-)
+from study.laboratory.haptics import haptic_export
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement
+from study.laboratory.shape import shape_deviation
 from study.laboratory.shape.boundary import DeformedMesh, SimulatedBody, body_of_mesh, read_body
-from study.laboratory.shape.shape_deviation import (
-    ShapeDeviation,
-    ShapeOptions,
-    judge_shape,
-    read_markers,
-    read_scan,
-)
 from study.laboratory.tracker.tracker_error import TrackerAccuracy, judge_tracker
 from study.laboratory.tracker.tracker_recording import load_tracking
 from study.mechanics.material import input_file
@@ -77,7 +64,7 @@ class Export:
     #: Such as a tolerance that is not met.
     warnings: tuple[str, ...]
     #: The law, where one was made.
-    law: ForceLaw | None = None
+    law: haptic_export.ForceLaw | None = None
 
 
 def _exported(
@@ -85,7 +72,7 @@ def _exported(
     lines: Sequence[str],
     paths: Sequence[Path],
     warnings: Sequence[str],
-    law: ForceLaw | None = None,
+    law: haptic_export.ForceLaw | None = None,
 ) -> Export:
     """Make the result of an export whose files are told apart by their endings."""
     by_ending = {path.suffix.removeprefix("."): str(path) for path in paths}
@@ -123,40 +110,32 @@ STANDARD_ERRORS = 2.0
 LARGEST_SHARE = 0.5
 
 
-@dataclass(frozen=True)
-class _Source:
-    """A problem from whatever holds it, and what is known of its constants."""
+def _source(
+    name: str,
+    problem: CellProblem,
+    values: Mapping[str, float] | None = None,
+    errors: Mapping[str, float] | None = None,
+    correlation: Array | None = None,
+) -> haptic_export.ForceLawSource:
+    """Problem with constants that were fitted; none is moved so far that the material is another.
 
-    #: Of the file, the calibration, or the study and its case.
-    name: str
-    problem: CellProblem
-    #: Constants that were fitted and their standard errors, MPa (exponents plain); none where the
-    #: problem states its own.
-    values: Mapping[str, float] = field(default_factory=dict)
-    errors: Mapping[str, float] = field(default_factory=dict)
-    correlation: Array | None = None
-
-    @property
-    def material(self) -> Material:
-        """Material with the constants."""
-        return self.problem.material.material(self.values or None)
-
-    def of_law(self) -> ForceLawSource:
-        """Problem of a force law: constants are not moved so far that the material is another."""
-        half_ranges = {
-            name: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs(self.values[name]))
-            for name, error in self.errors.items()
-            if np.isfinite(error) and error > 0
-        }
-        covariance = None
-        if self.correlation is not None and np.isfinite(self.correlation).all():
-            size = np.array(list(self.errors.values()))
-            covariance = np.outer(size, size) * self.correlation
-        problem = self.problem.at(self.values or None)
-        return ForceLawSource(self.name, problem, half_ranges, covariance)
+    Values and standard errors in MPa (exponents plain); none where the problem states its own.
+    """
+    values, errors = values or {}, errors or {}
+    half_ranges = {
+        constant: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs(values[constant]))
+        for constant, error in errors.items()
+        if np.isfinite(error) and error > 0
+    }
+    covariance = None
+    if correlation is not None and np.isfinite(correlation).all():
+        size = np.array(list(errors.values()))
+        covariance = np.outer(size, size) * correlation
+    solved = problem.at(values or None)
+    return haptic_export.ForceLawSource(name, solved, half_ranges, covariance)
 
 
-def _written(path: Path, overrides: Sequence[str]) -> _Source:
+def _written(path: Path, overrides: Sequence[str]) -> haptic_export.ForceLawSource:
     """Problem of a file."""
     kind = load.file_kind(path)
     if kind == "calibration":
@@ -166,10 +145,10 @@ def _written(path: Path, overrides: Sequence[str]) -> _Source:
     if kind == "design":
         mend = "run it and name one: study export results/NAME --case ID"
         raise InputError(Fault(str(path), "is a design of many cases", mend))
-    return _Source(load.default_name(str(path)), loaded_problem(path, overrides).problem)
+    return _source(load.default_name(str(path)), loaded_problem(path, overrides).problem)
 
 
-def _calibrated(path: Path, number: int) -> _Source:
+def _calibrated(path: Path, number: int) -> haptic_export.ForceLawSource:
     """Test of a calibration that converged, with the constants and their correlation."""
     mend = "name the calibration.json that `study calibrate` wrote"
     try:
@@ -186,7 +165,7 @@ def _calibrated(path: Path, number: int) -> _Source:
     if not 1 <= number <= len(tests):
         rule = f"there is no test {number} in {path}, which has {len(tests)}"
         raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
-    return _Source(
+    return _source(
         f"{name}-test-{number}" if len(tests) > 1 else name, CellProblem.of(tests[number - 1]),
         *_constants(contents["parameters"]),
         # null, where a correlation is not known, becomes NaN
@@ -194,7 +173,7 @@ def _calibrated(path: Path, number: int) -> _Source:
     )  # fmt: skip
 
 
-def _recorded(path: Path, case: str) -> _Source:
+def _recorded(path: Path, case: str) -> haptic_export.ForceLawSource:
     """Case of a study that was run, with the constants of its fit."""
     folder = results_folder(path)
     if not case:
@@ -209,7 +188,7 @@ def _recorded(path: Path, case: str) -> _Source:
     cell = _problem_of(record, design, manifest["blocks"])
     values, errors = _constants({n: p for n, p in record.parameters.items() if n != "mu0"})
     cell = located(cell, folders(design.source, folder))
-    return _Source(f"{design.name}-{record.case_id[:8]}", cell, values, errors)
+    return _source(f"{design.name}-{record.case_id[:8]}", cell, values, errors)
 
 
 def _problem_of(record: Record, design: Design, blocks: Sequence[str]) -> CellProblem:
@@ -250,7 +229,7 @@ def export(
     case: str = "",
     test: int = 1,
     overrides: Sequence[str] = (),
-    tolerance: float = TOLERANCE,
+    tolerance: float = haptic_export.TOLERANCE,
     out: str | Path = REPORTS,
     progress: Callable[[str], None] | None = None,
 ) -> Export:
@@ -302,9 +281,9 @@ def export(
     else:
         read = _recorded(path, case)
     if form in PROGRAMS:
-        return export_material(read.name, read.material, form, Path(out))
-    check(read.material, None)
-    law = solved_force_law(read.of_law(), tolerance, progress)
+        return export_material(read.name, read.problem.material, form, Path(out))
+    check(read.problem.material, None)
+    law = haptic_export.solved_force_law(read, tolerance, progress)
     warnings = []
     if law.relative_error > tolerance:
         warnings.append(
@@ -312,7 +291,7 @@ def export(
             f"{100 * tolerance:.2g} %: a finer mesh bends the curve less where contact begins"
         )
     folder = Path(out)
-    made = files(law, folder)
+    made = haptic_export.files(law, folder)
     for path, text in made.items():
         write_atomic(path, text.encode())
     question = "How does the force follow from displacement and constants?"
@@ -416,14 +395,14 @@ def export_surface(
     if not good:
         rule = "has no surface that could be a function"
         raise InputError(Fault(study.design.name, rule, chosen[0].refused))
-    made = tuple(surface_function(study.design.name, fitted) for fitted in good)
+    made = tuple(haptic_export.surface_function(study.design.name, fitted) for fitted in good)
     folder = Path(out)
     texts = {place: text for function in made for place, text in function.files(folder).items()}
     for place, text in texts.items():
         write_atomic(place, text.encode())
     missing = tuple(f"{one.response}: {one.refused}" for one in chosen if one.found is None)
-    files = {"files": [str(place) for place in texts], "warnings": list(missing)}
-    content = {"functions": [function.to_json() for function in made], **files}
+    paths = {"files": [str(place) for place in texts], "warnings": list(missing)}
+    content = {"functions": [function.to_json() for function in made], **paths}
     lines = tuple(sentence for function in made for sentence in function.sentences())
     return Export(content, lines, tuple(texts), missing)
 
@@ -438,10 +417,10 @@ def shape(
     markers: str | Path | None = None,
     unit: str = "mm",
     surface_unit: str = "mm",
-    options: ShapeOptions | None = None,
+    options: shape_deviation.ShapeOptions | None = None,
     overrides: Sequence[str] = (),
     reports: str | Path | None = None,
-) -> ShapeDeviation:
+) -> shape_deviation.ShapeDeviation:
     """Compare a simulated, deformed body with a scan of the real one.
 
     Parameters
@@ -480,10 +459,12 @@ def shape(
         if path is not None and not Path(path).is_file():
             raise InputError(Fault(where, f"there is no file {str(path)!r}", "check the path"))
     body = _body(Path(simulation), surface_unit, overrides)
-    cloud = read_scan(Path(scan), unit, body.deformed.size)
-    marked = None if markers is None else read_markers(Path(markers), unit)
+    cloud = shape_deviation.read_scan(Path(scan), unit, body.deformed.size)
+    marked = None if markers is None else shape_deviation.read_markers(Path(markers), unit)
     name = default_name(str(simulation))
-    deviation = judge_shape(name, body, cloud, marked, options or ShapeOptions())
+    deviation = shape_deviation.judge_shape(
+        name, body, cloud, marked, options or shape_deviation.ShapeOptions()
+    )
     if reports is None:
         return deviation
     return replace(deviation, report=str(write_shape(deviation, Path(reports) / slug(name))))

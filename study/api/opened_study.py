@@ -16,33 +16,15 @@ from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.harness.design.load import dump, loads
 from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Design
-from study.harness.record.document import (
-    AdaptiveStep,
-    ManifestDocument,
-    SpaceRow,
-    ValidationRow,
-    fault_of_comparisons,
-)
+from study.harness.record import document
 from study.harness.record.record import Record
 from study.harness.record.store import Store
+from study.harness.runner import record_analysis
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.expansion import cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
-from study.harness.runner.record_analysis import (
-    analyze_records,
-    different_answers,
-    is_numeric,
-    stored_numerical,
-    surfaces,
-)
 from study.mechanics.measurement.conditioning import is_caution
-from study.reporting.content import (
-    comparison_content,
-    effect_words,
-    sentences,
-    surface_content,
-    tables,
-)
+from study.reporting import content
 from study.reporting.content.analysis_content import contrasts
 from study.reporting.content.blocks import Sentence, Verbatim
 from study.reporting.content.report_facts import facts
@@ -77,9 +59,9 @@ class Study(Shown, StudyResult):
         """Sentences that answer the question, which cases fail, and what would change them."""
         data = report_data(self, {})
         all_facts, pattern = facts(data), data.failure_pattern
-        failures = () if pattern is None else tables.failure_sentences(pattern, data.labels)
+        failures = () if pattern is None else content.tables.failure_sentences(pattern, data.labels)
         change = f"What would change this? {would_change(data, all_facts)}"
-        lines = (*sentences.answer(data, all_facts), *failures, change)
+        lines = (*content.sentences.answer(data, all_facts), *failures, change)
         return tuple(line.replace(THIN, " ") for line in lines)
 
     @property
@@ -115,20 +97,20 @@ class Study(Shown, StudyResult):
             # the numbers are stored and the report is separate: a table must not end the run
             yield Sentence(f"The verdict table could not be printed: {error}.")
         for fitted in data.surfaces:
-            yield from surface_content.surface_blocks(fitted, data)
+            yield from content.surface_content.surface_blocks(fitted, data)
         if self.beside is not None:
             yield Verbatim("")
-            yield from map(Sentence, comparison_content.conclusion_lines(self.beside))
+            yield from map(Sentence, content.comparison_content.conclusion_lines(self.beside))
         if self.report is not None:
             yield Verbatim(f"\nreport: {self.report}")
 
     def _verdicts(self, data: ReportData) -> Iterator[Block]:
         yield from map(Sentence, self.answers)
-        yield replace(tables.verdicts(facts(data), data), note="")
+        yield replace(content.tables.verdicts(facts(data), data), note="")
         for item in facts(data):
             for effect in item.effects:
                 if effect.verdict == NOT_RESOLVED or refused(effect):
-                    yield Sentence(effect_words.open_verdict(effect, item, data.labels))
+                    yield Sentence(content.effect_words.open_verdict(effect, item, data.labels))
             if (table := contrasts(item)) is not None:
                 yield replace(table, name=f"{item.title}: asked for", note="")
 
@@ -184,27 +166,32 @@ def opened(folder: Path, ended: Design | None = None, *, tell_unfinished: bool =
     if len(records) < len(stored):
         count = len(stored) - len(records)
         warnings.append(f"{count} records are of no cell of the design: run the design again")
-    numerical = stored_numerical(store, manifest["cases"])
+    numerical = record_analysis.stored_numerical(store, manifest["cases"])
     missing = len(manifest["cases"]) - len(records)
     later = store.read_unfinished() if tell_unfinished else None
     if later is not None:
         warnings.append(unfinished_note(store, later))
     problems = [treatment.cell.problem for treatment in design.treatments]
     warnings += dict.fromkeys(caution for problem in problems for caution in cautions_of(problem))
-    warnings += different_answers(design, records)
+    warnings += record_analysis.different_answers(design, records)
     warnings += [note for note in manifest["notes"] if is_caution(note)]
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
     analyses = _analyses(design, records, numerical, unit_of(design, manifest))
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused not in ("", SEE_SURFACE)]
     more = joined(design, store, manifest)
-    fitted = surfaces(design, [*records, *more], numerical)
+    fitted = record_analysis.surfaces(design, [*records, *more], numerical)
     if more:
         warnings.append(f"{len(more)} confirming runs joined those of the surfaces")
     warnings += [f"{one.response}: {one.refused}" for one in fitted if one.refused]
     warnings += [f"{one.response}: {n}" for one in fitted if one.found for n in one.found.notes]
-    comparisons = store.read_rows("validation", ValidationRow, fault_of_comparisons)
-    spaces, steps = store.read_rows("spaces", SpaceRow), store.read_rows("adaptive", AdaptiveStep)
+    comparisons = store.read_rows(
+        "validation", document.ValidationRow, document.fault_of_comparisons
+    )
+    spaces, steps = (
+        store.read_rows("spaces", document.SpaceRow),
+        store.read_rows("adaptive", document.AdaptiveStep),
+    )
     return Study(
         design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
         tuple(dict.fromkeys(warnings)),
@@ -248,7 +235,7 @@ def count_cases(study: Path | StudyResult) -> int:
     return 0 if manifest is None else len(manifest["cases"])
 
 
-def unfinished_note(store: Store, later: ManifestDocument) -> str:
+def unfinished_note(store: Store, later: document.ManifestDocument) -> str:
     """Say that what is shown is the last finished run, and how far the later one is."""
     counted = Store(store.path).survey(later["cases"])
     done, total = len(counted.entries), len(later["cases"])
@@ -269,10 +256,10 @@ def _analyses(
         scored, cross_validated = scored_on(design, response.name, blocks)
         result, refused = None, ""
         try:
-            if is_numeric(design):
+            if record_analysis.is_numeric(design):
                 refused = SEE_SURFACE
             else:
-                result = analyze_records(design, records, response, numerical)
+                result = record_analysis.analyze_records(design, records, response, numerical)
                 result = with_contrasts(result, design.analysis.contrasts)
         except StudyError as error:
             refused = str(error).replace("'block'", repr(unit))

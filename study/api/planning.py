@@ -57,17 +57,10 @@ def noted_progress(
         now = time.monotonic()
         if now - noted > NOTED_S or state.done == state.total:
             noted = now
-            store.note(
-                {
-                    "done": state.done,
-                    "total": state.total,
-                    "counted": state.counted,
-                    "failed": state.failed,
-                    "label": state.label[:80],
-                    "seconds_left": round(state.seconds_left, 1),
-                    "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-                }
-            )
+            counts = {k: getattr(state, k) for k in ("done", "total", "counted", "failed")}
+            at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+            left = round(state.seconds_left, 1)
+            store.note(counts | {"label": state.label[:80], "seconds_left": left, "at": at})
         if progress is not None:
             progress(state)
 

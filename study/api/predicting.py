@@ -20,18 +20,9 @@ from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress
 from study.harness.runner.fit_problem import NOTHING, Allowed
+from study.statistics.surfaces import surface_fitting
 from study.statistics.surfaces.emulator import LARGEST, expected_seconds
 from study.statistics.surfaces.surface_factors import some_runs
-from study.statistics.surfaces.surface_fitting import (
-    Surface,
-    compared,
-    difference_of,
-    kind_of,
-    noted,
-    places_of,
-    runs_of,
-    surfaces_at,
-)
 from study.statistics.surfaces.surface_profile import FittedSurface
 from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
@@ -187,7 +178,7 @@ LONG = 5.0
 class SurfaceOptions(TypedDict, total=False):
     """Keywords of :func:`fit_surfaces`, where they are described."""
 
-    surface: Surface
+    surface: surface_fitting.Surface
     block: str | None
     practical: float | str | None
     decimal: str
@@ -235,7 +226,7 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     numeric: Sequence[str],
     factors: Sequence[str],
     *,
-    surface: Surface = "auto",
+    surface: surface_fitting.Surface = "auto",
     block: str | None = None,
     practical: float | str | None = None,
     decimal: str = ".",
@@ -281,26 +272,28 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     RefusedError
         If no combination can carry a surface.
     """
-    kinds = [word for word in get_args(Surface) if word != "none"]
+    kinds = [word for word in get_args(surface_fitting.Surface) if word != "none"]
     if surface not in kinds:
         mend = nearest(surface, kinds) if surface != "none" else "leave --numeric out for a table"
         raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
     table = tabular.read_csv(
         Path(source), numbers=[response], decimal=decimal, declared_by=tabular.TYPED_COMMA
     ).without_units([response])
-    runs, answered, notes = runs_of(table, response, numeric, block)
-    places, rows = places_of(table, factors, answered, {*runs.names, response, block})
-    if announce is not None and kind_of(runs, surface) == "emulator":
+    runs, answered, notes = surface_fitting.runs_of(table, response, numeric, block)
+    places, rows = surface_fitting.places_of(
+        table, factors, answered, {*runs.names, response, block}
+    )
+    if announce is not None and surface_fitting.kind_of(runs, surface) == "emulator":
         counts = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
         seconds = sum(expected_seconds(n) for n in counts)
         if seconds > LONG and max(counts) <= LARGEST:
             announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
-    difference = difference_of(practical, runs.response)
+    difference = surface_fitting.difference_of(practical, runs.response)
     sizes = [len({place[name] for place in places}) for name in factors]
-    each = surfaces_at(
+    each = surface_fitting.surfaces_at(
         FittedSurface(runs.name, "", None, practical=difference), places, sizes, surface,
         [partial(some_runs, runs, here) for here in rows], difference,
     )  # fmt: skip
     if all(fitted.found is None for fitted in each):
         raise RefusedError(f"no combination carries a surface: {each[0].refused}")
-    return compared(noted(each, (*table.notes, *notes), surface))
+    return surface_fitting.compared(surface_fitting.noted(each, (*table.notes, *notes), surface))

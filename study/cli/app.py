@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import os
 import signal
@@ -17,7 +16,7 @@ import typer
 from typer.main import get_command
 
 from study.cli import output, single_commands, statistics_commands, study_commands
-from study.cli.output import complain, interrupted, is_resumable, written
+from study.cli.output import argument, complain, interrupted, is_resumable, option, written
 from study.cli.study_commands import REPORTS, RESULTS, Reports, Results, Set
 from study.ground.errors import Fault, InputError, StoppedError, StudyError
 from study.ground.working_folder import leave
@@ -26,30 +25,27 @@ from study.ground.working_folder import leave
 
 
 def serve(
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")
-    ] = 8765,
+    port: Annotated[int, option("Port on 127.0.0.1; 0 takes a free one.", min=0, max=65535)] = 8765,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
 ) -> None:
     """Show studies at work, finished ones and their reports in a browser, on this machine alone."""
     from study import api
 
-    with contextlib.suppress(KeyboardInterrupt):  # the usual end, nothing was interrupted
-        api.serve(results=results, reports=reports, port=port, ready=_say)
+    def say(address: str) -> None:
+        print(f"{address}  (Ctrl-C ends it)", flush=True)
 
-
-def _say(address: str) -> None:
-    print(f"{address}  (Ctrl-C ends it)", flush=True)
+    with suppress(KeyboardInterrupt):  # the usual end, nothing was interrupted
+        api.serve(results=results, reports=reports, port=port, ready=say)
 
 
 # Verbs that write files to start from: new, virtual.
 
 
 def new(
-    file: Annotated[Path, typer.Argument(help="File to be written.")],
+    file: Annotated[Path, argument("File to be written.")],
     calibration: Annotated[
-        bool, typer.Option(help="A calibration, with virtual measurements beside it.")
+        bool, option("A calibration, with virtual measurements beside it.")
     ] = False,
 ) -> None:
     """Write a commented design, or calibration, to start from."""
@@ -73,17 +69,14 @@ def new(
 
 
 def virtual(
-    out: Annotated[Path, typer.Argument(help="Folder for the generated CSV files.")],
+    out: Annotated[Path, argument("Folder for the generated CSV files.")],
     source: Annotated[
-        Path | None,
-        typer.Option("--from", help="Design, or tracker study, whose data are imitated."),
+        Path | None, option("Design, or tracker study, whose data are imitated.", "--from")
     ] = None,
     truth: Annotated[
-        str, typer.Option(help="Material behind the specimens: yeoh, ogden or humphrey.")
+        str, option("Material behind the specimens: yeoh, ogden or humphrey.")
     ] = "yeoh",
-    specimens: Annotated[
-        int | None, typer.Option(min=2, help="Number of specimens (or batches).")
-    ] = None,
+    specimens: Annotated[int | None, option("Number of specimens (or batches).", min=2)] = None,
     settings: Set = None,
 ) -> None:
     """Write virtual measurements as CSV."""

@@ -33,6 +33,16 @@ QUIET_S = 10.0
 SAME = 4
 
 
+def option(words: str, *names: str, min: float | None = None, max: float | None = None) -> object:
+    """Option of a verb with its help."""
+    return typer.Option(*names, help=words, min=min, max=max)
+
+
+def argument(words: str, offered: Callable[..., list[str]] | None = None) -> object:
+    """Argument of a verb with its help, and what a shell offers for it."""
+    return typer.Argument(help=words, autocompletion=offered)
+
+
 def print_json(result: object) -> None:
     """One JSON document on stdout: fields by name, NaN as null; or what ``to_json`` makes."""
     from study.ground.canonical import plain

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from study.cli import output
-from study.cli.output import designs
+from study.cli.output import argument, designs, option
 from study.cli.study_commands import REPORTS, RESULTS, Data, Jobs, Json, Reports, Results, Set
 from study.ground import units
 from study.ground.errors import Fault, InputError
@@ -37,29 +37,22 @@ if TYPE_CHECKING:
     from study.reporting.content.blocks import Block
 
 
-Numerics = Annotated[
-    bool, typer.Option("--numerics", help="Bound the error by meshes and load steps.")
-]
-Resamples = Annotated[
-    int, typer.Option("--bootstrap", help="Intervals from this many resampled fits.")
-]
+Numerics = Annotated[bool, option("Bound the error by meshes and load steps.", "--numerics")]
+Resamples = Annotated[int, option("Intervals from this many resampled fits.", "--bootstrap")]
 
 
 def solve(
-    file: Annotated[Path, typer.Argument(help="Problem file.", autocompletion=designs)],
+    file: Annotated[Path, argument("Problem file.", designs)],
     settings: Set = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="SVG file for a picture of the deformed mesh.")
-    ] = None,
+    picture: Annotated[Path | None, option("SVG file for a picture of the deformed mesh.")] = None,
     vtu: Annotated[
-        Path | None,
-        typer.Option(help="Fields for ParaView: .vtu of the last step, .pvd of all of them."),
+        Path | None, option("Fields for ParaView: .vtu of the last step, .pvd of all of them.")
     ] = None,
     whole: Annotated[
-        bool, typer.Option("--whole", help="Mirror the fields at the planes of symmetry.")
+        bool, option("Mirror the fields at the planes of symmetry.", "--whole")
     ] = False,
     follow: Annotated[
-        bool, typer.Option("--follow", help="Go on behind an instability, on the whole body.")
+        bool, option("Go on behind an instability, on the whole body.", "--follow")
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -95,33 +88,29 @@ def doctor(as_json: Json = False) -> None:
 
 
 def calibrate(
-    file: Annotated[Path, typer.Argument(help="Calibration file.", autocompletion=designs)],
+    file: Annotated[Path, argument("Calibration file.", designs)],
     data: Data = None,
     settings: Set = None,
     convention: Annotated[
-        str,
-        typer.Option(help="Also print the constants as: abaqus, febio, ogden-classical."),
+        str, option("Also print the constants as: abaqus, febio, ogden-classical.")
     ] = "study",
-    profiles: Annotated[bool, typer.Option("--profile", help="Profile-likelihood intervals.")] = (
-        False
-    ),
+    profiles: Annotated[bool, option("Profile-likelihood intervals.", "--profile")] = (False),
     numerics: Numerics = False,
     bootstrap: Resamples = 0,
     energies: Annotated[
-        bool, typer.Option("--energies", help="Fit every energy and weigh them by AICc.")
+        bool, option("Fit every energy and weigh them by AICc.", "--energies")
     ] = False,
     method: Annotated[
-        str, typer.Option(help="auto, or analytic: moduli of indentations in closed form.")
+        str, option("auto, or analytic: moduli of indentations in closed form.")
     ] = "",
     by: Annotated[
-        str | None,
-        typer.Option(help="Fit every 'test' for itself: are the constants equal (Wald test)?"),
+        str | None, option("Fit every 'test' for itself: are the constants equal (Wald test)?")
     ] = None,
     difference: Annotated[
-        str, typer.Option(help="With --by: the power is that of seeing moduli this far off.")
+        str, option("With --by: the power is that of seeing moduli this far off.")
     ] = "5 %",
     zero: Annotated[
-        str, typer.Option(help="With --by: standard uncertainty of a test's zero, of its force.")
+        str, option("With --by: standard uncertainty of a test's zero, of its force.")
     ] = "0 %",
     results: Results = RESULTS,
     as_json: Json = False,
@@ -177,8 +166,8 @@ def calibrate(
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(help="Recorded file: text or workbook, also .gz.")],
-    sheet: Annotated[str, typer.Option(help="Sheet of a workbook that has several.")] = "",
+    file: Annotated[Path, argument("Recorded file: text or workbook, also .gz.")],
+    sheet: Annotated[str, option("Sheet of a workbook that has several.")] = "",
     as_json: Json = False,
 ) -> None:
     r"""Show what a recorded file holds, and the table \[measurements] that reads it."""
@@ -256,18 +245,15 @@ def _iterations() -> Iterator[Callable[[FitStep], None]]:
 
 def converge(
     file: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Problem, design, or the results of a study.", autocompletion=output.studies
-        ),
+        Path | None, argument("Problem, design, or the results of a study.", output.studies)
     ] = None,
-    values: Annotated[str, typer.Option(help="Values of the quantity, with commas.")] = "",
-    sizes: Annotated[str, typer.Option(help="Mesh sizes of these values, with commas.")] = "",
-    formal_order: Annotated[float | None, typer.Option(help="Order that elements promise.")] = None,
-    tolerance: Annotated[float, typer.Option(help="Algebraic error of a value.")] = 0.0,
+    values: Annotated[str, option("Values of the quantity, with commas.")] = "",
+    sizes: Annotated[str, option("Mesh sizes of these values, with commas.")] = "",
+    formal_order: Annotated[float | None, option("Order that elements promise.")] = None,
+    tolerance: Annotated[float, option("Algebraic error of a value.")] = 0.0,
     data: Data = None,
-    jobs: Annotated[int | None, typer.Option(help="Workers for the cells of a design.")] = None,
-    memory: Annotated[float | None, typer.Option(help="MB that one solution may take.")] = None,
+    jobs: Annotated[int | None, option("Workers for the cells of a design.")] = None,
+    memory: Annotated[float | None, option("MB that one solution may take.")] = None,
     settings: Set = None,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
@@ -386,21 +372,16 @@ def _kilo(pair: tuple[float, float] | None) -> str:
 def export(
     source: Annotated[
         Path,
-        typer.Argument(
-            help="Problem file, calibration.json, or results of a study (--case).",
-            autocompletion=output.studies,
-        ),
+        argument("Problem file, calibration.json, or results of a study (--case).", output.studies),
     ],
     form: Annotated[
-        str, typer.Option("--as", help="What it becomes: force-law, emulator, abaqus or febio.")
+        str, option("What it becomes: force-law, emulator, abaqus or febio.", "--as")
     ] = "force-law",
-    case: Annotated[str, typer.Option(help="Case of a study: the beginning of its id.")] = "",
-    test: Annotated[int, typer.Option(min=1, help="Test of a calibration, from 1.")] = 1,
-    tolerance: Annotated[
-        float, typer.Option(help="Wanted error bound over the largest force.")
-    ] = 0.002,
+    case: Annotated[str, option("Case of a study: the beginning of its id.")] = "",
+    test: Annotated[int, option("Test of a calibration, from 1.", min=1)] = 1,
+    tolerance: Annotated[float, option("Wanted error bound over the largest force.")] = 0.002,
     response: Annotated[
-        str | None, typer.Option(help="With --as emulator: one response; all by default.")
+        str | None, option("With --as emulator: one response; all by default.")
     ] = None,
     settings: Set = None,
     reports: Reports = REPORTS,
@@ -434,11 +415,7 @@ def _say(text: str) -> None:
 
 def require(
     file: Annotated[
-        Path,
-        typer.Argument(
-            help="Problem with sensors and what is asked of them.",
-            autocompletion=output.designs,
-        ),
+        Path, argument("Problem with sensors and what is asked of them.", output.designs)
     ],
     settings: Set = None,
     jobs: Jobs = None,
@@ -464,10 +441,7 @@ def _requirement(answer: SensorRequirement) -> Iterator[Block]:
 
 
 def tracking(
-    file: Annotated[
-        Path,
-        typer.Argument(help="TOML file of the tracker study.", autocompletion=output.designs),
-    ],
+    file: Annotated[Path, argument("TOML file of the tracker study.", output.designs)],
     data: Data = None,
     reports: Reports = REPORTS,
     as_json: Json = False,
@@ -481,20 +455,16 @@ def tracking(
 
 
 def shape(
-    simulation: Annotated[
-        Path, typer.Argument(help="Problem file, VTU of study solve, or deformed surface.")
-    ],
-    scan: Annotated[Path, typer.Option(help="Scanned cloud or surface: PLY, STL, OBJ or CSV.")],
+    simulation: Annotated[Path, argument("Problem file, VTU of study solve, or deformed surface.")],
+    scan: Annotated[Path, option("Scanned cloud or surface: PLY, STL, OBJ or CSV.")],
     markers: Annotated[
-        Path | None, typer.Option(help="CSV of marked points: x, y, z, and x0, y0, z0 at rest.")
+        Path | None, option("CSV of marked points: x, y, z, and x0, y0, z0 at rest.")
     ] = None,
-    unit: Annotated[str, typer.Option(help="Unit of scan and markers.")] = "mm",
-    surface_unit: Annotated[str, typer.Option(help="Unit of a simulated surface file.")] = "mm",
-    as_it_lies: Annotated[
-        bool, typer.Option("--as-it-lies", help="Compare without registration.")
-    ] = False,
+    unit: Annotated[str, option("Unit of scan and markers.")] = "mm",
+    surface_unit: Annotated[str, option("Unit of a simulated surface file.")] = "mm",
+    as_it_lies: Annotated[bool, option("Compare without registration.", "--as-it-lies")] = False,
     any_state: Annotated[
-        bool, typer.Option("--any-state", help="Also a scan that another state fits better.")
+        bool, option("Also a scan that another state fits better.", "--any-state")
     ] = False,
     settings: Set = None,
     reports: Reports = REPORTS,

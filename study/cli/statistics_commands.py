@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from study.cli import output
+from study.cli.output import argument, option
 from study.cli.study_commands import (
     RESULTS,
     Commands,
@@ -43,19 +44,14 @@ if TYPE_CHECKING:
 #: Flags as they were given; what was not given is None or empty.
 Flags = Mapping[str, str | None]
 
-Decimal = Annotated[str, typer.Option(help="Decimal mark of a CSV: . or ,")]
-Numeric = Annotated[
-    str, typer.Option(help="Columns of numeric factors: time,temp or 'time=80..90,temp log'.")
-]
-Surface = Annotated[str, typer.Option(help="With --numeric: auto, quadratic, emulator, none.")]
+Decimal = Annotated[str, option("Decimal mark of a CSV: . or ,")]
+Numeric = Annotated[str, option("Columns of numeric factors: time,temp or 'time=80..90,temp log'.")]
+Surface = Annotated[str, option("With --numeric: auto, quadratic, emulator, none.")]
 
 
 def analyze(
     source: Annotated[
-        Path,
-        typer.Argument(
-            help="Results of a study, or any tidy CSV.", autocompletion=output.studies_and_tables
-        ),
+        Path, argument("Results of a study, or any tidy CSV.", output.studies_and_tables)
     ],
     formula: Annotated[
         str | None,
@@ -63,71 +59,63 @@ def analyze(
             metavar="FORMULA", help="'len ~ supp * dose': response, factors and model in one."
         ),
     ] = None,
-    response: Annotated[str | None, typer.Option(help="Column of the response.")] = None,
-    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")] = "",
+    response: Annotated[str | None, option("Column of the response.")] = None,
+    factors: Annotated[str, option("Columns of the factors, with commas.")] = "",
     block: Annotated[
-        str | None, typer.Option(help="Column of the blocks; two with a comma that cross.")
+        str | None, option("Column of the blocks; two with a comma that cross.")
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="Column of the unit (specimen) that rows are repeats on.")
+        str | None, option("Column of the unit (specimen) that rows are repeats on.")
     ] = None,
     whole_plot: Annotated[
-        str | None, typer.Option(help="Factors that are set once for a whole plot of a block.")
+        str | None, option("Factors that are set once for a whole plot of a block.")
     ] = None,
     replicates: Annotated[
-        str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
+        str | None, option("What repeats of a cell are: runs, mesh-seeds, noise.")
     ] = None,
     copies: Annotated[
-        str | None,
-        typer.Option(help="Rows that repeat others in every digit: refuse, independent."),
+        str | None, option("Rows that repeat others in every digit: refuse, independent.")
     ] = None,
     error: Annotated[
-        str | None,
-        typer.Option(help="auto, pooled, own, or reml: a mixed model, also for incomplete blocks."),
+        str | None, option("auto, pooled, own, or reml: a mixed model, also for incomplete blocks.")
     ] = None,
     welch: Annotated[
-        bool, typer.Option(help="A variance of its own for each cell: Welch, Games and Howell.")
+        bool, option("A variance of its own for each cell: Welch, Games and Howell.")
     ] = False,
-    kind: Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")] = None,
+    kind: Annotated[str | None, option("Sums of squares: I, II, III.", "--type")] = None,
     model: Annotated[
-        str | None,
-        typer.Option(help="full, the highest order of interaction, or terms with commas: A,B,A:B."),
+        str | None, option("full, the highest order of interaction, or terms with commas: A,B,A:B.")
     ] = None,
     practical: Annotated[
-        str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
+        str | None, option("Smallest difference that matters: '5 % of mean'.")
     ] = None,
-    transform: Annotated[str | None, typer.Option(help="none or log.")] = None,
+    transform: Annotated[str | None, option("none or log.")] = None,
     alpha: Annotated[
-        float | None, typer.Option(help="Size of the tests; intervals have the level 1 - alpha.")
+        float | None, option("Size of the tests; intervals have the level 1 - alpha.")
     ] = None,
     decimal: Decimal = ".",
-    sheet: Annotated[str, typer.Option(help="Sheet of a workbook that has several.")] = "",
+    sheet: Annotated[str, option("Sheet of a workbook that has several.")] = "",
     reference: Annotated[
-        str | None, typer.Option(help="Level that the others are compared with (Dunnett).")
+        str | None, option("Level that the others are compared with (Dunnett).")
     ] = None,
     report: Annotated[
-        Path | None, typer.Option("--report", help="Write the page, its figures and CSV here.")
+        Path | None, option("Write the page, its figures and CSV here.", "--report")
     ] = None,
     formats: Annotated[
-        str, typer.Option("--format", help="With --report: html, pdf, tex, csv, with commas.")
+        str, option("With --report: html, pdf, tex, csv, with commas.", "--format")
     ] = "",
     numeric: Numeric = "",
     surface: Surface = "auto",
     random: Annotated[
-        str, typer.Option(help="With --error reml: factors whose effect differs between blocks.")
+        str, option("With --error reml: factors whose effect differs between blocks.")
     ] = "",
-    covariates: Annotated[
-        str, typer.Option(help="Columns of numbers that the response follows.")
-    ] = "",
+    covariates: Annotated[str, option("Columns of numbers that the response follows.")] = "",
     contrast: Annotated[
         list[str] | None,
-        typer.Option(
-            "--contrast", help="A difference of your own: 'model=stiff - model=soft'; repeatable."
-        ),
+        option("A difference of your own: 'model=stiff - model=soft'; repeatable.", "--contrast"),
     ] = None,
     summary: Annotated[
-        str,
-        typer.Option(help="Columns of mean, standard deviation and number: each row is a group."),
+        str, option("Columns of mean, standard deviation and number: each row is a group.")
     ] = "",
     results: Results = RESULTS,
     as_json: Json = False,
@@ -424,27 +412,22 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
 
 
 At = Annotated[
-    list[str] | None,
-    typer.Option("--at", help="Settings that are held: thickness='3 mm',plates=bonded."),
+    list[str] | None, option("Settings that are held: thickness='3 mm',plates=bonded.", "--at")
 ]
-Confirm = Annotated[
-    bool, typer.Option(help="Run the true model there; the run joins the study's surfaces.")
-]
+Confirm = Annotated[bool, option("Run the true model there; the run joins the study's surfaces.")]
 
 
 def optimize(
     path: Annotated[
         Path,
-        typer.Argument(
-            help="Results folder, design file, study name; or a tidy CSV.",
-            autocompletion=output.studies_and_tables,
+        argument(
+            "Results folder, design file, study name; or a tidy CSV.", output.studies_and_tables
         ),
     ],
-    minimize: Annotated[str | None, typer.Option(help="Response that is to be small.")] = None,
-    maximize: Annotated[str | None, typer.Option(help="Response that is to be large.")] = None,
+    minimize: Annotated[str | None, option("Response that is to be small.")] = None,
+    maximize: Annotated[str | None, option("Response that is to be large.")] = None,
     subject_to: Annotated[
-        list[str] | None,
-        typer.Option(help="Limit of another response: 'stiffness >= 0.3 N/mm'; repeatable."),
+        list[str] | None, option("Limit of another response: 'stiffness >= 0.3 N/mm'; repeatable.")
     ] = None,
     at: At = None,
     numeric: Numeric = "",
@@ -479,15 +462,13 @@ def optimize(
 
 def invert(
     path: Study,
-    to: Annotated[Path, typer.Option(help="CSV of the measured curve, one row a point.")],
+    to: Annotated[Path, option("CSV of the measured curve, one row a point.")],
     at: At = None,
     columns: Annotated[
-        str, typer.Option(help="Columns of displacement and force.")
+        str, option("Columns of displacement and force.")
     ] = "displacement_mm,force_N",
-    units: Annotated[str, typer.Option(help="Their units.")] = "mm,N",
-    within: Annotated[
-        str | None, typer.Option(help="What an agreeing curve may miss, rms: '2 %'.")
-    ] = None,
+    units: Annotated[str, option("Their units.")] = "mm,N",
+    within: Annotated[str | None, option("What an agreeing curve may miss, rms: '2 %'.")] = None,
     decimal: Decimal = ".",
     confirm: Confirm = True,
     data: Data = None,
@@ -532,8 +513,7 @@ def _model(text: str | None) -> str | int | list[str] | None:
 def power(
     design: Design,
     sd: Annotated[
-        float | None,
-        typer.Option(help="Scatter of a difference between specimens, in the response's unit."),
+        float | None, option("Scatter of a difference between specimens, in the response's unit.")
     ] = None,
     data: Data = None,
     settings: Set = None,

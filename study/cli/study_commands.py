@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from study.cli import output
+from study.cli.output import argument, option
 from study.ground.errors import Fault, InputError
 from study.ground.units import listed
 from study.reporting.content.blocks import Sentence, Table, Verbatim
@@ -25,26 +26,15 @@ if TYPE_CHECKING:
     from study.reporting.content.blocks import Block, Document
 
 
-Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
-Data = Annotated[
-    Path | None, typer.Option("--data", help="Folder that measurement files are relative to.")
-]
-Set = Annotated[
-    list[str] | None, typer.Option("-s", "--set", help="Override a key: model.mesh_size='2 mm'.")
-]
-Design = Annotated[Path, typer.Argument(help="Design file.", autocompletion=output.designs)]
-Study = Annotated[
-    Path,
-    typer.Argument(
-        help="Results folder, design file or study name.", autocompletion=output.studies
-    ),
-]
-Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; one a core.")]
-Results = Annotated[Path, typer.Option("--results", help="Where results are kept.")]
-Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
-Commands = Annotated[
-    bool, typer.Option("--allow-commands", help="Let the study run the programs it names.")
-]
+Json = Annotated[bool, option("One JSON document on stdout.", "--json")]
+Data = Annotated[Path | None, option("Folder that measurement files are relative to.", "--data")]
+Set = Annotated[list[str] | None, option("Override a key: model.mesh_size='2 mm'.", "-s", "--set")]
+Design = Annotated[Path, argument("Design file.", output.designs)]
+Study = Annotated[Path, argument("Results folder, design file or study name.", output.studies)]
+Jobs = Annotated[int | None, option("Workers; one a core.", "--jobs", "-j", min=1)]
+Results = Annotated[Path, option("Where results are kept.", "--results")]
+Reports = Annotated[Path, option("Where reports are written.", "--reports")]
+Commands = Annotated[bool, option("Let the study run the programs it names.", "--allow-commands")]
 #: levels of a factor beyond which a plan lists the ends only
 MANY = 6
 #: rows of a matrix that are looked at on a terminal; of a longer one the first stand for the rest
@@ -84,16 +74,14 @@ def plan(
     settings: Set = None,
     results: Results = RESULTS,
     run_sheet: Annotated[
-        Path | None, typer.Option(help="CSV to write: physical trials in random order.")
+        Path | None, option("CSV to write: physical trials in random order.")
     ] = None,
-    specimens: Annotated[
-        int, typer.Option(min=1, help="Specimens of the run sheet, measured once each.")
-    ] = 6,
+    specimens: Annotated[int, option("Specimens of the run sheet, measured once each.", min=1)] = 6,
     augment: Annotated[
-        int | None, typer.Option(min=1, help="Name so many further cells of a fraction.")
+        int | None, option("Name so many further cells of a fraction.", min=1)
     ] = None,
     terms: Annotated[
-        str, typer.Option(help="With --augment: order of interaction, or terms with commas.")
+        str, option("With --augment: order of interaction, or terms with commas.")
     ] = "2",
     as_json: Json = False,
 ) -> None:
@@ -222,26 +210,24 @@ def run(
     results: Results = RESULTS,
     reports: Reports = REPORTS,
     timeout: Annotated[
-        float | None, typer.Option(help="Seconds after which one computation is stopped.")
+        float | None, option("Seconds after which one computation is stopped.")
     ] = None,
     refine: Annotated[
-        bool, typer.Option(help="Refine the mesh under one block for the numerical uncertainty.")
+        bool, option("Refine the mesh under one block for the numerical uncertainty.")
     ] = True,
     allow_commands: Commands = False,
     allow_digest: Annotated[
-        str, typer.Option(help="Let it run these alone: the digest that study plan prints.")
+        str, option("Let it run these alone: the digest that study plan prints.")
     ] = "",
     stale: Annotated[
-        str, typer.Option(help="Results of other libraries: warn, refuse, or rerun them.")
+        str, option("Results of other libraries: warn, refuse, or rerun them.")
     ] = "warn",
-    memory: Annotated[
-        str | None, typer.Option(help="Memory that may be in use at once: '20 GB'.")
-    ] = None,
+    memory: Annotated[str | None, option("Memory that may be in use at once: '20 GB'.")] = None,
     scheduler: Annotated[
-        str, typer.Option(help="Compute on a Dask cluster: its address, or its scheduler file.")
+        str, option("Compute on a Dask cluster: its address, or its scheduler file.")
     ] = "",
     confirm: Annotated[
-        bool, typer.Option("--confirm", help="Run the extremes that confirm verdicts over numbers.")
+        bool, option("Run the extremes that confirm verdicts over numbers.", "--confirm")
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -259,22 +245,20 @@ def run(
 
 
 def import_(
-    file: Annotated[Path, typer.Argument(help="CSV or workbook, one row a run.")],
-    responses: Annotated[str, typer.Option(help="Columns of the responses: peak=N,work.")],
-    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")] = "",
+    file: Annotated[Path, argument("CSV or workbook, one row a run.")],
+    responses: Annotated[str, option("Columns of the responses: peak=N,work.")],
+    factors: Annotated[str, option("Columns of the factors, with commas.")] = "",
     numeric: Annotated[
-        str, typer.Option(help="Columns of factors that are numbers over a range: speed,temp log.")
+        str, option("Columns of factors that are numbers over a range: speed,temp log.")
     ] = "",
     failed: Annotated[
-        str | None, typer.Option(help="Column that says which runs have no answer, and why.")
+        str | None, option("Column that says which runs have no answer, and why.")
     ] = None,
-    block: Annotated[
-        str | None, typer.Option(help="Column of the unit that was replicated.")
-    ] = None,
-    name: Annotated[str | None, typer.Option(help="Name of the study; that of the file.")] = None,
-    decimal: Annotated[str, typer.Option(help="Mark of decimals.")] = ".",
+    block: Annotated[str | None, option("Column of the unit that was replicated.")] = None,
+    name: Annotated[str | None, option("Name of the study; that of the file.")] = None,
+    decimal: Annotated[str, option("Mark of decimals.")] = ".",
     practical: Annotated[
-        str, typer.Option(help="Smallest difference that matters: peak=1 N,work=5 % of mean.")
+        str, option("Smallest difference that matters: peak=1 N,work=5 % of mean.")
     ] = "",
     results: Results = RESULTS,
     reports: Reports = REPORTS,
@@ -320,10 +304,10 @@ def _status(state: Document) -> Iterator[Block]:
 def report(
     path: Study,
     formats: Annotated[
-        str, typer.Option("--format", help="html, pdf, tex, csv: one or several with commas.")
+        str, option("html, pdf, tex, csv: one or several with commas.", "--format")
     ] = "",
     beside: Annotated[
-        Path | None, typer.Option(help="Another study: say which conclusions hold in both.")
+        Path | None, option("Another study: say which conclusions hold in both.")
     ] = None,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
@@ -341,11 +325,7 @@ def report(
 def diff(
     first: Study,
     second: Annotated[
-        Path,
-        typer.Argument(
-            help="The study to compare it with, named likewise.",
-            autocompletion=output.studies,
-        ),
+        Path, argument("The study to compare it with, named likewise.", output.studies)
     ],
     results: Results = RESULTS,
     as_json: Json = False,
@@ -360,12 +340,9 @@ def diff(
 
 
 def why(
-    case: Annotated[
-        str, typer.Argument(help="Case id, or its beginning.", autocompletion=output.cases)
-    ],
+    case: Annotated[str, argument("Case id, or its beginning.", output.cases)],
     study: Annotated[
-        Path | None,
-        typer.Option(help="Study to look in; all by default. A design file counts as it is now."),
+        Path | None, option("Study to look in; all by default. A design file counts as it is now.")
     ] = None,
     data: Data = None,
     results: Results = RESULTS,
@@ -416,10 +393,8 @@ def _case(state: CaseState) -> Iterator[Block]:
 
 def predict(
     path: Study,
-    at: Annotated[
-        list[str], typer.Option(help="Setting of every factor: thickness='3 mm',C10='5 kPa'.")
-    ],
-    response: Annotated[str | None, typer.Option(help="One response; all by default.")] = None,
+    at: Annotated[list[str], option("Setting of every factor: thickness='3 mm',C10='5 kPa'.")],
+    response: Annotated[str | None, option("One response; all by default.")] = None,
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
@@ -468,28 +443,23 @@ def _finish(study: OpenedStudy, as_json: bool, typed: output.Options) -> None:
 
 
 def verify(
-    path: Annotated[
-        Path,
-        typer.Argument(
-            help="Page or folder of a report, or study name.", autocompletion=output.studies
-        ),
-    ],
+    path: Annotated[Path, argument("Page or folder of a report, or study name.", output.studies)],
     resolve: Annotated[
-        int, typer.Option(min=0, help="Cases to be solved again from nothing, drawn at random.")
+        int, option("Cases to be solved again from nothing, drawn at random.", min=0)
     ] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the draw.")] = 1,
+    seed: Annotated[int, option("Of the draw.", min=0)] = 1,
     data: Data = None,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
     allow_commands: Annotated[
-        bool, typer.Option("--allow-commands", help="Let --resolve run programs.")
+        bool, option("Let --resolve run programs.", "--allow-commands")
     ] = False,
     tolerance: Annotated[
         float | None,
-        typer.Option(
-            min=0.0,
-            help="Relative difference to pass over: by default none, and 1e-9 where the report was "
+        option(
+            "Relative difference to pass over: by default none, and 1e-9 where the report was "
             "written on another kind of processor or with other libraries.",
+            min=0.0,
         ),
     ] = None,
     as_json: Json = False,

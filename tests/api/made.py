@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,39 @@ import pandas as pd
 
 from study.harness.design.load import loads
 from study.reporting.results.study_result import ResponseAnalysis, StudyResult
+from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 from tests.cli.small import DESIGN
 
 FACTORS = {"material": ("soft", "stiff", "other"), "space": ("flat", "full")}
 BLOCKS = ("B1", "B2", "B3", "B4", "B5", "B6")
+
+
+@cache
+def analyzed(
+    material: tuple[float, ...], space: float, noise: float, practical: str, response: str,
+    rename: tuple[tuple[str, str], ...], transform: str,
+) -> AnalysisResult:  # fmt: skip
+    """Analysis of cell means, once for all studies that are made of it."""
+    new = dict(rename)
+    rng = np.random.default_rng(3)
+    shift = rng.normal(0, 0.3, len(BLOCKS))
+    rows = [
+        {
+            new.get("material", "material"): new.get(m, m),
+            new.get("space", "space"): new.get(s, s),
+            "block": b,
+            response: mean + space * (s == "full") + shift[i] + noise * rng.normal(),
+        }
+        for (m, mean), s, (i, b) in product(
+            zip(FACTORS["material"], material, strict=True), FACTORS["space"], enumerate(BLOCKS)
+        )
+    ]
+    names = [new.get(f, f) for f in FACTORS]
+    return anova(
+        pd.DataFrame(rows), response, names, block="block", practical=practical, exact=False,
+        transform=transform,
+    )  # fmt: skip
 
 
 def made(
@@ -37,25 +66,8 @@ def made(
 
     ``rename`` gives factors or levels other names.
     """
-    new = rename or {}
-    rng = np.random.default_rng(3)
-    shift = rng.normal(0, 0.3, len(BLOCKS))
-    rows = [
-        {
-            new.get("material", "material"): new.get(m, m),
-            new.get("space", "space"): new.get(s, s),
-            "block": b,
-            response: mean + space * (s == "full") + shift[i] + noise * rng.normal(),
-        }
-        for (m, mean), s, (i, b) in product(
-            zip(FACTORS["material"], material, strict=True), FACTORS["space"], enumerate(BLOCKS)
-        )
-    ]
-    names = [new.get(f, f) for f in FACTORS]
-    result = anova(
-        pd.DataFrame(rows), response, names, block="block", practical=practical, exact=False,
-        transform=transform,
-    )  # fmt: skip
+    renamed = tuple((rename or {}).items())
+    result = analyzed(material, space, noise, practical, response, renamed, transform)
     limit = float(practical.split()[0])
     analysis = ResponseAnalysis(response, "%", result, limit, transform=transform, better=better)
     known = {"blocks": list(BLOCKS), "files": {"a.csv": "0" * 64}, "virtual": False,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import datetime
+import shutil
 from collections.abc import Callable
+from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,13 +21,21 @@ from study.reporting.output import write
 from tests.cli.small import DESIGN, study, write_files
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a study that was run and reported, for all tests to copy."""
+    folder = tmp_path_factory.mktemp("edited")
+    write_files(folder)
+    with chdir(folder):
+        again()
+    return folder
+
+
 @pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a study that was run."""
-    write_files(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    api.run("small.toml", data="data", jobs=2, reports=None)
-    return tmp_path
+def home(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the study to change."""
+    monkeypatch.chdir(shutil.copytree(finished, tmp_path / "copy"))
+    return tmp_path / "copy"
 
 
 def edited(home: Path) -> None:
@@ -209,15 +219,6 @@ def test_memory_is_an_amount_with_its_unit(home: Path) -> None:
 # A report that would be the same again is not made again.
 
 
-@pytest.fixture
-def reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a study that was run and reported."""
-    write_files(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    again()
-    return tmp_path
-
-
 def again() -> Path:
     """Run the study; everything is there but the first time."""
     found = api.run("small.toml", data="data", jobs=1)
@@ -226,69 +227,65 @@ def again() -> Path:
     return Path(found.report)
 
 
-def state(reported: Path) -> dict[str, tuple[int, bytes]]:
+def state() -> dict[str, tuple[int, bytes]]:
     """Inode and bytes of every file of the report; files are replaced whole."""
-    files = [path for path in (reported / "reports").rglob("*") if path.is_file()]
+    files = [path for path in Path("reports").rglob("*") if path.is_file()]
     return {path.name: (path.stat().st_ino, path.read_bytes()) for path in files}
 
 
-def content(reported: Path) -> dict[str, bytes]:
+def content() -> dict[str, bytes]:
     """Bytes of the files that a reader opens."""
-    return {name: kept for name, (_, kept) in state(reported).items() if name != write.NAME}
+    return {name: kept for name, (_, kept) in state().items() if name != write.NAME}
 
 
-def test_a_run_with_nothing_to_do_leaves_the_report_as_it_is(reported: Path) -> None:
-    before = state(reported)
+@pytest.mark.usefixtures("home")
+def test_a_run_with_nothing_to_do_leaves_the_report_as_it_is() -> None:
+    before = state()
     main = again()
     assert main == Path("reports/small/small-data/cases.csv")
-    assert state(reported) == before
+    assert state() == before
     assert api.report("small").report == main
-    assert state(reported) == before
+    assert state() == before
 
 
-def _deleted(reported: Path) -> None:
-    (reported / "reports/small/small-data/numbers.json").unlink()
-
-
-def _altered(reported: Path) -> None:
-    path = reported / "reports/small/small-data/cases.csv"
-    path.write_text(path.read_text().replace("neo-hookean", "neo-Hookean", 1))
-
-
-def _note_lost(reported: Path) -> None:
-    (reported / "reports/small/small-data" / write.NAME).write_text("[")
-
-
-@pytest.mark.parametrize("spoil", [_deleted, _altered, _note_lost])
+@pytest.mark.parametrize(
+    ("name", "spoil"),
+    [
+        ("numbers.json", Path.unlink),
+        ("cases.csv", lambda path: path.write_text(path.read_text().replace("neo-h", "neo-H", 1))),
+        (write.NAME, lambda path: path.write_text("[")),
+    ],
+)
+@pytest.mark.usefixtures("home")
 def test_a_report_that_was_touched_is_made_again(
-    reported: Path, spoil: Callable[[Path], None]
+    name: str, spoil: Callable[[Path], object]
 ) -> None:
-    before = content(reported)
-    spoil(reported)
+    before = content()
+    spoil(Path("reports/small/small-data", name))
     again()
-    assert content(reported) == before
+    assert content() == before
 
 
-def test_a_changed_record_makes_it_again(reported: Path) -> None:
+def test_a_changed_record_makes_it_again(home: Path) -> None:
     """One record is lost and solved again: its seconds differ, so the table does."""
-    before = state(reported)
-    case = next((reported / "results/small/cases").iterdir())
+    before = state()
+    case = next((home / "results/small/cases").iterdir())
     (case / "record.json").write_text("{}")
     again()
-    after = state(reported)
+    after = state()
     assert after["cases.csv"][0] != before["cases.csv"][0]
 
 
 def test_changed_code_and_another_format_make_it_again(
-    reported: Path, monkeypatch: pytest.MonkeyPatch
+    home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = state(reported)
+    before = state()
     with monkeypatch.context() as other:
         other.setattr("study.api.study.versions", lambda: {"study": "another"})
         again()
-    after = state(reported)
+    after = state()
     assert after["cases.csv"][0] != before["cases.csv"][0]
-    assert content(reported).keys() == {name for name in before if name != write.NAME}
+    assert content().keys() == {name for name in before if name != write.NAME}
     page = api.report("small", formats=["html"]).report
     assert page == Path("reports/small/small.html")
     assert page.is_file()

@@ -193,16 +193,21 @@ def u_of(result: AnalysisResult, term: str) -> float:
     return u
 
 
-def test_an_error_that_the_materials_share_is_none_of_their_difference(design: Design) -> None:
+def test_an_error_that_the_materials_share_is_none_of_their_difference(
+    design: Design,
+) -> None:
     """The columns are off by percentage points, the difference of the materials by nothing."""
-    records = records_of(design, lambda levels: 2.0)
-    result, numerical = analyzed(design, records)
+    result, numerical = analyzed(design, records_of(design, lambda levels: 2.0))
     assert max(row.u_num or 0 for row in numerical) > 2.0
     # a tenth of the sum of the columns' own bounds, 1.25 x 2.0 on either side, is never fallen
     # below; the difference's own series would leave 0.02 (scatter between cells of 0.003)
     assert u_of(result, "material") == pytest.approx(0.5, rel=0.05)
     assert result.effect("material").range == pytest.approx(4.0, abs=0.01)
     assert result.effect("material").resolved == "resolved"
+    # the mesh itself has no uncertainty
+    for effect in result.effects:
+        assert (effect.u_num == 0) == ("model.mesh" in effect.term)
+    assert result.detection.u_num_by_term
 
 
 def test_an_error_of_one_material_is_covered_but_not_tenfold(design: Design) -> None:
@@ -269,13 +274,6 @@ def test_an_error_of_one_combination_counts_for_the_interaction(design: Design) 
     result, _ = analyzed(design, records_of(design, error))
     interaction = result.effect("material:model.space")
     assert (interaction.range or 0) < u_of(result, "material:model.space")
-
-
-def test_the_mesh_itself_has_no_uncertainty(design: Design) -> None:
-    result, _ = analyzed(design, records_of(design, lambda levels: 2.0))
-    for effect in result.effects:
-        assert (effect.u_num == 0) == ("model.mesh" in effect.term)
-    assert result.detection.u_num_by_term
 
 
 def test_a_log_response_is_followed_on_the_log(design: Design) -> None:

@@ -13,6 +13,7 @@ import study
 from study.cli.study_commands import settings
 from study.ground.errors import InputError
 from study.harness.design.load import file_kind, from_tables, load, load_problem, loads_problem
+from tests.cli import small
 from tests.cli.small import DESIGN, write_files
 
 PROBLEM = {
@@ -215,22 +216,7 @@ def test_dir_lists_what_is_public() -> None:
 # What users type: the key ``kind`` of a file, settings of an option that is repeated.
 
 
-PROBLEM_FILE = """
-schema = 1
-kind = "problem"
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "10 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-displacement = "1 mm"
-[material]
-model = "neo-hookean"
-C10 = "10 kPa"
-incompressible = true
-"""
+PROBLEM_FILE = f'kind = "problem"\n{small.PROBLEM}'
 
 
 def written(folder: Path, text: str) -> Path:

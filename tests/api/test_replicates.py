@@ -17,38 +17,28 @@ from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.solver.finite_element_solution import solve
 from study.reporting.results.study_result import StudyResult
+from tests.cli.small import measured, pressed, responses
 from tests.pages import both_pages
 
 SPECIMEN = Cylinder(25.0, 30.0)
-HEAD = """
-schema = 1
-[study]
-name = "small"
-question = "Does anything matter?"
-[specimen]
-shape = "cylinder"
-radius = "25 mm"
-height = "30 mm"
-[measurements]
-file = "tests.csv"
-columns = { displacement = "d_mm", force = "f_N" }
-units = { displacement = "mm", force = "N" }
-range = ["1 %", "10 %"]
-points = 60
-"""
-NOISE = (
-    HEAD
-    + """[test]
-kind = "compression"
-interface = "frictionless"
-steps = 2
-[material]
+#: the two energies as levels of a factor
+ENERGIES = "".join(
+    f'[presets.material.{name}]\nmodel = "{name}"\n' for name in ("neo-hookean", "mooney-rivlin")
+)
+
+
+def file(rest: str, interface: str) -> str:
+    """Compression of the specimen, measured to a tenth of its height."""
+    table = measured("tests.csv", "d_mm", "f_N") + 'range = ["1 %", "10 %"]\npoints = 60\n'
+    named = '[study]\nname = "small"\nquestion = "Does anything matter?"\n'
+    return pressed(rest + table, study=named, radius=25, height=30, interface=interface,
+                   test="steps = 2\n")  # fmt: skip
+
+
+NOISE = file(
+    f"""[material]
 poisson_ratio = 0.4995
-[presets.material.neo-hookean]
-model = "neo-hookean"
-[presets.material.mooney-rivlin]
-model = "mooney-rivlin"
-[model]
+{ENERGIES}[model]
 element_order = "linear"
 mesh_size = "6 mm"
 [factors]
@@ -56,22 +46,14 @@ material = ["neo-hookean", "mooney-rivlin"]
 model.space = ["axisymmetric", "3d"]
 [replicates]
 noise = 20
-[[response]]
-name = "mu0"
-practical = "1 % of mean"
-[[response]]
-name = "relative_rms_force_error"
 [analysis]
 error = "auto"
 """
+    + responses(mu0="1 % of mean", relative_rms_force_error=""),
+    "frictionless",
 )
-MESHES = (
-    HEAD
-    + """[test]
-kind = "compression"
-interface = "bonded"
-steps = 2
-[material]
+MESHES = file(
+    """[material]
 model = "neo-hookean"
 C10 = "8 kPa"
 poisson_ratio = 0.4995
@@ -80,10 +62,9 @@ model.element_order = ["linear", "quadratic"]
 model.mesh_size = ["8 mm", "4 mm"]
 [replicates]
 mesh_seeds = 5
-[[response]]
-name = "peak_force_error"
-practical = "0.5 N"
 """
+    + responses(peak_force_error="0.5 N"),
+    "bonded",
 )
 
 
@@ -96,8 +77,8 @@ def data(folder: Path, specimens: int = 1) -> Path:
     for k in range(specimens):
         material = Material("neo-hookean", {"C10": 8e-3 * (1 + 0.1 * k)}, poisson_ratio=0.4995)
         force = closed_form.compression(SPECIMEN, material, d).force_N
-        measured = force + 0.01 * random.standard_normal(d.size)
-        lines += [f"{k},{x:.4f},{f:.10f}" for x, f in zip(d, measured, strict=True)]
+        noisy = force + 0.01 * random.standard_normal(d.size)
+        lines += [f"{k},{x:.4f},{f:.10f}" for x, f in zip(d, noisy, strict=True)]
     (folder / "tests.csv").write_text("\n".join(lines) + "\n")
     return folder
 
@@ -241,8 +222,7 @@ def test_mesh_seeds_resume(meshed: tuple[Path, StudyResult]) -> None:
 
 def test_a_constant_that_no_mesh_enters_has_no_mesh_noise(tmp_path: Path) -> None:
     text = MESHES.replace('model = "neo-hookean"\nC10 = "8 kPa"\n', "")
-    for energy in ("neo-hookean", "mooney-rivlin"):
-        text += f'[presets.material.{energy}]\nmodel = "{energy}"\n'
+    text += ENERGIES
     text = text.replace('model.element_order = ["linear", "quadratic"]',
                         'material = ["neo-hookean", "mooney-rivlin"]')  # fmt: skip
     text = text.replace('model.mesh_size = ["8 mm", "4 mm"]', 'model.mesh_size = ["8 mm", "6 mm"]')

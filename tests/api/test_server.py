@@ -21,6 +21,7 @@ from study.ground.errors import InputError
 from study.harness.record.record import seal
 from study.harness.record.store import FileStamp, Store
 from tests.cli.small import DESIGN, write_files
+from tests.pages import served
 from tests.waiting import CAP_S
 
 Reply = tuple[int, dict[str, str], str]
@@ -28,28 +29,23 @@ Reply = tuple[int, dict[str, str], str]
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two finished studies with their reports, and a secret beside them."""
+    """Two finished studies, one with its report, and a secret beside them."""
     folder = tmp_path_factory.mktemp("served")
     write_files(folder)
     coarse = DESIGN.replace('"small"', '"coarse"', 1).replace("points = 30", "points = 20")
     coarse = coarse.replace("Does the energy", "<script>document.title=1</script> Does the energy")
     (folder / "coarse.toml").write_text(coarse)
     with contextlib.chdir(folder):
-        for name in ("small", "coarse"):
-            api.run(f"{name}.toml", data="data", jobs=1, formats=("html",))
+        api.run("small.toml", data="data", jobs=1, formats=("html",))
+        api.run("coarse.toml", data="data", jobs=1, reports=None)
     (folder / "secret.html").write_text("secret")
     return folder
 
 
 @pytest.fixture(scope="module")
 def server(home: Path) -> Iterator[StudyServer]:
-    made = StudyServer(Folders(home / "results", home / "reports"), 0)
-    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
-    yield made
-    made.shutdown()
-    thread.join()
-    made.server_close()
+    with served(home) as made:
+        yield made
 
 
 def ask(
@@ -244,7 +240,7 @@ def planted(study: Path, kind: str) -> None:
         os.mkfifo(study / "cases" / "a" / "record.json")
         os.mkfifo(study / ".lock")
     else:
-        path.write_text(manifest({f"case-{k}": "0" * 64 for k in range(200_000)}))
+        path.write_text(manifest({f"case-{k}": "0" * 64 for k in range(20_000)}))
 
 
 HOSTILE = {
@@ -281,7 +277,7 @@ def test_a_page_looks_only_at_cases_that_are_there_and_reads_a_manifest_once(
     folders = Folders(tmp_path / "results", tmp_path / "reports")
     for _ in range(3):
         (state,) = folders.states()
-        assert state.cases == "0 of 200,000 done, 200,000 missing"
+        assert state.cases == "0 of 20,000 done, 20,000 missing"
     assert (len(looked), len(read)) == (3, 1)
 
 

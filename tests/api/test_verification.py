@@ -16,43 +16,25 @@ from pathlib import Path
 import pytest
 
 from study import api
+from tests.cli.small import measured, pressed, responses
 from tests.waiting import CAP_S
 
 pytestmark = pytest.mark.drawings
 
-DESIGN = """
-schema = 1
-[study]
-name = "verified"
-question = "Does the order matter?"
-[specimen]
-shape = "cylinder"
-radius = "14.5 mm"
-height = "25 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-[material]
-model = "reduced-polynomial"
-incompressible = true
-[calibration]
-method = "analytic"
-[measurements]
-file = "m.csv"
-columns = { displacement = "d", force = "f" }
-units = { displacement = "mm", force = "N" }
-block = "specimen"
-points = 12
-range = ["1 %", "20 %"]
-[factors]
-material.order = [1, 2]
-[[response]]
-name = "relative_rms_force_error"
-practical = "1 pp"
-"""
+DESIGN = pressed(
+    '[material]\nmodel = "reduced-polynomial"\nincompressible = true\n'
+    '[calibration]\nmethod = "analytic"\n'
+    + measured("m.csv")
+    + 'block = "specimen"\npoints = 12\nrange = ["1 %", "20 %"]\n'
+    + "[factors]\nmaterial.order = [1, 2]\n"
+    + responses(relative_rms_force_error="1 pp"),
+    study='[study]\nname = "verified"\nquestion = "Does the order matter?"\n',
+    radius=14.5,
+    height=25,
+)
 
 
-def measured() -> str:
+def recorded() -> str:
     rows = ["specimen,d,f"]
     for block in range(3):
         for k in range(21):
@@ -67,7 +49,7 @@ def measured() -> str:
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("verified")
     (folder / "design.toml").write_text(DESIGN)
-    (folder / "m.csv").write_text(measured())
+    (folder / "m.csv").write_text(recorded())
     found = api.run(
         folder / "design.toml", data=folder, results=folder / "results",
         reports=folder / "reports", jobs=1,
@@ -236,13 +218,11 @@ def test_a_file_that_cannot_be_read_is_a_difference_and_takes_no_memory(finished
         assert said in reported.get(name, ""), name
 
 
-@pytest.mark.parametrize("damage", [slice(0, -9), slice(12, None)])
-def test_a_damaged_packed_file_is_a_difference(finished, tmp_path, damage, monkeypatch):
+def test_a_damaged_packed_file_is_a_difference(finished, tmp_path, monkeypatch):
     moved = tmp_path / "damaged"
     shutil.copytree(finished, moved)
     path = moved / "reports/verified/verified-data/curves.csv.gz"
-    raw = path.read_bytes()
-    path.write_bytes(raw[:12] + bytes(8) + raw[20:] if damage.start else raw[damage])
+    path.write_bytes(path.read_bytes()[:-9])
     monkeypatch.chdir(moved)
     (only,) = api.verify("verified").differences
     assert only.where == "verified-data/curves.csv.gz"

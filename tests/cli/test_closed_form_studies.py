@@ -95,22 +95,24 @@ practical = "0.5 pp"
 WAYS = {"pressed": (PRESSED, -1.0, 12.0), "stretched": (STRETCHED, 1.0, 30.0)}
 
 
-def force(sense: float, c10: float, c01: float) -> Callable[[float], float]:
+def force(sense: float, c10: float, c01: float, area: float = AREA_MM2) -> Callable[[float], float]:
     """Force of an incompressible Mooney-Rivlin specimen, N, in the sense of the test."""
 
     def at(d: float) -> float:
         stretch = 1 + sense * d / LENGTH_MM
-        return sense * AREA_MM2 * 2 * (stretch - stretch**-2) * (c10 + c01 / stretch)
+        return sense * area * 2 * (stretch - stretch**-2) * (c10 + c01 / stretch)
 
     return at
 
 
-def by_hand(known: Callable[[float], float], depth_mm: float) -> dict[str, float]:
+def by_hand(
+    known: Callable[[float], float], depth_mm: float, place: float = PLACE_MM
+) -> dict[str, float]:
     h = 1e-4
     return {
         "peak_force": known(depth_mm),
-        "force_at_7.3_mm": known(PLACE_MM),
-        "stiffness_at_7.3_mm": (known(PLACE_MM + h) - known(PLACE_MM - h)) / (2 * h),
+        f"force_at_{place:g}_mm": known(place),
+        f"stiffness_at_{place:g}_mm": (known(place + h) - known(place - h)) / (2 * h),
         "work": quad(known, 0, depth_mm, epsabs=1e-12)[0],
     }
 
@@ -413,3 +415,96 @@ def test_a_score_is_that_of_the_other_specimens_and_a_constant_its_own() -> None
     assert scores["relative_rms_force_error"] == "other specimen"
     page = both_pages(Path("reports/cross/cross.html"))
     assert "predicted by constants fitted to the other specimens" in page
+
+
+#: the cylinder by finite elements: it stays a cylinder, so that contact is known by hand too
+ALONE = pressed(
+    """[material]
+model = "neo-hookean"
+C10 = "5 kPa"
+incompressible = true
+[model]
+mesh_size = "5 mm"
+[factors]
+material.C10 = ["5 kPa", "10 kPa"]
+specimen.radius = ["10 mm", "10.1 mm"]
+"""
+    + responses(peak_force="0.2 N", force_at="", stiffness_at="0.5 N/mm", work="10 N mm",
+                peak_contact_pressure="0.5 kPa", contact_area="1 mm^2", dofs="")
+    + CSV,
+    study='[study]\nname = "alone"\n',
+    test='displacement = "4 mm"\nsteps = 8\n',
+)  # fmt: skip
+for _name in ("force_at", "stiffness_at"):
+    ALONE = ALONE.replace(f'"{_name}"\n', f'"{_name}"\ndisplacement = "2.5 mm"\n')
+
+
+def pressed_by_hand(c10_kPa: float, radius_mm: float) -> dict[str, float]:  # noqa: N803
+    area = np.pi * radius_mm**2
+    known = force(-1.0, 1e-3 * c10_kPa, 0.0, area)
+    pressure = 1e3 * (1 - 4.0 / LENGTH_MM) * known(4.0) / area
+    return by_hand(known, 4.0, 2.5) | {"peak_contact_pressure": pressure}
+
+
+@pytest.fixture
+def alone(inside: Path) -> Path:
+    (inside / "alone.toml").write_text(ALONE)
+    return inside
+
+
+def test_simulated_responses_are_those_of_the_closed_form(alone: Path) -> None:
+    found = success("run", "alone.toml", "--jobs", 1, "--json").json
+    assert found["cases"] == {"total": 4, "done": 4, "failed": 0, "missing": 0}
+
+    shown = {(row["response"], row["factor"]): row for row in found["verdicts"]}
+    assert all(row["p"] is None and row["ci95"] is None for row in shown.values())
+    for response in pressed_by_hand(5, 10):
+        soft = np.mean([pressed_by_hand(5, radius)[response] for radius in (10, 10.1)])
+        # twice the constant is twice the force, so the difference is the mean of the softer three;
+        # between two of eight steps the polynomial of fourth degree misses 1e-4 of the tangent
+        effect = shown[response, "material.C10"]["effect"]
+        assert effect == pytest.approx(soft, rel=1e-3), response
+
+    wider = np.pi * (10.1**2 - 10**2) / (1 - 4.0 / LENGTH_MM)
+    assert shown["contact_area", "specimen.radius"]["effect"] == pytest.approx(wider, rel=1e-3)
+
+    force = shown["peak_force", "material.C10"]
+    assert force["verdict"] == "matters"
+    assert force["practical"] == 0.2
+    assert shown["force_at_2.5_mm", "material.C10"]["verdict"] is None  # no practical
+
+    # 2 % of area at 10 kPa are 0.10 N, and 0.20 N is what matters
+    assert pressed_by_hand(10, 10.1)["peak_force"] - pressed_by_hand(10, 10)["peak_force"] < 0.2
+    assert shown["peak_force", "specimen.radius"]["verdict"] == "no practical difference"
+
+    listed = (alone / "reports/alone/alone-data/cases.csv").read_text().splitlines()
+    assert "work" in listed[0]
+
+    # what is finished is read again by the verbs that compute nothing
+    for verb in ("report", "status"):
+        assert study(verb, "alone", "--json").json["cases"]["done"] == len(listed) - 1
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_two_studies_of_simulations_are_compared(alone: Path) -> None:
+    other = ALONE.replace('"alone"', '"harder"').replace('"5 kPa", "10 kPa"', '"5 kPa", "20 kPa"')
+    (alone / "harder.toml").write_text(other)
+    for name in ("alone", "harder"):
+        assert study("run", f"{name}.toml", "--jobs", 1, "--json").code == 0
+    found = success("diff", "alone", "harder", "--json")
+    rows = [row for row in found.json["conclusions"] if row["response"] == "peak_force"]
+    assert rows
+
+
+def test_more_runs_of_a_simulation_are_not_advised(alone: Path) -> None:
+    """A simulation gives the same answer again; a finer mesh may give another."""
+    design = alone / "alone.toml"
+    text = design.read_text().replace('interface = "frictionless"', 'interface = "bonded"')
+    design.write_text(text.replace('format = ["csv"]', 'format = ["html"]'))
+    found = success("run", design, "--no-refine", "-j", "1")
+    said = " ".join(found.out.split()).partition("What would change this?")[2][:400]
+    assert "a refined mesh, which was not tried, could move every result" in said
+    assert "replicate" not in said
+    page = (alone / "reports" / "alone" / "alone-details.html").read_text()
+    assert "none: every response is one of the simulation alone" in page

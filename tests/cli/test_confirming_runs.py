@@ -97,15 +97,19 @@ csv.writer(open("curve.csv", "w", newline="")).writerows(rows)
 """
 
 
+def multiplied(home: Path, **more: Any) -> StudyResult:
+    """Run the study of the function."""
+    return public.run(
+        home / "product.toml", jobs=1, results=home / "results", reports=None, forward=forward,
+        version="1", **more,
+    )  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def product(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyResult]:
     home = tmp_path_factory.mktemp("product")
     (home / "product.toml").write_text(DESIGN)
-    found = public.run(
-        home / "product.toml", jobs=1, results=home / "results", reports=None, forward=forward,
-        version="1",
-    )  # fmt: skip
-    return home, found
+    return home, multiplied(home)
 
 
 def test_indices_beside_a_list_of_levels_are_those_of_a_product(
@@ -242,10 +246,7 @@ def test_a_claim_over_numbers_waits_for_the_runs_that_confirm_it(
     assert all(row["ci95"][0] < row["effect"] < row["ci95"][1] for row in rows)
     # rows of different settings are told apart
     assert len({(row["factor"], *row["at"].items()) for row in rows}) == len(rows)
-    sure = public.run(
-        home / "product.toml", jobs=1, results=home / "results", reports=None, forward=forward,
-        version="1", confirm=True,
-    )  # fmt: skip
+    sure = multiplied(home, confirm=True)
     claims = {(r["factor"], *r["at"].items()): r["verdict"] for r in sure.verdicts}
     confirmed = [claims[row["factor"], *row["at"].items()] for row in rows]
     assert confirmed.count("matters") >= len(rows) - 1
@@ -301,17 +302,15 @@ def hill_forward(problem):  # type: ignore[no-untyped-def]
     constants = problem["material"]["constants_MPa"]
     height = problem["specimen"]["height_mm"]
     x = [100 * constants["C10"] - 0.5, 500 * constants["C20"] - 0.5, (height - 18) / 4]
-    apart = (x[0] - 0.75) ** 2 + (x[1] - 0.3) ** 2
-    force = 3.0 * 2.718281828459045 ** (-60.0 * apart) + x[0] * x[1] + 0.3 * x[2] + 1.0
-    return [force * d for d in problem["displacement_mm"]]
+    return [float(hill(np.array([x]))[0]) * d for d in problem["displacement_mm"]]
 
 
-def ran(folder: Path, text: str = HILL, jobs: int = 1):  # type: ignore[no-untyped-def]
+def ran(folder: Path, text: str = HILL, jobs: int = 1, progress=None):  # type: ignore[no-untyped-def]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "hill.toml").write_text(text)
     return public.run(
         folder / "hill.toml", jobs=jobs, results=folder / "results", reports=None,
-        forward=hill_forward, version="1",
+        forward=hill_forward, version="1", progress=progress,
     )  # fmt: skip
 
 
@@ -387,24 +386,17 @@ def test_an_interrupted_run_goes_on_to_the_same_table(adaptive, tmp_path: Path) 
         if len(calls) == 22:  # in the middle of the first batch
             raise KeyboardInterrupt
 
-    (tmp_path / "hill.toml").write_text(HILL)
-    given = {
-        "results": tmp_path / "results",
-        "reports": None,
-        "forward": hill_forward,
-        "version": "1",
-    }
     with pytest.raises(KeyboardInterrupt):
-        public.run(tmp_path / "hill.toml", jobs=1, progress=stop, **given)
+        ran(tmp_path, progress=stop)
     store = Store(tmp_path / "results" / "hill")
     manifest = store.read_manifest()
     assert manifest is not None
     assert len(store.records(manifest["cases"])) < len(manifest["cases"]) < len(found.records)
-    again = public.run(tmp_path / "hill.toml", jobs=1, **given)
+    again = ran(tmp_path)
     assert table(again) == table(found)
     assert again.to_json()["adaptive"] == found.to_json()["adaptive"]
     # and once more: nothing is left to do
-    assert table(public.run(tmp_path / "hill.toml", jobs=1, **given)) == table(found)
+    assert table(ran(tmp_path)) == table(found)
 
 
 def test_a_plan_says_start_batch_budget_and_cost(adaptive, inside: Path) -> None:  # type: ignore[no-untyped-def]

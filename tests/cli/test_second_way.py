@@ -34,18 +34,12 @@ THREE = DESIGN.replace(
 Edit = Callable[[list[dict[str, str]]], None]
 
 
-def fourth_specimen(data: Path) -> None:
+def fourth_specimen(rows: list[dict[str, str]]) -> None:
     """Add a mix: the normality of a contrast over blocks needs four of them."""
-    path = data / "tests.csv"
-    rows = list(csv.DictReader(path.read_text().splitlines()))
     last = rows[-1]["mix"]
     for row in [r for r in rows if r["mix"] == last]:
         d, force = float(row["d_mm"]), float(row["f_N"])
         rows.append(row | {"mix": "another", "f_N": repr(1.04 * force * (1 + 0.004 * d))})
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +47,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Report of a small study in closed form."""
     folder = tmp_path_factory.mktemp("second")
     write_files(folder)
-    fourth_specimen(folder / "data")
+    change(folder / "data" / "tests.csv", fourth_specimen)
     (folder / "small.toml").write_text(THREE)
     success("run", "small.toml", "--data", "data", "--jobs", 1, folder=folder)
     return folder / "reports" / "small"

@@ -16,7 +16,7 @@ from study.ground.curve import Curve
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from tests.cli.small import DESIGN, Answer, answer_of, study, write_files
-from tests.cli.test_simulated_responses import DESIGN as ALONE
+from tests.cli.test_closed_form_studies import ALONE
 from validation import recompute, recompute_forward, recompute_records
 
 #: closed form between frictionless plates, finite elements between bonded ones, both directions

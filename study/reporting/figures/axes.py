@@ -138,49 +138,27 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 WORDS = ("#005f96", "#a84300", "#00694d", "#8f3f6c", "#7a5200", "#1b6a96", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
-_RC: dict[str, Any] = {
-    "svg.fonttype": "none",
-    "text.parse_math": False,
-    "text.usetex": False,
-    # no offset and no exponent at an axis
-    "axes.formatter.use_mathtext": False,
-    "axes.formatter.useoffset": False,
-    "axes.formatter.limits": (-9, 9),
-    "axes.unicode_minus": True,
-    "font.family": "DejaVu Sans",
-    "font.size": 8.5,
-    "axes.titlesize": 8.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.labelsize": 8.5,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": MUTED,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "text.color": INK,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
-    "figure.labelsize": 8.5,
-    "figure.titlesize": 8.5,
-    "grid.color": RULE,
-    "grid.linewidth": 0.4,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "lines.linewidth": 1.4,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "savefig.facecolor": "none",
+#: settings of matplotlib by their value; at an axis stands no offset and no exponent
+_SETTINGS: dict[Any, str] = {
+    False: "text.parse_math text.usetex axes.formatter.use_mathtext axes.formatter.useoffset "
+    "axes.spines.top axes.spines.right legend.frameon",
+    True: "axes.unicode_minus axes.axisbelow",
+    "none": "svg.fonttype figure.facecolor axes.facecolor savefig.facecolor",
+    8.5: "font.size axes.titlesize axes.labelsize figure.labelsize figure.titlesize",
+    8: "xtick.labelsize ytick.labelsize legend.fontsize",
+    3: "xtick.major.size ytick.major.size",
+    1.4: "lines.linewidth",
+    0.6: "axes.linewidth xtick.major.width ytick.major.width",
+    0.4: "grid.linewidth",
+    INK: "axes.labelcolor text.color xtick.labelcolor ytick.labelcolor",
+    MUTED: "axes.edgecolor xtick.color ytick.color",
+    RULE: "grid.color",
+    "DejaVu Sans": "font.family",
+    "bold": "axes.titleweight",
+    "left": "axes.titlelocation",
+    (-9, 9): "axes.formatter.limits",
 }
+_RC = {name: value for value, names in _SETTINGS.items() for name in names.split()}
 _DECIMALS = re.compile(r"-?\d+\.\d+")
 _FAMILY = re.compile("font-family: [^;]*; ")
 _SVG = "http://www.w3.org/2000/svg"

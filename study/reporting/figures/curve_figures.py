@@ -470,6 +470,5 @@ def draw_curve(curve: Curve) -> Canvas:
     ax.plot(places, curve.force_at(places), color=style.color_of(0))
     ax.plot(curve.displacement_mm, curve.force_N, "o", color=style.color_of(0), markersize=3)
     ax.grid(axis="y")
-    ax.set_xlabel("displacement (mm)")
-    ax.set_ylabel("force (N)")
+    ax.set(xlabel="displacement (mm)", ylabel="force (N)")
     return figure

@@ -110,8 +110,7 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
             style.note(ax, name, (score, size), (-6, 0), ha="right", va="center")
     ax.set_ylim(bottom=0)
     ax.set_xlim(left=0)
-    ax.set_xlabel("half-normal score, with the 95 % envelope of no effect")
-    ax.set_ylabel(label)
+    ax.set(xlabel="half-normal score, with the 95 % envelope of no effect", ylabel=label)
 
 
 # Figures of assumptions: four views of the residuals, and the spread of the cells.

@@ -228,8 +228,7 @@ def _draw_contours(
     bar = figure.colorbar(filled, ax=ax, pad=0.015, aspect=30)
     bar.set_label(_axis(fitted.response, fitted, data))
     bar.outline.set_visible(False)
-    ax.set_xlabel(_axis(across, fitted, data))
-    ax.set_ylabel(_axis(up, fitted, data))
+    ax.set(xlabel=_axis(across, fitted, data), ylabel=_axis(up, fitted, data))
     return figure
 
 
