@@ -240,7 +240,7 @@ def planted(study: Path, kind: str) -> None:
         os.mkfifo(study / "cases" / "a" / "record.json")
         os.mkfifo(study / ".lock")
     else:
-        path.write_text(manifest({f"case-{k}": "0" * 64 for k in range(20_000)}))
+        path.write_text(manifest({f"case-{k}": "0" * 64 for k in range(200_000)}))
 
 
 HOSTILE = {
@@ -277,7 +277,7 @@ def test_a_page_looks_only_at_cases_that_are_there_and_reads_a_manifest_once(
     folders = Folders(tmp_path / "results", tmp_path / "reports")
     for _ in range(3):
         (state,) = folders.states()
-        assert state.cases == "0 of 20,000 done, 20,000 missing"
+        assert state.cases == "0 of 200,000 done, 200,000 missing"
     assert (len(looked), len(read)) == (3, 1)
 
 

@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import subprocess
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,8 +15,9 @@ from typing import Self
 
 import pytest
 
-from study.api.serving import Folders, StudyServer
+from study.api.serving import StudyServer
 from study.reporting.output.write import BROWSERS, browser
+from tests.pages import served
 
 #: marks of tests that need a browser
 IN_A_BROWSER = [
@@ -149,10 +149,5 @@ def running(profile: Path) -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def server(home: Path) -> Iterator[StudyServer]:
-    made = StudyServer(Folders(home / "results", home / "reports"), 0)
-    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
-    yield made
-    made.shutdown()
-    thread.join()
-    made.server_close()
+    with served(home) as made:
+        yield made

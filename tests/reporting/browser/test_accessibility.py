@@ -25,7 +25,6 @@ from study.reporting.output.analysis_page import surface_data
 from tests.cli.small import PROBLEM
 from tests.cli.test_labels_and_numbers import table as mixed_table
 from tests.cli.test_require import PLATES
-from tests.pages import served
 from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
 from tests.tracker_accuracy.test_tracking import distance_study
 

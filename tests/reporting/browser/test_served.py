@@ -13,7 +13,6 @@ from study import api
 from study.api.serving import StudyServer
 from study.harness.record.store import Store
 from tests.cli.small import DESIGN, write_files
-from tests.pages import served
 from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
 from tests.waiting import CAP_S
 
