@@ -1,15 +1,11 @@
 """What every test shares: one thread a process, and the place of the shared measurements."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -40,13 +36,13 @@ settings.register_profile("few", deadline=None, derandomize=True, max_examples=2
 settings.register_profile("many", deadline=None, derandomize=True, max_examples=200)
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     """Try many examples in the long verification, and few in the suite."""
     settings.load_profile("many" if is_verification(config) else "few")
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config, items):
     """Let every test by examples belong to the long verification too."""
     if is_verification(config):
         for item in items:
@@ -54,7 +50,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.verify)
 
 
-def is_verification(config: pytest.Config) -> bool:
+def is_verification(config):
     """Whether this is ``make verify``."""
     return config.getoption("markexpr") == "verify"
 
@@ -64,7 +60,7 @@ PAGES = ROOT / "tests" / "reporting"
 
 
 @pytest.fixture(scope="session")
-def data_dir() -> Path:
+def data_dir():
     """Folder of the shared measurements: ``STUDY_DATA`` if set, else ``../shared/data``."""
     folder = Path(os.environ.get("STUDY_DATA") or ROOT.parent / "shared" / "data").resolve()
     if not folder.is_dir():
@@ -73,7 +69,7 @@ def data_dir() -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _solutions_of_this_test_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def _solutions_of_this_test_alone(monkeypatch):
     """Let no test see what another one solved, perhaps by a solver that it put in place of ours."""
     if fit_task := sys.modules.get("study.harness.runner.fit_task"):
         monkeypatch.setattr(fit_task, "_unit_solutions", {})
@@ -81,7 +77,7 @@ def _solutions_of_this_test_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _nothing_flushed() -> Iterator[None]:
+def _nothing_flushed():
     """Leave files to the cache of the system: what a test writes need outlive no power failure.
 
     A small study flushes 64 times. What a failure at each operation of the disk leaves behind is
@@ -93,7 +89,7 @@ def _nothing_flushed() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _tasks_in_this_process() -> Iterator[None]:
+def _tasks_in_this_process():
     """Do what a study computes here: a process takes a second to start, and gives the same numbers.
 
     What has a limit of time still gets processes, and so does what tests ask :func:`processes` for.
@@ -103,12 +99,12 @@ def _tasks_in_this_process() -> Iterator[None]:
 
     in_processes = Loky.run
 
-    def run(self: Loky, tasks: Any, finished: Any = None) -> Any:
+    def run(self, tasks, finished=None):
         perform = self.perform
         if _apart or self.limit_s is not None or not perform.__module__.startswith("study."):
             return in_processes(self, tasks, finished)
 
-        def quietly(task: Any) -> Any:
+        def quietly(task):
             with warnings.catch_warnings():  # a worker process shows its warnings to nobody
                 warnings.simplefilter("ignore")
                 return perform(task)
@@ -125,14 +121,14 @@ _looked_at = False
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
+def pytest_runtest_setup(item):
     """Write drawings for the tests of pages and for those that are marked, fixtures included."""
     global _looked_at
     _looked_at = item.path.is_relative_to(PAGES) or item.get_closest_marker("drawings") is not None
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _drawings_without_ink() -> Iterator[None]:
+def _drawings_without_ink():
     """Build every figure, and leave its file empty, for writing it is a third of a small report.
 
     What fails while a figure is built still fails; what is written is the business of
@@ -142,7 +138,7 @@ def _drawings_without_ink() -> Iterator[None]:
 
     whole = FigureCanvasSVG.print_svg
 
-    def print_svg(sheet: FigureCanvasSVG, target: Any, **more: Any) -> None:
+    def print_svg(sheet, target, **more):
         if _looked_at or not isinstance(target, io.StringIO):
             whole(sheet, target, **more)
         else:
@@ -154,7 +150,7 @@ def _drawings_without_ink() -> Iterator[None]:
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def undrawn(monkeypatch):
     """Pages without their drawings, for tests of their numbers: a drawing takes up to a second."""
     from study.api import calibrating
     from study.reporting.figures import axes, mesh_figures
@@ -164,11 +160,11 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 #: one entry while a test that asked for processes runs
-_apart: list[bool] = []
+_apart = []
 
 
 @pytest.fixture
-def processes() -> Iterator[None]:
+def processes():
     """Processes for the tasks of a study, as users have them."""
     _apart.append(True)
     yield

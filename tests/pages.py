@@ -1,25 +1,21 @@
 """Pages for tests: the text of a report, on whichever page, and a server of a folder."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from study.api.serving import StudyServer
+    pass
 
 
-def both_pages(report: Path) -> str:
+def both_pages(report):
     """Text of the first page of a report and of the second."""
     second = report.with_stem(f"{report.stem}-details")
     return report.read_text(encoding="utf-8") + second.read_text(encoding="utf-8")
 
 
 @contextmanager
-def served(home: Path) -> Iterator[StudyServer]:
+def served(home):
     """Server of the results and reports of a folder."""
     from study.api.serving import Folders, StudyServer
 

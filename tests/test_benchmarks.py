@@ -1,7 +1,5 @@
 """The benchmark's own parts: no peer is needed, and nothing is timed."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
@@ -20,7 +18,7 @@ from benchmarks.peers import NAMES
 TETRAHEDRON = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
 
-def small(space: str) -> Task:
+def small(space):
     return Case("small", "", space, 10.0, 1.0, 2).task()
 
 
@@ -73,7 +71,7 @@ def test_a_crash_and_a_hang_end_neither_the_bench_nor_its_other_rows():
     assert launch.waited(hang, dict(os.environ), 0.2) == "stopped after 0 s"
 
 
-def found(seconds: float, force: float = 2.0) -> dict:
+def found(seconds, force=2.0):
     return {
         "unknowns": 10, "iterations": 3, "force_N": force, "peak_MB": 1024.0,
         "seconds": [seconds, 9.0, seconds], "cpu_s": [2.0], "solver": "LU", "parts_s": {},

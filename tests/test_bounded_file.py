@@ -1,14 +1,11 @@
 """The reader of files: what it refuses, within how many bytes, and how it says so."""
 
-from __future__ import annotations
-
 import gzip
 import lzma
 import os
 import resource
 import socket
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,7 +14,7 @@ from study.ground import bounded_file
 from study.ground.bounded_file import NotRegularError, UnreadableError
 
 
-def special(kind: str, folder: Path) -> Path:
+def special(kind, folder):
     path = folder / "study.json"
     if kind == "pipe":
         os.mkfifo(path)
@@ -36,32 +33,32 @@ def special(kind: str, folder: Path) -> Path:
     ("kind", "said"),
     [("pipe", "a pipe"), ("folder", "a folder"), ("endless device", "a device")],
 )
-def test_what_is_no_file_is_refused_at_once(tmp_path: Path, kind: str, said: str) -> None:
+def test_what_is_no_file_is_refused_at_once(tmp_path, kind, said):
     path = special(kind, tmp_path)
     with pytest.raises(NotRegularError, match=f"is no file but {said}"):
         bounded_file.read_regular(path)
 
 
-def test_a_socket_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_socket_is_no_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UnreadableError, match="cannot be read"):
         bounded_file.read_regular(special("socket", tmp_path))
 
 
-def test_a_missing_file_is_none_or_said(tmp_path: Path) -> None:
+def test_a_missing_file_is_none_or_said(tmp_path):
     assert bounded_file.read_regular(tmp_path / "none") is None
     with pytest.raises(UnreadableError, match="there is no such file"):
         bounded_file.read_existing(tmp_path / "none")
 
 
 @pytest.mark.parametrize("name", ["a\0b", "a" * 300, "\udcff\0"])
-def test_a_name_that_no_file_has_is_said(tmp_path: Path, name: str) -> None:
+def test_a_name_that_no_file_has_is_said(tmp_path, name):
     with pytest.raises(UnreadableError, match="cannot be read") as caught:
         bounded_file.read_regular(tmp_path / name)
     assert str(caught.value).isprintable()
 
 
-def test_a_link_is_followed_only_where_that_is_meant(tmp_path: Path) -> None:
+def test_a_link_is_followed_only_where_that_is_meant(tmp_path):
     (tmp_path / "file").write_bytes(b"data")
     (tmp_path / "link").symlink_to("file")
     assert bounded_file.read_regular(tmp_path / "link") == b"data"
@@ -69,7 +66,7 @@ def test_a_link_is_followed_only_where_that_is_meant(tmp_path: Path) -> None:
         bounded_file.read_regular(tmp_path / "link", follow=False)
 
 
-def test_bytes_are_limited(tmp_path: Path) -> None:
+def test_bytes_are_limited(tmp_path):
     path = tmp_path / "file"
     path.write_bytes(bytes(1000))
     assert bounded_file.read_regular(path, 1000) == bytes(1000)
@@ -78,7 +75,7 @@ def test_bytes_are_limited(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="needs /proc")
-def test_a_file_that_hides_its_size_is_limited_all_the_same() -> None:
+def test_a_file_that_hides_its_size_is_limited_all_the_same():
     assert os.stat("/proc/self/status").st_size == 0
     with pytest.raises(NotRegularError, match="holds more than 10 bytes"):
         bounded_file.read_regular("/proc/self/status", 10)
@@ -87,7 +84,7 @@ def test_a_file_that_hides_its_size_is_limited_all_the_same() -> None:
     assert len(whole) > 500
 
 
-def test_a_packed_file_is_unpacked_up_to_its_limit() -> None:
+def test_a_packed_file_is_unpacked_up_to_its_limit():
     text = b"line\n" * 1000
     assert bounded_file.unzip(gzip.compress(text) + gzip.compress(b"end"), "f") == text + b"end"
     assert bounded_file.unzip(gzip.compress(text), "f", 5000) == text
@@ -95,7 +92,7 @@ def test_a_packed_file_is_unpacked_up_to_its_limit() -> None:
         bounded_file.unzip(gzip.compress(text), "f", 4999)
 
 
-def test_a_packed_bomb_takes_no_more_than_the_limit() -> None:
+def test_a_packed_bomb_takes_no_more_than_the_limit():
     packer = zlib.compressobj(1, wbits=31)
     zeros = bytes(1 << 24)
     bomb = b"".join(packer.compress(zeros) for _ in range(24)) + packer.flush()
@@ -116,7 +113,7 @@ def test_a_packed_bomb_takes_no_more_than_the_limit() -> None:
         lambda raw: b"text",
     ],
 )
-def test_a_damaged_packed_file_is_said_to_be_broken(damage) -> None:
+def test_a_damaged_packed_file_is_said_to_be_broken(damage):
     raw = gzip.compress(os.urandom(2000))
     with pytest.raises(UnreadableError, match="f: is a broken gzip file"):
         bounded_file.unzip(damage(raw), "f")
@@ -125,12 +122,12 @@ def test_a_damaged_packed_file_is_said_to_be_broken(damage) -> None:
 @pytest.mark.parametrize(
     "text", ["[" * 100_000, '{"a":' * 100_000, "[" * 250 + "]" * 250, "", "{", "NaN", b"\xff"]
 )
-def test_json_that_is_none_or_too_deep_is_said(text: str | bytes) -> None:
+def test_json_that_is_none_or_too_deep_is_said(text):
     with pytest.raises(UnreadableError, match="f: is not valid JSON"):
         bounded_file.parse_json(text, "f")
 
 
-def test_a_file_is_hashed_without_being_held(tmp_path: Path) -> None:
+def test_a_file_is_hashed_without_being_held(tmp_path):
     (tmp_path / "file").write_bytes(b"abc")
     found = bounded_file.sha256_of(tmp_path / "file")
     assert found == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
@@ -141,7 +138,7 @@ def test_a_file_is_hashed_without_being_held(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("packed", [zlib.compress, lzma.compress])
-def test_parts_that_others_unpack_are_limited_together(packed: Callable[[bytes], bytes]) -> None:
+def test_parts_that_others_unpack_are_limited_together(packed):
     unpacker = bounded_file.Unpacker("f", 1000)
     assert unpacker.decompress(packed(bytes(600))) == bytes(600)
     with pytest.raises(NotRegularError, match="f: unpacked, holds more than 1000 bytes"):

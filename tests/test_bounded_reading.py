@@ -1,7 +1,5 @@
 """Whatever is read from a file goes through ``bounded_file``; who does not says why."""
 
-from __future__ import annotations
-
 import ast
 from functools import cache
 from pathlib import Path
@@ -68,7 +66,7 @@ EXCEPTIONS = {
 }
 
 
-def calls_of(tree: ast.Module) -> set[str]:
+def calls_of(tree):
     """Names of the calls that open a file for reading, or parse what was read."""
     calls = set()
     for node in ast.walk(tree):
@@ -91,7 +89,7 @@ def calls_of(tree: ast.Module) -> set[str]:
     return calls
 
 
-def _writes(call: ast.Call) -> bool:
+def _writes(call):
     """Whether a call opens a file to write it anew: nothing that is there is read."""
     if (
         isinstance(call.func, ast.Name)
@@ -109,16 +107,16 @@ def _writes(call: ast.Call) -> bool:
 
 
 @cache
-def found(root: Path) -> set[tuple[str, str]]:
+def found(root):
     return {(path.as_posix(), call) for path, tree in trees(root) for call in calls_of(tree)
             if path.as_posix() != READER}  # fmt: skip
 
 
-def test_files_are_read_by_one_function() -> None:
+def test_files_are_read_by_one_function():
     assert found(ROOT) - set(EXCEPTIONS) == set()
 
 
-def test_no_exception_stands_for_nothing() -> None:
+def test_no_exception_stands_for_nothing():
     assert set(EXCEPTIONS) - found(ROOT) == set()
     assert len(EXCEPTIONS) <= 25  # may only fall
 
@@ -137,5 +135,5 @@ WRITES = (
 
 
 @pytest.mark.parametrize("code", [*READS, *WRITES])
-def test_the_search_sees_a_reader_and_lets_a_writer_pass(code: str) -> None:
+def test_the_search_sees_a_reader_and_lets_a_writer_pass(code):
     assert bool(calls_of(ast.parse(code))) == (code in READS)

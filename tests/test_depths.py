@@ -1,25 +1,19 @@
 """Effects over less of the test: the curves are kept, so no simulation is needed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import study
-from study.ground.curve import Curve
 from study.harness.runner.record_analysis import effects_by_depth, effects_of_records
-from study.reporting.results.study_result import StudyResult
-from study.statistics.analysis.anova_table import DepthEffect, Effect
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from tests.cli.small import DESIGN, write_files
 from tests.reporting.example import build
 
 
 @pytest.fixture(scope="module")
-def outcome(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
+def outcome(tmp_path_factory):
     home = tmp_path_factory.mktemp("depths")
     write_files(home)
     text = DESIGN.replace('range = ["small", "large"]\n', "")
@@ -31,11 +25,11 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     )
 
 
-def depths_of(study: StudyResult) -> tuple[DepthEffect, ...]:
+def depths_of(study):
     return effects_by_depth(study.design, study.records, study.numerical)
 
 
-def error(measured: Curve, predicted: Curve, depth_mm: float) -> float:
+def error(measured, predicted, depth_mm):
     d = measured.displacement_mm
     inside = d <= depth_mm * (1 + 1e-9)
     force = measured.force_N[inside]
@@ -43,7 +37,7 @@ def error(measured: Curve, predicted: Curve, depth_mm: float) -> float:
     return float(100 * np.sqrt(np.mean(apart**2) / np.mean(force**2)))
 
 
-def test_whole_depth_is_the_study_itself(outcome: StudyResult) -> None:
+def test_whole_depth_is_the_study_itself(outcome):
     (own,) = [v for v in outcome.verdicts if v["factor"] == "material"]
     row = depths_of(outcome)[-1]
     assert row.effect.term == "material"
@@ -51,7 +45,7 @@ def test_whole_depth_is_the_study_itself(outcome: StudyResult) -> None:
     assert row.effect.range == pytest.approx(own["effect"], rel=1e-12)
 
 
-def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
+def test_half_the_depth_scores_half_the_curve(outcome):
     (row,) = [r for r in depths_of(outcome) if r.depth_mm == pytest.approx(3.0)]
     means = {
         level: np.mean(
@@ -69,7 +63,7 @@ def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
 
 
 @pytest.mark.drawings
-def test_the_page_draws_it(outcome: StudyResult) -> None:
+def test_the_page_draws_it(outcome):
     from study.api.assemble import report_data
 
     data = replace(report_data(outcome, {}), depths=depths_of(outcome))
@@ -80,17 +74,15 @@ def test_the_page_draws_it(outcome: StudyResult) -> None:
     assert "A second look" not in build(replace(data, depths=()))
 
 
-def test_verdicts_are_held_against_the_numerical_uncertainty(
-    outcome: StudyResult, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_verdicts_are_held_against_the_numerical_uncertainty(outcome, monkeypatch):
     (response,) = outcome.design.responses
     rough = NumericalUncertainty({}, response.name, 10.0, 50.0, "%", "two meshes", "a rough mesh",
                       mesh_size=(2.0, 1.0), series=(10.0, 60.0))  # fmt: skip
     problem = type(outcome.design.treatments[0].cell.problem)
     monkeypatch.setattr(problem, "is_homogeneous", False)
-    found: list[float | None] = []
+    found = []
 
-    def noted(*given: Any) -> tuple[Effect, ...]:
+    def noted(*given):
         effects = effects_of_records(*given)
         found.extend(e.u_num for e in effects if e.is_main)
         return effects

@@ -40,7 +40,7 @@ def test_the_source_distribution_holds_every_file_of_the_repository(tmp_path):
     assert {name for name in kept if (ROOT / name).is_file()} - held == set()
 
 
-def canonical(name: str) -> str:
+def canonical(name):
     return re.sub(r"[-_.]+", "-", name).lower()
 
 

@@ -4,13 +4,10 @@ A gate that nobody has seen fail may check nothing. The copy has the rooms of th
 with empty modules, and the project's own pyproject.toml.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Collection
 from pathlib import Path
 
 import pytest
@@ -23,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture
-def house(tmp_path: Path) -> Path:
+def house(tmp_path):
     """Copy of the project with a room and no content."""
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     (tmp_path / "study").mkdir()
@@ -33,7 +30,7 @@ def house(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def furnished(tmp_path: Path) -> Path:
+def furnished(tmp_path):
     """Copy of the project with everything in it."""
     for name in ("pyproject.toml", "study", "docs"):
         source = ROOT / name
@@ -45,7 +42,7 @@ def furnished(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def gate(house: Path, *command: str) -> subprocess.CompletedProcess[str]:
+def gate(house, *command):
     """Run a gate in the copy, with the tools of this environment."""
     tool = Path(sys.executable).parent / command[0]
     environment = {**os.environ, "PYTHONPATH": str(house), "NO_COLOR": "1"}
@@ -68,7 +65,7 @@ TESTS = ("python", "-m", "pytest", "-q", "-p", "no:cacheprovider")
 
 
 @pytest.mark.parametrize("command", [STYLE, FORMAT, TYPES], ids=lambda c: " ".join(c[:2]))
-def test_a_gate_lets_the_clean_house_pass(house: Path, command: tuple[str, ...]) -> None:
+def test_a_gate_lets_the_clean_house_pass(house, command):
     run = gate(house, *command)
     assert run.returncode == 0, run.stdout + run.stderr
 
@@ -89,21 +86,21 @@ def test_a_gate_lets_the_clean_house_pass(house: Path, command: tuple[str, ...])
         ),
     ],
 )
-def test_style_sees(house: Path, code: str, rule: str) -> None:
+def test_style_sees(house, code, rule):
     (house / "study" / "breach.py").write_text('"""A breach."""\n\n' + code)
     run = gate(house, *STYLE)
     assert run.returncode == 1
     assert rule in run.stdout
 
 
-def test_format_sees_single_quotes(house: Path) -> None:
+def test_format_sees_single_quotes(house):
     (house / "study" / "breach.py").write_text("name = 'cone'\n")
     run = gate(house, *FORMAT)
     assert run.returncode == 1
     assert "breach.py" in run.stdout
 
 
-def test_types_sees_a_missing_and_a_wrong_type(house: Path) -> None:
+def test_types_sees_a_missing_and_a_wrong_type(house):
     (house / "study" / "breach.py").write_text(
         "def area(radius):\n    return radius\n\n\nwidth: float = 'wide'\n"
     )
@@ -165,7 +162,7 @@ BREACHES = [
 
 
 @pytest.mark.parametrize("breaches", [BREACHES[0::2], BREACHES[1::2]])
-def test_layers_sees_every_breach(furnished: Path, breaches: list[tuple[str, str, str]]) -> None:
+def test_layers_sees_every_breach(furnished, breaches):
     """Half of them are planted into one copy, to save time; each is named below its contract."""
     for number, (module, imported, _) in enumerate(breaches):
         # inside a function, because that is where an import of a heavy package stands
@@ -181,7 +178,7 @@ def test_layers_sees_every_breach(furnished: Path, breaches: list[tuple[str, str
         assert name.replace("/", ".") in below.partition("\n---")[0], (module, contract)
 
 
-def test_layers_sees_an_exception_that_nobody_needs(furnished: Path) -> None:
+def test_layers_sees_an_exception_that_nobody_needs(furnished):
     text = (furnished / "pyproject.toml").read_text()
     stale = '"study.ground.compilation -> numba", "study.ground.units -> numba"'
     (furnished / "pyproject.toml").write_text(
@@ -192,7 +189,7 @@ def test_layers_sees_an_exception_that_nobody_needs(furnished: Path) -> None:
     assert "study.ground.units -> numba" in run.stdout + run.stderr
 
 
-def test_generated_sees_an_edited_coefficient(furnished: Path) -> None:
+def test_generated_sees_an_edited_coefficient(furnished):
     shutil.copytree(ROOT / "scripts", furnished / "scripts")
     assert gate(furnished, *GENERATED).returncode == 0
     kernels = furnished / "study" / "mechanics" / "element" / "element_stiffness.py"
@@ -208,7 +205,7 @@ def test_generated_sees_an_edited_coefficient(furnished: Path) -> None:
     assert kernels.read_text(encoding="utf-8") == edited
 
 
-def plant(root: Path, module: str, code: str) -> None:
+def plant(root, module, code):
     """Add code to a module of a copy, or make the module."""
     path = root / "study" / module
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -216,7 +213,7 @@ def plant(root: Path, module: str, code: str) -> None:
         file.write(code)
 
 
-def test_rules_see_a_declared_package_that_nobody_imports(furnished: Path) -> None:
+def test_rules_see_a_declared_package_that_nobody_imports(furnished):
     for path in (furnished / "study").rglob("*.py"):
         path.write_text(path.read_text().replace("import seaborn", "import this"))
     assert rules.unused_dependencies(furnished) == {"seaborn"}
@@ -236,22 +233,20 @@ def test_rules_see_a_declared_package_that_nobody_imports(furnished: Path) -> No
          "study/ground/units.py"),
     ],
 )  # fmt: skip
-def test_rules_see_a_breach_in_a_furnished_house(
-    furnished: Path, rule: Callable[[Path], Collection[str]], module: str, code: str, breach: str
-) -> None:
+def test_rules_see_a_breach_in_a_furnished_house(furnished, rule, module, code, breach):
     plant(furnished, f"{module}.py", f"\n\n{code}\n")
     line = len((furnished / "study" / f"{module}.py").read_text().splitlines())
     found = [name.replace("(_A, _B)", "_A, _B") for name in rule(furnished)]
     assert found == [breach.format(line=line)]
 
 
-def test_rules_see_an_untyped_value(furnished: Path) -> None:
+def test_rules_see_an_untyped_value(furnished):
     before = rules.untyped(furnished)
     plant(furnished, "ground/units.py", "\nx: Any = 1\n")
     assert rules.untyped(furnished) == before + 1
 
 
-def test_rules_see_a_name_that_hides_untyped_values(house: Path) -> None:
+def test_rules_see_a_name_that_hides_untyped_values(house):
     plant(house, "ground/units.py", "Tables = dict[str, Any]\nFree: TypeAlias = Any\n")
     assert rules.untyped_aliases(house) == [
         "study/ground/units.py: Tables",
@@ -259,7 +254,7 @@ def test_rules_see_a_name_that_hides_untyped_values(house: Path) -> None:
     ]
 
 
-def test_rules_see_a_class_of_many_fields(house: Path) -> None:
+def test_rules_see_a_class_of_many_fields(house):
     fields = "".join(f"    x{k}: int\n" for k in range(rules.MOST_FIELDS))
     plant(house, "ground/units.py", f"@dataclass(frozen=True)\nclass Wide:\n{fields}")
     assert rules.wide_classes(house) == {}
@@ -270,7 +265,7 @@ def test_rules_see_a_class_of_many_fields(house: Path) -> None:
 @pytest.mark.parametrize(
     "line", ["import scipy.stats", "from scipy import stats", "from scipy.stats import t"]
 )
-def test_rules_see_statistics_outside_their_rooms(house: Path, line: str) -> None:
+def test_rules_see_statistics_outside_their_rooms(house, line):
     plant(house, "ground/units.py", f"from scipy.stats import qmc\n\n\ndef late():\n    {line}\n")
     assert rules.stray_statistics(house) == [f"study/ground/units.py:5: {line}"]
 
@@ -278,15 +273,13 @@ def test_rules_see_statistics_outside_their_rooms(house: Path, line: str) -> Non
 @pytest.mark.parametrize(
     ("taken", "place"), [("from scipy import optimize", ""), ("import scipy", "scipy.")]
 )
-def test_rules_see_a_search_that_nobody_asks_how_it_ended(
-    house: Path, taken: str, place: str
-) -> None:
+def test_rules_see_a_search_that_nobody_asks_how_it_ended(house, taken, place):
     code = f"def lowest(f):\n    return {place}optimize.minimize(f, 0.0).x\n"
     plant(house, "ground/units.py", f"{taken}\n\n\n{code}")
     assert rules.unread_searches(house) == ["study/ground/units.py: lowest"]
 
 
-def test_rules_see_a_small_helper_with_one_caller(house: Path) -> None:
+def test_rules_see_a_small_helper_with_one_caller(house):
     helper = '\n\ndef _half(x):\n    """Half."""\n    return x / 2\n'
     caller = "\n\ndef quarter(x):\n    return _half(x) / 2\n"
     plant(house, "ground/units.py", helper + caller)
@@ -300,7 +293,7 @@ def test_rules_see_a_small_helper_with_one_caller(house: Path) -> None:
     assert rules.small_helpers(house) == []
 
 
-def test_rules_see_a_docstring_longer_than_its_function(house: Path) -> None:
+def test_rules_see_a_docstring_longer_than_its_function(house):
     long = '\n\ndef {}(x):\n    """Give x.\n\n    As it is.\n    """\n    return x\n'
     plant(house, "ground/units.py", long.format("same") + "\n\ndef short(x):\n    return x\n")
     plant(house, "__init__.py", '\n_PUBLIC = ("solve",)\n')
@@ -308,7 +301,7 @@ def test_rules_see_a_docstring_longer_than_its_function(house: Path) -> None:
     assert rules.long_docstrings(house) == ["study/ground/units.py: same"]
 
 
-def test_rules_see_deep_empty_and_namesake_modules_and_classes(house: Path) -> None:
+def test_rules_see_deep_empty_and_namesake_modules_and_classes(house):
     for folder in ("fem", "fem/mesh", "fem/mesh/size", "api"):
         (house / "study" / folder).mkdir()
         plant(house, f"{folder}/__init__.py", '"""A package."""\n')
@@ -322,7 +315,7 @@ def test_rules_see_deep_empty_and_namesake_modules_and_classes(house: Path) -> N
     assert len(rules.shared_class_names(house)["Response"]) == 3
 
 
-def test_rules_see_a_name_that_nobody_uses(house: Path) -> None:
+def test_rules_see_a_name_that_nobody_uses(house):
     plant(
         house,
         "ground/units.py",
@@ -332,28 +325,28 @@ def test_rules_see_a_name_that_nobody_uses(house: Path) -> None:
     assert rules.unused(house) == ["lonely"]
 
 
-def test_rules_see_a_test_below_a_door(house: Path) -> None:
+def test_rules_see_a_test_below_a_door(house):
     (house / "tests" / "test_a.py").write_text("from study.mechanics.mesh import mesher\n")
     (house / "tests" / "test_b.py").write_text("import study\nfrom study.api import run\n")
     assert rules.tests_below_a_door(house) == ["tests/test_a.py"]
 
 
-def test_rules_see_a_public_function_without_a_word() -> None:
+def test_rules_see_a_public_function_without_a_word():
     """A name that numpydoc finds fault with, and a class that is gone."""
     errors = dict(validate(f"{__name__}.unexplained")["errors"])
     assert {"PR01", "RT01"} <= set(errors)
 
 
-def unexplained(steps: int) -> int:
+def unexplained(steps):
     """Count."""
     return steps
 
 
-def test_rules_see_an_extension_point_that_is_gone(house: Path) -> None:
+def test_rules_see_an_extension_point_that_is_gone(house):
     assert "Energy: no class has this name" in rules.poorly_explained(house)
 
 
-def test_the_ledger_counts_every_line_once() -> None:
+def test_the_ledger_counts_every_line_once():
     head = '"""Head.\n\nMore.\n"""\n\n# why\n'
     value = 'X = """\n\n# no comment\n"""\n\n\n'
     text = head + value + 'def f():\n    """Say."""\n    return X  # here\n'
@@ -362,9 +355,7 @@ def test_the_ledger_counts_every_line_once() -> None:
     assert counts.all == len(text.splitlines())
 
 
-def test_the_ledger_sees_a_room_that_grows_and_writes_it_down(
-    house: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_ledger_sees_a_room_that_grows_and_writes_it_down(house, capsys):
     plant(house, "mechanics/solver/mesh.py", "x = 1\n")
     assert ledger.main(["--write"], root=house) == 0
     assert ledger.main(["--check"], root=house) == 0
@@ -380,7 +371,7 @@ def test_the_ledger_sees_a_room_that_grows_and_writes_it_down(
     assert ledger.main(["--check"], root=house) == 0
 
 
-def test_a_warning_fails_a_test(house: Path) -> None:
+def test_a_warning_fails_a_test(house):
     (house / "tests" / "test_breach.py").write_text(
         "import warnings\n\n\ndef test_warns():\n    warnings.warn('careful', stacklevel=1)\n"
     )
@@ -389,14 +380,14 @@ def test_a_warning_fails_a_test(house: Path) -> None:
     assert "UserWarning: careful" in run.stdout
 
 
-def test_doctests_of_the_package_are_run(house: Path) -> None:
+def test_doctests_of_the_package_are_run(house):
     (house / "study" / "breach.py").write_text('"""A breach.\n\n>>> 1 + 1\n3\n"""\n')
     run = gate(house, *TESTS, "study")
     assert run.returncode == 1
     assert "study.breach" in run.stdout
 
 
-def test_slow_tests_are_left_out_unless_asked_for(house: Path) -> None:
+def test_slow_tests_are_left_out_unless_asked_for(house):
     (house / "tests" / "test_breach.py").write_text(
         "import pytest\n\n\n@pytest.mark.slow\n@pytest.mark.verify\n"
         "def test_long():\n    raise RuntimeError\n\n\ndef test_short():\n    pass\n"
@@ -408,7 +399,7 @@ def test_slow_tests_are_left_out_unless_asked_for(house: Path) -> None:
 @pytest.mark.parametrize(
     "broken", [None, "test", "lint", "format-check", "types", "layers", "generated"]
 )
-def test_ci_names_the_gate_that_failed(tmp_path: Path, broken: str | None) -> None:
+def test_ci_names_the_gate_that_failed(tmp_path, broken):
     (tmp_path / ".ci").mkdir()
     shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci")
     tools = tmp_path / "bin"

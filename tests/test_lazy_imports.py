@@ -1,7 +1,5 @@
 """``study --help`` and ``import study`` load nothing that costs time."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -16,7 +14,7 @@ HEAVY = (
 
 
 @pytest.mark.parametrize("module", ["study", "study.cli"])
-def test_import_is_light(module: str) -> None:
+def test_import_is_light(module):
     code = f"import sys, {module}; print(*sorted(set({HEAVY.split()!r}) & set(sys.modules)))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
@@ -27,7 +25,7 @@ def test_import_is_light(module: str) -> None:
 LATE = ("scipy.stats", "scipy.optimize", "scipy.spatial", "statsmodels", "matplotlib", "gmsh")
 
 
-def test_verbs_that_need_no_distribution_load_none() -> None:
+def test_verbs_that_need_no_distribution_load_none():
     code = f"""
 import sys
 from study.cli.app import run

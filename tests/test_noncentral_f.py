@@ -1,7 +1,5 @@
 """The upper tail of the noncentral F, against the mixture that defines it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import beta, poisson
@@ -21,9 +19,7 @@ NUMBERS = [
 
 
 @pytest.mark.parametrize(("df1", "df2", "noncentrality", "f"), NUMBERS)
-def test_the_upper_tail_is_that_of_the_mixture(
-    df1: int, df2: int, noncentrality: float, f: float
-) -> None:
+def test_the_upper_tail_is_that_of_the_mixture(df1, df2, noncentrality, f):
     j = np.arange(10_000)
     terms = beta.sf(df1 * f / (df1 * f + df2), df1 / 2 + j, df2 / 2)
     expected = float(poisson.pmf(j, noncentrality / 2) @ terms)
@@ -31,7 +27,7 @@ def test_the_upper_tail_is_that_of_the_mixture(
 
 
 @pytest.mark.parametrize("noncentrality", [1e7, 9.9e8, 1.1e9, 1e12, 1e20])
-def test_a_huge_noncentrality_leaves_the_denominator_alone(noncentrality: float) -> None:
+def test_a_huge_noncentrality_leaves_the_denominator_alone(noncentrality):
     """With two degrees of freedom the denominator is exponential: P(F > f) = 1 - exp(-lambda/f)."""
     for ratio in (0.1, 1.0, 3.0):
         p = noncentral_f_sf(1, 2, noncentrality, noncentrality / ratio)
@@ -39,7 +35,7 @@ def test_a_huge_noncentrality_leaves_the_denominator_alone(noncentrality: float)
 
 
 @pytest.mark.parametrize("n", [10, 2500, 1_000_000])
-def test_every_difference_has_a_power(n: int) -> None:
+def test_every_difference_has_a_power(n):
     powers = [power_of(n * d**2 / 2, (1, n - 1), 0.05) for d in np.geomspace(1e-6, 1e3, 400)]
     assert np.isfinite(powers).all()
     assert (np.diff(powers) > -1e-9).all()

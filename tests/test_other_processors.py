@@ -1,7 +1,5 @@
 """The script that runs tests as other processors would: what it reads, compares and hides."""
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import subprocess
@@ -28,7 +26,7 @@ REPORT = """<?xml version="1.0"?><testsuites><testsuite>
 </testsuite></testsuites>"""
 
 
-def test_tests_that_end_otherwise_are_listed() -> None:
+def test_tests_that_end_otherwise_are_listed():
     ends = script.outcomes(REPORT)
     assert ends == {
         "tests.a::test_x": "passed", "tests.a::test_y": "failed", "tests.a::test_z": "skipped",
@@ -41,16 +39,14 @@ def test_tests_that_end_otherwise_are_listed() -> None:
     assert script.differences(ends, ends) == []
 
 
-def test_every_setting_reaches_what_it_is_about(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_setting_reaches_what_it_is_about(tmp_path, monkeypatch):
     for variable in VARIABLES:  # the test stands where the sweep itself runs it
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setattr(script, "FOLDER", tmp_path)
     settings = {**script.SETTINGS, "superlu": {"PYTHONPATH": str(tmp_path / "without-pardiso")}}
     monkeypatch.setattr(script, "SETTINGS", settings)
 
-    def printed(setting: str, code: str) -> str:
+    def printed(setting, code):
         command = [sys.executable, "-c", code]
         surroundings = script.environment(setting)
         done = subprocess.run(
@@ -74,7 +70,7 @@ def test_every_setting_reaches_what_it_is_about(
     assert printed(script.USUAL, f"{code[:-1]}[:2])") == "None None"
 
 
-def test_settings_of_one_library_are_not_joined() -> None:
+def test_settings_of_one_library_are_not_joined():
     assert script.settings_of("superlu+mkl-compatible") == "superlu+mkl-compatible"
     with pytest.raises(argparse.ArgumentTypeError, match="the same variable"):
         script.settings_of("openblas-haswell+openblas-prescott")
@@ -82,7 +78,7 @@ def test_settings_of_one_library_are_not_joined() -> None:
         script.settings_of("openblas-haswell+atlas")
 
 
-def test_what_fails_is_selected_for_the_usual_run() -> None:
+def test_what_fails_is_selected_for_the_usual_run():
     name = "tests.test_other_processors::test_what_fails_is_selected_for_the_usual_run"
     here = "tests/test_other_processors.py"
     assert script.selectors([name, f"{name}[a::b]", "tests.test_units.TestX::test_y"]) == [

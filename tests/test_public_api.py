@@ -1,7 +1,5 @@
 """The public names are a contract: this test changes only when the contract does."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import tomllib
 from pathlib import Path
@@ -42,15 +40,15 @@ PUBLIC = {
 }
 
 
-def test_public_names_are_these() -> None:
+def test_public_names_are_these():
     assert set(study.__all__) == PUBLIC | {"__version__"}
 
 
-def test_unknown_name_is_an_attribute_error() -> None:
+def test_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="analyse"):
         _ = study.analyse
 
 
-def test_version_is_the_same_everywhere() -> None:
+def test_version_is_the_same_everywhere():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert study.__version__ == project["version"] == importlib.metadata.version("study")

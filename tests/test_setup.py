@@ -1,7 +1,5 @@
 """Set-up on a machine that lacks something: the message names the command that mends it."""
 
-from __future__ import annotations
-
 import os
 import re
 import runpy
@@ -9,7 +7,6 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 
@@ -29,14 +26,14 @@ LINKED = (
 COMMAND = "sudo apt-get update && sudo apt-get install -y --no-install-recommends libglu1-mesa"
 
 
-def test_message_names_the_command_and_every_library() -> None:
+def test_message_names_the_command_and_every_library():
     text = libraries["message"](MISSING)
     assert "libGLU.so.1" in text
     assert COMMAND in text
     assert set(text.split()) >= set(LINKED.split())
 
 
-def test_message_for_a_missing_wheel_does_not_speak_of_libraries() -> None:
+def test_message_for_a_missing_wheel_does_not_speak_of_libraries():
     text = libraries["message"]("ModuleNotFoundError: No module named 'gmsh'")
     assert "make setup" in text
     assert "apt-get" not in text
@@ -52,11 +49,8 @@ def test_message_for_a_missing_wheel_does_not_speak_of_libraries() -> None:
     ],
 )
 def test_what_is_missing_is_installed_with_rights_or_its_command_is_printed(
-    capsys: pytest.CaptureFixture[str],
-    answers: list[str | None],
-    mend: Callable[[], bool] | None,
-    code: int,
-) -> None:
+    capsys, answers, mend, code
+):
     left = iter(answers)
     found = libraries["main"](
         check=lambda: next(left),
@@ -67,10 +61,10 @@ def test_what_is_missing_is_installed_with_rights_or_its_command_is_printed(
     assert (COMMAND in capsys.readouterr().err) is (code == 1)
 
 
-def test_install_goes_on_after_an_update_that_failed() -> None:
-    calls: list[list[str]] = []
+def test_install_goes_on_after_an_update_that_failed():
+    calls = []
 
-    def call(command: list[str]) -> int:
+    def call(command):
         calls.append(list(command))
         return 100 if command[1] == "update" else 0
 
@@ -79,19 +73,19 @@ def test_install_goes_on_after_an_update_that_failed() -> None:
     assert "libglu1-mesa" in calls[1]
 
 
-def test_the_check_is_an_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_check_is_an_import(tmp_path, monkeypatch):
     (tmp_path / "gmsh.py").write_text(f"raise OSError({MISSING.removeprefix('OSError: ')!r})\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     assert libraries["import_error"](sys.executable) == MISSING
     assert libraries["is_missing_library"](MISSING)
 
 
-def test_this_machine_is_set_up() -> None:
+def test_this_machine_is_set_up():
     assert libraries["import_error"](sys.executable) is None
 
 
 @pytest.fixture
-def machine(tmp_path: Path) -> Path:
+def machine(tmp_path):
     """Bare machine: a copy of the set-up script, and a PATH with the few tools it uses."""
     (tmp_path / "scripts").mkdir()
     shutil.copy(ROOT / "scripts" / "setup.sh", tmp_path / "scripts")
@@ -104,7 +98,7 @@ def machine(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def tool(machine: Path, name: str, body: str) -> None:
+def tool(machine, name, body):
     """Put a small program on the PATH of the bare machine."""
     path = machine / "bin" / name
     # Writing through a link would overwrite the real program of this machine.
@@ -113,7 +107,7 @@ def tool(machine: Path, name: str, body: str) -> None:
     path.chmod(0o755)
 
 
-def set_up(machine: Path) -> subprocess.CompletedProcess[str]:
+def set_up(machine):
     script, path = str(machine / "scripts" / "setup.sh"), {"PATH": str(machine / "bin")}
     return subprocess.run([SH, script], env=path, capture_output=True, text=True, check=False)
 
@@ -143,9 +137,7 @@ PYTHON_WITHOUT_VENV = 'case "$2" in *ensurepip*) exit 1 ;; *print*) echo 3.12 ;;
     ],
     ids=["old python", "no venv", "no venv, as root"],
 )  # fmt: skip
-def test_setup_says_what_is_missing_or_installs_it_as_root(
-    machine: Path, tools: dict[str, str], printed: list[str], told: list[str]
-) -> None:
+def test_setup_says_what_is_missing_or_installs_it_as_root(machine, tools, printed, told):
     for name, body in tools.items():
         tool(machine, name, body)
     run = set_up(machine)
@@ -155,7 +147,7 @@ def test_setup_says_what_is_missing_or_installs_it_as_root(
     assert not (machine / ".venv").exists()
 
 
-def environment(machine: Path, **programs: str) -> None:
+def environment(machine, **programs):
     """Put small programs into the environment that the set-up script has made."""
     folder = machine / ".venv" / "bin"
     folder.mkdir(parents=True)
@@ -164,7 +156,7 @@ def environment(machine: Path, **programs: str) -> None:
         (folder / name).chmod(0o755)
 
 
-def test_setup_falls_back_without_the_fast_solver(machine: Path) -> None:
+def test_setup_falls_back_without_the_fast_solver(machine):
     python = "case \"$*\" in *'.[fast'*) exit 1 ;; *'.[test]'*) echo installed ;; esac"
     environment(machine, python=python)
     run = set_up(machine)
@@ -173,7 +165,7 @@ def test_setup_falls_back_without_the_fast_solver(machine: Path) -> None:
     assert "installed" in run.stdout
 
 
-def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine: Path) -> None:
+def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine):
     environment(machine, python='echo "$*"')
     extras = {}
     for processor in ("x86_64", "aarch64"):
@@ -183,9 +175,7 @@ def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine: Path) -> None:
 
 
 @pytest.mark.parametrize("works", [True, False])
-def test_setup_installs_the_locked_versions_with_uv_or_else_with_pip(
-    machine: Path, works: bool
-) -> None:
+def test_setup_installs_the_locked_versions_with_uv_or_else_with_pip(machine, works):
     python = 'case "$*" in *platform*) echo linux x86_64 3.11 ;; *) echo "python $*" ;; esac'
     environment(machine, python=python, uv=f'echo "uv $*"\nexit {int(not works)}')
     run = set_up(machine)
@@ -195,7 +185,7 @@ def test_setup_installs_the_locked_versions_with_uv_or_else_with_pip(
     assert all("--require-hashes" in line for line in installed)
 
 
-def test_setup_fetches_nothing_without_a_hash_and_compiles_what_it_installs() -> None:
+def test_setup_fetches_nothing_without_a_hash_and_compiles_what_it_installs():
     script = (ROOT / "scripts" / "setup.sh").read_text(encoding="utf-8")
     locked = script[script.index("with_uv() {") : script.index("install_package() {")]
     (package,) = [line for line in locked.splitlines() if "--editable" in line]
@@ -205,7 +195,7 @@ def test_setup_fetches_nothing_without_a_hash_and_compiles_what_it_installs() ->
     assert "-m compileall -q study" in script
 
 
-def test_every_locked_version_is_one_for_the_oldest_python() -> None:
+def test_every_locked_version_is_one_for_the_oldest_python():
     """Debian 12 has Python 3.11.2: a version that asks for 3.11.5 ends the set-up there."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     oldest = project["requires-python"].removeprefix(">=") + ".0"
@@ -224,7 +214,7 @@ TARGETS = ("setup", "demo", "test", "verify", "bench", "docs", "gallery", "check
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_make_knows_the_target(target: str) -> None:
+def test_make_knows_the_target(target):
     make = shutil.which("make")
     if make is None:
         pytest.skip("make is not on this machine")
@@ -235,7 +225,7 @@ def test_make_knows_the_target(target: str) -> None:
     assert run.returncode == 0, run.stderr
 
 
-def test_readme_names_the_two_commands_first() -> None:
+def test_readme_names_the_two_commands_first():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     commands = re.findall(r"^make (\w+)", readme, flags=re.MULTILINE)
     assert commands[:2] == ["demo", "test"]

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import threading
 import urllib.request
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -129,13 +128,13 @@ class Opened:
 
     folder: Path
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         self._libc = ctypes.CDLL(None, use_errno=True)
         self._handle = self._libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
         opened = 0x20
         assert self._libc.inotify_add_watch(self._handle, os.fsencode(self.folder), opened) > 0
 
-    def names(self) -> set[str]:
+    def names(self):
         found = set()
         while True:
             try:
@@ -148,7 +147,7 @@ class Opened:
                 found.add(events[16 : 16 + size].rstrip(b"\0").decode())
                 events = events[16 + size :]
 
-    def close(self) -> None:
+    def close(self):
         os.close(self._handle)
 
 
@@ -161,25 +160,25 @@ class Hostile:
     mark: Path
     opened: Opened
 
-    def run(self, *command: str, text: str = "") -> subprocess.CompletedProcess[str]:
+    def run(self, *command, text=""):
         done = subprocess.run(
             command, cwd=self.folder, capture_output=True, text=True, check=False, input=text
         )
         self.assert_untouched()
         return done
 
-    def assert_untouched(self) -> None:
+    def assert_untouched(self):
         assert not self.mark.exists(), f"planted files were run: {self.mark.read_text()}"
         assert self.opened.names() & self.planted == set()
 
 
-def modules() -> set[str]:
+def modules():
     """Names of all modules of the standard library and of everything that is installed."""
     return {*sys.stdlib_module_names, *packages_distributions(), *OPTIONAL, "study"} - {"tests"}
 
 
 @pytest.fixture
-def hostile(tmp_path: Path) -> Iterator[Hostile]:
+def hostile(tmp_path):
     folder, mark = tmp_path / "folder", tmp_path / "ran"
     folder.mkdir()
     write_files(folder)
@@ -192,7 +191,7 @@ def hostile(tmp_path: Path) -> Iterator[Hostile]:
     opened.close()
 
 
-def test_the_gate_sees_what_is_opened_and_run(hostile: Hostile) -> None:
+def test_the_gate_sees_what_is_opened_and_run(hostile):
     """Of an interpreter that nothing protects, the planted modules are found out."""
     subprocess.run(
         [sys.executable, "-c", "import colorsys"], cwd=hostile.folder, check=True,
@@ -202,7 +201,7 @@ def test_the_gate_sees_what_is_opened_and_run(hostile: Hostile) -> None:
     assert "colorsys.py" in hostile.opened.names()
 
 
-def test_a_run_with_a_worker_and_its_server(hostile: Hostile) -> None:
+def test_a_run_with_a_worker_and_its_server(hostile):
     done = hostile.run(*PROGRAM, "run", "small.toml", "--data", "data", "--jobs", "1", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["cases"]["done"] == 12
@@ -218,7 +217,7 @@ def test_a_run_with_a_worker_and_its_server(hostile: Hostile) -> None:
     hostile.assert_untouched()
 
 
-def write_programs(folder: Path) -> None:
+def write_programs(folder):
     """Studies of programs, and of a function whose module imports another one."""
     (folder / "solver.py").write_text("import helper\n")
     (folder / "helper.py").write_text(TEXT)
@@ -237,7 +236,7 @@ def write_programs(folder: Path) -> None:
     )  # fmt: skip
 
 
-def test_every_other_verb_a_users_function_and_programs(hostile: Hostile, tmp_path: Path) -> None:
+def test_every_other_verb_a_users_function_and_programs(hostile, tmp_path):
     folder = hostile.folder
     write_programs(folder)
     (folder / "ranges.toml").write_text(
@@ -301,9 +300,7 @@ def test_every_other_verb_a_users_function_and_programs(hostile: Hostile, tmp_pa
     assert versions == ["1", "1"]
 
 
-def test_a_run_on_a_cluster_that_was_started_there(
-    hostile: Hostile, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_on_a_cluster_that_was_started_there(hostile, monkeypatch):
     pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
     monkeypatch.setenv("PYTHONSAFEPATH", "1")  # as docs/clusters.md starts them
     with loopback(hostile.folder, workers=1) as cluster:
@@ -319,7 +316,7 @@ def test_a_run_on_a_cluster_that_was_started_there(
     hostile.assert_untouched()
 
 
-def test_the_package_imports_nothing_beside_or_below_a_users_function() -> None:
+def test_the_package_imports_nothing_beside_or_below_a_users_function():
     """Another thread, or a module of the user's that imports this package, imports for itself."""
     code = "def asks(): return _package_imports(sys._getframe())"
     asks = []

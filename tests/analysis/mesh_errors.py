@@ -14,7 +14,6 @@ from itertools import product
 import numpy as np
 from scipy.special import stdtrit
 
-from study.ground.arrays import Array
 from study.statistics.convergence.contrast_bound import (
     FLOOR,
     difference_bounds,
@@ -49,7 +48,7 @@ class Setting:
     coarsest: bool = False
 
 
-def settings() -> list[Setting]:
+def settings():
     """The whole grid."""
     axes = {
         "orders": list(ORDERS), "one_sign": [False, True], "correlation": [0.0, 0.8, 1.0],
@@ -59,7 +58,7 @@ def settings() -> list[Setting]:
     return [Setting(*values) for values in product(*axes.values())]
 
 
-def constants(rng: np.random.Generator, n: int, cells: int, at: Setting) -> Array:
+def constants(rng, n, cells, at):
     """Equicorrelated constants of the cells, mean square 1."""
     rho = at.correlation
     common, own = rng.standard_normal((n, 1)), rng.standard_normal((n, cells))
@@ -67,7 +66,7 @@ def constants(rng: np.random.Generator, n: int, cells: int, at: Setting) -> Arra
     return np.abs(drawn) if at.one_sign else drawn
 
 
-def errors(rng: np.random.Generator, n: int, at: Setting, orders: Array, h: Array) -> Array:
+def errors(rng, n, at, orders, h):
     """Errors of the cells on each mesh, shape (n, meshes, cells)."""
     analyzed = h[-1] if at.coarsest else h[0]
     leading, second = (constants(rng, n, orders.size, at)[:, None, :] for _ in range(2))
@@ -78,7 +77,7 @@ def errors(rng: np.random.Generator, n: int, at: Setting, orders: Array, h: Arra
     return at.error * (leading * decay + bent + noise)
 
 
-def bounded(kind: str, at: Setting, n: int, seed: int, noise: float = 0.0) -> tuple[Array, Array]:
+def bounded(kind, at, n, seed, noise=0.0):
     """True error of the contrast on the mesh analyzed, and the bound of ``kind``.
 
     ``kind`` is "three", "two", or "inherited 1" to "inherited 4"; growing changes up to
@@ -100,7 +99,7 @@ def bounded(kind: str, at: Setting, n: int, seed: int, noise: float = 0.0) -> tu
     return values[:, place] @ WEIGHTS, np.asarray(u + moved)
 
 
-def composed(values: Array, weights: Array, h: Array, formal: float | None, noise: float) -> Array:
+def composed(values, weights, h, formal, noise):
     """Bound within one discretization, as ``contrast_uncertainty`` composes it, for many."""
     sizes = h.tolist()
     cells = np.moveaxis(values, -1, -2)
@@ -110,9 +109,7 @@ def composed(values: Array, weights: Array, h: Array, formal: float | None, nois
         return np.minimum(np.maximum(bound, FLOOR * ceiling), ceiling)
 
 
-def _inherited(
-    rng: np.random.Generator, at: Setting, n: int, h: Array, m: int, place: int
-) -> tuple[Array, Array]:
+def _inherited(rng, at, n, h, m, place):
     """Cells 0 and 1 are those of the contrast, the other m were refined."""
     true, formal = ORDERS[at.orders]
     values = errors(rng, n, at, np.full(2 + m, true[0]), h)
@@ -125,7 +122,7 @@ def _inherited(
     return values[:, place, :2] @ WEIGHTS, np.array(u)
 
 
-def limits(f: Array, h: Array, formal: float | None, place: int) -> tuple[Array, Array]:
+def limits(f, h, formal, place):
     """Signed errors and bounds of cells, as ``limit_of`` finds them, for many."""
     used = series_bounds(h, f, formal).order_used
     fine = np.where(np.isnan(used), 0.0, (f[..., 1] - f[..., 0]) / ((h[1] / h[0]) ** used - 1))
@@ -143,9 +140,7 @@ class Rates:
     beyond: float
 
 
-def rates(
-    kind: str, at: Setting, n: int, seed: int, truth: float = 1.0, noise: float = 0.0
-) -> Rates:
+def rates(kind, at, n, seed, truth=1.0, noise=0.0):
     """Claims at a true difference, and how often the error exceeds its bound."""
     actual, u = bounded(kind, at, n, seed, noise)
     rng = np.random.default_rng([seed, 1])

@@ -1,9 +1,6 @@
 """ANOVA against other codes, the error-term ledger, and the guards F14 to F23."""
 
-from __future__ import annotations
-
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +11,7 @@ from study.statistics.analysis.anova import anova
 from tests.analysis.test_faults import factorial
 
 
-def test_records_take_own_interactions_and_group_copies() -> None:
+def test_records_take_own_interactions_and_group_copies():
     cells = list(product(range(9), "ABCD", ("axi", "3d")))
     table = pd.DataFrame(cells, columns=["mix", "material", "space"]).astype({"mix": str})
     table["y"] = np.repeat(5 + 0.2 * np.random.default_rng(2).normal(size=36), 2)
@@ -34,7 +31,7 @@ def test_records_take_own_interactions_and_group_copies() -> None:
     assert isinstance(from_csv.error_term.df, dict), "copies betray a study's table"
 
 
-def test_incomplete_blocks_of_records_are_no_reason_to_leave_rows_out() -> None:
+def test_incomplete_blocks_of_records_are_no_reason_to_leave_rows_out():
     table = factorial({"a": 3, "mix": 5}, 1, 4)
     table.loc[3, "y"] = np.nan
     result = anova(table, "y", ["a"], block="mix", records=True, exact=False)
@@ -43,7 +40,7 @@ def test_incomplete_blocks_of_records_are_no_reason_to_leave_rows_out() -> None:
     assert 6 < result.anova.row("a").df_error < 8
 
 
-def test_fake_replicates_are_refused() -> None:
+def test_fake_replicates_are_refused():
     table = pd.concat([factorial({"a": 2, "b": 2}, 1, 1)] * 3, ignore_index=True)
     with pytest.raises(RefusedError, match="fake replicates") as info:
         anova(table, "y", ["a", "b"])
@@ -74,19 +71,19 @@ def test_fake_replicates_are_refused() -> None:
         ({}, {"practical": "1,5"}, "cannot read"),
     ],
 )
-def test_bad_input(change: dict[str, Any], options: dict[str, Any], match: str) -> None:
+def test_bad_input(change, options, match):
     table = factorial({"a": 2, "b": 2}, 2, 1).assign(**change)
     with pytest.raises(InputError, match=match):
         anova(table, "y", options.pop("factors", ["a", "b"]), **options)
 
 
-def test_mixed_labels_are_refused() -> None:
+def test_mixed_labels_are_refused():
     table = pd.DataFrame({"a": [1, "1", 2, 2], "y": [1.0, 2, 3, 4]})
     with pytest.raises(InputError, match="look the same"):
         anova(table, "y", ["a"])
 
 
-def test_log_reports_ratios() -> None:
+def test_log_reports_ratios():
     table = factorial({"a": 2}, 5, 1)
     table["y"] = np.exp(0.01 * table["y"]) * np.where(table["a"] == "L1", 3.0, 2.0)
     result = anova(table, "y", ["a"], transform="log", practical="10 % of mean", exact=False)
@@ -111,7 +108,7 @@ def test_log_reports_ratios() -> None:
         (0.0, 100.0, "not resolved by the mesh"),
     ],
 )
-def test_verdicts(gap: float, u_num: float | None, verdict: str) -> None:
+def test_verdicts(gap, u_num, verdict):
     noise = np.tile([-0.1, 0.1, -0.1, 0.1], 2)
     table = pd.DataFrame({"a": ["x"] * 4 + ["z"] * 4, "y": noise + np.repeat([5, 5 + gap], 4)})
     result = anova(table, "y", ["a"], practical=0.3, u_num=u_num, exact=False)
@@ -119,7 +116,7 @@ def test_verdicts(gap: float, u_num: float | None, verdict: str) -> None:
     assert result.verdicts()[0]["verdict"] == verdict
 
 
-def test_names_are_never_code(tmp_path) -> None:
+def test_names_are_never_code(tmp_path):
     """A factor name that would run in a formula parser is only a name."""
     evil = f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
     table = factorial({"a": 2, "b": 2}, 2, 1).rename(columns={"a": evil, "y": "1 + y"})
@@ -129,7 +126,7 @@ def test_names_are_never_code(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("block", ["blk", None])
-def test_an_effect_that_an_empty_cell_leaves_in_part_has_no_p(block: str | None) -> None:
+def test_an_effect_that_an_empty_cell_leaves_in_part_has_no_p(block):
     """The note says "no test", and blocks had a p of what was left, which is not the effect."""
     rng = np.random.default_rng(5)
     rows = [

@@ -1,20 +1,17 @@
 """Groups of blocks with variances of their own, through the public analysis."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import t as student
 from scipy.stats import ttest_ind
 
-from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 
 FULL = [pytest.mark.slow, pytest.mark.verify]
 
 
-def two_mixes(sizes: tuple[int, ...] = (4, 7), seed: int = 3) -> pd.DataFrame:
+def two_mixes(sizes=(4, 7), seed=3):
     """Two models scored on specimens of mixes that scatter differently."""
     rng = np.random.default_rng(seed)
     rows = []
@@ -26,11 +23,11 @@ def two_mixes(sizes: tuple[int, ...] = (4, 7), seed: int = 3) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["mix", "specimen", "model", "y"])
 
 
-def analyzed(table: pd.DataFrame) -> AnalysisResult:
+def analyzed(table):
     return anova(table, "y", ["mix", "model"], block="specimen", practical=1.0, exact=False)
 
 
-def test_two_groups_are_compared_by_welchs_t() -> None:
+def test_two_groups_are_compared_by_welchs_t():
     table = two_mixes()
     found = analyzed(table)
     wide = table.set_index(["mix", "specimen", "model"])["y"].unstack()  # noqa: PD010
@@ -45,7 +42,7 @@ def test_two_groups_are_compared_by_welchs_t() -> None:
     assert found.effect("mix").ci95 == pytest.approx((-limits.high, -limits.low))
 
 
-def test_a_difference_within_one_group_takes_the_scatter_of_that_group_alone() -> None:
+def test_a_difference_within_one_group_takes_the_scatter_of_that_group_alone():
     table = two_mixes()
     for effect in analyzed(table).effect("model").simple_effects:
         here = table[table.mix == dict(effect.at)["mix"]]
@@ -55,14 +52,14 @@ def test_a_difference_within_one_group_takes_the_scatter_of_that_group_alone() -
         assert effect.ci == pytest.approx((d.mean() - half, d.mean() + half))
 
 
-def test_an_incomplete_block_is_left_out_of_test_and_interval_alike() -> None:
+def test_an_incomplete_block_is_left_out_of_test_and_interval_alike():
     table = two_mixes()
     kept = table[table.specimen != "1-6"]
     cut = table.drop(table.index[-1])
     assert analyzed(cut).effects == analyzed(kept).effects
 
 
-def test_groups_of_two_share_one_covariance_and_say_so() -> None:
+def test_groups_of_two_share_one_covariance_and_say_so():
     found = analyzed(two_mixes((2, 6)))
     assert "one covariance serves all groups" in found.error_term.reason
     assert "Welch-Box" in analyzed(two_mixes((3, 6))).error_term.reason
@@ -70,7 +67,7 @@ def test_groups_of_two_share_one_covariance_and_say_so() -> None:
 
 @pytest.mark.parametrize("tables", [20, pytest.param(2000, marks=FULL)], ids=["quick", "full"])
 @pytest.mark.parametrize("sizes", [(5, 5, 5), (3, 4, 8)])
-def test_size_and_coverage_with_unequal_spread(sizes: tuple[int, ...], tables: int) -> None:
+def test_size_and_coverage_with_unequal_spread(sizes, tables):
     """The true effects are zero; limits are those of the specification with 3 standard errors."""
     rejected, covered = [], []
     for seed in range(tables):

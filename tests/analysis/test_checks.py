@@ -1,7 +1,5 @@
 """Guards and true sizes of the checks: Ryan-Joiner, Bartlett, Levene, Lenth, sphericity."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -25,7 +23,7 @@ from study.statistics.analysis.unreplicated import lenth, orthonormal_contrasts
         ([1.0, 2, 3, 5], np.eye(4), "no residual degrees of freedom"),
     ],
 )
-def test_ryan_joiner_guards(values, model, reason: str) -> None:
+def test_ryan_joiner_guards(values, model, reason):
     result = ryan_joiner(values, model_matrix=model)
     assert not result.applicable
     assert reason in result.reason
@@ -33,7 +31,7 @@ def test_ryan_joiner_guards(values, model, reason: str) -> None:
 
 
 @pytest.mark.parametrize("m", [3, 7, 15])
-def test_lenth_limits_hold_their_size(m: int) -> None:
+def test_lenth_limits_hold_their_size(m):
     """Individual and simultaneous error of 20,000 null studies (Monte-Carlo sd 0.15 %)."""
     from study.statistics.analysis.unreplicated import pseudo_standard_error
 
@@ -44,7 +42,7 @@ def test_lenth_limits_hold_their_size(m: int) -> None:
     assert np.mean(ratio.max(axis=1) > limits.sme / limits.pse) == pytest.approx(0.05, abs=0.007)
 
 
-def test_orthonormal_contrasts_of_mixed_levels() -> None:
+def test_orthonormal_contrasts_of_mixed_levels():
     cells = np.array(list(itertools.product(range(2), range(3), range(4))))
     layout = Layout(
         {"a": ("x", "y"), "b": ("1", "2", "4"), "c": tuple("pqrs")},
@@ -59,7 +57,7 @@ def test_orthonormal_contrasts_of_mixed_levels() -> None:
     assert np.ptp(np.diff(linear) / [1, 2]) == pytest.approx(0, abs=1e-12)
 
 
-def test_half_normal_scores_are_of_the_absolute_values() -> None:
+def test_half_normal_scores_are_of_the_absolute_values():
     scores = lenth([-3.0, 1.0, 2.0]).half_normal
     assert scores[0] > scores[2] > scores[1] > 0
 
@@ -73,7 +71,7 @@ def test_half_normal_scores_are_of_the_absolute_values() -> None:
         ([[1, 2, 3], [1, 2, float("nan")]], "missing value"),
     ],
 )
-def test_variance_guards(groups, reason: str) -> None:
+def test_variance_guards(groups, reason):
     for test in (bartlett, levene):
         result = test(groups)
         assert not result.applicable
@@ -82,7 +80,7 @@ def test_variance_guards(groups, reason: str) -> None:
             assert reason in result.reason
 
 
-def test_levene_is_chosen_by_group_size() -> None:
+def test_levene_is_chosen_by_group_size():
     rng = np.random.default_rng(3)
     two = levene(rng.normal(size=(4, 2)))
     assert not two.applicable
@@ -94,7 +92,7 @@ def test_levene_is_chosen_by_group_size() -> None:
     assert levene(rng.normal(size=(4, 100))).p_monte_carlo is None
 
 
-def test_bartlett_against_scipy_and_monte_carlo() -> None:
+def test_bartlett_against_scipy_and_monte_carlo():
     stats = pytest.importorskip("scipy.stats")
     groups = [np.random.default_rng(i).normal(size=5 + i) for i in range(4)]
     ours, theirs = bartlett(groups, simulations=20_000), stats.bartlett(*groups)
@@ -103,7 +101,7 @@ def test_bartlett_against_scipy_and_monte_carlo() -> None:
     assert ours.p_monte_carlo == pytest.approx(ours.p, abs=0.03)
 
 
-def test_shapiro_and_anderson_guards() -> None:
+def test_shapiro_and_anderson_guards():
     assert shapiro_wilk([3.0] * 8).p is None
     assert anderson_darling([3.0] * 9).p is None
     x = np.random.default_rng(1).normal(size=50)
@@ -113,27 +111,27 @@ def test_shapiro_and_anderson_guards() -> None:
     assert ours.p == pytest.approx(lilliefors[1], rel=1e-8)
 
 
-def test_shapiro_wilk_does_not_depend_on_the_unit() -> None:
+def test_shapiro_wilk_does_not_depend_on_the_unit():
     x = np.random.default_rng(3).normal(size=20)
     one, other = shapiro_wilk(x), shapiro_wilk(1e-21 * x)
     assert (other.statistic, other.p) == pytest.approx((one.statistic, one.p), rel=1e-6)
 
 
-def test_epsilon_of_spherical_and_of_one_direction() -> None:
+def test_epsilon_of_spherical_and_of_one_direction():
     assert epsilon_gg(np.eye(4)) == pytest.approx(1)
     assert epsilon_gg(np.diag([1.0, 0, 0, 0])) == pytest.approx(0.25)
     assert sphericity(np.random.default_rng(0).normal(size=(1, 9)), 8).epsilon_gg == 1
     assert sphericity(np.random.default_rng(0).normal(size=(6, 4)), 3).p is None
 
 
-def test_studentized_range_against_scipy() -> None:
+def test_studentized_range_against_scipy():
     studentized_range = pytest.importorskip("scipy.stats").studentized_range
     for k, df in [(3, 2), (4, 24), (9, 180)]:
         theirs = studentized_range.ppf(0.95, k, df)
         assert studentized_range_quantile(0.95, k, df) == pytest.approx(theirs, rel=1e-9)
 
 
-def test_residuals_that_rounding_alone_tells_apart_are_ties() -> None:
+def test_residuals_that_rounding_alone_tells_apart_are_ties():
     """Readings of whole numbers leave equal residuals, whatever the last digits of a fit are."""
     readings = np.round(np.random.default_rng(1).normal(0, 2, 20))
     noise = np.random.default_rng(2).normal(0, 1e-15, 20)

@@ -1,7 +1,5 @@
 """Numerical uncertainty of a contrast and its verdict: by hand and by simulation."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -14,7 +12,6 @@ from study.statistics.analysis.simple_effects import (
     MATTERS,
     NO_DIFFERENCE,
     NOT_RESOLVED,
-    Judgement,
     judge_all,
 )
 from study.statistics.convergence.contrast_bound import (
@@ -35,7 +32,7 @@ KINDS = {
 }  # fmt: skip
 
 
-def pair(a, b, formal=(2.0, 2.0), element=("Q2", "Q2"), sizes=H) -> dict[str, CellSeries]:
+def pair(a, b, formal=(2.0, 2.0), element=("Q2", "Q2"), sizes=H):
     return {
         name: CellSeries(tuple(sizes), tuple(f), order, space)
         for name, f, order, space in zip("ab", (a, b), formal, element, strict=True)
@@ -57,11 +54,11 @@ def pair(a, b, formal=(2.0, 2.0), element=("Q2", "Q2"), sizes=H) -> dict[str, Ce
     ],
     ids=["three meshes", "equal errors", "no formal order", "two meshes", "unequal changes"],
 )
-def test_a_difference_is_bounded_as_by_hand(series: dict[str, CellSeries], bound: float) -> None:
+def test_a_difference_is_bounded_as_by_hand(series, bound):
     assert contrast_uncertainty(PAIR, series) == pytest.approx(bound)
 
 
-def test_meshes_refined_by_other_ratios_add_their_bounds() -> None:
+def test_meshes_refined_by_other_ratios_add_their_bounds():
     """Two bodies of one kind of element, refined by 2 and by 1.5: each knows its own error."""
     series = pair([1.0, 1.01], [2.0, 2.04], sizes=(1.0, 2.0))
     series["b"] = replace(series["b"], mesh_size=(1.0, 1.5))
@@ -69,7 +66,7 @@ def test_meshes_refined_by_other_ratios_add_their_bounds() -> None:
     assert contrast_uncertainty(PAIR, series) == pytest.approx(sum(alone))
 
 
-def test_inherited_by_hand() -> None:
+def test_inherited_by_hand():
     error, bound = np.array([0.1, 0.3]), np.array([0.02, 0.04])
     scatter = student.ppf(0.975, 1) * np.std(error, ddof=1) * math.sqrt(2)
     assert inherited_uncertainty(WEIGHTS, error, bound) == pytest.approx(scatter + 0.2 * 0.03)
@@ -80,7 +77,7 @@ def test_inherited_by_hand() -> None:
 
 
 @pytest.mark.parametrize("coarsest", [False, True])
-def test_the_simulated_bounds_are_the_products(coarsest: bool) -> None:
+def test_the_simulated_bounds_are_the_products(coarsest):
     """The simulation composes many bounds at once; one by one they are those of a study."""
     at = Setting("1.5 said to be 2", correlation=0.5, coarsest=coarsest)
     values = 100 + errors(np.random.default_rng(1), 200, at, np.full(2, 1.5), H)
@@ -103,7 +100,7 @@ def test_the_simulated_bounds_are_the_products(coarsest: bool) -> None:
     assert compared > 300
 
 
-def judge(low: float, high: float, u: float = 0.0) -> Judgement:
+def judge(low, high, u=0.0):
     """Judge one difference against a practical one of 1."""
     return judge_all(np.array([low]), np.array([high]), 1.0, np.array([u]))
 
@@ -121,13 +118,13 @@ def judge(low: float, high: float, u: float = 0.0) -> Judgement:
         (math.nan, math.nan, 0.1, CANNOT_TELL),
     ],
 )
-def test_verdicts(low: float, high: float, u: float, verdict: str) -> None:
+def test_verdicts(low, high, u, verdict):
     """Bar 2."""
     assert judge(low, high, u).verdict == verdict
 
 
 @pytest.mark.parametrize(("low", "high"), [(1.2, 1.4), (-1.4, -1.2), (-0.2, 0.5), (-0.5, 0.2)])
-def test_the_uncertainty_needed_is_where_the_claim_begins(low: float, high: float) -> None:
+def test_the_uncertainty_needed_is_where_the_claim_begins(low, high):
     needed = judge(low, high, 2.0).u_needed
     assert needed is not None
     assert judge(low, high, needed * (1 + 1e-5)).verdict == NOT_RESOLVED
@@ -143,7 +140,7 @@ HARD = [
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("at", HARD, ids=lambda s: s.orders)
-def test_claims_at_the_limit_are_rare(kind: str, at: Setting) -> None:
+def test_claims_at_the_limit_are_rare(kind, at):
     found = rates(kind, at, 3000, 11)
     assert max(found.matters, found.no_difference) <= 0.05
     assert found.beyond <= 0.12
@@ -152,7 +149,7 @@ def test_claims_at_the_limit_are_rare(kind: str, at: Setting) -> None:
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize("kind", KINDS)
-def test_claims_at_the_limit_are_rare_over_the_whole_grid(kind: str) -> None:
+def test_claims_at_the_limit_are_rare_over_the_whole_grid(kind):
     """Bar 1: 864 settings (720 where one discretization is inherited), 3,000 data sets each."""
     grid = settings()
     if kind.startswith("inherited"):
@@ -171,14 +168,14 @@ def test_claims_at_the_limit_are_rare_over_the_whole_grid(kind: str) -> None:
     assert np.median(beyond) <= KINDS[kind]
 
 
-def test_errors_that_cells_share_leave_the_claim() -> None:
+def test_errors_that_cells_share_leave_the_claim():
     """Bar 3: error of a cell as large as practical, shared by both cells."""
     at = Setting("2", one_sign=True, correlation=1.0, error=1.0, se=0.1, coarsest=True)
     assert rates("three", at, 5000, 3, truth=0.0).no_difference >= 0.95
     assert rates("three", at, 5000, 3, truth=2.0).matters >= 0.95
 
 
-def test_claims_are_rare_where_growing_changes_count_as_noise() -> None:
+def test_claims_are_rare_where_growing_changes_count_as_noise():
     """The setting closest to the bar, for responses a hundred times practical: 1 % is noise."""
     at = Setting("0.7 said to be 1", correlation=0.0, error=1.0, ratio=1.5, se=0.02)
     found = rates("three", at, 100_000, 5, noise=1.0)

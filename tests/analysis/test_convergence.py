@@ -1,7 +1,5 @@
 """Behaviour, order and refusal of refinement series: made ones, random and published (V43)."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path
@@ -29,7 +27,7 @@ from validation.bounds import FAMILIES, coverage
         ([1, 2, 4], [1.0, 1.2, 1.2], "inconclusive"),
     ],
 )
-def test_behaviour(sizes, values, behaviour: str) -> None:
+def test_behaviour(sizes, values, behaviour):
     result = grid_convergence(sizes, values)
     assert result.behaviour == behaviour
     if behaviour != "monotone":
@@ -38,14 +36,14 @@ def test_behaviour(sizes, values, behaviour: str) -> None:
     json.dumps(result.to_json(), allow_nan=False)
 
 
-def test_noise_floor_reports_the_tolerance_or_thrice_the_range() -> None:
+def test_noise_floor_reports_the_tolerance_or_thrice_the_range():
     result = grid_convergence([1, 2, 4], [1.0, 1.0 + 3e-9, 1.0 - 4e-9], tolerance=1e-9)
     assert result.behaviour == "noise-floor"
     assert result.u_num == pytest.approx(2.1e-8)
     assert grid_convergence([1, 2, 4], [1.0, 1.0, 1.0], tolerance=1e-9).u_num == 1e-9
 
 
-def test_an_oscillation_is_bounded_by_its_range_and_says_so() -> None:
+def test_an_oscillation_is_bounded_by_its_range_and_says_so():
     """Thrice that of the finest three meshes, or half that of all, whichever is larger."""
     four = grid_convergence([1, 2, 4, 8], [1.0, 1.1, 0.9, 1.2])
     assert four.u_num == pytest.approx(3 * 0.2)
@@ -55,7 +53,7 @@ def test_an_oscillation_is_bounded_by_its_range_and_says_so() -> None:
     assert "0.15" in five.verdict
 
 
-def test_two_meshes_with_an_order_have_the_index_of_roache() -> None:
+def test_two_meshes_with_an_order_have_the_index_of_roache():
     """Roache (1994): factor 3 on e / (r^p - 1)."""
     result = grid_convergence([0.5, 1.0], [8.0, 7.0], formal_order=1)
     assert (result.behaviour, result.factor_of_safety, result.order_used) == ("two meshes", 3, 1)
@@ -65,7 +63,7 @@ def test_two_meshes_with_an_order_have_the_index_of_roache() -> None:
 
 
 @pytest.mark.parametrize("p", [2.06, 2.6, 8.3])
-def test_an_order_above_the_formal_one_widens_the_bound(p: float) -> None:
+def test_an_order_above_the_formal_one_widens_the_bound(p):
     """The change between the coarser meshes counts too, and the factor is that of no trust."""
     h = np.array([1.0, 2, 4])
     f = 5 + 0.01 * h**p
@@ -76,7 +74,7 @@ def test_an_order_above_the_formal_one_widens_the_bound(p: float) -> None:
         assert result.u_num == pytest.approx(max(3 * error, f[2] - f[0]))
 
 
-def test_growing_changes_below_a_hundredth_of_the_value_are_noise() -> None:
+def test_growing_changes_below_a_hundredth_of_the_value_are_noise():
     result = grid_convergence([1, 2, 4], [10.0, 10.015, 10.02], formal_order=2)
     assert (result.behaviour, result.u_num) == ("noise-floor", pytest.approx(0.06))
     assert "0.06" in result.verdict
@@ -85,7 +83,7 @@ def test_growing_changes_below_a_hundredth_of_the_value_are_noise() -> None:
     assert equal.u_num == pytest.approx(6.0)
 
 
-def test_the_bound_holds_the_error_of_random_series() -> None:
+def test_the_bound_holds_the_error_of_random_series():
     """The simulation of ``validation/bounds.py``: 40 series of each of its families."""
     u, error = (np.concatenate(part) for part in zip(*(coverage(d, 40) for d in FAMILIES),
                                                      strict=True))  # fmt: skip
@@ -108,7 +106,7 @@ def test_the_bound_holds_the_error_of_random_series() -> None:
         (4, 1.2, 2, None, None, ""),
     ],
 )
-def test_factor_of_safety_and_limits(meshes, p, formal, factor, used, verdict) -> None:
+def test_factor_of_safety_and_limits(meshes, p, formal, factor, used, verdict):
     h = 2.0 ** np.arange(meshes)
     result = grid_convergence(h, 3 + 0.01 * h**p, formal_order=formal)
     if factor is not None:
@@ -119,12 +117,12 @@ def test_factor_of_safety_and_limits(meshes, p, formal, factor, used, verdict) -
     assert ("asymptotic" in result.verdict) == ("asymptotic" in verdict)
 
 
-def test_four_meshes_need_agreeing_triples() -> None:
+def test_four_meshes_need_agreeing_triples():
     h = np.array([1.0, 2, 4, 8])
     assert grid_convergence(h, 1 + 0.01 * h + 0.0005 * h**3).factor_of_safety == 3
 
 
-def test_order_of_input_means_nothing() -> None:
+def test_order_of_input_means_nothing():
     one = grid_convergence([1, 2, 4], [0.97050, 0.96854, 0.96178])
     two = grid_convergence([4, 1, 2], [0.96178, 0.97050, 0.96854])
     assert one == two
@@ -140,7 +138,7 @@ def test_order_of_input_means_nothing() -> None:
         ([1, 2, 4], [1, np.nan, 3], "finite numbers"),
     ],
 )
-def test_bad_input(sizes, values, match: str) -> None:
+def test_bad_input(sizes, values, match):
     with pytest.raises(InputError, match=match):
         grid_convergence(sizes, values)
 
@@ -156,7 +154,7 @@ RATIO = st.floats(1.3, 3.0)
     st.floats(-8, 0),
     st.integers(0, 2**31 - 1),
 )
-def test_an_order_is_recovered_or_refused(p, ratios, log_noise, seed) -> None:
+def test_an_order_is_recovered_or_refused(p, ratios, log_noise, seed):
     """Values with errors within a stated tolerance: right to 0.05, or no order at all."""
     h = np.cumprod([1.0, *ratios])
     clean = 5 + 0.3 * h**p
@@ -176,7 +174,7 @@ def test_an_order_is_recovered_or_refused(p, ratios, log_noise, seed) -> None:
 
 
 @given(RATIO, RATIO, st.floats(0.7, 3.0), st.floats(0.01, 1), st.floats(1.5, 4))
-def test_the_interval_holds_the_limit_of_a_bent_series(r1, r2, p, bend, more) -> None:
+def test_the_interval_holds_the_limit_of_a_bent_series(r1, r2, p, bend, more):
     """A second term of the error, of the same sign and a twentieth at most at the finest mesh."""
     h = np.cumprod([1.0, r1, r2])
     f = 10 + h**p + 0.05 * bend * h ** (p + more)
@@ -192,18 +190,18 @@ AGREEING = {"nasa": 2.0, "celik-1": 2.0, "celik-2": 1.0}
 PUBLISHED = Path(__file__).resolve().parents[2] / "validation" / "convergence.csv"
 
 
-def published() -> list[dict[str, str]]:
+def published():
     with PUBLISHED.open(newline="", encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
 
 
-def printed(value: float, like: str) -> str:
+def printed(value, like):
     """Round to the digits of a printed number."""
     return f"{value:.{len(like.partition('.')[2])}f}"
 
 
 @pytest.mark.parametrize("row", published(), ids=lambda r: f"{r['id']}-{r['quantity']}")
-def test_published_examples_to_every_printed_digit(row: dict[str, str]) -> None:
+def test_published_examples_to_every_printed_digit(row):
     """V43 and the examples of the procedure that everybody cites (PUB)."""
     sizes, values = ([float(v) for v in row[key].split(";")] for key in ("sizes", "values"))
     if row["id"].startswith("celik"):  # cells of a plane grid
@@ -222,7 +220,7 @@ def test_published_examples_to_every_printed_digit(row: dict[str, str]) -> None:
     assert printed(found, row["printed"]) == row["printed"]
 
 
-def test_the_oscillating_example_of_celik_gets_no_order() -> None:
+def test_the_oscillating_example_of_celik_gets_no_order():
     """Third column of the same table: the paper gives order 1.51 and GCI 0.5 %; we refuse both.
 
     The differences change sign, so no power law goes through the three values.
@@ -235,7 +233,7 @@ def test_the_oscillating_example_of_celik_gets_no_order() -> None:
     assert "another mesh" in result.verdict
 
 
-def test_an_uncertain_order_says_its_range() -> None:
+def test_an_uncertain_order_says_its_range():
     f = [1.0, 1.1, 1.5]
     sure = grid_convergence([1, 2, 4], f, tolerance=1e-4)
     vague = grid_convergence([1, 2, 4], f, tolerance=5e-3)
@@ -247,7 +245,7 @@ def test_an_uncertain_order_says_its_range() -> None:
     assert vague.u_num > sure.u_num
 
 
-def test_a_change_that_is_small_by_accident_is_not_believed() -> None:
+def test_a_change_that_is_small_by_accident_is_not_believed():
     """1.5e-6 after 1e-3: an order of ten at this tolerance is an accident, not accuracy."""
     f = [1.0, 1.0 + 1.5e-6, 1.001]
     result = grid_convergence([1, 2, 4], f, formal_order=1, tolerance=1e-7)

@@ -1,7 +1,5 @@
 """What is kept of one factorization equals what factoring again would give."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 
@@ -15,7 +13,7 @@ from study.statistics.analysis.sums_of_squares import factor, influence, term_su
 from tests.analysis.test_simple_effects import of_blocks
 
 
-def layout(sizes: tuple[int, ...], rows: int | None, seed: int) -> Layout:
+def layout(sizes, rows, seed):
     """Complete factorial; with ``rows``, as many rows of it drawn with repeats besides."""
     cells = np.array(list(product(*map(range, sizes))))
     if rows is not None:
@@ -27,7 +25,7 @@ def layout(sizes: tuple[int, ...], rows: int | None, seed: int) -> Layout:
 
 
 @pytest.mark.parametrize("drop", [0.0, 0.3])
-def test_two_factors_are_fitted_as_with_all_columns(drop: float) -> None:
+def test_two_factors_are_fitted_as_with_all_columns(drop):
     rng = np.random.default_rng(8)
     here = layout((7, 5), 60, 1)
     kept = np.flatnonzero(rng.random(here.n) >= drop)
@@ -45,9 +43,7 @@ def test_two_factors_are_fitted_as_with_all_columns(drop: float) -> None:
 
 
 @pytest.mark.parametrize(("sizes", "terms"), [((7, 6, 5), "full"), ((12, 9, 8), 2)])
-def test_many_columns_of_a_complete_layout_are_products_of_small_factors(
-    sizes: tuple[int, ...], terms: str | int
-) -> None:
+def test_many_columns_of_a_complete_layout_are_products_of_small_factors(sizes, terms):
     here = layout(sizes, None, 1)
     matrix = model_matrix(here, terms_of(list("abc"), terms))
     assert matrix.columns.shape[1] >= 200
@@ -61,7 +57,7 @@ def test_many_columns_of_a_complete_layout_are_products_of_small_factors(
         assert sums == pytest.approx([term.ss for term in term_sums(dense, kind)], rel=1e-10)
 
 
-def test_two_factors_without_a_common_row_lose_a_degree_of_freedom() -> None:
+def test_two_factors_without_a_common_row_lose_a_degree_of_freedom():
     a, b = np.array([0, 0, 1, 1, 2, 2, 3, 3]), np.array([0, 1, 0, 1, 2, 3, 2, 3])
     y = np.arange(8.0) ** 2
     dense = factor(
@@ -73,7 +69,7 @@ def test_two_factors_without_a_common_row_lose_a_degree_of_freedom() -> None:
     assert fit.residual == pytest.approx(dense.residual, abs=1e-12)
 
 
-def test_the_multiplier_of_many_blocks_holds_its_level() -> None:
+def test_the_multiplier_of_many_blocks_holds_its_level():
     """Of 30,000 draws of 60 blocks themselves: .96 to three standard errors, and .004 besides."""
     b, rng = 60, np.random.default_rng(12)
     assert b >= ASYMPTOTIC_BLOCKS

@@ -1,10 +1,7 @@
 """Which cases fail: published tables, enumerations, rates, and rules that were planted."""
 
-from __future__ import annotations
-
 import itertools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +11,7 @@ from study.statistics.analysis.failures import CaseFate, cause, failure_pattern
 from tests.cli.small import study
 
 
-def independent(table: dict[str, tuple[int, int]]) -> list[CaseFate]:
+def independent(table):
     """Cases of a table of failed and all, each in a cell of its own."""
     fates = []
     for level, (bad, total) in table.items():
@@ -23,17 +20,17 @@ def independent(table: dict[str, tuple[int, int]]) -> list[CaseFate]:
     return fates
 
 
-def p_of(fates: list[CaseFate], factor: str = "f") -> float:
+def p_of(fates, factor="f"):
     (found,) = [test for test in failure_pattern(fates).tests if test.factor == factor]
     return found.p
 
 
-def test_the_lady_tasting_tea() -> None:
+def test_the_lady_tasting_tea():
     """Fisher 1935, The Design of Experiments: three of four right; two-sided p = 34/70."""
     assert p_of(independent({"milk": (3, 4), "tea": (1, 4)})) == pytest.approx(34 / 70)
 
 
-def design(bad: set[tuple[str, str, str]], blocks: int) -> list[CaseFate]:
+def design(bad, blocks):
     return [
         CaseFate(
             {"plates": p, "order": o, "depth": d}, str(k), (p, o, d) in bad,
@@ -44,7 +41,7 @@ def design(bad: set[tuple[str, str, str]], blocks: int) -> list[CaseFate]:
     ]  # fmt: skip
 
 
-def test_a_planted_rule_is_found_and_counted() -> None:
+def test_a_planted_rule_is_found_and_counted():
     fates = design({("bonded", "2", "60 %")}, 8)
     fates[0] = CaseFate(fates[0].levels, fates[0].block, True, "timeout")
     found = failure_pattern(fates, "specimen")
@@ -54,7 +51,7 @@ def test_a_planted_rule_is_found_and_counted() -> None:
     assert found.causes == {"not-converged": 8, "timeout": 1}
 
 
-def test_one_cell_that_fails_in_every_block_blames_no_factor() -> None:
+def test_one_cell_that_fails_in_every_block_blames_no_factor():
     """Eight failures of one cell are one fact: taken as eight, bonded plates had p < 0.01."""
     fates = design({("bonded", "2", "60 %")}, 8)
     naive = fisher_exact([[8, 40], [0, 48]]).pvalue
@@ -62,7 +59,7 @@ def test_one_cell_that_fails_in_every_block_blames_no_factor() -> None:
     assert min(test.p for test in failure_pattern(fates).tests) > 0.2
 
 
-def test_a_factor_that_makes_cells_fail_is_blamed() -> None:
+def test_a_factor_that_makes_cells_fail_is_blamed():
     bad = {(p, o, "60 %") for p in ("bonded", "free") for o in ("1", "2")}
     found = failure_pattern(design(bad, 4))
     assert found.tests[0].factor == "depth"
@@ -72,7 +69,7 @@ def test_a_factor_that_makes_cells_fail_is_blamed() -> None:
     assert [rule.settings for rule in found.rules] == [{"depth": "60 %"}]
 
 
-def test_a_specimen_that_fails_everywhere_is_found_among_the_blocks() -> None:
+def test_a_specimen_that_fails_everywhere_is_found_among_the_blocks():
     fates = [
         CaseFate(one.levels, one.block, one.block == "3", "bad") for one in design(set(), 6)
     ]  # fmt: skip
@@ -84,13 +81,13 @@ def test_a_specimen_that_fails_everywhere_is_found_among_the_blocks() -> None:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_failures_by_chance_are_blamed_on_nothing_more_often_than_promised() -> None:
+def test_failures_by_chance_are_blamed_on_nothing_more_often_than_promised():
     """Cells that fail as a whole, at random: 5 % of data sets may blame a factor."""
     rng, blamed, ruled, sets = np.random.default_rng(7), 0, 0, 120
     for _ in range(sets):
         cells = list({tuple(one.levels.values()) for one in design(set(), 1)})
         bad = {cell for cell in sorted(cells) if rng.random() < 0.3}
-        found = failure_pattern(design(bad, 3))  # type: ignore[arg-type]
+        found = failure_pattern(design(bad, 3))
         blamed += any(test.p_holm < 0.05 for test in found.tests)
         ruled += any(len(rule.settings) < 2 for rule in found.rules)
     assert blamed <= 0.05 * sets + 3 * math.sqrt(0.05 * 0.95 * sets)
@@ -99,7 +96,7 @@ def test_failures_by_chance_are_blamed_on_nothing_more_often_than_promised() -> 
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_rules_that_only_list_cases_by_chance_are_not_given() -> None:
+def test_rules_that_only_list_cases_by_chance_are_not_given():
     """Single cases fail at random: no conjunction is worth its name."""
     rng, given = np.random.default_rng(3), 0
     for _ in range(60):
@@ -111,7 +108,7 @@ def test_rules_that_only_list_cases_by_chance_are_not_given() -> None:
     assert given <= 9
 
 
-def test_all_or_none() -> None:
+def test_all_or_none():
     everything = [CaseFate(one.levels, one.block, True, "timeout") for one in design(set(), 2)]
     found = failure_pattern(everything)
     assert (found.failed, found.total, found.tests, found.rules) == (24, 24, (), ())
@@ -120,7 +117,7 @@ def test_all_or_none() -> None:
     assert (none.failed, none.causes, none.tests, none.rules) == (0, {}, (), ())
 
 
-def test_ten_thousand_cases_fit_into_memory_and_seconds() -> None:
+def test_ten_thousand_cases_fit_into_memory_and_seconds():
     fates = [
         CaseFate({"a": str(k % 100), "b": str(k // 100)}, "", k % 100 == 7, "bad")
         for k in range(10_000)
@@ -138,7 +135,7 @@ def test_a_cause_is_cut_between_words_and_says_so():
     assert cause("unstable", "below stretch 0.61") == cause("unstable", "below stretch 0.7")
 
 
-def test_an_imported_table_of_three_levels_has_the_p_of_fisher_in_r(tmp_path: Path) -> None:
+def test_an_imported_table_of_three_levels_has_the_p_of_fisher_in_r(tmp_path):
     """R 4.2.2: fisher.test(matrix(c(6, 4, 1, 9, 2, 8), 2)), p = 0.0773634161940021."""
     failed = {"soft": 6, "medium": 1, "stiff": 2}
     rows = "".join(

@@ -1,10 +1,7 @@
 """The fault table of the statistics, F14 to F23: each row with the behavior it must have."""
 
-from __future__ import annotations
-
 import itertools
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,9 +14,7 @@ from study.statistics.analysis.anova import anova
 from study.statistics.analysis.equal_variance import levene
 
 
-def factorial(
-    shape: dict[str, int], repeats: int = 1, seed: int = 0, **effect: float
-) -> pd.DataFrame:
+def factorial(shape, repeats=1, seed=0, **effect):
     """Full grid with unit normal scatter and a slope along some factors."""
     rows = [
         {**dict(zip(shape, (f"L{i}" for i in cell), strict=True)), "rep": r}
@@ -34,7 +29,7 @@ def factorial(
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_f14_a_response_that_is_no_number_is_listed_and_json_stays_valid(bad: float) -> None:
+def test_f14_a_response_that_is_no_number_is_listed_and_json_stays_valid(bad):
     table = factorial({"a": 3, "b": 2}, 3, 1)
     table.loc[[0, 5], "y"] = bad
     result = anova(table, "y", ["a", "b"], exact=False)
@@ -44,7 +39,7 @@ def test_f14_a_response_that_is_no_number_is_listed_and_json_stays_valid(bad: fl
         anova(table.assign(y=bad), "y", ["a", "b"])
 
 
-def test_f15_repeated_cells_of_a_study_are_replicates_only_if_declared() -> None:
+def test_f15_repeated_cells_of_a_study_are_replicates_only_if_declared():
     table = factorial({"a": 3, "b": 2}, 5, 2)
     with pytest.raises(RefusedError, match=r"6 cells hold several runs \(L0 L0; L0 L1"):
         anova(table, "y", ["a", "b"], records=True)
@@ -56,7 +51,7 @@ def test_f15_repeated_cells_of_a_study_are_replicates_only_if_declared() -> None
     assert again.anova.row("a").f == pytest.approx(declared.anova.row("a").f, rel=1e-10)
 
 
-def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported() -> None:
+def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported():
     table = factorial({"a": 3}, 3, 1)
     table.loc[table["a"] == "L1", "y"] = 1.0
     result = anova(table, "y", ["a"], exact=False)
@@ -72,7 +67,7 @@ def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported() -> N
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-15])
-def test_f19_f20_a_constant_response_has_no_anova(noise: float) -> None:
+def test_f19_f20_a_constant_response_has_no_anova(noise):
     table = factorial({"a": 2, "b": 2}, 3, 1)
     rng = np.random.default_rng(0)
     table["y"] = 1.0 + noise * rng.normal(size=len(table))
@@ -84,7 +79,7 @@ def test_f19_f20_a_constant_response_has_no_anova(noise: float) -> None:
         json.dumps(result.to_json(), allow_nan=False)
 
 
-def test_f21_aliases_are_named_and_a_saturated_model_has_no_f() -> None:
+def test_f21_aliases_are_named_and_a_saturated_model_has_no_f():
     half = factorial({"a": 2, "b": 2, "c": 2}, 1, 1)
     half = half[sum(half[f].str[1:].astype(int) for f in "abc") % 2 == 0]
     result = anova(half, "y", ["a", "b", "c"])
@@ -96,7 +91,7 @@ def test_f21_aliases_are_named_and_a_saturated_model_has_no_f() -> None:
         assert f"{pair} (= {main})" in left_out
 
 
-def test_f21_more_terms_than_rows() -> None:
+def test_f21_more_terms_than_rows():
     few = factorial({"a": 3, "b": 3, "c": 3}, 1, 1).iloc[[0, 4, 8, 12, 13, 22]]
     result = anova(few, "y", ["a", "b", "c"], exact=False)
     assert all(row.f is None for row in result.anova.rows)
@@ -105,7 +100,7 @@ def test_f21_more_terms_than_rows() -> None:
     json.dumps(result.to_json(), allow_nan=False)
 
 
-def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_to_type_one() -> None:
+def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_to_type_one():
     table = factorial({"a": 3, "b": 2}, 3, 1)
     lost = anova(table.drop(4), "y", ["a", "b"], exact=False)
     assert lost.anova.type == "III"
@@ -127,7 +122,7 @@ def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_to_type_one() -
     assert result.effect("a").mean[:2] != (None, None)
 
 
-def study(seed: int, gap: float) -> pd.DataFrame:
+def study(seed, gap):
     """Records of 2 models x 2 spaces on six specimens; models differ by ``gap``."""
     rng = np.random.default_rng(seed)
     rows = [
@@ -138,7 +133,7 @@ def study(seed: int, gap: float) -> pd.DataFrame:
     return table.assign(y=table["y"] + rng.normal(size=len(table)) * 0.05)
 
 
-def test_f22_failed_cells_bound_the_conclusion() -> None:
+def test_f22_failed_cells_bound_the_conclusion():
     options = {"block": "specimen", "records": True, "practical": 0.5, "exact": False}
     table = study(3, gap=1.0)
     whole = anova(table, "y", ["model", "space"], **options)
@@ -158,7 +153,7 @@ def test_f22_failed_cells_bound_the_conclusion() -> None:
     assert bound.low == pytest.approx(b - (a + high) / 12, rel=1e-9)
 
 
-def test_f22_many_failures_overturn_the_verdict_and_say_so() -> None:
+def test_f22_many_failures_overturn_the_verdict_and_say_so():
     table = study(3, gap=0.7)
     table.loc[(table["model"] == "B") & (table["space"] == "3d"), "y"] = np.nan
     options = {"block": "specimen", "records": True, "practical": 0.4, "exact": False}
@@ -175,7 +170,7 @@ def test_f22_many_failures_overturn_the_verdict_and_say_so() -> None:
     assert {"term", "low", "high", "verdicts", "p", "holds"} <= set(document[0])
 
 
-def test_f22_failures_that_cannot_overturn_anything() -> None:
+def test_f22_failures_that_cannot_overturn_anything():
     table = study(4, gap=8.0)
     table.loc[[3], "y"] = np.nan
     result = anova(table, "y", ["model", "space"], block="specimen", exact=False, practical=0.1)
@@ -184,7 +179,7 @@ def test_f22_failures_that_cannot_overturn_anything() -> None:
     assert any("cannot overturn what is said of model" in w for w in result.notes)
 
 
-def test_f22_a_level_that_failed_everywhere_is_bounded_too() -> None:
+def test_f22_a_level_that_failed_everywhere_is_bounded_too():
     table = study(5, gap=1.0)
     third = table[table["model"] == "B"].assign(model="C", y=np.nan)
     table = pd.concat([table, third], ignore_index=True)
@@ -203,16 +198,14 @@ def test_f22_a_level_that_failed_everywhere_is_bounded_too() -> None:
         ("a,y\nx,1\nx ,2\nz,3\n", "csv:3: column 'a': the level 'x ' and the level 'x'"),
     ],
 )
-def test_f23_levels_are_checked_with_row_and_column(tmp_path: Path, text: str, match: str) -> None:
+def test_f23_levels_are_checked_with_row_and_column(tmp_path, text, match):
     path = tmp_path / "levels.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=match):
         anova(read_csv(path, "y", ["a"]), "y", ["a"])
 
 
-def test_copies_end_the_program_with_code_three_and_what_to_do(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_copies_end_the_program_with_code_three_and_what_to_do(tmp_path, capsys):
     path = tmp_path / "copies.csv"
     pd.concat([factorial({"a": 2, "b": 2}, 1, 1)] * 3).to_csv(path, index=False)
     arguments = ["analyze", str(path), "--response", "y", "--factors", "a,b", "--json"]
@@ -225,7 +218,7 @@ def test_copies_end_the_program_with_code_three_and_what_to_do(
     assert "copies.csv: column 'c': no such column" in capsys.readouterr().err
 
 
-def test_f22_a_unit_without_any_response_is_bounded_and_counted() -> None:
+def test_f22_a_unit_without_any_response_is_bounded_and_counted():
     table = factorial({"a": 3, "s": 4}, 3, 7, a=0.5)
     table.loc[:2, "y"] = np.nan  # the whole first specimen
     table.loc[20, "y"] = np.nan  # one repeat of another
@@ -237,7 +230,7 @@ def test_f22_a_unit_without_any_response_is_bounded_and_counted() -> None:
     assert result.data.nested.units == 11
 
 
-def test_a_fraction_with_lost_runs_says_which_smaller_model_to_ask_for() -> None:
+def test_a_fraction_with_lost_runs_says_which_smaller_model_to_ask_for():
     sign = np.array([[(i >> k & 1) * 2 - 1 for k in range(4)] for i in range(16)])
     table = pd.DataFrame(sign, columns=list("ABCD")).assign(E=sign.prod(axis=1))
     table["y"] = 10 + 2 * table["A"] + np.random.default_rng(5).normal(0, 0.1, 16)

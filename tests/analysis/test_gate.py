@@ -1,9 +1,6 @@
 """What withdraws a claim: tables on which the printed analysis alone would claim too much."""
 
-from __future__ import annotations
-
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -13,9 +10,7 @@ from scipy.stats import t as student
 
 from study.api import contrasts
 from study.ground.errors import RefusedError
-from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.data import prepare, refuse_copied_rows
 from study.statistics.analysis.equal_variance import own_variances, variances_beside_blocks
 from study.statistics.analysis.linear_model import CellLayout as Layout
@@ -24,30 +19,30 @@ from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS, NO_DI
 from study.statistics.analysis.sums_of_squares import factor
 
 
-def crossed(**levels: int) -> pd.DataFrame:
+def crossed(**levels):
     rows = itertools.product(*(range(k) for k in levels.values()))
     return pd.DataFrame(list(rows), columns=list(levels))
 
 
-def sign(table: pd.DataFrame, *factors: str) -> pd.Series:
+def sign(table, *factors):
     return (2 * table[list(factors)] - 1).prod(axis=1)
 
 
-def analyzed(table: pd.DataFrame, factors: Sequence[str], **asked: object) -> AnalysisResult:
+def analyzed(table, factors, **asked):
     """Analysis with a practical difference of 1 where no other is asked for."""
     return anova(table, "y", list(factors), **{"practical": 1.0, "exact": False} | asked)
 
 
-def verdicts(table: pd.DataFrame, factors: Sequence[str], **asked: object) -> set[str]:
+def verdicts(table, factors, **asked):
     found = analyzed(table, factors, **asked)
     return {found.effect(name).verdict for name in factors}
 
 
-def judged(table: pd.DataFrame, factor: str = "a", **asked: object) -> Effect:
+def judged(table, factor="a", **asked):
     return analyzed(table, asked.pop("factors", [factor]), **asked).effect(factor)
 
 
-def withdrawn(why: str, table: pd.DataFrame, factor: str = "a", **asked: object) -> Effect:
+def withdrawn(why, table, factor="a", **asked):
     """Effect of a factor of which nothing is claimed, for that reason."""
     effect = judged(table, factor, **asked)
     assert effect.verdict == CANNOT_TELL
@@ -55,13 +50,13 @@ def withdrawn(why: str, table: pd.DataFrame, factor: str = "a", **asked: object)
     return effect
 
 
-def groups(seed: int, counts: tuple[int, ...], sds: tuple[float, ...]) -> pd.DataFrame:
+def groups(seed, counts, sds):
     random = np.random.default_rng(seed)
     code = np.repeat(np.arange(len(counts)), counts)
     return pd.DataFrame({"a": code, "y": 5 + random.normal(size=code.size) * np.array(sds)[code]})
 
 
-def test_an_interaction_of_an_unreplicated_design_is_seen_in_simple_effects() -> None:
+def test_an_interaction_of_an_unreplicated_design_is_seen_in_simple_effects():
     table = crossed(a=2, b=2, c=2, d=2)
     noise = np.random.default_rng(3).normal(0, 0.2, 16)
     table["y"] = 10 + 2 * sign(table, "a", "b") + noise
@@ -76,7 +71,7 @@ def test_an_interaction_of_an_unreplicated_design_is_seen_in_simple_effects() ->
 
 
 @pytest.mark.parametrize("block", [None, "s"])
-def test_a_model_that_leaves_an_interaction_out_claims_nothing(block: str | None) -> None:
+def test_a_model_that_leaves_an_interaction_out_claims_nothing(block):
     table = crossed(s=5, a=2, b=2)
     random = np.random.default_rng(1)
     noise = random.normal(0, 0.05, 20) + (0 if block is None else table["s"])
@@ -92,7 +87,7 @@ def test_a_model_that_leaves_an_interaction_out_claims_nothing(block: str | None
     assert verdicts(table.assign(y=noise), "ab", **asked) == {NO_DIFFERENCE}
 
 
-def test_blocks_that_lack_a_cell_are_pooled_only_where_that_is_asked_for() -> None:
+def test_blocks_that_lack_a_cell_are_pooled_only_where_that_is_asked_for():
     """By default each effect has the error of a whole table, with its 5 degrees of freedom."""
     table = crossed(s=6, a=2, m=4)
     random = np.random.default_rng(2)
@@ -111,14 +106,14 @@ def test_blocks_that_lack_a_cell_are_pooled_only_where_that_is_asked_for() -> No
     assert asked.error_term.reason == "asked for"
 
 
-def test_welch_withdraws_what_the_pooled_variance_claims() -> None:
+def test_welch_withdraws_what_the_pooled_variance_claims():
     effect = withdrawn("Welch", groups(5, (20, 20, 4), (0.2, 0.2, 2.0)), practical=2.5)
     assert effect.high < 2.5  # the pooled interval alone would claim
     even = groups(5, (20, 20, 4), (0.2, 0.2, 0.2))
     assert judged(even, practical=2.5).verdict == NO_DIFFERENCE
 
 
-def test_two_rows_that_agree_by_chance_do_not_make_their_group_sure() -> None:
+def test_two_rows_that_agree_by_chance_do_not_make_their_group_sure():
     """Welch's interval alone would take them for the surest rows: .085 false claims, not .05."""
     table = groups(5, (10, 2), (0.3, 0.0))
     table.loc[10:, "y"] += [2.3, 2.35]
@@ -127,7 +122,7 @@ def test_two_rows_that_agree_by_chance_do_not_make_their_group_sure() -> None:
     assert judged(tests, practical=1.7).verdict == MATTERS
 
 
-def test_readings_as_coarse_as_the_differences_claim_nothing() -> None:
+def test_readings_as_coarse_as_the_differences_claim_nothing():
     table = crossed(s=3, a=2)
     table["y"] = 7.0 + table["s"] + 2.0 * table["a"]  # one step more, in every block
     withdrawn("", table, block="s", practical=1.5)
@@ -136,7 +131,7 @@ def test_readings_as_coarse_as_the_differences_claim_nothing() -> None:
 
 
 @pytest.mark.parametrize("times", [2, 3])
-def test_copied_rows_are_refused_until_they_are_said_to_be_real(times: int) -> None:
+def test_copied_rows_are_refused_until_they_are_said_to_be_real(times):
     table = groups(2, (5, 5), (0.3, 0.3)).round(4)
     copied = pd.concat([table] * times, ignore_index=True)
     with pytest.raises(RefusedError, match=f"each row stands {times} times"):
@@ -149,7 +144,7 @@ def test_copied_rows_are_refused_until_they_are_said_to_be_real(times: int) -> N
 
 
 @pytest.mark.parametrize(("times", "digit"), [(2, 1e-9), (2, 1e-4), (3, 1e-5), (3, 1e-3)])
-def test_copies_with_other_last_digits_are_refused(times: int, digit: float) -> None:
+def test_copies_with_other_last_digits_are_refused(times, digit):
     random = np.random.default_rng(2)
     table = groups(3, (8, 8), (0.5, 0.5)).round(3)
     copied = pd.concat([table] * times, ignore_index=True)
@@ -165,7 +160,7 @@ def test_copies_with_other_last_digits_are_refused(times: int, digit: float) -> 
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_rows_that_are_close_by_chance_are_no_copies(seed: int) -> None:
+def test_rows_that_are_close_by_chance_are_no_copies(seed):
     """Heavy tails crowd in the middle; a step that is no decimal number ties everywhere."""
     random = np.random.default_rng(seed)
     heavy = pd.DataFrame({"a": np.repeat(list("abc"), 100), "y": random.standard_t(2, 300)})
@@ -174,13 +169,13 @@ def test_rows_that_are_close_by_chance_are_no_copies(seed: int) -> None:
         refuse_copied_rows(prepare(table, "y", ["a"]))
 
 
-def test_coarse_readings_tie_without_being_copies() -> None:
+def test_coarse_readings_tie_without_being_copies():
     table = groups(3, (30, 30), (0.3, 0.3))
     for y in (table["y"].round(1), np.log(table["y"].round(1)), table["y"].round(0)):
         assert anova(table.assign(y=y), "y", ["a"], exact=False).data.n == 60
 
 
-def test_skewed_differences_need_an_interval_without_a_normal_distribution() -> None:
+def test_skewed_differences_need_an_interval_without_a_normal_distribution():
     differences = np.array([0.05, 0.12, 0.2, 0.31, 0.45, 0.7])
     table = crossed(s=6, a=2)
     table["y"] = 3.7 * table["s"] + np.repeat(differences, 2) * table["a"]
@@ -188,7 +183,7 @@ def test_skewed_differences_need_an_interval_without_a_normal_distribution() -> 
     assert effect.high < 0.65
 
 
-def test_a_share_of_a_mean_that_is_not_known_is_no_exact_limit() -> None:
+def test_a_share_of_a_mean_that_is_not_known_is_no_exact_limit():
     table = crossed(s=5, a=2)
     random = np.random.default_rng(6)
     table["y"] = np.repeat(20 + 3 * random.normal(size=5), 2) + 1.02 * table["a"]
@@ -199,7 +194,7 @@ def test_a_share_of_a_mean_that_is_not_known_is_no_exact_limit() -> None:
 @pytest.mark.parametrize(
     ("levels", "block"), [({"s": 6, "a": 3}, "s"), ({"r": 6, "a": 2, "b": 2}, None)]
 )
-def test_the_gate_changes_no_number(levels: dict[str, int], block: str | None) -> None:
+def test_the_gate_changes_no_number(levels, block):
     """Rivals withdraw claims; sums, F, p and intervals of clean tables are those without them."""
     table = crossed(**levels)
     table["y"] = 5 + np.random.default_rng(8).normal(0, 0.2, len(table))
@@ -211,7 +206,7 @@ def test_the_gate_changes_no_number(levels: dict[str, int], block: str | None) -
 
 
 @pytest.mark.parametrize("sizes", [(4, 4, 4), (3, 4, 2)])
-def test_levels_nested_with_names_of_their_own_are_strata(sizes: tuple[int, ...]) -> None:
+def test_levels_nested_with_names_of_their_own_are_strata(sizes):
     """F of the upper stratum is that of the batch means, that of the lower one within batches."""
     random = np.random.default_rng(12)
     table = pd.DataFrame(
@@ -237,7 +232,7 @@ def test_levels_nested_with_names_of_their_own_are_strata(sizes: tuple[int, ...]
     assert any("--model lab,lab:batch" in note for note in found.notes)
 
 
-def test_a_nested_factor_that_meets_a_third_one_is_a_block_of_its_levels() -> None:
+def test_a_nested_factor_that_meets_a_third_one_is_a_block_of_its_levels():
     """Its means at two temperatures are no two batches: temperature is compared within them."""
     random = np.random.default_rng(3)
     levels = itertools.product(range(2), range(4), ("cold", "hot"), range(3))
@@ -262,7 +257,7 @@ def test_a_nested_factor_that_meets_a_third_one_is_a_block_of_its_levels() -> No
     assert own.df_error < 6
 
 
-def test_an_empty_cell_leaves_what_can_be_estimated() -> None:
+def test_an_empty_cell_leaves_what_can_be_estimated():
     """Sequential sums by the residual sums of nested fits; the lost cell is named once."""
     table = crossed(a=3, b=2, r=4)
     table["y"] = table["a"] + 0.5 * table["b"] + np.random.default_rng(4).normal(0, 0.4, 24)
@@ -272,7 +267,7 @@ def test_an_empty_cell_leaves_what_can_be_estimated() -> None:
     dummies = [np.ones((len(table), 1)), np.eye(3)[table["a"]], np.eye(2)[table["b"]]]
     cells = np.eye(6)[table["a"] * 2 + table["b"]]
 
-    def rss(*columns: np.ndarray) -> float:
+    def rss(*columns):
         x = np.hstack(columns)
         return float(np.sum((y - x @ np.linalg.lstsq(x, y)[0]) ** 2))
 
@@ -289,7 +284,7 @@ def test_an_empty_cell_leaves_what_can_be_estimated() -> None:
     assert sum("empty" in note for note in found.notes) == 2
 
 
-def test_failed_combinations_leave_the_good_cases_their_verdicts() -> None:
+def test_failed_combinations_leave_the_good_cases_their_verdicts():
     table = crossed(space=2, material=2, order=2, mesh=3)
     table["y"] = 10 + 5.0 * table["material"] + 0.2 * table["space"] + 0.01 * table["mesh"]
     failed = (table["space"] == 1) & (table["order"] == 1)
@@ -302,7 +297,7 @@ def test_failed_combinations_leave_the_good_cases_their_verdicts() -> None:
     assert sum("left out, for these runs" in note for note in found.notes) == 1
 
 
-def test_a_fraction_with_a_lost_run_leaves_out_the_fewest_terms() -> None:
+def test_a_fraction_with_a_lost_run_leaves_out_the_fewest_terms():
     table = crossed(A=2, B=2, C=2, D=2)
     table["E"] = table[list("ABCD")].sum(axis=1) % 2
     table["y"] = 10 + table["A"] + np.random.default_rng(1).normal(0, 0.1, 16)
@@ -318,9 +313,7 @@ def test_a_fraction_with_a_lost_run_leaves_out_the_fewest_terms() -> None:
 
 @pytest.mark.parametrize("lost", [[], [2], [2, 9]])
 @pytest.mark.parametrize("factors", ["ABCD", "ABCDE"])
-def test_an_interaction_hidden_from_a_declared_model_withdraws_claims(
-    factors: str, lost: list[int]
-) -> None:
+def test_an_interaction_hidden_from_a_declared_model_withdraws_claims(factors, lost):
     """Without repeats, complete, a fraction, or short of runs: simple effects are 1.2."""
     table = crossed(A=2, B=2, C=2, D=2)
     table["E"] = table[list("ABCD")].sum(axis=1) % 2
@@ -333,7 +326,7 @@ def test_an_interaction_hidden_from_a_declared_model_withdraws_claims(
     assert verdicts(flat, factors, model=1) == {NO_DIFFERENCE}
 
 
-def test_an_interaction_that_main_effects_share_withdraws_claims_too() -> None:
+def test_an_interaction_that_main_effects_share_withdraws_claims_too():
     """Twelve runs of Plackett and Burman, six directions left out: simple effects are 1.2."""
     row = np.array([1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1])
     runs = np.vstack([*(np.roll(row, k) for k in range(11)), -np.ones(11, int)])
@@ -345,7 +338,7 @@ def test_an_interaction_that_main_effects_share_withdraws_claims_too() -> None:
     assert verdicts(table.assign(y=noise), "ABCDE", model=1) == {NO_DIFFERENCE}
 
 
-def test_a_fraction_leaves_out_aliases_in_one_sentence() -> None:
+def test_a_fraction_leaves_out_aliases_in_one_sentence():
     table = crossed(A=2, B=2, C=2, D=2)
     table["E"] = table[list("ABCD")].sum(axis=1) % 2
     table["y"] = 10 + 2 * sign(table, "A", "B") + np.random.default_rng(1).normal(0, 0.2, 16)
@@ -357,7 +350,7 @@ def test_a_fraction_leaves_out_aliases_in_one_sentence() -> None:
     assert len(found.notes) < 5
 
 
-def test_a_level_that_fails_in_most_blocks_leaves_its_siblings() -> None:
+def test_a_level_that_fails_in_most_blocks_leaves_its_siblings():
     table = crossed(s=6, a=3)
     table["y"] = table["s"] + 2.0 * (table["a"] == 1)
     table["y"] += np.random.default_rng(5).normal(0, 0.1, 18)
@@ -369,14 +362,14 @@ def test_a_level_that_fails_in_most_blocks_leaves_its_siblings() -> None:
     assert CANNOT_TELL in {v for pair, v in pairs.items() if "2" in pair}
 
 
-def sessions() -> pd.DataFrame:
+def sessions():
     """Eight subjects of two treatments in three sessions each."""
     table = crossed(treat=2, k=4, session=3)
     table["subject"] = [f"s{4 * t + k}" for t, k in zip(table["treat"], table["k"], strict=True)]
     return table.assign(y=np.random.default_rng(7).normal(size=24))
 
 
-def test_a_unit_in_several_cells_is_a_block() -> None:
+def test_a_unit_in_several_cells_is_a_block():
     table = sessions()
     unit = analyzed(table, ["treat", "session"], unit="subject")
     block = analyzed(table, ["treat", "session"], block="subject")
@@ -385,7 +378,7 @@ def test_a_unit_in_several_cells_is_a_block() -> None:
     assert any("--block subject" in note for note in unit.notes)
 
 
-def test_means_of_a_split_plot_have_intervals() -> None:
+def test_means_of_a_split_plot_have_intervals():
     """Of a whole plot's level: the scatter of whole plots; of the others: of both strata."""
     table = sessions()
     asked = {"block": "subject", "whole_plot": "treat", "practical": 9.0}
@@ -401,14 +394,14 @@ def test_means_of_a_split_plot_have_intervals() -> None:
     assert found.effect("session").simple_effects
 
 
-def test_one_specimen_tells_nothing_of_another() -> None:
+def test_one_specimen_tells_nothing_of_another():
     table = crossed(a=3, r=2).assign(s="only")
     table["y"] = np.random.default_rng(1).normal(size=6) + 9 * table["a"]
     withdrawn("one specimen", table, block="s")
     assert any("one s (only)" in note for note in analyzed(table, "a", block="s").notes)
 
 
-def test_contrasts_asked_for_by_name_pass_the_gate() -> None:
+def test_contrasts_asked_for_by_name_pass_the_gate():
     table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
     found = anova(table, "y", ["a"], practical=2.5, exact=False)
     uneven, even = contrasts(found, ["a=0 - a=2", "a=0 - a=1"])
@@ -416,14 +409,14 @@ def test_contrasts_asked_for_by_name_pass_the_gate() -> None:
     assert "Welch" in uneven.why
 
 
-def test_differences_of_rounding_are_no_skewed_sample() -> None:
+def test_differences_of_rounding_are_no_skewed_sample():
     """Cells that compute the same differ in their last digits alone, all to one side."""
     table = crossed(s=8, a=2)
     table["y"] = 3.0 + table["s"] + 4e-16 * (table["a"] * (1 + table["s"] ** 3))
     assert judged(table, block="s", records=True, practical=0.5).verdict == NO_DIFFERENCE
 
 
-def test_a_declared_model_over_blocks_that_lack_cells_is_held_against_its_lack_of_fit() -> None:
+def test_a_declared_model_over_blocks_that_lack_cells_is_held_against_its_lack_of_fit():
     """Three by two in six blocks, each of which lacks one of its cells."""
     random = np.random.default_rng(59)
     table = crossed(s=6, a=3, c=2)
@@ -437,7 +430,7 @@ def test_a_declared_model_over_blocks_that_lack_cells_is_held_against_its_lack_o
     assert any(n.startswith("lack of fit") for n in analyzed(table, "ac", **asked).notes)
 
 
-def test_a_verdict_says_what_withdrew_it_and_is_null_without_a_practical_difference() -> None:
+def test_a_verdict_says_what_withdrew_it_and_is_null_without_a_practical_difference():
     table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
     found = anova(table, "y", ["a"], practical=2.5, exact=False)
     (effect,), (row,) = found.to_json()["effects"], found.verdicts()
@@ -449,7 +442,7 @@ def test_a_verdict_says_what_withdrew_it_and_is_null_without_a_practical_differe
     assert {e["verdict"] for e in effect["simple_effects"]} == {None}
 
 
-def test_three_rows_of_a_cell_share_what_they_tell_of_the_scatter() -> None:
+def test_three_rows_of_a_cell_share_what_they_tell_of_the_scatter():
     y, cell = np.array([1.0, 2.0, 3.0, 5.0, 5.2, 5.4, 7.0]), np.array([0, 0, 0, 1, 1, 1, 2])
     variance, df = own_variances(y, cell, shrinkage=1.0)
     pooled = (2 * 1.0 + 2 * 0.04) / 4
@@ -459,9 +452,7 @@ def test_three_rows_of_a_cell_share_what_they_tell_of_the_scatter() -> None:
 
 
 @pytest.mark.parametrize("specimens", [2, 4])
-def test_a_declared_model_of_groups_of_blocks_is_held_against_its_lack_of_fit(
-    specimens: int,
-) -> None:
+def test_a_declared_model_of_groups_of_blocks_is_held_against_its_lack_of_fit(specimens):
     table = crossed(m=2, k=specimens, b=3)
     random = np.random.default_rng(1)
     bend = 1.5 * (2 * table["m"] - 1) * (table["b"] - 1)
@@ -474,7 +465,7 @@ def test_a_declared_model_of_groups_of_blocks_is_held_against_its_lack_of_fit(
         assert judged(table, "b", factors="mb", block="s").verdict == MATTERS
 
 
-def test_a_declared_model_of_a_split_plot_is_held_against_its_lack_of_fit() -> None:
+def test_a_declared_model_of_a_split_plot_is_held_against_its_lack_of_fit():
     table = crossed(s=5, a=2, b=3)
     random = np.random.default_rng(1)
     plots = np.repeat(random.normal(0, 2, 5), 6) + np.repeat(random.normal(0, 0.2, 10), 3)
@@ -487,7 +478,7 @@ def test_a_declared_model_of_a_split_plot_is_held_against_its_lack_of_fit() -> N
 
 
 @pytest.mark.parametrize(("k", "seed"), [(5, 3), (5, 20), (5, 21), (4, 42), (4, 46), (4, 47)])
-def test_one_treatment_of_a_latin_square_scatters_more(k: int, seed: int) -> None:
+def test_one_treatment_of_a_latin_square_scatters_more(k, seed):
     """Of 300 such squares, whose difference is the practical one, 46 made a claim; now 1 in 30."""
     random = np.random.default_rng([11, seed])
     table = crossed(r=k, c=k)
@@ -499,7 +490,7 @@ def test_one_treatment_of_a_latin_square_scatters_more(k: int, seed: int) -> Non
     withdrawn("scatter unequally", table, "v", block=["r", "c"], practical=1.5)
 
 
-def test_variances_beside_blocks_are_those_of_the_cells_where_there_are_none() -> None:
+def test_variances_beside_blocks_are_those_of_the_cells_where_there_are_none():
     cell = np.repeat([0, 1, 2], [3, 4, 6])
     y = np.random.default_rng(2).normal(size=13) * (1 + cell)
     layout = Layout({"v": ("a", "b", "c")}, {"v": cell})
@@ -508,7 +499,7 @@ def test_variances_beside_blocks_are_those_of_the_cells_where_there_are_none() -
     assert df == pytest.approx([2, 3, 5])
 
 
-def test_groups_of_blocks_are_held_to_what_blocks_alone_are() -> None:
+def test_groups_of_blocks_are_held_to_what_blocks_alone_are():
     """A limit that is a share of the mean has that mean's error; equal differences have none."""
     table = crossed(g=2, k=4, v=2)
     table["s"] = 4 * table["g"] + table["k"]
@@ -522,7 +513,7 @@ def test_groups_of_blocks_are_held_to_what_blocks_alone_are() -> None:
     withdrawn("no scatter to judge by", table, "v", **asked)
 
 
-def test_rows_around_an_outlier_and_beside_a_volatile_cell_are_no_copies() -> None:
+def test_rows_around_an_outlier_and_beside_a_volatile_cell_are_no_copies():
     """A wrong decimal point, or one cell, makes the scatter of all rows a hundred times larger."""
     random = np.random.default_rng(17)
     typed = pd.DataFrame({"a": np.repeat([0, 1], 8), "y": random.normal(2, 0.02, 16).round(3)})
@@ -534,14 +525,14 @@ def test_rows_around_an_outlier_and_beside_a_volatile_cell_are_no_copies() -> No
         refuse_copied_rows(prepare(table, "y", ["a"]))
 
 
-def test_copies_in_one_cell_are_named_with_it() -> None:
+def test_copies_in_one_cell_are_named_with_it():
     table = groups(9, (6, 6, 6), (0.3, 0.3, 0.3))
     table.loc[9:11, "y"] = table.loc[6:8, "y"].to_numpy()
     with pytest.raises(RefusedError, match="3 of 6 rows repeat another of their cell, as in 1"):
         anova(table, "y", ["a"], exact=False)
 
 
-def test_readings_of_two_instruments_are_as_coarse_as_both() -> None:
+def test_readings_of_two_instruments_are_as_coarse_as_both():
     """Half of the blocks were read in whole units, whatever the unit of the response is."""
     table = crossed(s=4, a=2)
     table["y"] = 7.0 + table["s"] + 2.0 * table["a"]
@@ -550,14 +541,14 @@ def test_readings_of_two_instruments_are_as_coarse_as_both() -> None:
         withdrawn("coarse", table.assign(y=unit * table["y"]), block="s", practical=1.75 * unit)
 
 
-def test_a_cell_without_scatter_beside_others_judges_nothing() -> None:
+def test_a_cell_without_scatter_beside_others_judges_nothing():
     random = np.random.default_rng(10)
     table = pd.DataFrame({"a": np.repeat([0, 1], 8), "y": 10 + random.normal(0, 0.15, 16).round(3)})
     table.loc[:7, "y"] = 10.0
     withdrawn("no scatter", table, practical=0.5)
 
 
-def test_a_block_that_changes_with_a_factor_is_refused_with_the_words_to_type() -> None:
+def test_a_block_that_changes_with_a_factor_is_refused_with_the_words_to_type():
     table = pd.DataFrame({"a": np.repeat(list("xyz"), 4), "b": np.tile([0, 1], 6)})
     table["day"] = table["a"].map({"x": "mon", "y": "tue", "z": "wed"})
     table["y"] = np.random.default_rng(20).normal(size=12)
@@ -565,7 +556,7 @@ def test_a_block_that_changes_with_a_factor_is_refused_with_the_words_to_type() 
         anova(table, "y", ["a", "b"], block="day", exact=False)
 
 
-def test_plants_laboratories_and_batches_are_tested_each_against_the_next() -> None:
+def test_plants_laboratories_and_batches_are_tested_each_against_the_next():
     """R: aov(y ~ plant + Error(lab/batch)) of these rows."""
     table = crossed(plant=3, lab=2, batch=3, row=2)
     y = [3, 5, 1, 2, 8, 7, 4, 4, 6, 9, 2, 3, 7, 6, 5, 9, 1, 4, 2, 2, 6, 3, 8, 8, 5, 4, 9, 7, 3, 1]

@@ -1,7 +1,5 @@
 """Blocks that lack cells: never more certain than complete ones, and nothing is pooled unasked."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import combinations
 
@@ -11,7 +9,6 @@ import pytest
 from scipy import stats
 
 import study
-from study.ground.arrays import Array
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
     Blocking,
@@ -25,7 +22,7 @@ from study.statistics.analysis.restricted_likelihood import Sandwich, fit_restri
 from study.statistics.analysis.sums_of_squares import factor
 
 
-def gels(seed: int = 3, blocks: int = 7) -> pd.DataFrame:
+def gels(seed=3, blocks=7):
     """Two materials on four meshes: the material's effect differs between specimens."""
     random = np.random.default_rng(seed)
     own = random.normal(0, 0.5, (blocks, 2))
@@ -36,13 +33,13 @@ def gels(seed: int = 3, blocks: int = 7) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["specimen", "material", "mesh", "y"])
 
 
-def less_one_a_block(table: pd.DataFrame) -> pd.DataFrame:
+def less_one_a_block(table):
     first = table.groupby("specimen", sort=False).cumcount()
     number = table["specimen"].str[1:].astype(int)
     return table[(first != (3 * number) % 8).to_numpy()]
 
 
-def test_a_split_plot_without_a_row_keeps_its_means() -> None:
+def test_a_split_plot_without_a_row_keeps_its_means():
     """The mean of a level does not follow the block that lacks it; F as of the same mixed model."""
     table = gels().rename(columns={"specimen": "s"})
     lost = table.drop(index=[9])
@@ -59,7 +56,7 @@ def test_a_split_plot_without_a_row_keeps_its_means() -> None:
     assert contrast.df == pytest.approx(less.anova.row("mesh").df_error, rel=0.01)
 
 
-def test_an_effect_is_still_tested_against_its_own_interaction() -> None:
+def test_an_effect_is_still_tested_against_its_own_interaction():
     options = {"block": "specimen", "practical": 1, "exact": False}
     full = study.anova(gels(), "y", ["material", "mesh"], **options)
     less = study.anova(less_one_a_block(gels()), "y", ["material", "mesh"], **options)
@@ -75,7 +72,7 @@ def test_an_effect_is_still_tested_against_its_own_interaction() -> None:
     assert "mixed model" in less.error_term.question
 
 
-def test_a_contrast_by_name_is_that_of_the_mixed_model() -> None:
+def test_a_contrast_by_name_is_that_of_the_mixed_model():
     """Cells that a block lacks would else be taken for its mean over the others."""
     table = less_one_a_block(gels())
     found = study.anova(table, "y", ["material", "mesh"], block="specimen", exact=False)
@@ -85,12 +82,12 @@ def test_a_contrast_by_name_is_that_of_the_mixed_model() -> None:
     assert contrast.ci == pytest.approx(effect.ci95, rel=1e-9)
 
 
-def sandwich(y: Array, code: Array, layout: Layout) -> Sandwich:
+def sandwich(y, code, layout):
     fixed = factor(model_matrix(layout, [("a",)]), y)
     return Sandwich(fit_restricted(fixed.q, y, [code]), fixed, y, code)
 
 
-def test_of_complete_blocks_the_sandwich_is_the_paired_difference() -> None:
+def test_of_complete_blocks_the_sandwich_is_the_paired_difference():
     """One level scatters five times as much as the others; epsilon is Greenhouse and Geisser's."""
     random = np.random.default_rng(9)
     values = random.normal(0, 1, (8, 1)) + random.normal(0, 1, (8, 4)) * [0.3, 0.3, 0.3, 1.5]
@@ -110,7 +107,7 @@ def test_of_complete_blocks_the_sandwich_is_the_paired_difference() -> None:
     assert (epsilon, p) == pytest.approx((row.epsilon_gg, row.p_gg), rel=1e-9)
 
 
-def rates(scatter: list[float], blocks: int, practical: float, data_sets: int) -> dict[str, float]:
+def rates(scatter, blocks, practical, data_sets):
     """Share of each verdict where levels do not differ and each block lacks a cell."""
     random = np.random.default_rng(17)
     levels = len(scatter)
@@ -127,16 +124,16 @@ def rates(scatter: list[float], blocks: int, practical: float, data_sets: int) -
     return {verdict: n / data_sets for verdict, n in Counter(verdicts).items()}
 
 
-def test_a_volatile_level_makes_no_more_false_claims_than_promised() -> None:
+def test_a_volatile_level_makes_no_more_false_claims_than_promised():
     """With one pooled variance 18 % of such tables made a claim."""
     assert rates([1.5, *[0.3] * 7], 6, 0.01, 60).get("matters", 0) < 0.05 + 2 * 0.028
 
 
-def test_levels_that_agree_are_told_to() -> None:
+def test_levels_that_agree_are_told_to():
     assert rates([0.1] * 4, 6, 1.0, 20)["no practical difference"] > 0.9
 
 
-def test_two_blocks_that_lack_cells_make_no_claim_of_a_mixed_model() -> None:
+def test_two_blocks_that_lack_cells_make_no_claim_of_a_mixed_model():
     table = less_one_a_block(gels(blocks=2))
     found = study.anova(table, "y", ["material", "mesh"], block="specimen", exact=False)
     assert "mixed model" not in found.error_term.question

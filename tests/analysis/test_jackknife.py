@@ -1,7 +1,5 @@
 """Which claims fall with one block: asked of a quick analysis first, then of the exact one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -20,13 +18,13 @@ TABLE = pd.DataFrame(
 )
 
 
-def request(practical: float) -> AnalysisRequest:
+def request(practical):
     scale = ResponseScale(practical=Threshold(practical))
     blocks = Blocking(block=("block",))
     return AnalysisRequest("y", ("A", "C"), blocks, "full", scale=scale, exact=False)
 
 
-def measured(seed: int) -> pd.DataFrame:
+def measured(seed):
     random = np.random.default_rng(seed)
     shift = np.where(TABLE["A"] == "h", 1.0, 0.0)
     return TABLE.assign(y=shift + random.normal(0, 0.35, len(TABLE)))
@@ -35,7 +33,7 @@ def measured(seed: int) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("seeds", "fewest"), [(5, 1), pytest.param(16, 3, marks=[pytest.mark.slow, pytest.mark.verify])]
 )
-def test_the_quick_analysis_claims_no_more(seeds: int, fewest: int) -> None:
+def test_the_quick_analysis_claims_no_more(seeds, fewest):
     """Blocks without which a claim falls are those of the exact analysis, table by table."""
     asked, differs = request(0.4), 0
     for seed in range(seeds):

@@ -1,9 +1,6 @@
 """The error-term ledger E0 to E7: which source is taken, what it asks, and that it is right."""
 
-from __future__ import annotations
-
 import itertools
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +12,7 @@ from study.statistics.analysis.error_ledger import REMEDIES
 from study.statistics.analysis.simple_effects import CANNOT_TELL
 from tests.analysis.test_faults import factorial
 
-LEDGER: list[tuple[str, dict[str, int], int, dict[str, Any], str]] = [
+LEDGER = [
     ("E0", {"a": 2, "b": 2}, 3, {}, "run-to-run scatter"),
     ("E1", {"a": 2, "b": 2}, 3, {"block": "rep"}, "another rep"),
     ("E1", {"a": 2, "b": 2}, 3, {"block": "rep", "records": True}, "own interaction"),
@@ -31,8 +28,8 @@ LEDGER: list[tuple[str, dict[str, int], int, dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("source", "shape", "repeats", "options", "question"), LEDGER)
 def test_every_source_is_taken_and_says_what_its_p_answers(
-    source: str, shape: dict[str, int], repeats: int, options: dict[str, Any], question: str
-) -> None:
+    source, shape, repeats, options, question
+):
     result = anova(factorial(shape, repeats), "y", list(shape), exact=False, **options)
     assert result.error_term.source == source
     assert question in result.error_term.question
@@ -44,7 +41,7 @@ def test_every_source_is_taken_and_says_what_its_p_answers(
     assert without_error == (source in ("E4", "E6", "E7"))
 
 
-def test_the_override_is_obeyed_and_reported() -> None:
+def test_the_override_is_obeyed_and_reported():
     table = factorial({"a": 3, "b": 2}, 6, 1)
     pooled = anova(table, "y", ["a", "b"], block="rep", records=True, error="pooled", exact=False)
     own = anova(table, "y", ["a", "b"], block="rep", error="own", exact=False)
@@ -68,7 +65,7 @@ def test_the_override_is_obeyed_and_reported() -> None:
         anova(table, "y", ["a", "b"], block="rep", whole_plot="aa")
 
 
-def test_resampled_noise_is_not_averaged_by_more_resamples() -> None:
+def test_resampled_noise_is_not_averaged_by_more_resamples():
     """E2: with cell values t and noise sd s, F of two cells is t^2 / (2 s^2), whatever B is."""
     rng = np.random.default_rng(4)
     f = []
@@ -85,7 +82,7 @@ def test_resampled_noise_is_not_averaged_by_more_resamples() -> None:
     assert f == pytest.approx([4.5, 4.5], rel=1e-9)
 
 
-def test_seed_columns_declare_the_repeats() -> None:
+def test_seed_columns_declare_the_repeats():
     table = factorial({"a": 3, "b": 2}, 3, 5)
     seeds = anova(table.assign(mesh_seed=table["rep"]), "y", ["a", "b"], records=True)
     assert seeds.error_term.source == "E3"
@@ -95,7 +92,7 @@ def test_seed_columns_declare_the_repeats() -> None:
     assert noise.error_term.source == "E2"
 
 
-def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
+def test_numerical_uncertainty_is_a_ratio_and_no_p():
     table = factorial({"a": 2, "b": 2, "c": 2}, 1, 3)
     table["y"] += 4 * (table["a"] == "L1")
     result = anova(table, "y", ["a", "b", "c"], records=True, u_num=0.002, practical=1.0)
@@ -108,14 +105,14 @@ def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
     assert result.variation.lenth is not None
 
 
-def test_blocked_spread_tests_have_a_p_of_their_own_design() -> None:
+def test_blocked_spread_tests_have_a_p_of_their_own_design():
     result = anova(factorial({"a": 3}, 8, 6), "y", ["a"], block="rep", error="pooled")
     assert result.assumptions.bartlett.approximate
     for test in (result.assumptions.bartlett, result.assumptions.levene):
         assert 0 < test.p_monte_carlo <= 1
 
 
-def test_blocked_monte_carlo_p_holds_its_size() -> None:
+def test_blocked_monte_carlo_p_holds_its_size():
     """Bartlett on residuals of 4 cells x 5 blocks, 600 null studies: 5 % within 4 sd (3.6 %).
 
     The chi-squared p, which takes residuals for independent, is off in the same studies.
@@ -138,7 +135,7 @@ def test_blocked_monte_carlo_p_holds_its_size() -> None:
     assert np.mean(np.array(p) <= 0.5) == pytest.approx(0.5, abs=0.082)
 
 
-def test_influence_and_robustness_are_part_of_the_result() -> None:
+def test_influence_and_robustness_are_part_of_the_result():
     table = factorial({"a": 3, "b": 2}, 4, 8)
     table.loc[7, "y"] += 60.0
     result = anova(table, "y", ["a", "b"], exact=False)
@@ -161,7 +158,7 @@ def test_influence_and_robustness_are_part_of_the_result() -> None:
     assert len(row) == 4
 
 
-def test_repeats_within_a_block_are_never_independent() -> None:
+def test_repeats_within_a_block_are_never_independent():
     """Five rows on each of four specimens in every cell: 3 x 4 - 3 - 4 + 1 = 6 residual df."""
     table = factorial({"a": 3, "s": 4}, 5, 11)
     result = anova(table, "y", ["a"], block="s", error="pooled", exact=False)
@@ -176,7 +173,7 @@ def test_repeats_within_a_block_are_never_independent() -> None:
     assert lost.data.bounds
 
 
-def test_a_saturated_fraction_is_judged_by_its_own_contrasts() -> None:
+def test_a_saturated_fraction_is_judged_by_its_own_contrasts():
     """2^(7-4), seven factors in eight runs: the classical effects, one of them large."""
     signs = np.array(list(itertools.product((-1, 1), repeat=3)))
     a, b, c = signs.T
@@ -200,7 +197,7 @@ def test_a_saturated_fraction_is_judged_by_its_own_contrasts() -> None:
     assert {e.verdict for e in full.effects} == {CANNOT_TELL}
 
 
-def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
+def test_lenth_carries_a_verdict_where_a_term_is_one_contrast():
     """Unreplicated 2^4: the interval of an effect is effect +- the simultaneous margin."""
     table = factorial({"a": 2, "b": 2, "c": 2, "d": 2}, 1, 5)
     table["y"] += 9.0 * (table["a"] == "L1")
@@ -218,7 +215,7 @@ def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"error": "own"}, {"records": True}])
-def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, Any]) -> None:
+def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options):
     table = factorial({"a": 3, "s": 4}, 5, 11)
     table["specimen"] = table["a"] + table["s"]
     result = anova(table, "y", ["a"], block="specimen", exact=False, **options)
@@ -234,7 +231,7 @@ def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, A
     assert single.assumptions.normality is not None
 
 
-def test_spread_of_two_cells_in_blocks_is_not_tested() -> None:
+def test_spread_of_two_cells_in_blocks_is_not_tested():
     table = factorial({"a": 2}, 6, 9)
     result = anova(table, "y", ["a"], block="rep", error="pooled")
     for test in (result.assumptions.bartlett, result.assumptions.levene):

@@ -1,7 +1,5 @@
 """Contrasts that the analyst names, against the t-tests of scipy."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -12,12 +10,11 @@ from statsmodels.stats.multitest import multipletests
 
 import study
 from study.ground.errors import InputError
-from study.statistics.analysis.linear_contrast import Contrast
 from study.statistics.analysis.post_hoc import with_contrasts
 from tests.analysis.test_block_groups import two_mixes
 
 
-def blocked(log: bool = False) -> pd.DataFrame:
+def blocked(log=False):
     random = np.random.default_rng(2)
     cells = list(product("xyz", ("20 %", "60 %"), range(7)))
     table = pd.DataFrame(cells, columns=["material", "range", "specimen"])
@@ -26,13 +23,13 @@ def blocked(log: bool = False) -> pd.DataFrame:
     return table.assign(y=np.exp(y / 10) if log else y)
 
 
-def ask(table: pd.DataFrame, *asked: str, **options: object) -> tuple[Contrast, ...]:
+def ask(table, *asked, **options):
     given = {"block": "specimen", "practical": 0.5, "exact": False} | options
     found = study.anova(table, "y", ["material", "range"], **given)
     return study.contrasts(found, list(asked))
 
 
-def test_a_contrast_within_blocks_is_the_paired_t() -> None:
+def test_a_contrast_within_blocks_is_the_paired_t():
     table = blocked()
     (one,) = ask(table, "z, range=60 % - x, range=60 %")
     sides = [table["y"][(table["range"] == "60 %") & (table["material"] == m)] for m in "zx"]
@@ -44,7 +41,7 @@ def test_a_contrast_within_blocks_is_the_paired_t() -> None:
     assert one.verdict == "matters"
 
 
-def test_a_factor_left_out_is_averaged_over() -> None:
+def test_a_factor_left_out_is_averaged_over():
     table = blocked()
     (one,) = ask(table, "material=z - material=x")
     means = table.groupby(["specimen", "material"])["y"].mean()
@@ -52,7 +49,7 @@ def test_a_factor_left_out_is_averaged_over() -> None:
     assert one.p == pytest.approx(paired.pvalue)
 
 
-def test_a_ratio_is_reported_where_the_log_was_analyzed() -> None:
+def test_a_ratio_is_reported_where_the_log_was_analyzed():
     table = blocked(log=True)
     (one,) = ask(table, "z,60 % - x,60 %", transform="log", practical="5 % of mean")
     logs = np.log(table[table["range"] == "60 %"].pivot_table("y", "specimen", "material"))
@@ -60,7 +57,7 @@ def test_a_ratio_is_reported_where_the_log_was_analyzed() -> None:
     assert one.ci == pytest.approx(tuple(np.exp([limits.low, limits.high])))
 
 
-def test_sides_in_different_blocks_are_compared_by_welch() -> None:
+def test_sides_in_different_blocks_are_compared_by_welch():
     table = two_mixes((4, 6)).rename(columns={"mix": "range", "model": "material"})
     (one,) = ask(table, "range=mix 0 - range=mix 1")
     means = table.groupby(["range", "specimen"])["y"].mean()
@@ -68,7 +65,7 @@ def test_sides_in_different_blocks_are_compared_by_welch() -> None:
     assert (one.p, one.df) == pytest.approx((welch.pvalue, welch.df))
 
 
-def test_without_blocks_the_scatter_within_cells_is_the_error() -> None:
+def test_without_blocks_the_scatter_within_cells_is_the_error():
     table = blocked().drop(columns="specimen")
     (one,) = ask(table, "material=z - material=x", block=None)
     cells = table.groupby(["material", "range"])["y"]
@@ -78,13 +75,13 @@ def test_without_blocks_the_scatter_within_cells_is_the_error() -> None:
     assert one.ci[1] - one.ci[0] == pytest.approx(2 * half)
 
 
-def test_several_contrasts_have_wider_intervals_together() -> None:
+def test_several_contrasts_have_wider_intervals_together():
     found = ask(blocked(), "z,60 % - x,60 %", "y,60 % - x,60 %", "z,20 % - x,20 %")
     for one in found:
         assert one.ci_simultaneous[0] < one.ci[0] < one.ci[1] < one.ci_simultaneous[1]
 
 
-def test_p_of_several_contrasts_is_adjusted_as_statsmodels_does() -> None:
+def test_p_of_several_contrasts_is_adjusted_as_statsmodels_does():
     """To 1e-12, in the order asked, which is not that of their p."""
     table = blocked()
     found = ask(table, "x,20 % - y,20 %", "z,60 % - x,60 %", "y,60 % - x,60 %", "z - y")
@@ -96,7 +93,7 @@ def test_p_of_several_contrasts_is_adjusted_as_statsmodels_does() -> None:
     assert alone.p_holm == alone.p
 
 
-def test_those_that_can_be_estimated_are_adjusted_among_themselves() -> None:
+def test_those_that_can_be_estimated_are_adjusted_among_themselves():
     table = blocked()
     found = study.anova(table, "y", ["material", "range"], block="specimen", exact=False)
     asked = ["z - y", "z - w", "x - y"]
@@ -115,6 +112,6 @@ def test_those_that_can_be_estimated_are_adjusted_among_themselves() -> None:
         ("material=60 % - x", "no level '60 %'"),
     ],
 )
-def test_a_wrong_contrast_is_named(text: str, rule: str) -> None:
+def test_a_wrong_contrast_is_named(text, rule):
     with pytest.raises(InputError, match=rule):
         ask(blocked(), text)

@@ -1,7 +1,5 @@
 """REML against published figures, a dense second way, and designs whose answer is exact."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -13,7 +11,6 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 import study
-from study.ground.arrays import Array, Ints
 from study.ground.errors import InputError
 from study.statistics.analysis.restricted_likelihood import (
     Likelihood,
@@ -46,7 +43,7 @@ class Dense:
     Kenward and Roger (1997), Biometrics 53, 983-997.
     """
 
-    def __init__(self, x: Array, y: Array, codes: list[Ints], v: Array) -> None:
+    def __init__(self, x, y, codes, v):
         n, r = x.shape
         self.g = [(c[:, None] == c[None, :]).astype(float) for c in codes] + [np.eye(n)]
         cov = sum((s * g for s, g in zip(v, self.g, strict=True)), np.zeros((n, n)))
@@ -72,7 +69,7 @@ class Dense:
         )
         self.adjusted = self.phi + 2 * self.phi @ inner @ self.phi
 
-    def f_test(self, basis: Array) -> tuple[float, float, float]:
+    def f_test(self, basis):
         phi, count, m = self.phi, basis.shape[1], range(len(self.g))
         theta = basis @ np.linalg.inv(basis.T @ phi @ basis) @ basis.T
         tp = [theta @ phi @ p @ phi for p in self.p]
@@ -91,7 +88,7 @@ class Dense:
         return float(f), float(df), float(f_distribution.sf(f, count, df))
 
 
-def random_design(name: str) -> tuple[Array, Array, list[Ints]]:
+def random_design(name):
     """Fixed columns, response, and levels of random factors of forty rows at random."""
     rng = np.random.default_rng(7)
     n = 40
@@ -113,9 +110,7 @@ DESIGNS = ["one", "nested", "crossed", "with interaction"]
 
 @pytest.mark.parametrize("name", DESIGNS)
 @pytest.mark.parametrize("v", [[0.7, 0.4, 0.3, 1.1], [0.5, 0.0, 2.0, 0.3]])
-def test_likelihood_and_inference_are_those_of_the_dense_covariance(
-    name: str, v: list[float]
-) -> None:
+def test_likelihood_and_inference_are_those_of_the_dense_covariance(name, v):
     x, y, codes = random_design(name)
     at = np.array([*v[: len(codes)], v[-1]])
     likelihood = Likelihood(x, y, tuple(codes))
@@ -135,15 +130,13 @@ def test_likelihood_and_inference_are_those_of_the_dense_covariance(
 
 
 @pytest.mark.parametrize("name", DESIGNS)
-def test_the_estimate_and_its_intervals_are_those_of_a_search_without_derivatives(
-    name: str,
-) -> None:
+def test_the_estimate_and_its_intervals_are_those_of_a_search_without_derivatives(name):
     x, y, codes = random_design(name)
     fit = fit_restricted(x, y, codes)
     m = len(codes) + 1
 
-    def least(held: int | None = None, value: float = 0.0) -> float:
-        def deviance(logs: Array) -> float:
+    def least(held=None, value=0.0):
+        def deviance(logs):
             sd = np.exp(logs)
             v = (sd if held is None else np.insert(sd, held, value)) ** 2
             return Dense(x, y, codes, v).deviance
@@ -163,7 +156,7 @@ def test_the_estimate_and_its_intervals_are_those_of_a_search_without_derivative
                 assert least(which, end) == pytest.approx(limit, abs=1e-3)
 
 
-def test_the_dyestuff_of_davies_as_lme4_has_it() -> None:
+def test_the_dyestuff_of_davies_as_lme4_has_it():
     """Bates et al. 2015, J. Statist. Softw. 67: REML 42.00 and 49.51, criterion 319.6543.
 
     Their criterion leaves out log |X'X| = log 30. In a balanced layout the restricted likelihood
@@ -180,8 +173,8 @@ def test_the_dyestuff_of_davies_as_lme4_has_it() -> None:
     assert (batch.sd, within.sd) == pytest.approx((42.00059463, 49.51010009), rel=1e-6)
     assert found.deviance == pytest.approx(319.6543 - np.log(30), abs=1e-4)
 
-    def rise(v_batch: float) -> float:
-        def deviance(v: float) -> float:
+    def rise(v_batch):
+        def deviance(v):
             mean_square = v + 5 * v_batch
             return float(
                 24 * (np.log(v) + inside / v) + 5 * (np.log(mean_square) + between / mean_square)
@@ -195,7 +188,7 @@ def test_the_dyestuff_of_davies_as_lme4_has_it() -> None:
     assert (batch.low, batch.high) == pytest.approx(ends, rel=1e-5)
 
 
-def test_the_pastes_of_davies_as_lme4_has_them() -> None:
+def test_the_pastes_of_davies_as_lme4_has_them():
     """Pastes of lme4: strength ~ 1 + (1 | batch) + (1 | sample), REML criterion 246.9907."""
     cells = list(product("ABCDEFGHIJ", "abc", range(2)))
     table = pd.DataFrame(cells, columns=["batch", "cask", "row"]).assign(strength=PASTES)
@@ -207,7 +200,7 @@ def test_the_pastes_of_davies_as_lme4_has_them() -> None:
     assert all(c.low <= c.sd <= c.high for c in found.components)
 
 
-def blocked(seed: int = 1, blocks: int = 8) -> pd.DataFrame:
+def blocked(seed=1, blocks=8):
     random = np.random.default_rng(seed)
     rows = [
         (a, k, 3.0 * (a == "z") + scatter + random.normal(0, 1))
@@ -217,7 +210,7 @@ def blocked(seed: int = 1, blocks: int = 8) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["a", "block", "y"])
 
 
-def test_complete_blocks_give_the_table_of_randomized_blocks() -> None:
+def test_complete_blocks_give_the_table_of_randomized_blocks():
     table = blocked()
     found = study.mixed_model(table, "y", ["a"], block="block", practical=1, contrasts=["z - x"])
     (term,) = found.terms
@@ -239,7 +232,7 @@ def test_complete_blocks_give_the_table_of_randomized_blocks() -> None:
     )  # fmt: skip
 
 
-def test_a_split_plot_gives_the_strata_of_its_table() -> None:
+def test_a_split_plot_gives_the_strata_of_its_table():
     """Three strata of a balanced layout: each term is tested where it lies."""
     random = np.random.default_rng(8)
     plot = random.normal(0, 1.5, (6, 3))
@@ -256,7 +249,7 @@ def test_a_split_plot_gives_the_strata_of_its_table() -> None:
         assert term.p == pytest.approx(row.p, rel=1e-7)
 
 
-def test_no_scatter_between_blocks_is_the_boundary() -> None:
+def test_no_scatter_between_blocks_is_the_boundary():
     table = blocked(3)
     table["y"] -= table.groupby("block")["y"].transform("mean")
     block, within = study.mixed_model(table, "y", ["a"], block="block").components
@@ -265,7 +258,7 @@ def test_no_scatter_between_blocks_is_the_boundary() -> None:
     assert within.share == 1.0
 
 
-def shifted_blocks(seed: int, offset: float) -> pd.DataFrame:
+def shifted_blocks(seed, offset):
     """Blocks that lack rows, far from each other beside the scatter within them."""
     random = np.random.default_rng(seed)
     table = pd.DataFrame(list(product(range(7), range(3), range(2))), columns=["s", "a", "r"])
@@ -274,7 +267,7 @@ def shifted_blocks(seed: int, offset: float) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_blocks_far_apart_leave_the_scatter_within_as_it_is(seed: int) -> None:
+def test_blocks_far_apart_leave_the_scatter_within_as_it_is(seed):
     """As blocks move apart, what is left is the residual of the same model with fixed blocks."""
     table = shifted_blocks(seed, 3000.0)
     within = study.mixed_model(table, "y", ["a"], block="s").components[-1]
@@ -282,7 +275,7 @@ def test_blocks_far_apart_leave_the_scatter_within_as_it_is(seed: int) -> None:
     fixed = smf.ols("y ~ C(a) + C(s)", table.assign(y=table["y"] - means)).fit()
     assert within.sd == pytest.approx(np.sqrt(fixed.mse_resid), rel=1e-4)
 
-    def rise(sd: float) -> float:
+    def rise(sd):
         ratio = fixed.mse_resid / sd**2
         return float(fixed.df_resid * (ratio - 1 - np.log(ratio)) - chi2.ppf(0.95, 1))
 
@@ -291,7 +284,7 @@ def test_blocks_far_apart_leave_the_scatter_within_as_it_is(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_halved_step_is_not_taken_for_the_end(seed: int) -> None:
+def test_a_halved_step_is_not_taken_for_the_end(seed):
     """The score of a maximum promises no step of any variance."""
     table = shifted_blocks(seed, 100.0)
     x = np.linalg.qr(np.eye(3)[table["a"].to_numpy()])[0]
@@ -301,7 +294,7 @@ def test_a_halved_step_is_not_taken_for_the_end(seed: int) -> None:
     assert np.abs(step / fit.v).max() < 1e-4
 
 
-def test_random_factors_that_cross_are_two_components() -> None:
+def test_random_factors_that_cross_are_two_components():
     """Ten materials in six laboratories, every pair once: a two-way table of mean squares."""
     random = np.random.default_rng(12)
     y = random.normal(0, 2, (6, 1)) + random.normal(0, 1, (1, 10)) + random.normal(0, 0.5, (6, 10))
@@ -335,7 +328,7 @@ def test_random_factors_that_cross_are_two_components() -> None:
         ({"covariates": ["flat"]}, "never"),
     ],
 )
-def test_what_cannot_be_fitted_is_named(change: dict[str, object], rule: str) -> None:
+def test_what_cannot_be_fitted_is_named(change, rule):
     table = blocked()
     table["copy"], table["group"], table["pair"] = table["block"] + 10, table["a"], table.index % 2
     table = table.assign(text="warm", flat=1.0, gap=1.0)
@@ -344,7 +337,7 @@ def test_what_cannot_be_fitted_is_named(change: dict[str, object], rule: str) ->
         study.mixed_model(table, factors=["a"], **({"response": "y", "block": "block"} | change))
 
 
-def test_rows_without_scatter_within_are_refused() -> None:
+def test_rows_without_scatter_within_are_refused():
     code = np.repeat(np.arange(6), 3)
     y = np.random.default_rng(1).normal(size=6)[code]
     with pytest.raises(SingularError):
@@ -356,7 +349,7 @@ def test_rows_without_scatter_within_are_refused() -> None:
         study.mixed_model(table, "y", ["d"], block="block", random=["block"])
 
 
-def test_a_covariate_within_blocks_has_the_slope_of_least_squares() -> None:
+def test_a_covariate_within_blocks_has_the_slope_of_least_squares():
     """Blocks as fixed effects tell the same slope where the covariate is balanced over them."""
     random = np.random.default_rng(7)
     x = np.array([-1.0, 0.0, 2.0, 5.0])
@@ -382,9 +375,7 @@ def test_a_covariate_within_blocks_has_the_slope_of_least_squares() -> None:
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize(("sizes", "share"), [((10, 3, 2), 0.8), ((6, 1, 5), 1.0), ((5, 3, 2), 1)])
-def test_intervals_of_variances_cover_what_they_promise(
-    sizes: tuple[int, int, int], share: float
-) -> None:
+def test_intervals_of_variances_cover_what_they_promise(sizes, share):
     """Blocks, cells and rows, of which a share is there; one cell alone is a one-way layout."""
     random = np.random.default_rng(21)
     block, cell, _ = (g.ravel() for g in np.meshgrid(*map(range, sizes), indexing="ij"))
@@ -404,7 +395,7 @@ def test_intervals_of_variances_cover_what_they_promise(
     assert np.all(np.abs(inside / data_sets - 0.95) < 0.02 + error), inside / data_sets
 
 
-def test_covariates_need_no_random_factor() -> None:
+def test_covariates_need_no_random_factor():
     """Analysis of covariance by least squares, as statsmodels has it."""
     random = np.random.default_rng(11)
     table = pd.DataFrame({"a": np.repeat(list("xyz"), 8), "t": random.normal(20, 3, 24)})
@@ -423,7 +414,7 @@ def test_covariates_need_no_random_factor() -> None:
     assert found.effects[0].verdict == "matters"
 
 
-def test_unequal_scatter_withdraws_what_a_covariance_analysis_claims() -> None:
+def test_unequal_scatter_withdraws_what_a_covariance_analysis_claims():
     """Three rows that scatter widely, among forty that do not, are not pooled with them."""
     random = np.random.default_rng(5)
     code = np.repeat([0, 1, 2], [20, 20, 3])
@@ -436,7 +427,7 @@ def test_unequal_scatter_withdraws_what_a_covariance_analysis_claims() -> None:
 
 
 @pytest.mark.parametrize("runs", [2, 3])
-def test_runs_that_are_numbered_anew_on_every_day_are_asked_for(runs: int) -> None:
+def test_runs_that_are_numbered_anew_on_every_day_are_asked_for(runs):
     """A study of precision: run 1 of one day is no run of another, and its scatter was lost."""
     rng = np.random.default_rng(5)
     rows = [

@@ -1,7 +1,5 @@
 """What ``study analyze`` prints: the table of a Minitab user, and how repeats would mislead."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -15,13 +13,13 @@ from study.statistics.analysis.anova import anova
 DESIGNS = Path(__file__).resolve().parents[2] / "validation" / "statistics"
 
 
-def printed(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[str, str]:
+def printed(capsys, *arguments):
     assert run(["analyze", *arguments]) == 0
     out = capsys.readouterr()
     return out.out, out.err
 
 
-def lines_of(text: str, start: str) -> list[list[str]]:
+def lines_of(text, start):
     """Words of the lines after ``start``, up to the next empty line."""
     lines = text.split("\n")
     at = next(i for i, line in enumerate(lines) if line.startswith(start))
@@ -30,7 +28,7 @@ def lines_of(text: str, start: str) -> list[list[str]]:
     return [line.split() for line in block[:end]]
 
 
-def test_the_table_is_the_one_of_minitab(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_is_the_one_of_minitab(capsys):
     path = str(DESIGNS / "crossed.csv")
     out, _ = printed(capsys, path, "--response", "y", "--factors", "a,b", "--type", "III")
     table = lines_of(
@@ -50,7 +48,7 @@ def test_the_table_is_the_one_of_minitab(capsys: pytest.CaptureFixture[str]) -> 
     assert "Seq SS" in seq
 
 
-def test_strata_say_what_each_line_is_tested_against(capsys: pytest.CaptureFixture[str]) -> None:
+def test_strata_say_what_each_line_is_tested_against(capsys):
     path = str(DESIGNS / "splitplot.csv")
     arguments = (path, "--response", "y", "--factors", "mix,speed", "--block", "specimen")
     out, _ = printed(capsys, *arguments, "--error", "pooled")
@@ -71,9 +69,7 @@ def test_strata_say_what_each_line_is_tested_against(capsys: pytest.CaptureFixtu
     assert "unbalanced" not in err
 
 
-def test_mesh_seeds_are_declared_on_the_command_line(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_mesh_seeds_are_declared_on_the_command_line(capsys, tmp_path):
     path = tmp_path / "seeds.csv"
     pd.read_csv(DESIGNS / "crossed.csv").to_csv(path, index=False)
     arguments = (str(path), "--response", "y", "--factors", "a,b", "--replicates", "mesh-seeds")
@@ -82,9 +78,7 @@ def test_mesh_seeds_are_declared_on_the_command_line(
     assert "common to all seeds" in err
 
 
-def test_missing_responses_are_bounded_in_print(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_missing_responses_are_bounded_in_print(capsys, tmp_path):
     path = tmp_path / "lost.csv"
     table = pd.read_csv(DESIGNS / "crossed.csv")
     table.loc[[1, 5], "y"] = np.nan
@@ -94,9 +88,7 @@ def test_missing_responses_are_bounded_in_print(
     assert "y is missing in 2 of 36 rows" in err
 
 
-def test_the_real_factorial_says_how_ten_independent_tests_would_have_misled(
-    capsys: pytest.CaptureFixture[str], data_dir: Path
-) -> None:
+def test_the_real_factorial_says_how_ten_independent_tests_would_have_misled(capsys, data_dir):
     """Five repeats on each of two specimens in 15 cells: R gives both F of the log force."""
     path = data_dir / "ecoflex_compression" / "factorial_3x5_force6mm.csv"
     arguments = (
@@ -131,7 +123,7 @@ def test_the_real_factorial_says_how_ten_independent_tests_would_have_misled(
     assert not any("the conclusion changes" in w for w in document["warnings"])
 
 
-def test_the_naive_size_is_what_null_studies_show() -> None:
+def test_the_naive_size_is_what_null_studies_show():
     """Two levels, 4 specimens each, 6 repeats, correlation 0.5: 2,000 null studies."""
     rng = np.random.default_rng(3)
     table = pd.DataFrame(
@@ -152,7 +144,7 @@ def test_the_naive_size_is_what_null_studies_show() -> None:
     assert _naive_size(3.5, 0.5, 1, 6, 40, 1) == pytest.approx(rate, abs=0.044)
 
 
-def test_a_term_is_no_picture(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_term_is_no_picture(capsys):
     """``s:a:b`` holds ``:a:``, which a terminal library may take for an emoji."""
     path = str(DESIGNS / "repeated.csv")
     arguments = ("--response", "y", "--factors", "a,b", "--block", "s", "--error", "own")
@@ -163,7 +155,7 @@ def test_a_term_is_no_picture(capsys: pytest.CaptureFixture[str]) -> None:
     ]  # fmt: skip
 
 
-def test_detectable_differences_come_from_the_error_found() -> None:
+def test_detectable_differences_come_from_the_error_found():
     from study.statistics.analysis.power import detectable
 
     table = pd.read_csv(DESIGNS / "repeated.csv")

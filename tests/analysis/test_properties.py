@@ -1,7 +1,5 @@
 """Metamorphic tests P15 to P19 of the statistics."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -11,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.anova_table import Anova
 from study.statistics.analysis.equal_variance import bartlett
 from study.statistics.analysis.normality import ryan_joiner, statistic
 
@@ -19,22 +16,22 @@ seeds = st.integers(0, 10_000)
 shapes = st.tuples(st.integers(2, 3), st.integers(2, 4), st.integers(2, 3))
 
 
-def table_of(shape: tuple[int, int, int], seed: int) -> pd.DataFrame:
+def table_of(shape, seed):
     a, b, r = shape
     rows = [(f"a{i}", f"b{j}") for i, j in itertools.product(range(a), range(b)) for _ in range(r)]
     table = pd.DataFrame(rows, columns=["a", "b"])
     return table.assign(y=np.random.default_rng(seed).normal(10, 1, len(table)))
 
 
-def sums(table: Anova) -> dict[str, tuple[float, float]]:
+def sums(table):
     return {":".join(sorted(r.term.split(":"))): (r.ss, r.f or 0.0) for r in table.rows}
 
 
-def rows_of(table: pd.DataFrame, factors: list[str], **options) -> dict[str, tuple[float, float]]:
+def rows_of(table, factors, **options):
     return sums(anova(table, "y", factors, exact=False, **options).anova)
 
 
-def same(one: dict, two: dict, rel: float, scale: float = 1.0) -> None:
+def same(one, two, rel, scale=1.0):
     assert one.keys() == two.keys()
     total = sum(ss for ss, _ in one.values())
     for term, (ss, f) in one.items():
@@ -44,7 +41,7 @@ def same(one: dict, two: dict, rel: float, scale: float = 1.0) -> None:
 
 @settings(max_examples=15)
 @given(shapes, seeds, st.integers(2, 3))
-def test_p18_duplication_scales_sums(shape, seed, k) -> None:
+def test_p18_duplication_scales_sums(shape, seed, k):
     table = table_of(shape, seed)
     copied = pd.concat([table] * k)
     one = anova(table, "y", ["a", "b"], exact=False)
@@ -57,7 +54,7 @@ def test_p18_duplication_scales_sums(shape, seed, k) -> None:
 
 @settings(max_examples=25)
 @given(st.integers(4, 40), seeds, st.floats(0.01, 100), st.floats(-100, 100))
-def test_p19_location_scale(n, seed, scale, shift) -> None:
+def test_p19_location_scale(n, seed, scale, shift):
     x = np.random.default_rng(seed).normal(size=n)
     rj = statistic(x)
     assert 0 < rj <= 1
@@ -81,7 +78,7 @@ ROUTES = {
 }
 
 
-def blocked_table(seed: int) -> pd.DataFrame:
+def blocked_table(seed):
     """3 x 2 cells in four blocks; ``plot`` is a block that holds one level of a."""
     cells = itertools.product(("a0", "a1", "a2"), ("b0", "b1"), range(4))
     table = pd.DataFrame(list(cells), columns=["a", "b", "s"])
@@ -95,7 +92,7 @@ def blocked_table(seed: int) -> pd.DataFrame:
 @pytest.mark.parametrize("route", ROUTES)
 @settings(max_examples=4)
 @given(seeds)
-def test_p15_to_p17_hold_for_blocks_and_strata(route, seed) -> None:
+def test_p15_to_p17_hold_for_blocks_and_strata(route, seed):
     options, table = ROUTES[route], blocked_table(seed)
     whole = anova(table, "y", ["a", "b"], exact=False, **options).anova
     base = sums(whole)

@@ -1,12 +1,9 @@
 """Certified and published figures. Every expected value is external unless said otherwise."""
 
-from __future__ import annotations
-
 import json
 import math
 from fractions import Fraction
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -25,7 +22,7 @@ from study.statistics.analysis.unreplicated import lenth_of
 pytestmark = pytest.mark.verify
 
 
-def log_relative_error(got: float, certified: float) -> float:
+def log_relative_error(got, certified):
     digits = 15.0
     if got != certified:
         digits = min(15.0, -math.log10(abs(got - certified) / abs(certified)))
@@ -33,13 +30,13 @@ def log_relative_error(got: float, certified: float) -> float:
     return digits
 
 
-def nist_table(path: Path) -> pd.DataFrame:
+def nist_table(path):
     rows = [line.split() for line in path.read_text().splitlines()[60:] if line.strip()]
     return pd.DataFrame({"treatment": [r[0] for r in rows], "y": [float(r[1]) for r in rows]})
 
 
 @pytest.mark.parametrize("name", ["SmLs01", "SmLs04", "SmLs07", "SmLs09"])
-def test_influence_keeps_the_digits_of_nist(data_dir: Path, name: str) -> None:
+def test_influence_keeps_the_digits_of_nist(data_dir, name):
     """Cook's distance and PRESS against rational arithmetic on the stored doubles."""
     table = nist_table(data_dir / "nist_anova" / f"{name}.dat")
     values = table["y"].to_numpy()
@@ -61,13 +58,13 @@ def test_influence_keeps_the_digits_of_nist(data_dir: Path, name: str) -> None:
         assert log_relative_error(float(plain), float(cook.max())) < 2  # so the shift is needed
 
 
-def _deviations(values: np.ndarray) -> np.ndarray:
+def _deviations(values):
     exact = [Fraction(v) for v in values.tolist()]
     mean = sum(exact, Fraction(0)) / len(exact)
     return np.array([float(v - mean) for v in exact])
 
 
-def test_box_poison(data_dir: Path) -> None:
+def test_box_poison(data_dir):
     """Box, Hunter and Hunter (1978), table of the 3 x 4 survival experiment."""
     table = pd.read_csv(data_dir / "nist_handbook" / "box_poison_3x4x4.csv")
     result = anova(table, "survival", ["poison", "antidote"], exact=False)
@@ -80,7 +77,7 @@ def test_box_poison(data_dir: Path) -> None:
     assert sum(row.share or 0 for row in result.anova.rows) == pytest.approx(1, rel=1e-12)
 
 
-def test_ceramic_effects_and_lenth(data_dir: Path) -> None:
+def test_ceramic_effects_and_lenth(data_dir):
     """NIST e-Handbook, 2^5 ceramic strength: the effects as printed there."""
     table = pd.read_csv(data_dir / "nist_handbook" / "ceramic_2p5.csv")
     factors = ["X1", "X2", "X3", "X4", "X5"]
@@ -100,7 +97,7 @@ def test_ceramic_effects_and_lenth(data_dir: Path) -> None:
     assert sum(result.variation.shares.values()) == pytest.approx(1, rel=1e-12)
 
 
-def test_rounding_of_a_deterministic_function_is_no_scatter() -> None:
+def test_rounding_of_a_deterministic_function_is_no_scatter():
     grid = np.array(list(product((0, 1), repeat=3)), dtype=float)
     table = pd.DataFrame(grid, columns=list("abc"))
     table["y"] = 10 + 0.1 * (grid @ [2.0, 0.7, 0.3])
@@ -110,7 +107,7 @@ def test_rounding_of_a_deterministic_function_is_no_scatter() -> None:
     assert found.p[3:] == (1.0,) * 4
 
 
-def test_gear_variance(data_dir: Path) -> None:
+def test_gear_variance(data_dir):
     """NIST e-Handbook 1.3.5.7 and scipy; the handbook's last two digits are single precision."""
     table = pd.read_csv(data_dir / "nist_handbook" / "gear.csv")
     groups = {str(b): g["DIAMETER"].to_numpy() for b, g in table.groupby("BATCH")}
@@ -126,7 +123,7 @@ def test_gear_variance(data_dir: Path) -> None:
     assert mean.statistic == pytest.approx(2.1594598564728518, rel=1e-10)
 
 
-def test_ryan_joiner_published(data_dir: Path) -> None:
+def test_ryan_joiner_published(data_dir):
     cases = json.loads((data_dir / "ryan_joiner" / "published_cases.json").read_text())["cases"]
     for case in cases:
         result = ryan_joiner(case["data"], exact=False)
@@ -138,7 +135,7 @@ def test_ryan_joiner_published(data_dir: Path) -> None:
             assert result.p_minitab.replace(" ", "")[:1] == published.lstrip("p ")[:1]
 
 
-def test_ryan_joiner_worked_example() -> None:
+def test_ryan_joiner_worked_example():
     weights = [148, 154, 158, 160, 161, 162, 166, 170, 182, 195, 236]
     assert critical_values(11) == pytest.approx((0.93872, 0.92301, 0.88798), abs=6e-6)
     assert critical_values(40) == pytest.approx((0.97670384, 0.97148399, 0.95968573), abs=1e-8)
@@ -148,7 +145,7 @@ def test_ryan_joiner_worked_example() -> None:
     assert shapiro.p == pytest.approx(0.00670, abs=1e-5)
 
 
-def test_real_factorial_against_r(data_dir: Path) -> None:
+def test_real_factorial_against_r(data_dir):
     """R 4.2.2 aov, bartlett.test and sf.test of the log force (naive: 10 'independent' tests)."""
     folder = data_dir / "ecoflex_compression"
     table = pd.read_csv(folder / "factorial_3x5_force6mm.csv")
@@ -166,7 +163,7 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     assert rj == pytest.approx(expected["ryan_joiner_residuals"], rel=1e-7)
 
 
-def simon_lesage(pairs: int, large: float) -> pd.DataFrame:
+def simon_lesage(pairs, large):
     """Simon and Lesage sets of NIST (SmLs): nine treatments, ``1 + 2 * pairs`` values each.
 
     A treatment is ``c, c - 0.1, c + 0.1, ...`` about 1.4, then 1.3 and 1.5 in turn, plus a
@@ -182,7 +179,7 @@ def simon_lesage(pairs: int, large: float) -> pd.DataFrame:
 
 @pytest.mark.parametrize(("large", "digits"), [(0.0, 12), (999_999.0, 10), (999_999_999_999.0, 4)])
 @pytest.mark.parametrize(("pairs", "f"), [(10, 21.0), (100, 201.0), (1000, 2001.0)])
-def test_the_whole_nist_family(pairs: int, f: float, large: float, digits: int) -> None:
+def test_the_whole_nist_family(pairs, f, large, digits):
     """Certified F of all nine sets: 12 digits of the lower, 10 of the average, 4 of the higher."""
     table = simon_lesage(pairs, large)
     row = anova(table, "y", ["treatment"], exact=False).anova.row("treatment")

@@ -1,7 +1,5 @@
 """R's own data sets: the rows come from R, the figures from ``validation/statistics``."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 import subprocess
@@ -22,7 +20,7 @@ FIGURES = {
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def rows(tmp_path_factory):
     if shutil.which("Rscript") is None:
         pytest.skip("R is not installed, and the rows of its data sets stay there")
     folder = tmp_path_factory.mktemp("rows")
@@ -42,7 +40,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("InsectSprays", "count ~ spray", {}),
     ],
 )
-def test_analyses_of_variance(rows: Path, name: str, formula: str, options: dict[str, str]) -> None:
+def test_analyses_of_variance(rows, name, formula, options):
     found = study.analyze(rows / f"{name}.csv", formula, copies="independent", exact=False,
                           **options)  # fmt: skip
     terms = [row for row in found.anova.rows if (name, row.term, "f") in FIGURES]
@@ -52,7 +50,7 @@ def test_analyses_of_variance(rows: Path, name: str, formula: str, options: dict
         assert row.p == pytest.approx(FIGURES[name, row.term, "p"], rel=1e-7)
 
 
-def test_spread_of_insect_sprays(rows: Path) -> None:
+def test_spread_of_insect_sprays(rows):
     table = pd.read_csv(rows / "InsectSprays.csv")
     found = anova(table, "count", ["spray"], copies="independent", exact=False)
     tests = found.assumptions
@@ -64,7 +62,7 @@ def test_spread_of_insect_sprays(rows: Path) -> None:
     assert row.p == pytest.approx(FIGURES["InsectSprays", "spray", "welch_p"], rel=1e-7)
 
 
-def test_the_split_plot_of_oats(rows: Path) -> None:
+def test_the_split_plot_of_oats(rows):
     found = study.analyze(rows / "oats.csv", "Y ~ N * V + Error(B/V)", exact=False)
     for term in ("N", "V", "N:V"):
         assert found.anova.row(term).f == pytest.approx(FIGURES["oats", term, "f"], rel=1e-9)
@@ -79,9 +77,9 @@ def test_the_split_plot_of_oats(rows: Path) -> None:
     ],
 )  # fmt: skip
 def test_mixed_models(
-    rows: Path, name: str, response: str, block: str, random: list[str], model: list[str],
-    sds: dict[str, str], term: str,
-) -> None:  # fmt: skip
+    rows, name, response, block, random, model,
+    sds, term
+):  # fmt: skip
     table, factors = pd.read_csv(rows / f"{name}.csv"), [term for term in model if ":" not in term]
     found = mixed_model(table, response, factors, block=block, random=random, model=model)
     sd = {c.source: c.sd for c in found.components}

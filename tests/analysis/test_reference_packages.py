@@ -5,11 +5,8 @@ validation/statistics/reference_packages.R. What is solved directly is compared 
 components come from two optimizers, at 1e-5.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
-import pandas as pd
 import pytest
 from scipy import stats
 
@@ -21,12 +18,12 @@ SAME = 1e-8
 reference = partial(figures_of, "reference_packages")
 
 
-def crossed(design: str) -> pd.DataFrame:
+def crossed(design):
     return data("crossed", whole=not design.endswith("unbalanced"))
 
 
 @pytest.mark.parametrize("design", ["crossed", "crossed-unbalanced"])
-def test_simple_effects_are_those_of_emmeans(design: str) -> None:
+def test_simple_effects_are_those_of_emmeans(design):
     found = study.anova(crossed(design), "y", ["a", "b", "c"], practical=1.0, exact=False)
     effects = found.effect("a").simple_effects
     assert len(effects) == 3 * 4  # three pairs at four settings
@@ -40,7 +37,7 @@ def test_simple_effects_are_those_of_emmeans(design: str) -> None:
 
 
 @pytest.mark.parametrize("design", ["crossed", "crossed-unbalanced"])
-def test_a_named_contrast_is_that_of_emmeans(design: str) -> None:
+def test_a_named_contrast_is_that_of_emmeans(design):
     found = study.anova(crossed(design), "y", ["a", "b", "c"], practical=1.0, exact=False)
     (one,) = study.contrasts(found, "a=a1, b=b1 - a=a1, b=b2")
     r = {q: reference()[design, "contrast", "a1|b1-a1|b2", q] for q in ("estimate", "p.value")}
@@ -48,7 +45,7 @@ def test_a_named_contrast_is_that_of_emmeans(design: str) -> None:
     assert one.p == pytest.approx(r["p.value"], rel=SAME)
 
 
-def test_variance_components_of_incomplete_blocks_are_those_of_lme4() -> None:
+def test_variance_components_of_incomplete_blocks_are_those_of_lme4():
     blocks, within = study.mixed_model(data("incomplete"), "y", ["t"], block="k").components
     assert blocks.sd == pytest.approx(reference()["incomplete", "reml", "k", "sd"], rel=1e-5)
     assert within.sd == pytest.approx(reference()["incomplete", "reml", "within", "sd"], rel=1e-5)
@@ -70,14 +67,14 @@ SURFACES = {
 
 
 @pytest.mark.parametrize("design", SURFACES)
-def test_a_second_order_surface_is_that_of_lm(design: str) -> None:
+def test_a_second_order_surface_is_that_of_lm(design):
     response, ranges = SURFACES[design]
     surface = study.fit_surface(FOLDER / f"{design}.csv", response, [*ranges.values()]).to_json()
     found = surface["surface"]
     short = {text.partition("=")[0]: name for name, text in ranges.items()}
     told = {_short(t["term"], short): t["coefficient"] for t in found["terms"]}
 
-    def of_r(quantity: str) -> dict[str, float]:
+    def of_r(quantity):
         keys = [key for key in reference() if key[:2] == (design, "surface") and key[3] == quantity]
         return {key[2].replace("*", ":"): reference()[key] for key in keys}
 
@@ -90,13 +87,13 @@ def test_a_second_order_surface_is_that_of_lm(design: str) -> None:
     assert found["lack_of_fit"]["p"] == pytest.approx(of_r("lack_of_fit_p")[""], rel=SAME)
 
 
-def _short(term: str, names: dict[str, str]) -> str:
+def _short(term, names):
     for name, own in names.items():
         term = term.replace(name, own)
     return term
 
 
-def test_linear_terms_and_products_of_paper_helicopters_are_those_printed() -> None:
+def test_linear_terms_and_products_of_paper_helicopters_are_those_printed():
     """As Lenth (2009), J. Stat. Softw. 32(7), has them beside the two blocks of the design."""
     response, ranges = SURFACES["paper_helicopter"]
     found = study.fit_surface(FOLDER / "paper_helicopter.csv", response, [*ranges.values()])

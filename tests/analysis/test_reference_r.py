@@ -4,20 +4,15 @@ Other code: R 4.2.2 and car 3.1, sum-to-zero contrasts. The bar is 1e-8; p far i
 allowed 1e-7 because its logarithm is what is as accurate as F.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.special import chdtrc
 
-from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.anova_table import Row
 from study.statistics.analysis.assumptions import box_cox, hc3
 from study.statistics.analysis.data import prepare
 from study.statistics.analysis.equal_variance import bartlett, levene
@@ -30,14 +25,14 @@ FOLDER = Path(__file__).resolve().parents[2] / "validation" / "statistics"
 
 
 @cache
-def reference(name: str = "reference_r") -> dict[tuple[str, str, str, str], float]:
+def reference(name="reference_r"):
     table = pd.read_csv(FOLDER / f"{name}.csv", comment="#", keep_default_na=False)
     keys = table[["design", "analysis", "term", "quantity"]].itertuples(index=False, name=None)
     return dict(zip(keys, table["value"].astype(float), strict=True))
 
 
-def terms(design: str, analysis: str) -> dict[str, dict[str, float]]:
-    found: dict[str, dict[str, float]] = {}
+def terms(design, analysis):
+    found = {}
     for (d, a, term, quantity), value in reference().items():
         if (d, a) == (design, analysis):
             found.setdefault(term, {})[quantity] = value
@@ -45,7 +40,7 @@ def terms(design: str, analysis: str) -> dict[str, dict[str, float]]:
     return found
 
 
-def mauchly_of_r(sphere: Any, n: int, figures: dict[str, float], cells: int) -> float:
+def mauchly_of_r(sphere, n, figures, cells):
     """P of R with the slip of its second term mended.
 
     R 4.2.2 and car write 3 p with p the number of cells where Anderson's expansion has the
@@ -54,7 +49,7 @@ def mauchly_of_r(sphere: Any, n: int, figures: dict[str, float], cells: int) -> 
     d = int((np.sqrt(9 + 8 * sphere.df) - 1) / 2)
     rho = 1 - (2 * d * d + d + 2) / (6 * d * n)
 
-    def p(last: int) -> float:
+    def p(last):
         top = (d + 2) * (d - 1) * (d - 2) * (2 * d**3 + 6 * d**2 + 3 * last + 2)
         second = top / (288 * (n * d * rho) ** 2)
         first, higher = chdtrc(sphere.df, sphere.chi2), chdtrc(sphere.df + 4, sphere.chi2)
@@ -64,12 +59,12 @@ def mauchly_of_r(sphere: Any, n: int, figures: dict[str, float], cells: int) -> 
     return p(d)
 
 
-def data(name: str, *, whole: bool = True) -> pd.DataFrame:
+def data(name, *, whole=True):
     table = pd.read_csv(FOLDER / f"{name}.csv")
     return table if whole else table[table["keep"] == 1]
 
 
-def same_row(row: Row, expected: dict[str, float]) -> None:
+def same_row(row, expected):
     for quantity, value in expected.items():
         if quantity.startswith("mauchly") or quantity == "ss_error":
             continue
@@ -79,7 +74,7 @@ def same_row(row: Row, expected: dict[str, float]) -> None:
         assert got == pytest.approx(value, rel=1e-7 if quantity == "p" else 1e-8), quantity
 
 
-def same_table(result: AnalysisResult, expected: dict[str, dict[str, float]]) -> int:
+def same_table(result, expected):
     compared = 0
     for term, figures in expected.items():
         name = "residual" if term == "Residuals" else term
@@ -90,7 +85,7 @@ def same_table(result: AnalysisResult, expected: dict[str, dict[str, float]]) ->
     return compared
 
 
-LINEAR: dict[str, tuple[str, bool, dict[str, Any], list[str]]] = {
+LINEAR = {
     "crossed": ("crossed", True, {}, ["a", "b", "c"]),
     "crossed-unbalanced": ("crossed", False, {}, ["a", "b", "c"]),
     "blocked": ("blocked", True, {"block": "s", "error": "pooled"}, ["a", "b"]),
@@ -103,7 +98,7 @@ LINEAR: dict[str, tuple[str, bool, dict[str, Any], list[str]]] = {
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
 @pytest.mark.parametrize("design", LINEAR)
-def test_linear_models_of_all_types(design: str, kind: str) -> None:
+def test_linear_models_of_all_types(design, kind):
     name, whole, options, factors = LINEAR[design]
     print(f"\n{design}, type {kind}")
     result = anova(data(name, whole=whole), "y", factors, type=kind, exact=False, **options)
@@ -111,14 +106,14 @@ def test_linear_models_of_all_types(design: str, kind: str) -> None:
     assert same_table(result, terms(design, kind)) == len(result.anova.rows)
 
 
-def test_nested_factor_and_its_unbalanced_part() -> None:
+def test_nested_factor_and_its_unbalanced_part():
     asked = {"model": ["mix", "mix:specimen"], "type": "I", "exact": False}
     for design, whole in [("nested", True), ("nested-unbalanced", False)]:
         result = anova(data("nested", whole=whole), "y", ["mix", "specimen"], **asked)
         assert same_table(result, terms(design, "I")) == 3
 
 
-def test_units_nested_in_cells_give_the_error_of_the_upper_stratum() -> None:
+def test_units_nested_in_cells_give_the_error_of_the_upper_stratum():
     table = data("nested").assign(unit=lambda t: t["mix"] + t["specimen"].astype(str))
     expected = terms("nested", "strata|mix:specimen")
     averaged = anova(table, "y", ["mix"], unit="specimen", exact=False).anova.row("mix")
@@ -130,7 +125,7 @@ def test_units_nested_in_cells_give_the_error_of_the_upper_stratum() -> None:
 
 
 @pytest.mark.parametrize("design", ["splitplot", "splitplot-unbalanced"])
-def test_split_plot_where_the_block_is_the_whole_plot(design: str) -> None:
+def test_split_plot_where_the_block_is_the_whole_plot(design):
     table = data("splitplot", whole=design == "splitplot")
     result = anova(
         table, "y", ["mix", "speed"], block="specimen", type="I", error="pooled", exact=False
@@ -147,7 +142,7 @@ def test_split_plot_where_the_block_is_the_whole_plot(design: str) -> None:
     assert result.anova.row("mix").error == "specimen"
 
 
-def test_split_plot_in_blocks() -> None:
+def test_split_plot_in_blocks():
     table = data("splitblocks")
     result = anova(table, "y", ["v", "n"], block="k", whole_plot="v", exact=False)
     whole, within = terms("splitblocks", "strata|k:v"), terms("splitblocks", "strata|Within")
@@ -168,9 +163,7 @@ def test_split_plot_in_blocks() -> None:
     [("splitplot", "II", ""), ("splitplot", "III", ""),
      ("splitplot-uneven", "II", "s12"), ("splitplot-uneven", "III", "s12")],
 )  # fmt: skip
-def test_own_interactions_in_groups_of_blocks(
-    design: str, kind: str, lost: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_own_interactions_in_groups_of_blocks(design, kind, lost, monkeypatch):
     """R's car has one covariance for all groups, which is here that of groups of two blocks."""
     monkeypatch.setattr("study.statistics.analysis.strata.LEAST_OWN", 99)
     table = data("splitplot")
@@ -193,7 +186,7 @@ def test_own_interactions_in_groups_of_blocks(
     assert study.anova.row("speed").p_gg == result.anova.row("speed").p_gg
 
 
-def test_own_interactions_with_greenhouse_geisser() -> None:
+def test_own_interactions_with_greenhouse_geisser():
     result = anova(data("repeated"), "y", ["a", "b"], block="s", error="own", exact=False)
     for term, figures in terms("repeated", "own-III").items():
         row = result.anova.row(term)
@@ -204,7 +197,7 @@ def test_own_interactions_with_greenhouse_geisser() -> None:
         assert sphere.p == pytest.approx(mauchly_of_r(sphere, 7, figures, 9), rel=1e-8)
 
 
-def test_means_with_intervals_of_unbalanced_data() -> None:
+def test_means_with_intervals_of_unbalanced_data():
     result = anova(data("crossed", whole=False), "y", ["a", "b"], exact=False)
     effect = result.effect("a")
     for level, mean, ci in zip(effect.levels, effect.mean, effect.mean_ci95, strict=True):
@@ -213,7 +206,7 @@ def test_means_with_intervals_of_unbalanced_data() -> None:
         assert ci == pytest.approx((expected["low"], expected["high"]), rel=1e-8)
 
 
-def test_spread_tests_to_ten_digits() -> None:
+def test_spread_tests_to_ten_digits():
     table = data("crossed", whole=False)
     groups = {str(k): g["y"].to_numpy() for k, g in table.groupby(["a", "b"])}
     expected = terms("crossed-unbalanced", "bartlett")[""]
@@ -226,7 +219,7 @@ def test_spread_tests_to_ten_digits() -> None:
         assert found.p == pytest.approx(expected["p"], rel=1e-10)
 
 
-def test_remedies_and_summary() -> None:
+def test_remedies_and_summary():
     table = data("crossed", whole=False)
     checked = prepare(table, "y", ["a", "b"])
     fit = factor(model_matrix(checked.layout, terms_of(["a", "b"])), checked.y)
@@ -256,7 +249,7 @@ def test_remedies_and_summary() -> None:
 
 
 @pytest.mark.parametrize("whole", [True, False])
-def test_nested_labels_may_start_again_or_be_unique(whole: bool) -> None:
+def test_nested_labels_may_start_again_or_be_unique(whole):
     table = data("nested", whole=whole)
     unique = table.assign(specimen=table["mix"] + "-" + table["specimen"].astype(str))
     expected = terms("nested" if whole else "nested-unbalanced", "I")

@@ -1,9 +1,5 @@
 """Comparisons, power and robust tests against other codes."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -27,19 +23,19 @@ GROUPS = {"a": RNG.normal(0, 1, 6), "b": RNG.normal(1.5, 1, 8), "c": RNG.normal(
 
 
 @pytest.fixture
-def table() -> pd.DataFrame:
+def table():
     rng = np.random.default_rng(6)
     rows = [(a, b) for a in "xyz" for b in "pq" for _ in range(4)]
     frame = pd.DataFrame(rows, columns=["a", "b"])
     return frame.assign(y=np.exp(rng.normal(1, 0.4, len(frame)) + (frame["a"] == "z") * 0.8))
 
 
-def fitted(table: pd.DataFrame):
+def fitted(table):
     data = prepare(table, "y", ["a", "b"])
     return data, factor(model_matrix(data.layout, terms_of(["a", "b"])), data.y)
 
 
-def test_dunnett_as_scipy() -> None:
+def test_dunnett_as_scipy():
     """Both p are integrals by random numbers: scipy's to some 1e-3 of them, ours of 200,000."""
     table = pd.DataFrame([(name, v) for name, values in GROUPS.items() for v in values])
     _, found = against_reference(anova(table.set_axis(["t", "y"], axis=1), "y", ["t"]), "a")
@@ -51,7 +47,7 @@ def test_dunnett_as_scipy() -> None:
 
 
 @pytest.mark.parametrize("count", [20, 22])
-def test_many_levels_are_compared_beside_the_other_factors(count: int, tmp_path: Path) -> None:
+def test_many_levels_are_compared_beside_the_other_factors(count, tmp_path):
     """Beyond 20 levels, whose pairs nobody reads, the scatter within cells stays the error."""
     rng = np.random.default_rng(8)
     rows = pd.DataFrame(
@@ -76,7 +72,7 @@ def test_many_levels_are_compared_beside_the_other_factors(count: int, tmp_path:
         assert pair["difference"] == pytest.approx(mean[pair["first"]] - mean["t0"])
 
 
-def test_letters_tell_apart_exactly_the_different_pairs() -> None:
+def test_letters_tell_apart_exactly_the_different_pairs():
     names = list("abcde")
     different = {frozenset(p) for p in ("ac", "ad", "ae", "be", "ce")}
     found = letters(names, different)
@@ -86,7 +82,7 @@ def test_letters_tell_apart_exactly_the_different_pairs() -> None:
             assert share == (frozenset((x, y)) not in different)
 
 
-def test_a_row_that_is_fitted_exactly_has_no_distance(table: pd.DataFrame) -> None:
+def test_a_row_that_is_fitted_exactly_has_no_distance(table):
     """Leverage one leaves 0 / 0, of which rounding made distances of .03, 1.09 and more."""
     _, fit = fitted(table.drop(index=range(3)))
     of_rows = influence(fit)
@@ -94,7 +90,7 @@ def test_a_row_that_is_fitted_exactly_has_no_distance(table: pd.DataFrame) -> No
     assert np.flatnonzero(np.isnan(of_rows.cook)).tolist() == [0]
 
 
-def test_within_whole_plots_a_reference_is_that_of_their_stratum() -> None:
+def test_within_whole_plots_a_reference_is_that_of_their_stratum():
     """It rests on the plots that have both levels; differences of all rows mix the plots in."""
     rng = np.random.default_rng(3)
     rows = [(f"{a}{s}", a, b) for a in "xyz" for s in range(6) for b in "pq"]
@@ -107,7 +103,7 @@ def test_within_whole_plots_a_reference_is_that_of_their_stratum() -> None:
     assert pair.difference == pytest.approx((by_plot["q"] - by_plot["p"]).mean())
 
 
-def test_hc3_says_so_when_cells_have_no_spread(table: pd.DataFrame) -> None:
+def test_hc3_says_so_when_cells_have_no_spread(table):
     """Deterministic runs repeat exactly: the covariance of a contrast between them is zero."""
     still = table["a"] != "z"
     table.loc[still, "y"] = table[still].groupby(["a", "b"])["y"].transform("first")
@@ -118,7 +114,7 @@ def test_hc3_says_so_when_cells_have_no_spread(table: pd.DataFrame) -> None:
     assert robustness.p["a:b"]["HC3 Wald"] is None
 
 
-def test_a_cell_without_rows_moves_no_exponent(table: pd.DataFrame) -> None:
+def test_a_cell_without_rows_moves_no_exponent(table):
     """Its column of the interaction is zero, and says nothing."""
     data, fit = fitted(table)
     columns = fit.matrix.columns
@@ -128,7 +124,7 @@ def test_a_cell_without_rows_moves_no_exponent(table: pd.DataFrame) -> None:
     assert empty.ci95 == pytest.approx(known.ci95, abs=1e-9)
 
 
-def test_box_cox_finds_the_log(table: pd.DataFrame) -> None:
+def test_box_cox_finds_the_log(table):
     data, fit = fitted(table)
     result = box_cox(data.y, fit.matrix.columns)
     # the true exponent is zero; 20 fresh samples at 95 % miss it at most 4 times (p < .003)
@@ -146,7 +142,7 @@ def test_box_cox_finds_the_log(table: pd.DataFrame) -> None:
         box_cox(-data.y, fit.matrix.columns)
 
 
-def test_an_interval_of_the_exponent_without_an_end_is_open() -> None:
+def test_an_interval_of_the_exponent_without_an_end_is_open():
     """Readings that vary by .1 % of their mean are as straight at any power of them."""
     noise = np.random.default_rng(4).normal(0, 0.001, 12)
     table = pd.DataFrame({"a": np.repeat(["p", "q", "r"], 4), "y": 1 + noise})
@@ -155,7 +151,7 @@ def test_an_interval_of_the_exponent_without_an_end_is_open() -> None:
     assert any("Box-Cox: the interval of the exponent is open" in note for note in found.notes)
 
 
-def test_groups_of_which_only_moments_are_known_compare_as_their_rows() -> None:
+def test_groups_of_which_only_moments_are_known_compare_as_their_rows():
     values = [np.asarray(v, dtype=float) for v in GROUPS.values()]
     n, mean, variance = (np.array([f(v) for v in values]) for f in (
         np.size, np.mean, lambda v: v.var(ddof=1)))  # fmt: skip
@@ -182,17 +178,17 @@ def test_groups_of_which_only_moments_are_known_compare_as_their_rows() -> None:
             assert x.lower == pytest.approx(ends.low[i, j], abs=1e-6)
 
 
-def test_fligner_and_killeen_need_deviations_that_differ() -> None:
+def test_fligner_and_killeen_need_deviations_that_differ():
     assert fligner_killeen([[1, 1], [2, 2]]) is None
 
 
-def test_welch_needs_rows_in_every_cell(table: pd.DataFrame) -> None:
+def test_welch_needs_rows_in_every_cell(table):
     one = table.groupby("a", as_index=False).first()
     with pytest.raises(InputError, match="two rows or more in every cell"):
         anova(pd.concat([one, one.iloc[1:].assign(y=3.0)]), "y", ["a"], error="welch")
 
 
-def test_levels_against_a_reference_by_welch_have_their_own_errors(tmp_path: Path) -> None:
+def test_levels_against_a_reference_by_welch_have_their_own_errors(tmp_path):
     """The reference scatters little, one level widely: each difference has Welch's error and df.
 
     Standard deviations .3, .3, 1 and 12, 12 and 6 rows without a difference: of 400 such tables the
@@ -217,7 +213,7 @@ def test_levels_against_a_reference_by_welch_have_their_own_errors(tmp_path: Pat
     assert answer.json["reference"]["method"] == "Dunnett by Welch"
 
 
-def test_welch_says_what_the_rows_of_a_cell_are() -> None:
+def test_welch_says_what_the_rows_of_a_cell_are():
     rng = np.random.default_rng(3)
     rows = pd.DataFrame({"a": np.repeat(["p", "q", "r"], 6), "y": rng.normal(size=18)})
     seeds = anova(rows, "y", ["a"], error="welch", replicates="mesh-seeds", exact=False)
@@ -229,7 +225,7 @@ def test_welch_says_what_the_rows_of_a_cell_are() -> None:
         anova(rows, "y", ["a"], error="welch", replicates="noise")
 
 
-def test_a_nested_factor_leaves_the_comparison_to_its_means() -> None:
+def test_a_nested_factor_leaves_the_comparison_to_its_means():
     """As scipy's Dunnett of the means of the batches, and no coefficients of two errors."""
     rng = np.random.default_rng(5)
     rows = [

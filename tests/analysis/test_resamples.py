@@ -1,14 +1,11 @@
 """E2 with noise that cells have in common: right size, and no power from more resamples."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
 
 import study
 from study.statistics.analysis import gate
-from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.post_hoc import coefficient_table
 
@@ -16,12 +13,7 @@ from study.statistics.analysis.post_hoc import coefficient_table
 CORRELATED = np.kron([[1.0, 0.3], [0.3, 1.0]], [[1.0, 0.95], [0.95, 1.0]])
 
 
-def resampled(
-    random: np.random.Generator,
-    resamples: int,
-    effect: float = 0.0,
-    block: str | None = "noise_seed",
-) -> AnalysisResult:
+def resampled(random, resamples, effect=0.0, block="noise_seed"):
     """Fits to one noisy curve, and their refits to resampled noise, of a 2 x 2 factorial."""
     root = np.linalg.cholesky(CORRELATED)
     truth = 10 + effect * np.array([0.0, 0.0, 1.0, 1.0])
@@ -43,7 +35,7 @@ def resampled(
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_the_test_has_its_size_whatever_cells_have_in_common() -> None:
+def test_the_test_has_its_size_whatever_cells_have_in_common():
     random = np.random.default_rng(3)
     terms = ("energy", "space", "energy:space")
     rejected = dict.fromkeys(terms, 0)
@@ -59,7 +51,7 @@ def test_the_test_has_its_size_whatever_cells_have_in_common() -> None:
 
 
 @pytest.mark.parametrize("resamples", [25, 400])
-def test_more_resamples_narrow_no_interval(resamples: int) -> None:
+def test_more_resamples_narrow_no_interval(resamples):
     result = resampled(np.random.default_rng(5), resamples, effect=2.0)
     assert result.error_term.source == "E2"
     effect = next(e for e in result.effects if e.term == "energy")
@@ -73,9 +65,7 @@ def test_more_resamples_narrow_no_interval(resamples: int) -> None:
 
 @pytest.mark.parametrize("block", ["noise_seed", None])
 @pytest.mark.parametrize("resamples", [25, 400])
-def test_a_named_difference_has_the_interval_of_the_effect(
-    block: str | None, resamples: int
-) -> None:
+def test_a_named_difference_has_the_interval_of_the_effect(block, resamples):
     """It took the refits for specimens once, and was narrower by the root of their number."""
     result = resampled(np.random.default_rng(5), resamples, effect=2.0, block=block)
     (one,) = study.contrasts(result, "energy=b - energy=a")
@@ -85,7 +75,7 @@ def test_a_named_difference_has_the_interval_of_the_effect(
     assert (effect.verdict, effect.why) == (one.verdict, one.why)
 
 
-def test_sums_of_many_values_are_drawn_from_their_moments(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sums_of_many_values_are_drawn_from_their_moments(monkeypatch):
     """As resampling finds them: 2,000 draws of 100,000 rows took two minutes for a table."""
     rng = np.random.default_rng(3)
     n, draws = 1500, range(6)

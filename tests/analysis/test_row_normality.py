@@ -1,14 +1,11 @@
 """Normality of contrasts over blocks, shares of blocks, Levene by Monte Carlo."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np
 import pytest
 import scipy.stats
 
-from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.statistics.analysis.equal_variance import _levene, _normal_draws
 from study.statistics.analysis.linear_model import CellLayout as Layout
@@ -32,7 +29,7 @@ LAYOUT = grid(
 TERMS = terms_of(NAMES)
 
 
-def draw(kind: str, rng: np.random.Generator, n: int, blocks: int) -> Array:
+def draw(kind, rng, n, blocks):
     """Responses of 16 cells, shape (n, 16, blocks)."""
     z = rng.standard_normal((n, 16, blocks))
     if kind == "non-spherical":
@@ -42,7 +39,7 @@ def draw(kind: str, rng: np.random.Generator, n: int, blocks: int) -> Array:
     return z
 
 
-def rejections(kind: str, blocks: int, n: int, seed: int) -> float:
+def rejections(kind, blocks, n, seed):
     rng = np.random.default_rng(seed)
     found = [
         row_normality(helmert_contrasts(LAYOUT, TERMS, y)).rejected
@@ -51,7 +48,7 @@ def rejections(kind: str, blocks: int, n: int, seed: int) -> float:
     return float(np.mean(found))
 
 
-def test_contrasts_of_all_terms_are_one_rotation() -> None:
+def test_contrasts_of_all_terms_are_one_rotation():
     y = draw("spherical", np.random.default_rng(1), 1, 5)[0]
     rows = np.vstack(list(helmert_contrasts(LAYOUT, TERMS, y).values()))
     centred = y - y.mean(axis=0)
@@ -59,12 +56,12 @@ def test_contrasts_of_all_terms_are_one_rotation() -> None:
     assert np.sum(rows**2) == pytest.approx(np.sum(centred**2))
 
 
-def test_an_incomplete_table_is_refused() -> None:
+def test_an_incomplete_table_is_refused():
     with pytest.raises(InputError, match="every combination"):
         helmert_contrasts(LAYOUT.take(np.arange(15)), TERMS, np.zeros((15, 4)))
 
 
-def test_a_row_has_the_statistic_and_p_of_its_values() -> None:
+def test_a_row_has_the_statistic_and_p_of_its_values():
     rows = np.random.default_rng(2).standard_exponential((2, 12)) ** 2
     found = row_normality({"A": rows})
     for test, row in zip(found.rows, rows, strict=True):
@@ -77,13 +74,13 @@ def test_a_row_has_the_statistic_and_p_of_its_values() -> None:
     assert found.warning == ""
 
 
-def test_p_of_all_contrasts_is_the_share_of_normal_studies_that_look_worse() -> None:
+def test_p_of_all_contrasts_is_the_share_of_normal_studies_that_look_worse():
     rng = np.random.default_rng(8)
     p = [row_normality({"A": rows}).p for rows in rng.standard_normal((400, 8, 6))]
     assert scipy.stats.kstest(p, "uniform").pvalue > 0.01
 
 
-def test_rows_that_say_nothing_are_left_out() -> None:
+def test_rows_that_say_nothing_are_left_out():
     row = np.random.default_rng(4).standard_normal(9)
     found = row_normality(
         {"A": np.array([row, -2 * row + 3]), "B": np.array([1e-9 * row, np.ones(9)])},
@@ -95,13 +92,13 @@ def test_rows_that_say_nothing_are_left_out() -> None:
     assert "no contrast" in none.warning
 
 
-def test_few_blocks_are_said() -> None:
+def test_few_blocks_are_said():
     rows = np.random.default_rng(5).standard_normal((2, 5))
     assert "power is small" in row_normality({"A": rows}).warning
     assert "more blocks" in row_normality({"A": rows[:, :3]}).warning
 
 
-def test_the_block_that_carries_the_interaction_is_named() -> None:
+def test_the_block_that_carries_the_interaction_is_named():
     rng = np.random.default_rng(6)
     y = draw("spherical", rng, 1, 9)[0]
     y[:, 6] *= 12
@@ -114,14 +111,14 @@ def test_the_block_that_carries_the_interaction_is_named() -> None:
 
 
 @pytest.mark.parametrize("kind", ["spherical", "non-spherical"])
-def test_row_normality_holds_its_size(kind: str) -> None:
+def test_row_normality_holds_its_size(kind):
     assert rejections(kind, 6, 600, 71) <= 0.07 + 0.012
 
 
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize("blocks", [5, 6, 9, 15])
-def test_row_normality_holds_its_size_and_has_power(blocks: int) -> None:
+def test_row_normality_holds_its_size_and_has_power(blocks):
     """Bar 7 at 2,000 data sets."""
     size = {k: rejections(k, blocks, 2000, 73) for k in ("spherical", "non-spherical")}
     power = rejections("block-wide t3", blocks, 2000, 75)
@@ -131,7 +128,7 @@ def test_row_normality_holds_its_size_and_has_power(blocks: int) -> None:
         assert power >= 0.30
 
 
-def levene_size(each: int, n: int, seed: int) -> float:
+def levene_size(each, n, seed):
     """Rejections of the median's Levene test by Monte Carlo, four normal groups."""
     sizes = np.full(4, each)
     simulated = [_levene(g, "median")[0] for g in _normal_draws(sizes, 20_000, 2011)]
@@ -143,14 +140,14 @@ def levene_size(each: int, n: int, seed: int) -> float:
 
 
 @pytest.mark.parametrize("each", [3, 5, 6, 10])
-def test_levene_by_monte_carlo_has_the_size_it_claims(each: int) -> None:
+def test_levene_by_monte_carlo_has_the_size_it_claims(each):
     """Bar 7: 20,000 data sets."""
     size = levene_size(each, 20_000, 81)
     print(f"Levene, {each} a group: {size:.4f}")
     assert 0.043 <= size <= 0.057
 
 
-def test_the_share_of_a_block_among_thousands_takes_little_memory() -> None:
+def test_the_share_of_a_block_among_thousands_takes_little_memory():
     """With the rows themselves as root 2,500 blocks would take 6 million normals a study."""
     rows = {"A": np.random.default_rng(6).standard_normal((2, 2500))}
     rows["A"][0, 17] = 40.0
@@ -163,7 +160,7 @@ def test_the_share_of_a_block_among_thousands_takes_little_memory() -> None:
     assert peak < 50e6
 
 
-def test_the_smaller_root_draws_studies_of_the_same_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_smaller_root_draws_studies_of_the_same_kind(monkeypatch):
     rng = np.random.default_rng(7)
     rows = {"A": rng.standard_normal((3, 3)) @ rng.standard_normal((3, 40))}
     usual = block_share(rows)

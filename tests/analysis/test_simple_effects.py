@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import t as student
 
-from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.reporting.content.effect_words import told
 from study.statistics.analysis import simple_effects as simple_effects_module
@@ -24,22 +23,20 @@ from study.statistics.analysis.post_hoc import dunnett_over_groups
 from study.statistics.analysis.simple_effects import (
     MATTERS,
     NO_DIFFERENCE,
-    SimpleEffects,
     simple_effects,
 )
-from study.statistics.analysis.sums_of_squares import Factored
 from study.statistics.analysis.sums_of_squares import factor as fitted
 
 FULL = ("A", "B", "C")
 
 
-def factorial(levels: tuple[int, ...]) -> Layout:
+def factorial(levels):
     names = FULL[: len(levels)]
     labels = {f: tuple(f"{f}{i}" for i in range(k)) for f, k in zip(names, levels, strict=True)}
     return grid(Layout(labels, {f: np.zeros(1, dtype=np.int64) for f in names}), names)
 
 
-def two_cubed(names: tuple[str, ...]) -> tuple[Layout, Array]:
+def two_cubed(names):
     """Cells of a 2^3 whose named effects are 0.9 each."""
     layout = factorial((2, 2, 2))
     sign = {f: 1 - 2.0 * layout.codes[f] for f in FULL}
@@ -47,7 +44,7 @@ def two_cubed(names: tuple[str, ...]) -> tuple[Layout, Array]:
     return layout, np.asarray(y)
 
 
-def with_blocks(cells: Array, blocks: int, se: float, seed: int = 1) -> Array:
+def with_blocks(cells, blocks, se, seed=1):
     """Cells in blocks with levels of their own, differences with standard error ``se``."""
     rng = np.random.default_rng(seed)
     sd = se * np.sqrt(blocks / 2)
@@ -55,7 +52,7 @@ def with_blocks(cells: Array, blocks: int, se: float, seed: int = 1) -> Array:
     return cells[:, None] + rng.standard_normal(blocks) + noise
 
 
-def judged(layout: Layout, y: Array, factor: str, practical: float) -> SimpleEffects:
+def judged(layout, y, factor, practical):
     """Simple effects of a factor as a study with blocks judges them."""
     fit = factor_model(layout, y)
     added = np.linalg.pinv(fit.matrix.columns) @ (y - y[0, 0]) / y.shape[1]
@@ -65,11 +62,11 @@ def judged(layout: Layout, y: Array, factor: str, practical: float) -> SimpleEff
     return found
 
 
-def factor_model(layout: Layout, y: Array) -> Factored:
+def factor_model(layout, y):
     return fitted(model_matrix(layout, terms_of(tuple(layout.levels))), y.mean(axis=1))
 
 
-def test_effects_that_average_out_do_not_let_a_factor_be_chosen() -> None:
+def test_effects_that_average_out_do_not_let_a_factor_be_chosen():
     """Bar 4: A, A:B, A:C and A:B:C of 0.9 each make one simple effect of 3.6."""
     layout, cells = two_cubed(("A", "AB", "AC", "ABC"))
     found = judged(layout, with_blocks(cells, 6, 0.02), "A", 1.0)
@@ -78,27 +75,27 @@ def test_effects_that_average_out_do_not_let_a_factor_be_chosen() -> None:
     assert [e.at for e in found.effects if e.verdict == MATTERS] == [(("B", "B0"), ("C", "C0"))]
 
 
-def test_without_interactions_every_factor_may_be_chosen() -> None:
+def test_without_interactions_every_factor_may_be_chosen():
     layout, cells = two_cubed(FULL)
     y = with_blocks(cells, 6, 0.02)
     for factor in FULL:
         assert judged(layout, y, factor, 1.0).verdict == NO_DIFFERENCE
 
 
-def of_blocks(contrasts: Array) -> float:
+def of_blocks(contrasts):
     """Multiplier of contrasts over blocks of one group; shape (m, b)."""
     m, b = contrasts.shape
     return float(block_multiplier(contrasts, 0.05, 1, [np.arange(b)], np.full(m, b - 1.0))[0])
 
 
 @given(st.integers(0, 1000), st.integers(2, 6), st.integers(5, 9))
-def test_the_multiplier_lies_between_one_interval_and_all(seed: int, k: int, b: int) -> None:
+def test_the_multiplier_lies_between_one_interval_and_all(seed, k, b):
     rows = np.random.default_rng(seed).standard_normal((k, b))
     found = of_blocks(rows)
     assert student.isf(0.025, b - 1) * 0.97 <= found <= student.isf(0.025 / k, b - 1) + 1e-9
 
 
-def test_the_multiplier_is_that_of_blocks_drawn_one_by_one() -> None:
+def test_the_multiplier_is_that_of_blocks_drawn_one_by_one():
     rng = np.random.default_rng(3)
     contrasts = rng.standard_normal((5, 7)) * np.array([[1], [2], [3], [0.1], [1]])
     contrasts[4] = contrasts[0] + 1e-3 * contrasts[4]
@@ -109,12 +106,12 @@ def test_the_multiplier_is_that_of_blocks_drawn_one_by_one() -> None:
     assert of_blocks(contrasts) == pytest.approx(expected, rel=0.05)
 
 
-def test_few_blocks_take_bonferroni() -> None:
+def test_few_blocks_take_bonferroni():
     rows = np.random.default_rng(5).standard_normal((3, 4))
     assert of_blocks(rows) == pytest.approx(student.ppf(1 - 0.05 / 6, 3))
 
 
-def test_levels_against_a_reference_in_blocks() -> None:
+def test_levels_against_a_reference_in_blocks():
     rng = np.random.default_rng(6)
     block = rng.standard_normal(8)
     levels = {
@@ -130,7 +127,7 @@ def test_levels_against_a_reference_in_blocks() -> None:
         assert (pair.p < 0.05) == (pair.lower > 0 or pair.upper < 0)
 
 
-def test_primary_terms_form_the_family() -> None:
+def test_primary_terms_form_the_family():
     p = {"A": 0.01, "B": 0.04, "C": 0.03}
     found = {t.term: (t.p_holm, t.family) for t in holm_family({"force": p}, ["A"])}
     assert found == {"A": (0.01, 1), "B": (None, 1), "C": (None, 1)}
@@ -142,7 +139,7 @@ def test_primary_terms_form_the_family() -> None:
         holm_family({"force": {"A": 1.2}})
 
 
-def test_a_study_is_one_family() -> None:
+def test_a_study_is_one_family():
     found = holm_family({"force": {"A": 0.01}, "work": {"A": 0.02}})
     tests = [(t.response, t.p_holm, t.family) for t in found]
     assert tests == [("force", 0.02, 2), ("work", 0.02, 2)]
@@ -156,7 +153,7 @@ class Case:
     blocks: int
     errors: str
 
-    def data(self, rng: np.random.Generator, n: int) -> Array:
+    def data(self, rng, n):
         cells = self.levels * 4
         shape = (n, cells, self.blocks)
         if self.errors == "t4":
@@ -169,7 +166,7 @@ class Case:
         return z
 
 
-def outcomes(case: Case, n: int, seed: int) -> dict[str, float]:
+def outcomes(case, n, seed):
     """False "all inside" at one shift of exactly practical, coverage, claims at 0."""
     layout = factorial((case.levels, 2, 2))
     # sd of single cells is 1: unadjusted intervals claim about 0.8 at this practical difference
@@ -199,7 +196,7 @@ ALL = [(k, b, e) for k in (2, 4) for b in (5, 6, 9) for e in ERRORS]
           for case in ALL),
     ],
 )  # fmt: skip
-def test_simple_effects_hold_their_rates(case: Case, n: int, error: float) -> None:
+def test_simple_effects_hold_their_rates(case, n, error):
     """Bar 5 at 1,000 data sets, with ``error`` for fewer."""
     found = outcomes(case, n, 31)
     print(case, found)

@@ -4,8 +4,6 @@ Every test prints expected, got and error. The studies are null: a test at 5 % m
 5 % of them.
 """
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 
@@ -28,13 +26,13 @@ pytestmark = [pytest.mark.slow, pytest.mark.verify]
 CROSSED = Path(__file__).resolve().parents[2] / "validation" / "statistics" / "crossed.csv"
 
 
-def report(what: str, expected: float, got: float, unit: str = "%") -> None:
+def report(what, expected, got, unit="%"):
     print(
         f"\n{what}: expected {expected:g} {unit}, got {got:.4g} {unit}, error {got - expected:+.2g}"
     )
 
 
-def design(sizes: tuple[int, ...], repeats: int, order: int) -> np.ndarray:
+def design(sizes, repeats, order):
     names = "abc"[: len(sizes)]
     levels = {n: tuple(map(str, range(k))) for n, k in zip(names, sizes, strict=True)}
     empty = Layout(levels, {n: np.zeros(1, dtype=np.int64) for n in names})
@@ -50,7 +48,7 @@ DESIGNS = {
 
 
 @pytest.mark.parametrize("name", DESIGNS)
-def test_exact_ryan_joiner_holds_its_size(name: str) -> None:
+def test_exact_ryan_joiner_holds_its_size(name):
     """5 % +- 0.3 of 50,000 null designs (binomial sd 0.10 %, of the simulated limit 0.07 %)."""
     matrix = DESIGNS[name]
     n = matrix.shape[0]
@@ -80,7 +78,7 @@ UNEQUAL = np.array([[0.3, 0, 0, 0], [0, 0.15, 0, 0], [0, 0, 0.1, 0], [0, 0, 0.1,
 EQUAL = 0.3 * np.eye(4)
 
 
-def null_studies(spread: np.ndarray, count: int) -> tuple[list[Crossed], np.ndarray]:
+def null_studies(spread, count):
     """Null studies, 9 blocks x 32 cells: 4 materials x 2 plates x 2 spaces x 2 orders.
 
     Spaces and orders differ by discretization alone (1e-4): pooling their interactions adds
@@ -107,9 +105,7 @@ def null_studies(spread: np.ndarray, count: int) -> tuple[list[Crossed], np.ndar
     [(UNEQUAL, {"m": (4, 6), "plates": (4, 6)}), (EQUAL, {"m": (2.8, 6), "plates": (4, 6)})],
     ids=["materials scatter unequally", "materials scatter equally"],
 )
-def test_own_interactions_hold_their_size_among_copies(
-    spread: np.ndarray, bounds: dict[str, tuple[float, float]]
-) -> None:
+def test_own_interactions_hold_their_size_among_copies(spread, bounds):
     """A test at 5 % rejects 4 to 6 % of 10,000 null studies; pooling rejects most of them.
 
     Greenhouse and Geisser's correction is known to be too cautious where the scatter happens
@@ -139,7 +135,7 @@ def test_own_interactions_hold_their_size_among_copies(
         assert naive > 30
 
 
-def whole(table: Crossed):
+def whole(table):
     """The same study through the front door."""
     rows = [
         {f: table.layout.levels[f][table.layout.codes[f][i]] for f in table.layout.levels}

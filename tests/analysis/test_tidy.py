@@ -1,9 +1,5 @@
 """Strict reading of tidy CSV files."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from study.ground.errors import InputError
@@ -12,7 +8,7 @@ from study.ground.tabular import read_tidy_csv as read_csv
 GOOD = "a,b,y\nx,1,1.5\nx,2,2.5\nz,1,\nz,2,4e0\n"
 
 
-def write(folder: Path, text: str) -> Path:
+def write(folder, text):
     path = folder / "data.csv"
     path.write_text(text, encoding="utf-8")
     return path
@@ -22,7 +18,7 @@ def write(folder: Path, text: str) -> Path:
     "text",
     [GOOD, "\ufeff" + GOOD.replace("\n", "\r\n"), GOOD.replace(",", ";"), GOOD.replace(",", "\t")],
 )
-def test_reads_common_shapes(tmp_path: Path, text: str) -> None:
+def test_reads_common_shapes(tmp_path, text):
     table = read_csv(write(tmp_path, text), "y", ["a"], "b")
     assert table["b"].tolist() == ["1", "2", "1", "2"]
     assert table["y"].isna().sum() == 1
@@ -46,21 +42,21 @@ def test_reads_common_shapes(tmp_path: Path, text: str) -> None:
         (GOOD.replace("a,b", "b,b"), "stands 2 times in the header"),
     ],
 )
-def test_bad_files_are_named(tmp_path: Path, text: str, match: str) -> None:
+def test_bad_files_are_named(tmp_path, text, match):
     with pytest.raises(InputError, match=match):
         read_csv(write(tmp_path, text), "y", ["a"], "b")
 
 
-def test_a_decimal_comma_is_read_where_it_is_declared(tmp_path: Path) -> None:
+def test_a_decimal_comma_is_read_where_it_is_declared(tmp_path):
     text = GOOD.replace(",", ";").replace(".", ",")
     table = read_csv(write(tmp_path, text), "y", ["a"], "b", decimal=",")
     assert table["y"].tolist()[:2] == [1.5, 2.5]
 
 
-def test_lines_of_a_spreadsheet_without_a_cell_are_left_out(tmp_path: Path) -> None:
+def test_lines_of_a_spreadsheet_without_a_cell_are_left_out(tmp_path):
     assert len(read_csv(write(tmp_path, GOOD + ",,\n,,\n"), "y", ["a"], "b")) == 4
 
 
-def test_missing_file(tmp_path: Path) -> None:
+def test_missing_file(tmp_path):
     with pytest.raises(InputError, match="there is no such file"):
         read_csv(tmp_path / "none.csv", "y", ["a"])

@@ -1,7 +1,5 @@
 """Probabilities of verdicts before a study: published distributions, simulation, the rules."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -20,12 +18,12 @@ from study.statistics.analysis.power import (
 from study.statistics.analysis.simple_effects import CANNOT_TELL, judge_all
 
 
-def claims(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def claims(low, high):
     """1 matters, -1 no practical difference, 0 neither; practical 1."""
     return ((low > 1) | (high < -1)) * 1 - ((low > -1) & (high < 1))
 
 
-def simulated(blocks: int, sd: float, truth: float, u: float, n: int, seed: int) -> np.ndarray:
+def simulated(blocks, sd, truth, u, n, seed):
     """Rates of matters, no practical difference, not resolved, cannot tell; practical 1."""
     rng = np.random.default_rng(seed)
     d = truth + sd / math.sqrt(blocks) * rng.standard_normal(n)
@@ -38,7 +36,7 @@ def simulated(blocks: int, sd: float, truth: float, u: float, n: int, seed: int)
 
 
 @pytest.mark.parametrize("df", [1.0, 5.5, 49.0, 51.0, 1e3, 1e5, 1e7, 1e10, 1e13, 1e15, 1e300])
-def test_a_scale_has_its_moments_whatever_its_freedom(df: float) -> None:
+def test_a_scale_has_its_moments_whatever_its_freedom(df):
     """E 1 = E chi2_df / df = 1, its variance 2 / df, by a density of any number of rows."""
     s, weights = scale_rule(df)
     assert weights.sum() == pytest.approx(1.0, abs=1e-9)
@@ -48,7 +46,7 @@ def test_a_scale_has_its_moments_whatever_its_freedom(df: float) -> None:
 
 @pytest.mark.parametrize("blocks", [2, 5, 9])
 @pytest.mark.parametrize("truth", [0.0, 1.0, 1.6])
-def test_matters_is_the_noncentral_t(blocks: int, truth: float) -> None:
+def test_matters_is_the_noncentral_t(blocks, truth):
     root = math.sqrt(blocks) / 0.3
     t = student.ppf(0.975, blocks - 1)
     upper = nct.sf(t, blocks - 1, (truth - 1.2) * root)
@@ -61,7 +59,7 @@ def test_matters_is_the_noncentral_t(blocks: int, truth: float) -> None:
     ("blocks", "sd", "truth", "u"),
     [(2, 0.1, 0.0, 0.0), (3, 0.3, 0.0, 0.2), (5, 0.3, 2.0, 0.5), (9, 0.5, 0.5, 0.1)],
 )
-def test_probabilities_are_those_of_simulated_studies(blocks, sd, truth, u) -> None:
+def test_probabilities_are_those_of_simulated_studies(blocks, sd, truth, u):
     found = verdict_probabilities(blocks, sd, 1.0, truth, u=u)
     p = np.array(
         [found.matters, found.no_practical_difference, found.not_resolved, found.cannot_tell]
@@ -70,7 +68,7 @@ def test_probabilities_are_those_of_simulated_studies(blocks, sd, truth, u) -> N
     assert simulated(blocks, sd, truth, u, 200_000, 91) == pytest.approx(p, abs=0.005)
 
 
-def test_two_specimens_may_claim_and_are_rarely_wrong() -> None:
+def test_two_specimens_may_claim_and_are_rarely_wrong():
     """Bar 12: at a true difference equal to practical each of the two claims is false."""
     for sd in (0.1, 0.3, 1.0):
         rates = simulated(2, sd, 1.0, 0.0, 20_000, 93)
@@ -80,14 +78,14 @@ def test_two_specimens_may_claim_and_are_rarely_wrong() -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, 0.3, 5.0])
-def test_one_specimen_never_claims(value: float) -> None:
+def test_one_specimen_never_claims(value):
     """Bar 12: there is no interval, whatever the number."""
     none = np.array([math.nan])
     assert judge_all(none, none, 1.0, np.array([0.05])).verdict == CANNOT_TELL
     assert verdict_probabilities(1, 0.3, 1.0, value).cannot_tell == 1
 
 
-def test_the_fewest_blocks_reach_what_was_wanted_and_one_less_does_not() -> None:
+def test_the_fewest_blocks_reach_what_was_wanted_and_one_less_does_not():
     for sd in (0.2, 0.5, 1.0):
         for level, blocks in zip((0.8, 0.9), fewest_blocks(sd, 1.0), strict=True):
             assert blocks is not None
@@ -96,7 +94,7 @@ def test_the_fewest_blocks_reach_what_was_wanted_and_one_less_does_not() -> None
     assert fewest_blocks(0.2, 1.0, u=1.0) == (None, None)
 
 
-def test_cost_counts_every_solve() -> None:
+def test_cost_counts_every_solve():
     plan = planned_verdicts([3, 5], 0.3, 1.0, cells=6, seconds=10.0)
     assert [(row.cases, row.seconds) for row in plan] == [(18, 180.0), (30, 300.0)]
     assert plan[1].equal == verdict_probabilities(5, 0.3, 1.0, 0.0)
@@ -106,20 +104,20 @@ def test_cost_counts_every_solve() -> None:
     ("blocks", "sd", "practical", "u"),
     [(0, 1, 1, 0), (3, 0, 1, 0), (3, 1, -1, 0), (3, 1, 1, math.inf)],
 )
-def test_bad_plans(blocks, sd, practical, u) -> None:
+def test_bad_plans(blocks, sd, practical, u):
     with pytest.raises(InputError):
         verdict_probabilities(blocks, sd, practical, 0.0, u=u)
 
 
 @pytest.mark.parametrize("blocks", [2, 3, 9])
 @pytest.mark.parametrize("u", [0.0, 0.4])
-def test_no_difference_is_integrated_up_to_its_kink(blocks: int, u: float) -> None:
+def test_no_difference_is_integrated_up_to_its_kink(blocks, u):
     """Beyond it the interval is wider than the band; a rule across it erred by 1e-3."""
     sd, df = 0.8, blocks - 1
     error = sd / blocks**0.5
     t = float(student.ppf(0.975, df)) * error
 
-    def density(s: float) -> float:
+    def density(s):
         inside = 2 * norm.cdf((1 - u - t * s) / error) - 1
         return float(max(0.0, inside) * 2 * df * s * chi2.pdf(df * s * s, df))
 

@@ -1,7 +1,5 @@
 """Groups of blocks, seeds as blocks, and the own-interaction test with Holm over a table."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 from scipy.linalg import helmert
 from scipy.special import fdtrc
 
-from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.statistics.analysis.comparisons import holm_family
 from study.statistics.analysis.normality import helmert_contrasts
@@ -21,13 +18,13 @@ DIFFERENCE = np.array([1.0, -1.0])
 FULL = [pytest.mark.slow, pytest.mark.verify]
 
 
-def p_of_one_group(rows: Array) -> float:
+def p_of_one_group(rows):
     """P of one group of blocks."""
     f, df1, df2 = welch_box([rows], np.ones(1))
     return float(fdtrc(df1, df2, f))
 
 
-def test_several_weight_vectors_by_their_definition() -> None:
+def test_several_weight_vectors_by_their_definition():
     """Three groups, two orthonormal differences; M written out block by block."""
     rng = np.random.default_rng(3)
     groups = [rng.standard_normal((2, n)) * s for n, s in ((4, 1.0), (5, 2.0), (6, 0.5))]
@@ -47,7 +44,7 @@ def test_several_weight_vectors_by_their_definition() -> None:
     assert found[0] == pytest.approx(np.sum(theta**2) / np.trace(m))
 
 
-def test_nothing_varies() -> None:
+def test_nothing_varies():
     assert welch_box([np.ones((2, 4))], np.ones(1)) is None
 
 
@@ -61,20 +58,18 @@ def test_nothing_varies() -> None:
         ("ab", "11", "", ""),
     ],
 )
-def test_seeds_that_all_cells_share_are_blocks(
-    cells: str, seeds: str, common: str, left: str
-) -> None:
+def test_seeds_that_all_cells_share_are_blocks(cells, seeds, common, left):
     found, reason = common_seeds(cells, seeds)
     assert "".join(found) == common
     assert left in reason
 
 
-def test_every_row_has_a_seed() -> None:
+def test_every_row_has_a_seed():
     with pytest.raises(InputError, match="one seed for each"):
         common_seeds("ab", "1")
 
 
-def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> float:
+def group_rates(sizes, ratio, n, seed):
     """Worst size of average and difference."""
     rng = np.random.default_rng(seed)
     sd = np.array([3.0, 1.0, 0.3, 0.1])[:, None]
@@ -91,7 +86,7 @@ def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> floa
     return float(rejected.max() / n)
 
 
-def seed_rates(rho: float, effect: float, n: int, seed: int, seeds: int = 5) -> float:
+def seed_rates(rho, effect, n, seed, seeds=5):
     """Rejections of a factor whose third level differs by the effect, crossed with two levels."""
     rng = np.random.default_rng(seed)
     factor = np.kron(helmert(3).T, np.full((2, 1), 2**-0.5)).T
@@ -104,14 +99,14 @@ def seed_rates(rho: float, effect: float, n: int, seed: int, seeds: int = 5) -> 
     return count / n
 
 
-def test_seeds_as_blocks_find_what_they_should() -> None:
+def test_seeds_as_blocks_find_what_they_should():
     """Bar 8: 3 x 2 cells, 5 seeds, correlation .8, effect .6."""
     assert seed_rates(0.8, 0.6, 2000, 51) >= 0.55
     for rho in (0.0, 0.5, 0.8, 0.95):
         assert seed_rates(rho, 0.0, 2000, 53) <= 0.06
 
 
-def table_rates(spherical: bool, n: int, seed: int) -> tuple[float, float]:
+def table_rates(spherical, n, seed):
     """Worst size of a term, and chance that Holm rejects anything, 4 x 2 x 2 cells, 6 blocks."""
     rng = np.random.default_rng(seed)
     sd = np.ones((16, 1)) if spherical else np.geomspace(0.1, 3, 16)[:, None]
@@ -134,9 +129,7 @@ def table_rates(spherical: bool, n: int, seed: int) -> tuple[float, float]:
           for r in (1.0, 3.0, 1 / 3)),
     ],
 )  # fmt: skip
-def test_groups_with_their_own_covariance_hold_the_size(
-    ratio: float, n: int, sizes: list[tuple[int, int]]
-) -> None:
+def test_groups_with_their_own_covariance_hold_the_size(ratio, n, sizes):
     """Bar 9 at 10,000 data sets; with fewer 3 standard errors more."""
     rates = [group_rates(pair, ratio, n, 43) for pair in sizes]
     print(f"groups {sizes}, sd ratio {ratio:.2g}: sizes {rates}")
@@ -147,7 +140,7 @@ def test_groups_with_their_own_covariance_hold_the_size(
     ("spherical", "n", "more"),
     [(False, 600, 0.03), *(pytest.param(s, 10_000, 0.0, marks=FULL) for s in (True, False))],
 )
-def test_a_table_holds_its_familywise_error(spherical: bool, n: int, more: float) -> None:
+def test_a_table_holds_its_familywise_error(spherical, n, more):
     """Bar 6, the test of own interactions and Holm; with fewer data sets 3 standard errors more."""
     size, familywise = table_rates(spherical, n, 65)
     print(f"spherical {spherical}: worst size {size:.4f}, familywise {familywise:.4f}")

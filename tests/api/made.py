@@ -1,18 +1,13 @@
 """Studies made of numbers alone: known effects, real analyses, nothing computed."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import product
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from study.harness.design.load import loads
 from study.reporting.results.study_result import ResponseAnalysis, StudyResult
-from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 from tests.cli.small import DESIGN
 
@@ -22,9 +17,9 @@ BLOCKS = ("B1", "B2", "B3", "B4", "B5", "B6")
 
 @cache
 def analyzed(
-    material: tuple[float, ...], space: float, noise: float, practical: str, response: str,
-    rename: tuple[tuple[str, str], ...], transform: str,
-) -> AnalysisResult:  # fmt: skip
+    material, space, noise, practical, response,
+    rename, transform
+):  # fmt: skip
     """Analysis of cell means, once for all studies that are made of it."""
     new = dict(rename)
     rng = np.random.default_rng(3)
@@ -48,20 +43,20 @@ def analyzed(
 
 
 def made(
-    folder: Path,
+    folder,
     *,
-    name: str = "first",
-    material: tuple[float, ...] = (5.0, 7.0, 5.1),
-    space: float = 0.02,
-    noise: float = 0.02,
-    height: str = "30 mm",
-    practical: str = "0.5 pp",
-    response: str = "relative_rms_force_error",
-    rename: dict[str, str] | None = None,
-    better: str = "lower",
-    transform: str = "none",
-    **manifest: Any,
-) -> StudyResult:
+    name="first",
+    material=(5.0, 7.0, 5.1),
+    space=0.02,
+    noise=0.02,
+    height="30 mm",
+    practical="0.5 pp",
+    response="relative_rms_force_error",
+    rename=None,
+    better="lower",
+    transform="none",
+    **manifest,
+):
     """Study whose cell means are ``material`` plus ``space`` for the second space.
 
     ``rename`` gives factors or levels other names.

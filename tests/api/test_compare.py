@@ -1,11 +1,7 @@
 """Two studies beside each other, cells that must agree, tests that are one family."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from statsmodels.stats.multitest import multipletests
@@ -18,17 +14,15 @@ from study.harness.design.load import load
 from study.harness.runner.batch import read_truths
 from study.reporting.content import comparison_content
 from study.reporting.results import study_answers
-from study.reporting.results.study_answers import Beside, Conclusion
-from study.reporting.results.study_result import StudyResult
 from tests.api.made import made
 from tests.conftest import ROOT
 
 
-def row(beside: Beside, term: str) -> Conclusion:
+def row(beside, term):
     return next(row for row in beside.conclusions if row.term == term)
 
 
-def test_conclusions_that_hold_under_both(tmp_path: Path) -> None:
+def test_conclusions_that_hold_under_both(tmp_path):
     found = compare(made(tmp_path), made(tmp_path, name="second", material=(5.0, 7.5, 5.1)))
     material, space = row(found, "material"), row(found, "space")
     assert (material.conclusion, material.holds) == (study_answers.MATTERS, True)
@@ -41,7 +35,7 @@ def test_conclusions_that_hold_under_both(tmp_path: Path) -> None:
     assert said[0] == "Of 2 conclusions about single factors, 2 hold under both first and second."
 
 
-def test_each_number_is_that_of_its_own_study(tmp_path: Path) -> None:
+def test_each_number_is_that_of_its_own_study(tmp_path):
     studies = made(tmp_path), made(tmp_path, name="second", noise=0.05, practical="0.4 pp")
     found = compare(*studies)
     for which, study in enumerate(studies):
@@ -70,9 +64,9 @@ def test_each_number_is_that_of_its_own_study(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_conclusion_of_both(
-    tmp_path: Path, first: dict[str, Any], second: dict[str, Any], holds: bool | None,
-    same_best: bool | None, conclusion: str,
-) -> None:  # fmt: skip
+    tmp_path, first, second, holds,
+    same_best, conclusion
+):  # fmt: skip
     material = row(
         compare(made(tmp_path, **first), made(tmp_path, name="second", **second)), "material"
     )
@@ -81,9 +75,9 @@ def test_a_conclusion_of_both(
     assert material.conclusion.startswith(conclusion)
 
 
-def test_ratios_are_compared_as_ratios(tmp_path: Path) -> None:
+def test_ratios_are_compared_as_ratios(tmp_path):
     log = {"transform": "log", "practical": "10 % of mean", "better": "", "response": "mu0"}
-    found = compare(made(tmp_path, **log), made(tmp_path, name="second", **log))  # type: ignore[arg-type]
+    found = compare(made(tmp_path, **log), made(tmp_path, name="second", **log))
     material = row(found, "material")
     assert material.ratio
     assert material.effects[0].range == pytest.approx(7.0 / 5.0, rel=0.02)
@@ -92,7 +86,7 @@ def test_ratios_are_compared_as_ratios(tmp_path: Path) -> None:
     assert material.best[0] == "stiff"
 
 
-def test_what_only_one_study_has_is_named(tmp_path: Path) -> None:
+def test_what_only_one_study_has_is_named(tmp_path):
     second = made(tmp_path, name="second", rename={"space": "plates", "other": "third"})
     found = compare(made(tmp_path), second)
     named = {(item.what, item.name, item.study) for item in found.only}
@@ -106,7 +100,7 @@ def test_what_only_one_study_has_is_named(tmp_path: Path) -> None:
     assert "Only in first: level material = other." in said
 
 
-def test_differing_inputs_are_listed(tmp_path: Path) -> None:
+def test_differing_inputs_are_listed(tmp_path):
     second = made(
         tmp_path, name="second", height="31 mm", practical="0.4 pp", files={"a.csv": "1" * 64},
         versions={"study": "2"}, virtual=True, truths={"a.csv": {"generator": {"truth": "ogden"}}},
@@ -122,8 +116,8 @@ def test_differing_inputs_are_listed(tmp_path: Path) -> None:
     }
 
 
-def test_two_truths_are_compared_key_by_key(tmp_path: Path) -> None:
-    def virtual(name: str, truth: str) -> StudyResult:
+def test_two_truths_are_compared_key_by_key(tmp_path):
+    def virtual(name, truth):
         notes = {"a.csv": {"generator": {"truth": truth, "seed": 2011}}}
         return made(tmp_path, name=name, virtual=True, truths=notes)
 
@@ -133,7 +127,7 @@ def test_two_truths_are_compared_key_by_key(tmp_path: Path) -> None:
     ]
 
 
-def test_truths_are_read_from_beside_the_measurements(tmp_path: Path) -> None:
+def test_truths_are_read_from_beside_the_measurements(tmp_path):
     (tmp_path / "a.csv.virtual.json").write_text('{"generator": {"seed": 7}}')
     found = read_truths(tmp_path, {"a.csv": "0" * 64, "b.csv": "1" * 64})
     assert found == {"a.csv": {"generator": {"seed": 7}}}
@@ -146,25 +140,23 @@ def test_truths_are_read_from_beside_the_measurements(tmp_path: Path) -> None:
         ({"rename": {"space": "plates", "material": "energy"}}, "with a factor in common"),
     ],
 )
-def test_nothing_in_common_is_refused_with_the_mend(
-    tmp_path: Path, other: dict[str, Any], said: str
-) -> None:
+def test_nothing_in_common_is_refused_with_the_mend(tmp_path, other, said):
     with pytest.raises(InputError, match=said):
         compare(made(tmp_path), made(tmp_path, name="second", **other))
 
 
-def test_a_study_beside_itself_is_refused(tmp_path: Path) -> None:
+def test_a_study_beside_itself_is_refused(tmp_path):
     with pytest.raises(InputError, match="same study"):
         compare(made(tmp_path), made(tmp_path))
 
 
-def test_studies_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+def test_studies_of_one_name_are_told_apart_by_their_folders(tmp_path):
     found = compare(made(tmp_path / "a"), made(tmp_path / "b"))
     assert found.names[0] != found.names[1]
     assert str(tmp_path / "b") in found.names[1]
 
 
-def test_the_document_is_plain_json(tmp_path: Path) -> None:
+def test_the_document_is_plain_json(tmp_path):
     found = compare(made(tmp_path), made(tmp_path, name="second", noise=3.0)).to_json()
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert set(found) == {"summary", "changes", "conclusions", "only_in_one"}
@@ -189,13 +181,11 @@ def test_the_document_is_plain_json(tmp_path: Path) -> None:
         (5e-5, 1e-5, "fail"),
     ],
 )
-def test_they_may_differ_by_solver_and_interpolation(
-    monkeypatch: pytest.MonkeyPatch, difference: float, u_steps: float | None, outcome: str
-) -> None:
+def test_they_may_differ_by_solver_and_interpolation(monkeypatch, difference, u_steps, outcome):
     cells = [SimpleNamespace(levels={"space": space}) for space in ("axisymmetric", "3d")]
     monkeypatch.setattr(assemble, "equivalent_groups", lambda _: [cells])
 
-    def record(space: str, value: float) -> Any:
+    def record(space, value):
         response = {"value": value, "unit": "N", "u_steps": u_steps}
         return SimpleNamespace(
             levels={"space": space}, block="1", converged=True,
@@ -203,7 +193,7 @@ def test_they_may_differ_by_solver_and_interpolation(
         )  # fmt: skip
 
     records = (record("axisymmetric", 1.0), record("3d", 1.0 + difference))
-    (check,) = assemble._controls(SimpleNamespace(), records)  # type: ignore[arg-type]
+    (check,) = assemble._controls(SimpleNamespace(), records)
     assert check.outcome == outcome
 
 
@@ -213,14 +203,14 @@ def test_they_may_differ_by_solver_and_interpolation(
 RANGES = str(ROOT / "designs" / "ecoflex-range.toml")
 
 
-def p_of(folder: Path, data_dir: Path, *overrides: str) -> list[dict[str, object]]:
+def p_of(folder, data_dir, *overrides):
     found = api.run(RANGES, data=data_dir, results=folder, jobs=1, overrides=list(overrides))
     return found.verdicts
 
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_all_responses_of_a_study_are_one_family(tmp_path: Path, data_dir: Path) -> None:
+def test_all_responses_of_a_study_are_one_family(tmp_path, data_dir):
     if not (data_dir / "ecoflex_compression").is_dir():
         pytest.skip("the Ecoflex measurements are not in the data folder (set STUDY_DATA)")
     rows = p_of(tmp_path, data_dir, 'analysis.family="study"')
@@ -239,6 +229,6 @@ def test_all_responses_of_a_study_are_one_family(tmp_path: Path, data_dir: Path)
         ('analysis.primary=["material","range","material:range","a"]', "at most 3"),
     ],
 )
-def test_a_wrong_family_is_named(override: str, rule: str) -> None:
+def test_a_wrong_family_is_named(override, rule):
     with pytest.raises(InputError, match=rule):
         load(RANGES, overrides=[override])

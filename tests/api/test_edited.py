@@ -1,10 +1,7 @@
 """What becomes of a finished study and its report when design, data, code or libraries change."""
 
-from __future__ import annotations
-
 import datetime
 import shutil
-from collections.abc import Callable
 from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +11,13 @@ import pytest
 from study import api
 from study.api import planning
 from study.ground.errors import InputError, RefusedError
-from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.batch import Progress
 from study.reporting.output import write
 from tests.cli.small import DESIGN, study, write_files
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(tmp_path_factory):
     """A folder with a study that was run and reported, for all tests to copy."""
     folder = tmp_path_factory.mktemp("edited")
     write_files(folder)
@@ -32,13 +27,13 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def home(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def home(finished, tmp_path, monkeypatch):
     """A folder with the study to change."""
     monkeypatch.chdir(shutil.copytree(finished, tmp_path / "copy"))
     return tmp_path / "copy"
 
 
-def edited(home: Path) -> None:
+def edited(home):
     """Another range, which four cells have, and an answer at another level."""
     text = DESIGN.replace('["1 %", "20 %"]', '["1 %", "15 %"]')
     (home / "small.toml").write_text(text + "[analysis]\nalpha = 0.01\n")
@@ -48,10 +43,10 @@ class Enough(Exception):
     """The run is stopped here."""
 
 
-def interrupted(home: Path, after: int) -> None:
+def interrupted(home, after):
     """Run the study, and stop it as soon as so many computations are finished."""
 
-    def stop(state: Progress) -> None:
+    def stop(state):
         if state.done == after:
             raise Enough
 
@@ -59,7 +54,7 @@ def interrupted(home: Path, after: int) -> None:
         api.run("small.toml", data="data", jobs=1, reports=None, progress=stop)
 
 
-def test_the_finished_study_is_read_until_the_edited_one_is_finished(home: Path) -> None:
+def test_the_finished_study_is_read_until_the_edited_one_is_finished(home):
     before = study("analyze", "results/small", "--json").json
     table = api.load("results/small").table
     edited(home)
@@ -91,7 +86,7 @@ def test_the_finished_study_is_read_until_the_edited_one_is_finished(home: Path)
     assert len(Store(home / "results/small").read_runs()) == 2
 
 
-def test_why_names_the_input_that_changed(home: Path) -> None:
+def test_why_names_the_input_that_changed(home):
     cases = {r.levels["range"]: r.case_id for r in api.load("results/small").records}
     used = study("why", cases["large"])
     assert "the study uses it" in used.out
@@ -111,7 +106,7 @@ def test_why_names_the_input_that_changed(home: Path) -> None:
     assert "the study uses it" in study("why", cases["small"]).out
 
 
-def test_why_names_the_file_that_changed(home: Path) -> None:
+def test_why_names_the_file_that_changed(home):
     cases = {r.block: r.case_id for r in api.load("results/small").records}
     data = home / "data" / "tests.csv"
     text = data.read_text()
@@ -126,7 +121,7 @@ def test_why_names_the_file_that_changed(home: Path) -> None:
     assert "the study uses it" in said["M2"]  # its own rows are as they were
 
 
-def test_other_code_keeps_the_finished_study(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_code_keeps_the_finished_study(home, monkeypatch):
     """All cases keep their names and none its input: each record is laid by for the old study."""
     before = study("analyze", "results/small", "--json").json
     for module in ("expansion", "fit_problem"):
@@ -142,18 +137,18 @@ def test_other_code_keeps_the_finished_study(home: Path, monkeypatch: pytest.Mon
     assert study("analyze", "results/small", "--json").json == before
 
 
-def stored(store: Store) -> list[Record]:
+def stored(store):
     """Records of every case that has one."""
     names = sorted(path.name for path in (store.path / "cases").iterdir())
     return [record for name in names if (record := store.read(name)) is not None]
 
 
-def older(record: Record) -> Record:
+def older(record):
     """Make a record of another numpy."""
     return replace(record, versions={**record.versions, "numpy": "1.0.0"})
 
 
-def test_other_libraries_are_told_refused_or_made_again(home: Path) -> None:
+def test_other_libraries_are_told_refused_or_made_again(home):
     store = Store(home / "results" / "small")
     records = stored(store)
     now = records[0].versions["numpy"]
@@ -177,7 +172,7 @@ def test_other_libraries_are_told_refused_or_made_again(home: Path) -> None:
         api.run("small.toml", data="data", stale="worn", reports=None)
 
 
-def test_cases_of_one_cell_on_two_meshes_are_told(home: Path) -> None:
+def test_cases_of_one_cell_on_two_meshes_are_told(home):
     store = Store(home / "results" / "small")
     records = stored(store)
     for number, record in enumerate(records):
@@ -190,7 +185,7 @@ def test_cases_of_one_cell_on_two_meshes_are_told(home: Path) -> None:
     assert not any("different meshes" in text for text in found.warnings)
 
 
-def test_a_newer_manifest_is_refused_politely(home: Path) -> None:
+def test_a_newer_manifest_is_refused_politely(home):
     path = home / "results" / "small" / "study.json"
     text = path.read_text().replace('{"schema":1,', '{"schema":3,', 1)
     path.write_text(text)
@@ -202,7 +197,7 @@ def test_a_newer_manifest_is_refused_politely(home: Path) -> None:
     assert path.read_text() == text
 
 
-def test_memory_is_an_amount_with_its_unit(home: Path) -> None:
+def test_memory_is_an_amount_with_its_unit(home):
     """A run in room for nothing does one thing after the other, and comes to the same digits."""
     before = api.load("results/small").table
     found = api.run(
@@ -219,7 +214,7 @@ def test_memory_is_an_amount_with_its_unit(home: Path) -> None:
 # A report that would be the same again is not made again.
 
 
-def again() -> Path:
+def again():
     """Run the study; everything is there but the first time."""
     found = api.run("small.toml", data="data", jobs=1)
     assert found.report is not None
@@ -227,19 +222,19 @@ def again() -> Path:
     return Path(found.report)
 
 
-def state() -> dict[str, tuple[int, bytes]]:
+def state():
     """Inode and bytes of every file of the report; files are replaced whole."""
     files = [path for path in Path("reports").rglob("*") if path.is_file()]
     return {path.name: (path.stat().st_ino, path.read_bytes()) for path in files}
 
 
-def content() -> dict[str, bytes]:
+def content():
     """Bytes of the files that a reader opens."""
     return {name: kept for name, (_, kept) in state().items() if name != write.NAME}
 
 
 @pytest.mark.usefixtures("home")
-def test_a_run_with_nothing_to_do_leaves_the_report_as_it_is() -> None:
+def test_a_run_with_nothing_to_do_leaves_the_report_as_it_is():
     before = state()
     main = again()
     assert main == Path("reports/small/small-data/cases.csv")
@@ -257,16 +252,14 @@ def test_a_run_with_nothing_to_do_leaves_the_report_as_it_is() -> None:
     ],
 )
 @pytest.mark.usefixtures("home")
-def test_a_report_that_was_touched_is_made_again(
-    name: str, spoil: Callable[[Path], object]
-) -> None:
+def test_a_report_that_was_touched_is_made_again(name, spoil):
     before = content()
     spoil(Path("reports/small/small-data", name))
     again()
     assert content() == before
 
 
-def test_a_changed_record_makes_it_again(home: Path) -> None:
+def test_a_changed_record_makes_it_again(home):
     """One record is lost and solved again: its seconds differ, so the table does."""
     before = state()
     case = next((home / "results/small/cases").iterdir())
@@ -276,9 +269,7 @@ def test_a_changed_record_makes_it_again(home: Path) -> None:
     assert after["cases.csv"][0] != before["cases.csv"][0]
 
 
-def test_changed_code_and_another_format_make_it_again(
-    home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_changed_code_and_another_format_make_it_again(home, monkeypatch):
     before = state()
     with monkeypatch.context() as other:
         other.setattr("study.api.study.versions", lambda: {"study": "another"})

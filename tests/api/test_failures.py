@@ -1,12 +1,8 @@
 """A study in which cases fail: the report says which, why and where, also when all do."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from pathlib import Path
 
 from study import api
-from study.reporting.results.study_result import StudyResult
 from tests.pages import both_pages
 from tests.runner.conftest import DESIGN, make_data
 
@@ -20,7 +16,7 @@ for old, new in CONSTANTS.items():
     PYTHON = PYTHON.replace(old, new)
 
 
-def stubborn(problem: Mapping[str, object]) -> object:
+def stubborn(problem):
     """A model that knows no bonded plates of a Mooney-Rivlin material."""
     test, material = problem["test"], problem["material"]
     assert isinstance(test, Mapping)
@@ -28,24 +24,22 @@ def stubborn(problem: Mapping[str, object]) -> object:
     if test["interface"] == "bonded" and material["model"] == "mooney-rivlin":
         raise ArithmeticError("no step was found")
     depths = problem["displacement_mm"]
-    return [2.0 * float(d) for d in depths]  # type: ignore[attr-defined]
+    return [2.0 * float(d) for d in depths]
 
 
-def hopeless(problem: Mapping[str, object]) -> object:
+def hopeless(problem):
     raise ArithmeticError("no step was found")
 
 
-def run(folder: Path, forward: object) -> StudyResult:
+def run(folder, forward):
     (folder / "small.toml").write_text(PYTHON)
     return api.run(
         folder / "small.toml", data=make_data(folder), results=folder / "results",
         reports=folder / "reports", forward=forward, version="1", jobs=2, refine=False,
-    )  # type: ignore[arg-type]  # fmt: skip
+    )  # fmt: skip
 
 
-def test_the_report_says_which_settings_fail_and_blames_no_factor_for_one_cell(
-    tmp_path: Path,
-) -> None:
+def test_the_report_says_which_settings_fail_and_blames_no_factor_for_one_cell(tmp_path):
     found = run(tmp_path, stubborn)
     assert found.cases == {"total": 12, "done": 9, "failed": 3, "missing": 0}
     assert found.report is not None
@@ -65,7 +59,7 @@ def test_the_report_says_which_settings_fail_and_blames_no_factor_for_one_cell(
     assert document["causes"] == {"failed: ArithmeticError: no step was found": 3}
 
 
-def test_a_study_in_which_every_case_failed_has_a_report_that_says_so(tmp_path: Path) -> None:
+def test_a_study_in_which_every_case_failed_has_a_report_that_says_so(tmp_path):
     found = run(tmp_path, hopeless)
     assert found.cases["failed"] == 12
     assert found.report is not None, found.warnings

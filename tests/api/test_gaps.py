@@ -1,9 +1,7 @@
 """Levels that failed in part of their cells, and what an effect is held against."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import product
 from pathlib import Path
 
@@ -14,12 +12,10 @@ import pytest
 from study import api
 from study.ground.contrast import Threshold
 from study.harness.design.load import loads
-from study.harness.design.spec import Design
 from study.harness.design.study_file import ResponseSpec as Response
 from study.harness.record.record import Record, table
 from study.harness.runner.case_series import CaseSeries
 from study.harness.runner.record_analysis import analyze_records, numerical_bound, without_gaps
-from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.convergence.contrast_bound import SeriesBounds
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from tests.pages import both_pages
@@ -29,11 +25,11 @@ Lost = Callable[[dict[str, str], int], bool]
 
 
 @pytest.fixture(scope="module")
-def design() -> Design:
+def design():
     return loads(DESIGN.read_text(encoding="utf-8"), "cone.toml")
 
 
-def rows(design: Design, lost: Lost, blocks: int = 3) -> pd.DataFrame:
+def rows(design, lost, blocks=3):
     """One row a case; the response is missing where it is ``lost``."""
     names = [f.name for f in design.factors]
     found = []
@@ -45,11 +41,11 @@ def rows(design: Design, lost: Lost, blocks: int = 3) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
-def quadratic_ogden(levels: dict[str, str], _: int) -> bool:
+def quadratic_ogden(levels, _):
     return levels["material"] == "ogden-1" and levels["model.element_order"] == "quadratic"
 
 
-def quadratic_3d(levels: dict[str, str], _: int) -> bool:
+def quadratic_3d(levels, _):
     return levels["model.space"] == "3d" and levels["model.element_order"] == "quadratic"
 
 
@@ -65,9 +61,7 @@ def quadratic_3d(levels: dict[str, str], _: int) -> bool:
         (quadratic_ogden, 2, ["6 of 12"]),
     ],
 )
-def test_a_level_that_leaves_a_combination_empty_goes(
-    design: Design, lost: Lost, model: int, notes: list[str]
-) -> None:
+def test_a_level_that_leaves_a_combination_empty_goes(design, lost, model, notes):
     names = [factor.name for factor in design.factors]
     kept, told = without_gaps(design, rows(design, lost), "y", names, "block", model)
     assert [line.split(" cells")[0] for line in told] == [
@@ -77,7 +71,7 @@ def test_a_level_that_leaves_a_combination_empty_goes(
     assert kept["y"].notna().all() or not notes
 
 
-def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path: Path) -> None:
+def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path):
     """No run with level c has an answer."""
     cells = product(("a", "b", "c"), ("flat", "full"), range(3))
     lines = [
@@ -95,7 +89,7 @@ def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path: Path) 
     assert found.effect("gel").range == pytest.approx(1.0)
 
 
-def test_a_study_of_imported_runs_says_with_which_option_a_size_is_given(tmp_path: Path) -> None:
+def test_a_study_of_imported_runs_says_with_which_option_a_size_is_given(tmp_path):
     lines = [f"{m},{n},{ord(m) + 0.1 * n}" for m in "ab" for n in range(3)]
     (tmp_path / "t.csv").write_text("\n".join(["gel,run,y", *lines]))
     study = api.import_runs(tmp_path / "t.csv", ["gel"], ["y=N"], results=tmp_path / "results")
@@ -104,7 +98,7 @@ def test_a_study_of_imported_runs_says_with_which_option_a_size_is_given(tmp_pat
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_blocks_of_imported_runs_have_the_name_of_their_column(tmp_path: Path) -> None:
+def test_blocks_of_imported_runs_have_the_name_of_their_column(tmp_path):
     lines = [f"{m},s{n},{ord(m) + n + 0.1 * (n % 3) * (m == 'a')}" for m in "ab" for n in range(6)]
     (tmp_path / "t.csv").write_text("\n".join(["gel,donor,y", *lines]))
     study = api.import_runs(
@@ -131,9 +125,7 @@ PRACTICAL = Threshold(1.0)
 Levels = Mapping[str, str]
 
 
-def records_of(
-    design: Design, error: Callable[[Levels], float], transform: str = "none"
-) -> list[Record]:
+def records_of(design, error, transform="none"):
     """Records of a true value by the material, plus ``error(levels) (h / h_fine)**2``."""
     found = []
     factors = {f.name: [level.label for level in f.levels] for f in design.factors}
@@ -155,9 +147,9 @@ def records_of(
     return found
 
 
-def columns_of(records: Sequence[Record]) -> list[NumericalUncertainty]:
+def columns_of(records):
     """What refinement stores of the first block: every column with its own uncertainty."""
-    found: dict[tuple[tuple[str, str], ...], list[tuple[float, float]]] = {}
+    found = {}
     for r in records:
         if r.block == "S0" and r.converged:
             key = tuple((k, v) for k, v in r.levels.items() if k != "model.mesh")
@@ -179,23 +171,19 @@ def columns_of(records: Sequence[Record]) -> list[NumericalUncertainty]:
     return rows
 
 
-def analyzed(
-    design: Design, records: Sequence[Record], transform: str = "none"
-) -> tuple[AnalysisResult, list[NumericalUncertainty]]:
+def analyzed(design, records, transform="none"):
     response = Response(NAME, unit="%", transform=transform)
     numerical = columns_of(records)
     return analyze_records(design, records, response, numerical), numerical
 
 
-def u_of(result: AnalysisResult, term: str) -> float:
+def u_of(result, term):
     u = result.effect(term).u_num
     assert u is not None
     return u
 
 
-def test_an_error_that_the_materials_share_is_none_of_their_difference(
-    design: Design,
-) -> None:
+def test_an_error_that_the_materials_share_is_none_of_their_difference(design):
     """The columns are off by percentage points, the difference of the materials by nothing."""
     result, numerical = analyzed(design, records_of(design, lambda levels: 2.0))
     assert max(row.u_num or 0 for row in numerical) > 2.0
@@ -210,7 +198,7 @@ def test_an_error_that_the_materials_share_is_none_of_their_difference(
     assert result.detection.u_num_by_term
 
 
-def test_an_error_of_one_material_is_covered_but_not_tenfold(design: Design) -> None:
+def test_an_error_of_one_material_is_covered_but_not_tenfold(design):
     """Error d h^2 of one material: 1.25 d at the finest mesh, and the way there from the mean."""
     d = 0.3
     records = records_of(design, lambda levels: d * (levels["material"] == "neo-hookean"))
@@ -223,9 +211,7 @@ def test_an_error_of_one_material_is_covered_but_not_tenfold(design: Design) -> 
     assert error < u_of(result, "material") < 4 * error
 
 
-def test_a_factor_is_judged_at_each_kind_of_element_with_the_bound_of_its_own_series(
-    design: Design,
-) -> None:
+def test_a_factor_is_judged_at_each_kind_of_element_with_the_bound_of_its_own_series(design):
     """Linear elements with an error of slow, crooked decay; quadratic ones have almost none."""
     crooked = {"coarse": 2.0, "medium": 0.6, "fine": -0.5}
     records = records_of(design, lambda levels: 0.0)
@@ -237,7 +223,7 @@ def test_a_factor_is_judged_at_each_kind_of_element_with_the_bound_of_its_own_se
         design, records, Response(NAME, unit="%", practical=PRACTICAL), columns_of(records)
     )
     effect = result.effect("material")
-    by_order: dict[str, list[float]] = {"linear": [], "quadratic": []}
+    by_order = {"linear": [], "quadratic": []}
     for simple in effect.simple_effects:
         assert dict(simple.at)["model.mesh"] == "fine"  # the limit is asked for
         if "neo-hookean" in (simple.first, simple.second):
@@ -255,7 +241,7 @@ def test_a_factor_is_judged_at_each_kind_of_element_with_the_bound_of_its_own_se
     assert pairs == {"not resolved by the mesh"}
 
 
-def test_an_error_of_one_space_counts_for_the_space_alone(design: Design) -> None:
+def test_an_error_of_one_space_counts_for_the_space_alone(design):
     records = records_of(design, lambda levels: 1.0 * (levels["model.space"] == "3d"))
     result, _ = analyzed(design, records)
     off = (5.0625 + 2.25 + 1) / 3
@@ -267,8 +253,8 @@ def test_an_error_of_one_space_counts_for_the_space_alone(design: Design) -> Non
     assert u_of(result, "material") < 0.15
 
 
-def test_an_error_of_one_combination_counts_for_the_interaction(design: Design) -> None:
-    def error(levels: Levels) -> float:
+def test_an_error_of_one_combination_counts_for_the_interaction(design):
+    def error(levels):
         return 0.5 * ((levels["material"], levels["model.space"]) == ("mooney-rivlin", "3d"))
 
     result, _ = analyzed(design, records_of(design, error))
@@ -276,7 +262,7 @@ def test_an_error_of_one_combination_counts_for_the_interaction(design: Design) 
     assert (interaction.range or 0) < u_of(result, "material:model.space")
 
 
-def test_a_log_response_is_followed_on_the_log(design: Design) -> None:
+def test_a_log_response_is_followed_on_the_log(design):
     own = records_of(design, lambda levels: 0.3 * (levels["material"] == "neo-hookean"))
     plain, _ = analyzed(design, own)
     same = records_of(design, lambda levels: 0.3 * (levels["material"] == "neo-hookean"), "log")
@@ -288,9 +274,7 @@ def test_a_log_response_is_followed_on_the_log(design: Design) -> None:
         assert mine.effect_over_u_num == pytest.approx(other.effect_over_u_num)
 
 
-def test_a_material_without_a_whole_column_inherits_the_bound_of_the_others(
-    design: Design,
-) -> None:
+def test_a_material_without_a_whole_column_inherits_the_bound_of_the_others(design):
     # every combination of two levels has an answer, but no column of ogden-1 has three meshes
     lost = {("ogden-1", "linear", "fine"), ("ogden-1", "quadratic", "coarse")}
     names = ("material", "model.element_order", "model.mesh")
@@ -310,7 +294,7 @@ def test_a_material_without_a_whole_column_inherits_the_bound_of_the_others(
 
 
 @pytest.mark.parametrize("error", [2.0, 3.0])
-def test_a_material_without_the_finest_mesh_is_left_out(design: Design, error: float) -> None:
+def test_a_material_without_the_finest_mesh_is_left_out(design, error):
     """Its mesh error, which may be half as large again, is no effect of a material."""
     records = [
         r
@@ -323,7 +307,7 @@ def test_a_material_without_the_finest_mesh_is_left_out(design: Design, error: f
     assert u_of(result, "material") == pytest.approx(0.5, rel=0.05)
 
 
-def test_meshes_that_one_column_orders_in_another_way_are_no_series(design: Design) -> None:
+def test_meshes_that_one_column_orders_in_another_way_are_no_series(design):
     """The columns refined in the first block are the series then."""
     records = records_of(design, lambda levels: 2.0)
     rows = columns_of(records)

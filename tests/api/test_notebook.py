@@ -1,7 +1,5 @@
 """What Python users hold and type: tables of a file, paths as text, results that are shown."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from pathlib import Path
@@ -28,13 +26,13 @@ FORCE = [2 * 0.01 * (s**-2 - s) * math.pi * 100 for s in (0.95, 0.9)]
 
 
 @pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def home(tmp_path, monkeypatch):
     write_files(tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def test_a_problem_is_given_by_the_keys_of_its_file() -> None:
+def test_a_problem_is_given_by_the_keys_of_its_file():
     found = study.solve(PROBLEM)
     assert found.curve.force_N == pytest.approx(FORCE, rel=1e-9)
     texts = {**PROBLEM, "material": {**PROBLEM["material"], "C10": "10 kPa"}}
@@ -49,7 +47,7 @@ def test_a_problem_is_given_by_the_keys_of_its_file() -> None:
     assert twice.curve.force_N == pytest.approx(2 * np.array(FORCE), rel=1e-9)
 
 
-def test_faults_of_tables_are_those_of_a_file() -> None:
+def test_faults_of_tables_are_those_of_a_file():
     wrong = {**PROBLEM, "specimen": {"shape": "cylinder", "radios": 10, "height": 10}}
     with pytest.raises(InputError, match="did you mean 'radius'"):
         study.solve(wrong)
@@ -65,9 +63,7 @@ def test_faults_of_tables_are_those_of_a_file() -> None:
         ({"specimen.radius": {"low": 24, "high": 26}}, "specimen.radius", ("24 mm", "26 mm")),
     ],
 )  # fmt: skip
-def test_numbers_of_factors_have_the_units_of_their_keys(
-    tables: dict[str, object], key: str, labels: tuple[str, ...]
-) -> None:
+def test_numbers_of_factors_have_the_units_of_their_keys(tables, key, labels):
     made = study.load_design(
         {
             **PROBLEM, "study": {"name": "numbers"},
@@ -79,7 +75,7 @@ def test_numbers_of_factors_have_the_units_of_their_keys(
     assert factor.labels == labels
 
 
-def test_presets_have_units_too() -> None:
+def test_presets_have_units_too():
     made = study.load_design(
         {
             **PROBLEM,
@@ -104,7 +100,7 @@ def test_presets_have_units_too() -> None:
 @pytest.mark.parametrize(
     "relaxation", [[{"share": 0.3, "time": 2}], [{"share": 0.3, "time": "2 s"}]]
 )
-def test_times_of_a_relaxation_are_in_seconds(relaxation: list[dict[str, object]]) -> None:
+def test_times_of_a_relaxation_are_in_seconds(relaxation):
     """A held strip: after 20 times the time, the share has gone."""
     gauge = {"shape": "homogeneous", "area": 100, "length": 10}
     test = {"kind": "tension", "displacement": 1, "speed": "1e3 mm/s", "hold": 40, "steps": 4}
@@ -117,13 +113,13 @@ def test_times_of_a_relaxation_are_in_seconds(relaxation: list[dict[str, object]
     assert held.curve.force_N[-1] == pytest.approx(0.7 * at_once, rel=1e-3)
 
 
-def is_short(found: object, word: str) -> bool:
+def is_short(found, word):
     """Whether a prompt shows a table and no arrays: a solution printed 150 kB of its mesh."""
     lines = repr(found).splitlines()
     return word in repr(found) and "array(" not in repr(found) and len(lines) < 30
 
 
-def test_a_solution_is_shown(home: Path) -> None:
+def test_a_solution_is_shown(home):
     found = study.solve("problem.toml")
     frame = found.to_frame()
     assert frame.force_N.to_list() == found.curve.force_N.tolist()
@@ -137,7 +133,7 @@ def test_a_solution_is_shown(home: Path) -> None:
     assert found.plot()._repr_svg_() == found.plot()._repr_svg_()
 
 
-def test_a_calibration_is_shown(home: Path) -> None:
+def test_a_calibration_is_shown(home):
     found = study.calibrate("calibration.toml", data="data", results="here")
     assert (home / "here" / "calibration" / "calibration.json").is_file()
     frame = found.to_frame().set_index("constant")
@@ -151,7 +147,7 @@ def test_a_calibration_is_shown(home: Path) -> None:
 
 
 @pytest.mark.drawings
-def test_a_study_is_shown_and_its_folders_are_texts(home: Path) -> None:
+def test_a_study_is_shown_and_its_folders_are_texts(home):
     found = study.run("small.toml", data="data", results="out", reports="pages", jobs=1)
     assert str(found.report).startswith("pages")
     frame = found.to_frame()
@@ -173,7 +169,7 @@ def test_a_study_is_shown_and_its_folders_are_texts(home: Path) -> None:
     assert own.anova.row("range").df == 1
 
 
-def test_a_series_is_shown(home: Path) -> None:
+def test_a_series_is_shown(home):
     found = study.converge("problem.toml", results="out")
     assert found["behaviour"] == "noise-floor"
     assert is_short(study.converge(tomllib.loads(Path("problem.toml").read_text())), "peak")
@@ -190,7 +186,7 @@ def test_a_series_is_shown(home: Path) -> None:
 
 
 @pytest.mark.drawings
-def test_a_hostile_name_is_escaped_in_a_notebook(home: Path) -> None:
+def test_a_hostile_name_is_escaped_in_a_notebook(home):
     name = "<script>alert(1)</script>"
     table = study.run("small.toml", data="data", jobs=1, reports=None).to_frame()
     found = study.analyze(
@@ -202,14 +198,14 @@ def test_a_hostile_name_is_escaped_in_a_notebook(home: Path) -> None:
     assert "&lt;script&gt;" in found._repr_html_()
 
 
-def test_a_design_without_measurements_is_no_study(tmp_path: Path) -> None:
+def test_a_design_without_measurements_is_no_study(tmp_path):
     text = DESIGN[: DESIGN.index("[measurements]")] + DESIGN[DESIGN.index("[calibration]") :]
     with pytest.raises(InputError):
         study.run(written(tmp_path, text), results=tmp_path / "results")
     assert not (tmp_path / "results").exists()
 
 
-def test_dir_lists_what_is_public() -> None:
+def test_dir_lists_what_is_public():
     assert set(dir(study)) == set(study.__all__)
 
 
@@ -219,13 +215,13 @@ def test_dir_lists_what_is_public() -> None:
 PROBLEM_FILE = f'kind = "problem"\n{small.PROBLEM}'
 
 
-def written(folder: Path, text: str) -> Path:
+def written(folder, text):
     path = folder / "file.toml"
     path.write_text(text)
     return path
 
 
-def test_a_declared_kind_changes_nothing_of_what_is_read(tmp_path: Path) -> None:
+def test_a_declared_kind_changes_nothing_of_what_is_read(tmp_path):
     plain = load(written(tmp_path, DESIGN))
     declared = load(written(tmp_path, f'kind = "study"\n{DESIGN}'))
     assert declared.config == plain.config
@@ -245,13 +241,13 @@ def test_a_declared_kind_changes_nothing_of_what_is_read(tmp_path: Path) -> None
         (f'kind = "problem"\n{DESIGN}', "is 'problem', and the tables are those of a design"),
     ],
 )
-def test_a_wrong_kind_gets_the_right_word(tmp_path: Path, text: str, said: str) -> None:
+def test_a_wrong_kind_gets_the_right_word(tmp_path, text, said):
     with pytest.raises(InputError) as caught:
         load_problem(written(tmp_path, text))
     assert said in str(caught.value)
 
 
-def test_settings_of_a_repeated_option_all_hold() -> None:
+def test_settings_of_a_repeated_option_all_hold():
     assert settings(["a=1,b=2 mm", "c=3"]) == {"a": "1", "b": "2 mm", "c": "3"}
     with pytest.raises(InputError, match="each once"):
         settings(["a=1", "a=2"])

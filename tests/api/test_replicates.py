@@ -1,9 +1,5 @@
 """Studies with replicates, from the file to the error term and the report."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -16,7 +12,6 @@ from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.solver.finite_element_solution import solve
-from study.reporting.results.study_result import StudyResult
 from tests.cli.small import measured, pressed, responses
 from tests.pages import both_pages
 
@@ -27,7 +22,7 @@ ENERGIES = "".join(
 )
 
 
-def file(rest: str, interface: str) -> str:
+def file(rest, interface):
     """Compression of the specimen, measured to a tenth of its height."""
     table = measured("tests.csv", "d_mm", "f_N") + 'range = ["1 %", "10 %"]\npoints = 60\n'
     named = '[study]\nname = "small"\nquestion = "Does anything matter?"\n'
@@ -68,7 +63,7 @@ mesh_seeds = 5
 )
 
 
-def data(folder: Path, specimens: int = 1) -> Path:
+def data(folder, specimens=1):
     """Neo-Hookean tests between frictionless plates, with noise of 0.01 N."""
     folder.mkdir(exist_ok=True)
     random = np.random.default_rng(1)
@@ -83,7 +78,7 @@ def data(folder: Path, specimens: int = 1) -> Path:
     return folder
 
 
-def run(text: str, home: Path, *, reports: bool = False, specimens: int = 1) -> StudyResult:
+def run(text, home, *, reports=False, specimens=1):
     return api.run(
         loads(text, "small.toml"), data=data(home / "data", specimens), jobs=1,
         results=home / "results", reports=home / "reports" if reports else None, refine=False,
@@ -91,12 +86,12 @@ def run(text: str, home: Path, *, reports: bool = False, specimens: int = 1) -> 
 
 
 @pytest.fixture(scope="module")
-def noisy(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
+def noisy(tmp_path_factory):
     home = tmp_path_factory.mktemp("noisy")
     return run(NOISE, home, reports=True)
 
 
-def test_noise_is_the_error_of_constants_alone(noisy: StudyResult) -> None:
+def test_noise_is_the_error_of_constants_alone(noisy):
     mu0, mismatch = noisy.analyses
     assert mu0.result is not None, mu0.refused
     assert mismatch.result is not None, mismatch.refused
@@ -109,9 +104,7 @@ def test_noise_is_the_error_of_constants_alone(noisy: StudyResult) -> None:
     assert any("nothing is said of specimens" in w for w in mu0.result.notes)
 
 
-def test_the_interval_of_an_effect_is_that_of_one_fit_however_many_resamples(
-    noisy: StudyResult,
-) -> None:
+def test_the_interval_of_an_effect_is_that_of_one_fit_however_many_resamples(noisy):
     result = noisy.analyses[0].result
     frame = noisy.table
     again = frame[(frame["noise_seed"] > 0) & (frame["model.space"] == "3d")]
@@ -125,7 +118,7 @@ def test_the_interval_of_an_effect_is_that_of_one_fit_however_many_resamples(
     assert half == pytest.approx(2.0930 * difference.std(ddof=1), rel=1e-4)
 
 
-def test_cells_that_share_a_fit_share_its_noise(noisy: StudyResult) -> None:
+def test_cells_that_share_a_fit_share_its_noise(noisy):
     frame = noisy.table
     wide = frame.pivot_table(index=["noise_seed", "material"], columns="model.space", values="mu0")
     # closed form: the space does not enter the fit, nor its resamples
@@ -134,14 +127,14 @@ def test_cells_that_share_a_fit_share_its_noise(noisy: StudyResult) -> None:
     assert space.p is None
 
 
-def test_pooled_noise_is_still_noise(noisy: StudyResult) -> None:
+def test_pooled_noise_is_still_noise(noisy):
     found = api.analyze(noisy.folder, "mu0", error="pooled")
     assert found.error_term.source == "E2"
     own = api.analyze(noisy.folder, "mu0")
     assert "each effect against its own scatter" in own.error_term.question
 
 
-def test_the_report_shows_each_fit_once_and_resumes(noisy: StudyResult) -> None:
+def test_the_report_shows_each_fit_once_and_resumes(noisy):
     assert noisy.report is not None, noisy.warnings
     page = both_pages(noisy.report)
     assert "measurement noise, by bootstrap through the fit" in page
@@ -151,7 +144,7 @@ def test_the_report_shows_each_fit_once_and_resumes(noisy: StudyResult) -> None:
     assert again.to_json()["verdicts"] == noisy.to_json()["verdicts"]
 
 
-def test_several_specimens_come_before_noise_unless_asked(tmp_path: Path) -> None:
+def test_several_specimens_come_before_noise_unless_asked(tmp_path):
     text = NOISE.replace("points = 60", 'points = 60\nblock = "mix"')
     text = text.replace('model.space = ["axisymmetric", "3d"]', "")
     study = run(text, tmp_path, specimens=2)
@@ -169,7 +162,7 @@ def test_several_specimens_come_before_noise_unless_asked(tmp_path: Path) -> Non
 
 
 @pytest.fixture(scope="module")
-def meshed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyResult]:
+def meshed(tmp_path_factory):
     home = tmp_path_factory.mktemp("meshed")
     study = api.run(
         loads(MESHES, "small.toml"), data=data(home / "data"), jobs=1,
@@ -178,9 +171,7 @@ def meshed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyResult]
     return home, study
 
 
-def test_mesh_seeds_are_the_error_and_the_bias_stands_beside(
-    meshed: tuple[Path, StudyResult],
-) -> None:
+def test_mesh_seeds_are_the_error_and_the_bias_stands_beside(meshed):
     _, study = meshed
     result = study.analyses[0].result
     assert result is not None, study.analyses[0].refused
@@ -197,7 +188,7 @@ def test_mesh_seeds_are_the_error_and_the_bias_stands_beside(
     assert study.report is not None, study.warnings
 
 
-def test_the_spread_over_meshes_falls_with_their_size(meshed: tuple[Path, StudyResult]) -> None:
+def test_the_spread_over_meshes_falls_with_their_size(meshed):
     frame = meshed[1].table
     cells = ["model.element_order", "model.mesh_size"]
     assert frame.groupby(cells).size().tolist() == [5] * 4
@@ -211,7 +202,7 @@ def test_the_spread_over_meshes_falls_with_their_size(meshed: tuple[Path, StudyR
     assert len(set(hashes)) == len(hashes)
 
 
-def test_mesh_seeds_resume(meshed: tuple[Path, StudyResult]) -> None:
+def test_mesh_seeds_resume(meshed):
     home, study = meshed
     again = api.run(
         study.design, data=home / "data", jobs=1, results=home / "results", reports=None
@@ -220,7 +211,7 @@ def test_mesh_seeds_resume(meshed: tuple[Path, StudyResult]) -> None:
     assert again.manifest["timings"] == study.manifest["timings"]  # nothing was computed
 
 
-def test_a_constant_that_no_mesh_enters_has_no_mesh_noise(tmp_path: Path) -> None:
+def test_a_constant_that_no_mesh_enters_has_no_mesh_noise(tmp_path):
     text = MESHES.replace('model = "neo-hookean"\nC10 = "8 kPa"\n', "")
     text += ENERGIES
     text = text.replace('model.element_order = ["linear", "quadratic"]',
@@ -244,7 +235,7 @@ interface = "frictionless"
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_refits_by_simulation_scatter_as_their_standard_error(tmp_path: Path) -> None:
+def test_refits_by_simulation_scatter_as_their_standard_error(tmp_path):
     """Bonded plates: the measured curve is that of the quadratic cell with white noise."""
     text = MESHES.replace("mesh_seeds = 5", "noise = 60").replace('C10 = "8 kPa"\n', "")
     text = text.replace('model.mesh_size = ["8 mm", "4 mm"]', "")
@@ -273,7 +264,7 @@ def test_refits_by_simulation_scatter_as_their_standard_error(tmp_path: Path) ->
     assert max(f["evaluations"] for f in refits) <= 3
 
 
-def test_bad_input_writes_nothing(tmp_path: Path) -> None:
+def test_bad_input_writes_nothing(tmp_path):
     text = NOISE.replace("noise = 20", "noise = 3")
     with pytest.raises(InputError, match="at least 20"):
         run(text, tmp_path)

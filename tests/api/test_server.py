@@ -1,7 +1,5 @@
 """Pages over HTTP: what is shown, who is answered, and that nothing outside two folders leaves."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json
@@ -9,14 +7,12 @@ import os
 import shutil
 import socket
 import threading
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
 from study import api
 from study.api import serving
-from study.api.serving import Folders, StudyServer
+from study.api.serving import Folders
 from study.ground.errors import InputError
 from study.harness.record.record import seal
 from study.harness.record.store import FileStamp, Store
@@ -28,7 +24,7 @@ Reply = tuple[int, dict[str, str], str]
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def home(tmp_path_factory):
     """Two finished studies, one with its report, and a secret beside them."""
     folder = tmp_path_factory.mktemp("served")
     write_files(folder)
@@ -43,14 +39,12 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def server(home: Path) -> Iterator[StudyServer]:
+def server(home):
     with served(home) as made:
         yield made
 
 
-def ask(
-    server: StudyServer, path: str, method: str = "GET", host: str | None = "", body: str = ""
-) -> Reply:
+def ask(server, path, method="GET", host="", body=""):
     """Send one request as it stands, without the tidying of a client."""
     port = server.server_port
     lines = [f"{method} {path} HTTP/1.1", "Connection: close"]
@@ -66,7 +60,7 @@ def ask(
         return reply.status, {k.lower(): v for k, v in reply.getheaders()}, text
 
 
-def test_studies_are_listed_with_what_was_found(server: StudyServer) -> None:
+def test_studies_are_listed_with_what_was_found(server):
     status, headers, text = ask(server, "/")
     assert status == 200
     assert headers["content-type"] == "text/html; charset=utf-8"
@@ -77,7 +71,7 @@ def test_studies_are_listed_with_what_was_found(server: StudyServer) -> None:
     assert "&lt;script&gt;document.title=1&lt;/script&gt;" in text
 
 
-def test_a_report_is_the_file_itself(server: StudyServer, home: Path) -> None:
+def test_a_report_is_the_file_itself(server, home):
     status, headers, text = ask(server, "/reports/small/small.html")
     assert status == 200
     assert text == (home / "reports/small/small.html").read_text("utf-8")
@@ -87,7 +81,7 @@ def test_a_report_is_the_file_itself(server: StudyServer, home: Path) -> None:
     assert text == (home / "reports/small/small-data/cases.csv").read_text("utf-8")
 
 
-def test_head_has_no_body(server: StudyServer) -> None:
+def test_head_has_no_body(server):
     for path in ("/", "/reports/small/small.html", "/progress.json"):
         status, headers, text = ask(server, path, "HEAD")
         assert (status, text) == (200, "")
@@ -124,7 +118,7 @@ OUTSIDE = [
 
 
 @pytest.mark.parametrize("path", OUTSIDE)
-def test_nothing_outside_the_reports_leaves(server: StudyServer, home: Path, path: str) -> None:
+def test_nothing_outside_the_reports_leaves(server, home, path):
     reports = home / "reports"
     with contextlib.suppress(FileExistsError):
         (reports / "link.html").symlink_to(home / "secret.html")
@@ -140,7 +134,7 @@ def test_nothing_outside_the_reports_leaves(server: StudyServer, home: Path, pat
     "host",
     ["evil.example", "127.0.0.1", "127.0.0.1:1", "evil.example:{port}", None, "[::1]:{port}"],
 )
-def test_other_hosts_are_not_answered(server: StudyServer, host: str | None) -> None:
+def test_other_hosts_are_not_answered(server, host):
     named = None if host is None else host.format(port=server.server_port)
     status, _, text = ask(server, "/", host=named)
     assert status == 421
@@ -149,14 +143,14 @@ def test_other_hosts_are_not_answered(server: StudyServer, host: str | None) -> 
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE"])
-def test_nothing_can_be_changed(server: StudyServer, home: Path, method: str) -> None:
+def test_nothing_can_be_changed(server, home, method):
     before = {p: p.stat().st_mtime_ns for p in home.rglob("*") if p.is_file()}
     status, headers, _ = ask(server, "/reports/small/small.html", method, body="x" * 10)
     assert (status, headers["allow"]) == (405, "GET, HEAD")
     assert {p: p.stat().st_mtime_ns for p in home.rglob("*") if p.is_file()} == before
 
 
-def test_reading_changes_nothing(server: StudyServer, home: Path) -> None:
+def test_reading_changes_nothing(server, home):
     """A damaged record is not counted; a store would set it aside."""
     record = next((home / "results" / "coarse" / "cases").glob("*/record.json"))
     sound = record.read_bytes()
@@ -171,7 +165,7 @@ def test_reading_changes_nothing(server: StudyServer, home: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["/", "/progress.json", "/reports/small/small.html", "/nothing"])
-def test_every_answer_is_locked_down(server: StudyServer, path: str) -> None:
+def test_every_answer_is_locked_down(server, path):
     _, headers, _ = ask(server, path)
     policy = headers["content-security-policy"]
     assert policy.startswith("default-src 'none'")
@@ -184,7 +178,7 @@ def test_every_answer_is_locked_down(server: StudyServer, path: str) -> None:
     assert "Python" not in headers["server"]
 
 
-def test_a_study_at_work_shows_how_far_it_is(server: StudyServer, home: Path) -> None:
+def test_a_study_at_work_shows_how_far_it_is(server, home):
     assert json.loads(ask(server, "/progress.json")[2]) == {}
     store = Store(home / "results" / "small")
     with store.lock():
@@ -199,7 +193,7 @@ def test_a_study_at_work_shows_how_far_it_is(server: StudyServer, home: Path) ->
     assert "No study is running" in ask(server, "/")[2]
 
 
-def test_only_the_loopback_listens(server: StudyServer) -> None:
+def test_only_the_loopback_listens(server):
     assert server.server_address[0] == "127.0.0.1"
     other = socket.gethostbyname(socket.gethostname())
     if other.startswith("127."):
@@ -211,16 +205,16 @@ def test_only_the_loopback_listens(server: StudyServer) -> None:
         pass
 
 
-def test_folders_that_are_not_there_yet(tmp_path: Path) -> None:
+def test_folders_that_are_not_there_yet(tmp_path):
     assert Folders(tmp_path / "results", tmp_path / "reports").states() == []
 
 
-def manifest(cases: dict[str, str], **more: object) -> str:
+def manifest(cases, **more):
     empty = {"design": "", "text": "", "source": "", "blocks": [], "notes": [], "virtual": False}
     return seal({"name": "hostile", **empty, "cases": cases, **more})
 
 
-def planted(study: Path, kind: str) -> None:
+def planted(study, kind):
     """Put a hostile manifest, or what is none, into the folder of a study."""
     study.mkdir(parents=True)
     path = study / "study.json"
@@ -250,9 +244,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_a_hostile_study_is_answered_and_hides_no_other(
-    server: StudyServer, home: Path, kind: str
-) -> None:
+def test_a_hostile_study_is_answered_and_hides_no_other(server, home, kind):
     name = os.fsdecode(b"hostile-\xff")  # no text in UTF-8
     study = home / "results" / name
     planted(study, kind)
@@ -265,14 +257,12 @@ def test_a_hostile_study_is_answered_and_hides_no_other(
         shutil.rmtree(study)
 
 
-def test_a_page_looks_only_at_cases_that_are_there_and_reads_a_manifest_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_looks_only_at_cases_that_are_there_and_reads_a_manifest_once(tmp_path, monkeypatch):
     planted(tmp_path / "results" / "many", "many")
-    looked: list[str] = []
+    looked = []
     before = FileStamp.of
     monkeypatch.setattr(FileStamp, "of", lambda path: looked.append(str(path)) or before(path))
-    read: list[str] = []
+    read = []
     monkeypatch.setattr(serving, "_read_study", _counted(serving._read_study, read))
     folders = Folders(tmp_path / "results", tmp_path / "reports")
     for _ in range(3):
@@ -281,15 +271,15 @@ def test_a_page_looks_only_at_cases_that_are_there_and_reads_a_manifest_once(
     assert (len(looked), len(read)) == (3, 1)
 
 
-def _counted(function: Callable[[Path], object], calls: list[str]) -> Callable[[Path], object]:
-    def counted(path: Path) -> object:
+def _counted(function, calls):
+    def counted(path):
         calls.append(str(path))
         return function(path)
 
     return counted
 
 
-def test_records_are_read_some_at_a_time(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_records_are_read_some_at_a_time(home, monkeypatch):
     monkeypatch.setattr(serving, "MOST_RECORDS", 8)
     folders = Folders(home / "results", home / "reports")
     pages = [[state.cases for state in folders.states()] for _ in range(4)]
@@ -302,18 +292,18 @@ def test_records_are_read_some_at_a_time(home: Path, monkeypatch: pytest.MonkeyP
     ]  # fmt: skip
 
 
-def test_a_report_that_is_a_pipe_is_no_file(server: StudyServer, home: Path) -> None:
+def test_a_report_that_is_a_pipe_is_no_file(server, home):
     for name in ("pipe.html", "small/pipe.csv"):
         os.mkfifo(home / "reports" / name)
         assert ask(server, f"/reports/{name}")[0] == 404
 
 
-def test_a_port_that_is_taken_is_refused(server: StudyServer) -> None:
+def test_a_port_that_is_taken_is_refused(server):
     with pytest.raises(InputError, match="0 takes a free one"):
         api.serve(port=server.server_port)
 
 
-def test_a_runner_is_not_turned_away_by_who_looks(home: Path) -> None:
+def test_a_runner_is_not_turned_away_by_who_looks(home):
     """Looking whether a folder is locked takes the lock for a moment."""
     import fcntl
 

@@ -34,7 +34,7 @@ DESIGN = pressed(
 )
 
 
-def recorded() -> str:
+def recorded():
     rows = ["specimen,d,f"]
     for block in range(3):
         for k in range(21):
@@ -58,7 +58,7 @@ def finished(tmp_path_factory):
     return folder
 
 
-def changed_digit(text: str, pattern: str) -> str:
+def changed_digit(text, pattern):
     """Change the last digit of the first number that a pattern finds."""
     place = re.search(pattern, text).end() - 1
     digit = text[place]
@@ -180,7 +180,7 @@ def test_a_report_that_is_not_there_is_refused_with_a_way_out(tmp_path):
         api.verify("nothing", reports=tmp_path, results=tmp_path)
 
 
-def bomb() -> bytes:
+def bomb():
     """Fifty million lines without a word, packed in 50 kB."""
     packer = zlib.compressobj(9, wbits=31)
     lines = b"\n" * (1 << 24)

@@ -1,32 +1,29 @@
 """Folders with the small study: untouched, finished, and a copy to change."""
 
-from __future__ import annotations
-
 import shutil
-from pathlib import Path
 
 import pytest
 
 from tests.cli import test_numeric_factors
-from tests.cli.small import Edit, Finished, success, write_files
+from tests.cli.small import Finished, success, write_files
 
 
 @pytest.fixture
-def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def inside(tmp_path, monkeypatch):
     """Empty working folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 @pytest.fixture
-def home(inside: Path) -> Path:
+def home(inside):
     """Working folder with the files, and nothing computed."""
     write_files(inside)
     return inside
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+def finished(tmp_path_factory):
     """One run for all tests that only read."""
     folder = tmp_path_factory.mktemp("finished")
     write_files(folder)
@@ -35,7 +32,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
 
 
 @pytest.fixture(scope="session")
-def ranges(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+def ranges(tmp_path_factory):
     """One run of a study over ranges, for all tests that only read, or copy it."""
     folder = tmp_path_factory.mktemp("ranges")
     text = test_numeric_factors.DESIGN.replace('["csv"]', '["html"]')
@@ -44,7 +41,7 @@ def ranges(tmp_path_factory: pytest.TempPathFactory) -> Finished:
 
 
 @pytest.fixture
-def done(finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def done(finished, tmp_path, monkeypatch):
     """Copy of the finished study, for tests that change something."""
     folder = tmp_path / "copy"
     shutil.copytree(finished.folder, folder)
@@ -53,10 +50,10 @@ def done(finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
-def edit(home: Path) -> Edit:
+def edit(home):
     """Replace a piece of the design."""
 
-    def change(old: str, new: str) -> None:
+    def change(old, new):
         text = (home / "small.toml").read_text()
         assert old in text
         (home / "small.toml").write_text(text.replace(old, new, 1))

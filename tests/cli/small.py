@@ -9,17 +9,15 @@ from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from study.cli.app import run
-from study.ground.arrays import Array
 
 CSV = '[report]\nformat = ["csv"]\n'
 
 
-def responses(**practical: str) -> str:
+def responses(**practical):
     """Tables of responses by name, each with the difference that matters, or none."""
     return "".join(
         f'[[response]]\nname = "{name}"\n' + (f'practical = "{least}"\n' if least else "")
@@ -27,7 +25,7 @@ def responses(**practical: str) -> str:
     )
 
 
-def measured(file: str, d: str = "d", f: str = "f") -> str:
+def measured(file, d="d", f="f"):
     """Table of measurements whose columns are a displacement in mm and a force in N."""
     return f"""[measurements]
 file = "{file}"
@@ -36,15 +34,7 @@ units = {{ displacement = "mm", force = "N" }}
 """
 
 
-def pressed(
-    rest: str,
-    *,
-    study: str = "",
-    radius: float = 10,
-    height: float = 20,
-    interface: str = "frictionless",
-    test: str = "",
-) -> str:
+def pressed(rest, *, study="", radius=10, height=20, interface="frictionless", test=""):
     """Begin a file with a cylinder between plates, mm; `rest` begins with its material."""
     return f"""
 schema = 1
@@ -58,14 +48,12 @@ interface = "{interface}"
 {test}{rest}"""
 
 
-def gauge(material: str, size: str = "") -> str:
+def gauge(material, size=""):
     """Begin a file with a section of uniform strain."""
     return f'schema = 1\n[specimen]\nshape = "homogeneous"\n{size}[material]\n{material}\n'
 
 
-def recorded(
-    folder: Path, name: str, test: str, columns: dict[str, tuple[str, Array]], more: str = ""
-) -> str:
+def recorded(folder, name, test, columns, more=""):
     """Write a recording, and return the table of its test: quantities by name, or labels."""
     rows = np.column_stack([values for _, values in columns.values()])
     head = ",".join(columns)
@@ -79,7 +67,7 @@ def recorded(
     )
 
 
-def case_file(folder: Path, *parts: str) -> Path:
+def case_file(folder, *parts):
     path = folder / "case.toml"
     path.write_text("".join(parts), encoding="utf-8")
     return path
@@ -176,16 +164,16 @@ class Answer:
     err: str
 
     @property
-    def json(self) -> Any:
+    def json(self):
         """Document on stdout; a bare NaN is no JSON."""
         return json.loads(self.out, parse_constant=_refuse)
 
 
-def _refuse(word: str) -> None:
+def _refuse(word):
     raise AssertionError(f"{word} is no JSON")
 
 
-def answer_of(main: Callable[[list[str]], int], *arguments: object) -> Answer:
+def answer_of(main, *arguments):
     """Call a program in this process."""
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
@@ -193,7 +181,7 @@ def answer_of(main: Callable[[list[str]], int], *arguments: object) -> Answer:
     return Answer(code, out.getvalue(), err.getvalue())
 
 
-def study(*arguments: object) -> Answer:
+def study(*arguments):
     """Run the program in this process, as ``study ARGUMENTS`` does.
 
     A single argument is a whole line, split into words as a shell does.
@@ -203,7 +191,7 @@ def study(*arguments: object) -> Answer:
     return answer_of(run, *arguments)
 
 
-def success(*arguments: object, folder: str | Path = ".") -> Answer:
+def success(*arguments, folder="."):
     """Run a command that must end well, in a folder."""
     with chdir(folder):
         answer = study(*arguments)
@@ -211,7 +199,7 @@ def success(*arguments: object, folder: str | Path = ".") -> Answer:
     return answer
 
 
-def refusal(*arguments: object) -> Answer:
+def refusal(*arguments):
     """Run a command whose input must be refused."""
     answer = study(*arguments)
     assert answer.code == 2, answer.err
@@ -219,15 +207,15 @@ def refusal(*arguments: object) -> Answer:
     return answer
 
 
-def incompressible_force(c10_kPa: float, c01_kPa: float, d_mm: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]  # noqa: N803
+def incompressible_force(c10_kPa, c01_kPa, d_mm):  # noqa: N803
     """Force in N of the cylinder between frictionless plates (Mooney 1940), by hand."""
     stretch = 1 - d_mm / 30.0
     nominal_kPa = 2 * (c10_kPa + c01_kPa / stretch) * (stretch**-2 - stretch)  # noqa: N806
-    area: float = np.pi * 25.0**2
+    area = np.pi * 25.0**2
     return np.asarray(1e-3 * nominal_kPa * area)
 
 
-def measured_rows() -> list[str]:
+def measured_rows():
     """Rows of the measurements: six specimens, two repeats with a known difference."""
     d = np.linspace(0.0, 6.5, 66)
     rows = ["mix,specimen,repeat,d_mm,f_N"]
@@ -240,7 +228,7 @@ def measured_rows() -> list[str]:
     return rows
 
 
-def write_files(home: Path) -> None:
+def write_files(home):
     """Design, problem, calibration and measurements in one folder."""
     (home / "small.toml").write_text(DESIGN)
     (home / "problem.toml").write_text(PROBLEM)

@@ -1,7 +1,5 @@
 """``study calibrate --method analytic``: moduli of small indentations in closed form."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import pytest
 
 from study import api
 from study.ground.errors import InputError
-from tests.cli.small import Answer, study, success
+from tests.cli.small import study, success
 
 #: files are written into the working folder
 pytestmark = pytest.mark.usefixtures("inside")
@@ -41,39 +39,39 @@ units = {{ displacement = "mm", force = "mN" }}
 
 
 def text(
-    indenter: str = SPHERE,
+    indenter=SPHERE,
     *,
-    files: str = 'file = "curves.csv"\nblock = "curve"',
-    options: str = "",
-    volume: str = "incompressible = true",
-    radius: float = 60,
-    height: float = 20,
-    depth: float = 0.5,
-    base: str = "bonded",
-) -> str:
+    files='file = "curves.csv"\nblock = "curve"',
+    options="",
+    volume="incompressible = true",
+    radius=60,
+    height=20,
+    depth=0.5,
+    base="bonded",
+):
     return FILE.format(
         indenter=indenter, files=files, options=options, volume=volume, radius=radius,
         height=height, depth=depth, base=base,
     )  # fmt: skip
 
 
-def calibrated(design: str, lines: list[str], head: str = "curve,d,f") -> Answer:
+def calibrated(design, lines, head="curve,d,f"):
     """Calibrate with the rows of a table in the working folder."""
     Path("file.toml").write_text(design)
     Path("curves.csv").write_text("\n".join([head, *lines]))
     return study("calibrate", "file.toml", "--json")
 
 
-def rows(label: str, depth: np.ndarray, force_mN: np.ndarray) -> list[str]:  # type: ignore[type-arg]
+def rows(label, depth, force_mN):
     return [f"{label},{d:.6g},{f:.8g}" for d, f in zip(depth, force_mN, strict=True)]
 
 
-def of_garcia(chi: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def of_garcia(chi):
     """Sphere on a bonded incompressible layer (Garcia and Garcia 2018), within .15 % to .3."""
     return 1 + 1.133 * chi + 1.497 * chi**2 + 1.469 * chi**3 + 0.755 * chi**4
 
 
-def sphere_mN(depth: np.ndarray, height: float) -> np.ndarray:  # type: ignore[type-arg]
+def sphere_mN(depth, height):
     """Hertz's paraboloid of 5 mm, times what the layer adds, at 1 kPa."""
     return 16 / 9 * 5**0.5 * depth**1.5 * of_garcia(np.sqrt(5 * depth) / height)
 
@@ -117,7 +115,7 @@ TEXTBOOK = {
 
 
 @pytest.mark.parametrize("kind", TEXTBOOK)
-def test_formulas_with_noise_give_the_modulus_back(kind: str, inside: Path) -> None:
+def test_formulas_with_noise_give_the_modulus_back(kind, inside):
     """Twenty curves with 2 % of noise; the interval of the median holds the truth."""
     indenter, force = TEXTBOOK[kind]
     rng, lines = np.random.default_rng(5), list[str]()
@@ -164,7 +162,7 @@ SIMULATED = {
 
 
 @pytest.mark.parametrize("kind", SIMULATED)
-def test_the_modulus_of_a_simulated_indentation(inside: Path, kind: str) -> None:
+def test_the_modulus_of_a_simulated_indentation(inside, kind):
     design, changes, modulus, near, warned = SIMULATED[kind]
     problem = PROBLEM
     for old, new in changes.items():
@@ -178,7 +176,7 @@ def test_the_modulus_of_a_simulated_indentation(inside: Path, kind: str) -> None
     assert warned in answer.err
 
 
-def test_rows_beyond_the_limit_of_depth_are_left_out_and_a_limit_that_is_lifted_is_said() -> None:
+def test_rows_beyond_the_limit_of_depth_are_left_out_and_a_limit_that_is_lifted_is_said():
     """Forces tripled beyond 0.8 mm change nothing."""
     depth = np.linspace(0.01, 1.0, 100)
     force = TRUTH_KPA * sphere_mN(depth, 60)
@@ -202,7 +200,7 @@ def test_rows_beyond_the_limit_of_depth_are_left_out_and_a_limit_that_is_lifted_
     assert "d/R <= 0.1" in lifted.err
 
 
-def test_many_curves(inside: Path) -> None:
+def test_many_curves(inside):
     """A folder of 200 curves with their contacts: the median is that of the truth."""
     (inside / "curves").mkdir()
     files, options = 'files = "curves/{curve}.csv"', f'contact = "fitted"\n{PARABOLOID}'
@@ -225,7 +223,7 @@ def test_many_curves(inside: Path) -> None:
     assert np.median([abs(found[k] - c) for k, c in enumerate(contacts)]) < 2e-3
 
 
-def test_curves_of_one_specimen_are_repeats(inside: Path) -> None:
+def test_curves_of_one_specimen_are_repeats(inside):
     """Six specimens of 3 curves each: the interval is that of six medians."""
     files = 'file = "curves.csv"\nblock = "specimen"\naverage = ["site"]'
     depth, lines = np.linspace(0.01, 0.5, 30), list[str]()
@@ -239,7 +237,7 @@ def test_curves_of_one_specimen_are_repeats(inside: Path) -> None:
     assert estimate["median_kPa"] == pytest.approx(3.5, rel=2e-3)
 
 
-def test_no_row_within_the_range_is_no_answer() -> None:
+def test_no_row_within_the_range_is_no_answer():
     depth = np.linspace(0.01, 0.4, 40)
     answer = calibrated(text(height=2, radius=3), rows("a", depth, depth))
     assert answer.code == 1
@@ -249,7 +247,7 @@ def test_no_row_within_the_range_is_no_answer() -> None:
     assert test["limits"][0]["limit"].startswith("shortening of the whole specimen")
 
 
-def test_published_series_says_how_far_it_is_off(inside: Path) -> None:
+def test_published_series_says_how_far_it_is_off(inside):
     """At chi = 0.48694 the layer's table has 2.10558 times Hertz, the series 1.9393 times."""
     design = text(SPHERE.replace('"5 mm"', '"50 mm"'), radius=100, height=6.25, depth=0.2,
                   options=f'theory = "dimitriadis"\n{PARABOLOID}')  # fmt: skip
@@ -259,7 +257,7 @@ def test_published_series_says_how_far_it_is_off(inside: Path) -> None:
     assert "integral-equation" in answer.err
 
 
-def test_one_bad_curve_does_not_stop_the_others(inside: Path) -> None:
+def test_one_bad_curve_does_not_stop_the_others(inside):
     depth = np.linspace(0.01, 0.5, 30)
     good = rows("good", depth, TRUTH_KPA * sphere_mN(depth, 20))
     answer = calibrated(text(options=PARABOLOID), [*good, *rows("flat", depth, np.ones(30))])

@@ -1,7 +1,5 @@
 """The page of `study analyze`: its numbers a second way, its command line, any table."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -25,7 +23,7 @@ BATTERY = ("--response", "life", "--factors", "material,temperature")
 
 
 @pytest.fixture(scope="module")
-def battery(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def battery(tmp_path_factory):
     """Folder with the page of Montgomery's battery experiment."""
     folder = tmp_path_factory.mktemp("battery")
     shutil.copy(TABLES / "battery_life.csv", folder)
@@ -35,13 +33,13 @@ def battery(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def records(folder: Path, name: str) -> list[dict[str, str]]:
+def records(folder, name):
     path = folder / "out" / "battery-life-life-data" / name
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 
-def test_the_page_answers_first_and_shows_every_part(battery: Path) -> None:
+def test_the_page_answers_first_and_shows_every_part(battery):
     first = (battery / "out" / "battery-life-life.html").read_text(encoding="utf-8")
     assert first.index('<section id="answer"') < first.index('<section id="effects"')
     assert 'href="battery-life-life-details.html"' in first
@@ -59,7 +57,7 @@ def test_the_page_answers_first_and_shows_every_part(battery: Path) -> None:
         assert shown in page.replace("\N{NO-BREAK SPACE}", " "), shown
 
 
-def test_pairs_are_tukeys_and_dunnetts(battery: Path) -> None:
+def test_pairs_are_tukeys_and_dunnetts(battery):
     """Montgomery's Tukey comparisons a second way: scipy's studentized range."""
     from scipy.stats import studentized_range
 
@@ -83,7 +81,7 @@ def test_pairs_are_tukeys_and_dunnetts(battery: Path) -> None:
     assert 2.31 < point < 2.36
 
 
-def test_coefficients_and_rows_are_those_of_least_squares(battery: Path) -> None:
+def test_coefficients_and_rows_are_those_of_least_squares(battery):
     """The standard error of a level's coefficient is s sqrt((k - 1) / N), by hand."""
     table = {r["term"]: r for r in records(battery, "table-coefficients.csv")}
     assert float(table["Constant"]["estimate"]) == pytest.approx(105.5278, abs=5e-5)
@@ -103,7 +101,7 @@ def test_coefficients_and_rows_are_those_of_least_squares(battery: Path) -> None
         assert float(row["cook"]) == pytest.approx(e**2 / (9 * s**2) * 0.25 / 0.75**2, abs=1e-12)
 
 
-def test_the_line_to_reproduce_works_when_pasted(battery: Path) -> None:
+def test_the_line_to_reproduce_works_when_pasted(battery):
     written = battery / "out" / "battery-life-life-details.html"
     page = written.read_text(encoding="utf-8")
     text = page[page.index("<pre>") + 5 : page.index("</pre>")]
@@ -117,7 +115,7 @@ def test_the_line_to_reproduce_works_when_pasted(battery: Path) -> None:
     assert written.read_text(encoding="utf-8") == page
 
 
-def test_json_names_the_page_and_other_formats_stand_beside(tmp_path: Path) -> None:
+def test_json_names_the_page_and_other_formats_stand_beside(tmp_path):
     answer = success("analyze", TABLES / "penicillin.csv", "--response", "yield", "--factors",
                      "treatment", "--block", "blend", "--error", "pooled", "--report", tmp_path,
                      "--format", "html,csv,tex", "--json")  # fmt: skip
@@ -130,7 +128,7 @@ def test_json_names_the_page_and_other_formats_stand_beside(tmp_path: Path) -> N
     assert (tmp_path / f"{page.stem}-data" / "figure-yield-four-in-one.svg").is_file()
 
 
-def test_blocks_have_residual_plots_too(tmp_path: Path) -> None:
+def test_blocks_have_residual_plots_too(tmp_path):
     """Where each effect has its own error no p rests on the residuals, yet they are shown."""
     success("analyze", TABLES / "blocked.csv", "--response", "y", "--factors", "a,b",
             "--block", "s", "--report", tmp_path)  # fmt: skip
@@ -143,7 +141,7 @@ def test_blocks_have_residual_plots_too(tmp_path: Path) -> None:
     assert {round(float(row["leverage"]), 9) for row in rows} == {round(1 / 3, 9)}
 
 
-def test_an_interaction_alone_with_a_cell_missing_is_told_in_words(tmp_path: Path) -> None:
+def test_an_interaction_alone_with_a_cell_missing_is_told_in_words(tmp_path):
     """The column of a cell without rows is zero."""
     rows = [f"{a},{b},{9 + k + (a == b)}" for a in "xyz" for b in "xyq" for k in range(3)]
     rows = [row for row in rows if not row.startswith("z,q")]
@@ -154,7 +152,7 @@ def test_an_interaction_alone_with_a_cell_missing_is_told_in_words(tmp_path: Pat
     assert "Box-Cox exponent" in answer.out
 
 
-def test_a_result_shows_itself_in_a_notebook(tmp_path: Path) -> None:
+def test_a_result_shows_itself_in_a_notebook(tmp_path):
     import study as package
 
     found = package.analyze(TABLES / "battery_life.csv", "life", ["material", "temperature"],
@@ -177,11 +175,11 @@ MANY = 10_000
 NOT_A_NUMBER = re.compile(r"(?<!\w)(nan|-?inf)(?!\w)", re.ASCII)
 
 
-def not_json(constant: str) -> float:
+def not_json(constant):
     raise AssertionError(f"{constant} in JSON")
 
 
-def answered(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+def answered(seed, folder, monkeypatch):
     """Analyze one table of the fuzz campaign; whether there was an answer, and no refusal."""
     project = folder / str(seed)
     project.mkdir()
@@ -199,9 +197,7 @@ def answered(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     return answer.code == 0
 
 
-def test_random_tables_are_answered_or_refused_in_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_random_tables_are_answered_or_refused_in_words(tmp_path, monkeypatch):
     good = sum(answered(seed, tmp_path, monkeypatch) for seed in range(FEW))
     # tables that only were refused would show nothing of the analysis
     assert good > FEW // 8
@@ -209,12 +205,12 @@ def test_random_tables_are_answered_or_refused_in_words(
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_many_random_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_random_tables(tmp_path, monkeypatch):
     good = sum(answered(seed, tmp_path, monkeypatch) for seed in range(FEW, MANY))
     assert good > MANY // 8
 
 
-def test_rows_that_are_fitted_exactly_have_a_page(tmp_path: Path) -> None:
+def test_rows_that_are_fitted_exactly_have_a_page(tmp_path):
     """Leverage one leaves 0 / 0 for Cook's distance: such rows once lost the figure."""
     rows = ["a,b,y", "p,u,1", "p,v,2.5", "p,v,3", "q,u,4", "q,u,5.5", "q,v,6", "q,v,7"]
     (tmp_path / "t.csv").write_text("\n".join(rows) + "\n")

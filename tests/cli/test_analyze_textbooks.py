@@ -1,12 +1,8 @@
 """`study analyze`: printed analyses of variance, and every claim of a table by hand."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from itertools import product
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,25 +18,25 @@ from tests.conftest import ROOT
 TABLES = ROOT / "validation" / "statistics"
 
 
-def written(path: Path, head: str, rows: list[str]) -> Path:
+def written(path, head, rows):
     """Write a table."""
     path.write_text("\n".join([head, *rows]) + "\n")
     return path
 
 
-def analyzed(table: Path, words: str) -> Any:
+def analyzed(table, words):
     """Document of `study analyze TABLE WORDS --json`."""
     return success("analyze", table, *shlex.split(words), "--json").json
 
 
-def rows(found: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def rows(found):
     return {row["term"]: row for row in found["anova"]["rows"]}
 
 
 #: table, question, and degrees of freedom, sum of squares and F as printed, with two decimals:
 #: Montgomery, Design and Analysis of Experiments, 8th ed., tables 5.1 and 5.5, 3.1 and 3.4, 14.14
 #: and 14.16; Box, Hunter and Hunter, Statistics for Experimenters, 2nd ed., table 4.4
-PRINTED: dict[str, tuple[str, dict[str, tuple[int, float, float | None]]]] = {
+PRINTED = {
     "battery_life": (
         "--response life --factors material,temperature",
         {"material": (2, 10683.72, 7.91), "temperature": (2, 39118.72, 28.97),
@@ -65,7 +61,7 @@ PRINTED: dict[str, tuple[str, dict[str, tuple[int, float, float | None]]]] = {
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_a_printed_analysis(name: str) -> None:
+def test_a_printed_analysis(name):
     words, printed = PRINTED[name]
     found = analyzed(TABLES / f"{name}.csv", words)
     for term, (df, ss, f) in printed.items():
@@ -87,7 +83,7 @@ def test_a_printed_analysis(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["SiRstv", "AtmWtAg"])
-def test_nist(data_dir: Path, tmp_path: Path, name: str) -> None:
+def test_nist(data_dir, tmp_path, name):
     """NIST StRD, Analysis of Variance: certified F of the measured sets."""
     folder = data_dir / "nist_anova"
     certified = pd.read_csv(folder / "expected.csv").set_index("dataset").loc[name]
@@ -107,7 +103,7 @@ def test_nist(data_dir: Path, tmp_path: Path, name: str) -> None:
 EFFECT = 0.9
 
 
-def eighth(folder: Path, *, interaction: bool) -> Path:
+def eighth(folder, *, interaction):
     """2^3 cells on six specimens; a + ab + ac + abc, so that a reaches 3.6 at one setting."""
     random = np.random.default_rng(4)
     lines = []
@@ -123,8 +119,8 @@ def eighth(folder: Path, *, interaction: bool) -> Path:
     ("interaction", "verdict"), [(True, "matters"), (False, "no practical difference")]
 )
 def test_an_average_that_does_not_matter_may_hide_a_setting_at_which_it_does(
-    tmp_path: Path, interaction: bool, verdict: str
-) -> None:
+    tmp_path, interaction, verdict
+):
     path = eighth(tmp_path, interaction=interaction)
     found = analyzed(path, "--response y --factors a,b,c --block specimen --practical 1")
     a = next(effect for effect in found["effects"] if effect["term"] == "a")
@@ -143,7 +139,7 @@ def test_an_average_that_does_not_matter_may_hide_a_setting_at_which_it_does(
     assert adjusted[order] == pytest.approx(steps, abs=1e-12)
 
 
-def test_a_reference_and_a_decimal_comma(tmp_path: Path) -> None:
+def test_a_reference_and_a_decimal_comma(tmp_path):
     """Differences from the reference, whose p tests/analysis compares with scipy's Dunnett."""
     random = np.random.default_rng(8)
     groups = {name: mean + random.standard_normal(7) for name, mean in
@@ -166,7 +162,7 @@ def test_a_reference_and_a_decimal_comma(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", ["auto", "pooled"])
-def test_a_reference_of_a_log_response_gives_ratios(tmp_path: Path, error: str) -> None:
+def test_a_reference_of_a_log_response_gives_ratios(tmp_path, error):
     """Over blocks and with one error alike: ratios of geometric means."""
     random = np.random.default_rng(4)
     blocks = random.normal(0, 0.3, 6)
@@ -192,7 +188,7 @@ def test_a_reference_of_a_log_response_gives_ratios(tmp_path: Path, error: str) 
     assert re.search(r"level +ratio", printed)
 
 
-def test_how_many_specimens_a_claim_needs() -> None:
+def test_how_many_specimens_a_claim_needs():
     """Probability of the right claim against a simulation of t intervals."""
     design = ROOT / "designs" / "ecoflex-compression.toml"
     found = success(f"power {design} --sd 0.3 -s study.seed=1 --json").json
@@ -211,7 +207,7 @@ def test_how_many_specimens_a_claim_needs() -> None:
     assert "positive" in refusal(f"power {design} --sd -1").err
 
 
-def test_a_claim_that_rests_on_one_block_names_it(tmp_path: Path) -> None:
+def test_a_claim_that_rests_on_one_block_names_it(tmp_path):
     """All six blocks put the interval beyond 1; without any one of the larger five it is not."""
     differences = [0.4, 1.9, 2.6, 3.2, 2.2, 2.9]
     rows = list[str]()
@@ -219,7 +215,7 @@ def test_a_claim_that_rests_on_one_block_names_it(tmp_path: Path) -> None:
         rows += [f"x,s{k},{10 + k}", f"y,s{k},{10 + k + d}"]
     path = written(tmp_path / "six.csv", "m,specimen,y", rows)
 
-    def verdict(kept: list[float], practical: float) -> bool:
+    def verdict(kept, practical):
         d = np.array(kept)
         half = stats.t.ppf(0.975, d.size - 1) * d.std(ddof=1) / np.sqrt(d.size)
         return bool(d.mean() - half > practical)
@@ -235,7 +231,7 @@ def test_a_claim_that_rests_on_one_block_names_it(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def rows_of_s(tmp_path: Path) -> Path:
+def rows_of_s(tmp_path):
     rows = pd.MultiIndex.from_product([range(4), list("pq"), list("xyz")], names=["s", "a", "b"])
     frame = rows.to_frame(index=False)
     noise = np.random.default_rng(8).normal(0, 0.3, len(frame))
@@ -256,7 +252,7 @@ def rows_of_s(tmp_path: Path) -> Path:
         ("y ~ a / b + Error(s/a)", "--model a,a:b --block s --whole-plot a"),
     ],
 )
-def test_a_formula_says_what_the_flags_say(rows_of_s: Path, formula: str, flags: str) -> None:
+def test_a_formula_says_what_the_flags_say(rows_of_s, formula, flags):
     one = analyzed(rows_of_s, f"'{formula}'")
     other = analyzed(rows_of_s, f"--response y --factors a,b {flags}")
     assert one["anova"] == other["anova"]
@@ -264,7 +260,7 @@ def test_a_formula_says_what_the_flags_say(rows_of_s: Path, formula: str, flags:
 
 
 @pytest.mark.parametrize("type_", ["I", "II"])
-def test_welch_is_no_other_type(rows_of_s: Path, type_: str) -> None:
+def test_welch_is_no_other_type(rows_of_s, type_):
     with pytest.raises(InputError, match="which is III"):
         package.analyze(rows_of_s, "y", ["a", "b"], error="welch", type=type_)
     assert package.analyze(rows_of_s, "y", ["a"], error="welch", type="III").anova.type == "III"
@@ -278,19 +274,19 @@ def test_welch_is_no_other_type(rows_of_s: Path, type_: str) -> None:
                                        "y ~ system('x')")),
     ],
 )  # fmt: skip
-def test_a_formula_that_is_none_is_refused(formula: str, said: str) -> None:
+def test_a_formula_that_is_none_is_refused(formula, said):
     with pytest.raises(InputError, match=said):
         read_formula(formula)
 
 
-def test_terms_of_a_formula() -> None:
+def test_terms_of_a_formula():
     found = read_formula("`my y` ~ a * b * c - a:b:c")
     assert (found.response, found.factors) == ("my y", ("a", "b", "c"))
     assert found.model == ("a", "b", "c", "a:b", "a:c", "b:c")
     assert read_formula("y ~ b:a + a + b").model == ("full",)
 
 
-def test_moments_alone_are_compared(tmp_path: Path) -> None:
+def test_moments_alone_are_compared(tmp_path):
     """Their tests and intervals are those of the rows (tests/analysis): here they have verdicts."""
     values = {"p": [1.0, 2.0, 4.0], "q": [6.0, 7.0, 9.5, 8.0], "r": [1.5, 2.5]}
     rows = [f"{k},{np.mean(v):.17g},{np.std(v, ddof=1):.17g},{len(v)}" for k, v in values.items()]
@@ -312,7 +308,7 @@ def test_moments_alone_are_compared(tmp_path: Path) -> None:
 GELS = "--response force --factors gel --block specimen"
 
 
-def covaried(path: Path) -> tuple[Path, pd.DataFrame]:
+def covaried(path):
     """Two gels in eight specimens, each at its own temperature; one specimen lacks a gel."""
     random = np.random.default_rng(11)
     rows = [
@@ -326,7 +322,7 @@ def covaried(path: Path) -> tuple[Path, pd.DataFrame]:
     return path, table
 
 
-def test_a_covariate_is_read_as_a_number_beside_verdicts_and_contrasts(tmp_path: Path) -> None:
+def test_a_covariate_is_read_as_a_number_beside_verdicts_and_contrasts(tmp_path):
     path, table = covaried(tmp_path / "gels.csv")
     asked = f"{GELS} --error reml --practical 1 --contrast 'stiff - soft' --covariates celsius"
     found = analyzed(path, asked)
@@ -348,7 +344,7 @@ def test_a_covariate_is_read_as_a_number_beside_verdicts_and_contrasts(tmp_path:
     assert "stiff - soft" in shown
 
 
-def test_random_factors_alone_make_a_study_of_precision(tmp_path: Path) -> None:
+def test_random_factors_alone_make_a_study_of_precision(tmp_path):
     rng = np.random.default_rng(5)
     lines = [
         f"{day},{run},{50 + 2 * day % 3 + run + rng.normal():.4f}"
@@ -362,7 +358,7 @@ def test_random_factors_alone_make_a_study_of_precision(tmp_path: Path) -> None:
     assert "--random day,day:run" in refusal(f"analyze {path} {asked}").err
 
 
-def test_a_row_of_units_holds_no_run_and_an_undeclared_comma_is_one_fault(tmp_path: Path) -> None:
+def test_a_row_of_units_holds_no_run_and_an_undeclared_comma_is_one_fault(tmp_path):
     """What instruments export: units below the header, a decimal comma, a cell that is missing."""
     lines = [
         f"{gel};{batch};{10 + 2 * (gel == 'B') + 0.1 * batch:.2f}".replace(".", ",")

@@ -1,17 +1,14 @@
 """Bad input: exit 2, an error that says key, rule, value and mend, and nothing written."""
 
-from __future__ import annotations
-
 import shlex
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from tests.cli import test_analytic, test_confirming_runs, test_layouts, test_single
 from tests.cli import test_numeric_factors as ranges
-from tests.cli.small import DESIGN, Edit, pressed, refusal, study, success
+from tests.cli.small import DESIGN, pressed, refusal, study, success
 from tests.cli.test_closed_form_studies import ALONE
 from tests.cli.test_require import PLATES
 from tests.conftest import ROOT
@@ -24,7 +21,7 @@ from tests.tracker_accuracy.test_tracking import DISPLACEMENT, distance_study
 Lines = Callable[[list[str]], list[str]]
 
 
-def refused(home: Path, command: str, says: Sequence[str] = ()) -> str:
+def refused(home, command, says=()):
     """Run a command that must be refused in words; give back all that it says."""
     before = {p: p.stat().st_mtime_ns for p in home.rglob("*")}
     answer = refusal(*shlex.split(command))
@@ -53,7 +50,7 @@ SOUND = {
 }  # fmt: skip
 
 
-def added(name: str, table: str, *faults: tuple[str, str]) -> list[tuple[str, str, str, list[str]]]:
+def added(name, table, *faults):
     """Faults of a table that the sound file has not."""
     return [(name, "[report]", f"[{table}]\n{text}\n[report]", [says]) for text, says in faults]
 
@@ -149,7 +146,7 @@ def added(name: str, table: str, *faults: tuple[str, str]) -> list[tuple[str, st
          ["dimitriadis is a series for spheres"]),
     ],
 )  # fmt: skip
-def test_faulty_files(home: Path, name: str, old: str, new: str, says: list[str]) -> None:
+def test_faulty_files(home, name, old, new, says):
     text, command = SOUND[name]
     assert old in text
     (home / f"{name}.toml").write_text(text.replace(old, new, 1))
@@ -157,28 +154,28 @@ def test_faulty_files(home: Path, name: str, old: str, new: str, says: list[str]
     refused(home, command, says)
 
 
-def comma(lines: list[str]) -> list[str]:
+def comma(lines):
     return [lines[0].replace(",", ";"), *(x.replace(",", ";").replace(".", ",") for x in lines[1:])]
 
 
-def unreadable_comma(lines: list[str]) -> list[str]:
+def unreadable_comma(lines):
     # both columns of numbers get one more comma in every row
     return [lines[0], *(line.replace(".", ",") for line in lines[1:])]
 
 
-def not_a_number(lines: list[str]) -> list[str]:
+def not_a_number(lines):
     return [*lines[:4], lines[4].rsplit(",", 1)[0] + ",nan", *lines[5:]]
 
 
-def empty_cell(lines: list[str]) -> list[str]:
+def empty_cell(lines):
     return [*lines[:4], lines[4].rsplit(",", 1)[0] + ",", *lines[5:]]
 
 
-def too_short(lines: list[str]) -> list[str]:
+def too_short(lines):
     return [lines[0], *(x for x in lines[1:] if float(x.split(",")[3]) < 4)]
 
 
-def several_tests_in_one(lines: list[str]) -> list[str]:
+def several_tests_in_one(lines):
     return [lines[0], *(x.replace(",2,", ",1,", 1) for x in lines[1:])]
 
 
@@ -196,7 +193,7 @@ def several_tests_in_one(lines: list[str]) -> list[str]:
     ],
     ids=["empty", "header", "comma", "commas", "nan", "blank", "short", "unsorted"],
 )
-def test_faulty_measurements(home: Path, change: Lines, says: list[str]) -> None:
+def test_faulty_measurements(home, change, says):
     path = home / "data" / "tests.csv"
     path.write_text("\n".join(change(path.read_text().splitlines())))
     refused(home, "plan small.toml --data data", says)
@@ -288,13 +285,13 @@ RUN = "run small.toml --data data"
         ("rnu small.toml", ["rnu", "run"]),
     ],
 )  # fmt: skip
-def test_faulty_commands(home: Path, command: str, says: list[str]) -> None:
+def test_faulty_commands(home, command, says):
     for name, text in STRAY.items():
         (home / name).write_text(text)
     refused(home, command, says)
 
 
-def test_all_faults_come_at_once(home: Path, edit: Edit) -> None:
+def test_all_faults_come_at_once(home, edit):
     edit('radius = "25 mm"', "radius = 25")
     edit('kind = "compression"', 'kind = "compresion"')
     edit('practical = "0.5 pp"', 'practical = "0.5 N"')
@@ -302,7 +299,7 @@ def test_all_faults_come_at_once(home: Path, edit: Edit) -> None:
     assert words.startswith("3 errors:")
 
 
-def test_equal_faults_are_told_once_with_their_places(home: Path) -> None:
+def test_equal_faults_are_told_once_with_their_places(home):
     path = home / "data" / "tests.csv"
     path.write_text("\n".join(too_short(path.read_text().splitlines())))
     words = refused(home, RUN)
@@ -327,9 +324,7 @@ MEASURED = pressed(
     ],
     ids=["tracker", "sensors", "problem", "single"],
 )
-def test_a_file_of_another_verb_names_that_verb(
-    tmp_path: Path, text: str, verbs: tuple[str, ...], mend: str
-) -> None:
+def test_a_file_of_another_verb_names_that_verb(tmp_path, text, verbs, mend):
     (tmp_path / "file.toml").write_text(text)
     for verb in verbs:
         message = refused(tmp_path, f"{verb} {tmp_path}/file.toml")
@@ -338,9 +333,7 @@ def test_a_file_of_another_verb_names_that_verb(
 
 
 @pytest.mark.parametrize("name", ["case.json", "problem.json"])
-def test_a_file_that_every_case_gets_is_not_among_those_that_go_along(
-    tmp_path: Path, name: str
-) -> None:
+def test_a_file_that_every_case_gets_is_not_among_those_that_go_along(tmp_path, name):
     forward = f'[forward]\nmodel = "command"\nargv = [["true"]]\nfiles = ["{name}"]\n'
     text = f"""[study]\nname = "own"\n[parameters]\na = 1\n{forward}
 [factors]\n"parameters.a" = [1, 2]\n[[response]]\nname = "peak"\nunit = "N"\n"""
@@ -349,7 +342,7 @@ def test_a_file_that_every_case_gets_is_not_among_those_that_go_along(
     assert f"holds {name}, which this package writes" in words
 
 
-def test_a_study_without_series_says_why_it_has_no_convergence(done: Path) -> None:
+def test_a_study_without_series_says_why_it_has_no_convergence(done):
     """All its plates are frictionless: exact on every mesh, so nothing was refined."""
     words = refused(done, "converge results/small --json")
     assert "no refinement is stored" in words
@@ -380,16 +373,14 @@ mesh = "coarse"
 """
 
 
-def solving(folder: Path, *, factor: float = 1.0, left_out: int = 0, unit: str = "mm") -> list[str]:
+def solving(folder, *, factor=1.0, left_out=0, unit="mm"):
     points, triangles = sphere(10, 3)
     write(folder / "organ.stl", (factor * points, triangles[left_out:]))
     (folder / "organ.toml").write_text(SOLVE.format(unit=unit))
     return ["solve", str(folder / "organ.toml")]
 
 
-def shaping(
-    folder: Path, change: Callable[[np.ndarray], np.ndarray], *, markers: int = 0
-) -> list[str]:
+def shaping(folder, change, *, markers=0):
     whole = egg()
     cloud = MOTION(change(scan(whole, 1500, np.random.default_rng(5))))
     command = ["shape", str(write_ply(folder / "body.ply", whole))]
@@ -399,33 +390,33 @@ def shaping(
     return [*command, "--reports", str(folder / "reports")]
 
 
-def another_state(folder: Path) -> list[str]:
+def another_state(folder):
     cloud = write_csv(folder / "scan.csv", MOTION(cylinder(20.0, 30.0, 2000, 7)))
     return ["shape", str(problem(folder)), "--scan", str(cloud), "--reports", str(folder)]
 
 
-def tracked(folder: Path, file: Path) -> list[str]:
+def tracked(folder, file):
     return ["tracking", str(file), "--data", str(folder), "--reports", str(folder / "reports")]
 
 
-def in_metres(folder: Path) -> list[str]:
+def in_metres(folder):
     file = distance_study(folder, 1)
     file.write_text(file.read_text().replace('unit = "mm"', 'unit = "m"', 1))
     return tracked(folder, file)
 
 
-def two_stops(folder: Path) -> list[str]:
+def two_stops(folder):
     rows = [row for row in virtual.rows_of(virtual.Errors(1)) if row[2] in (0.0, 50.0)]
     virtual.write(folder / "stage.csv", "time,stop,commanded,x,y,z", rows)
     (folder / "stage.toml").write_text(DISPLACEMENT)
     return tracked(folder, folder / "stage.toml")
 
 
-def same(points: np.ndarray) -> np.ndarray:
+def same(points):
     return points
 
 
-CASES: dict[str, tuple[Callable[[Path], list[str]], int, str, str]] = {
+CASES = {
     "solve, a hole": (
         lambda f: solving(f, left_out=3), 2, "is not closed", "fill the holes"),
     "solve, metres for millimetres": (
@@ -447,7 +438,7 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], int, str, str]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_refused_with_a_way_to_mend_it(case: str, tmp_path: Path) -> None:
+def test_it_is_refused_with_a_way_to_mend_it(case, tmp_path):
     make, code, rule, mend = CASES[case]
     answer = study(*make(tmp_path))
     assert answer.code == code
@@ -457,7 +448,7 @@ def test_it_is_refused_with_a_way_to_mend_it(case: str, tmp_path: Path) -> None:
     assert not (tmp_path / "reports").exists()  # nothing is written
 
 
-def test_outliers_are_counted_in_the_answer(tmp_path: Path) -> None:
+def test_outliers_are_counted_in_the_answer(tmp_path):
     strewn = np.random.default_rng(3).uniform(-300, 300, (90, 3))
     answer = success(*shaping(tmp_path, lambda p: np.vstack([p, strewn])))
     assert "90 isolated points left out" in " ".join(answer.out.split())

@@ -1,7 +1,5 @@
 """The brain-shaped phantom from end to end: constants of a flat tip predict a needle elsewhere."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -32,24 +30,21 @@ SPECIMEN = (
 )
 
 
-def solved(name: str, *more: str) -> dict[str, list[float]]:
+def solved(name, *more):
     settings = [
         part for one in ("test.displacement=2 mm", "test.steps=4", *more) for part in ("-s", one)
     ]
-    found: dict[str, list[float]] = success(
-        "solve", DESIGNS / f"brain-{name}.toml", "--json", *settings
-    ).json
-    return found
+    return success("solve", DESIGNS / f"brain-{name}.toml", "--json", *settings).json
 
 
-def curve(path: Path, found: dict[str, list[float]]) -> None:
+def curve(path, found):
     rows = zip([0.0, *found["displacement_mm"]], [0.0, *found["force_N"]], strict=True)
     path.write_text("displacement_mm,force_N\n" + "".join(f"{d},{f}\n" for d, f in rows))
 
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_constants_of_a_flat_tip_predict_a_needle_elsewhere(tmp_path: Path) -> None:
+def test_constants_of_a_flat_tip_predict_a_needle_elsewhere(tmp_path):
     """Both curves are made by the model itself (virtual): the constant is known to be 5 kPa."""
     truth = ("material.model=neo-hookean", "material.C10=5 kPa")
     places = {"tip": (10, -14, "fit"), "needle": (-12, 12, "held-out")}
@@ -73,7 +68,7 @@ def test_constants_of_a_flat_tip_predict_a_needle_elsewhere(tmp_path: Path) -> N
     assert needle["rms_force_error"] < 1e-4
 
 
-def test_the_designs_solve_and_the_clamp_carries_the_tip_and_the_weight() -> None:
+def test_the_designs_solve_and_the_clamp_carries_the_tip_and_the_weight():
     found = solved("tip")
     assert found["force_N"][-1] > 0
     assert found["base_reaction_N"][-1] > found["force_N"][-1]

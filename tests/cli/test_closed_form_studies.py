@@ -1,12 +1,8 @@
 """Studies in closed form: every recorded number known by hand."""
 
-from __future__ import annotations
-
 import json
 import runpy
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -95,19 +91,17 @@ practical = "0.5 pp"
 WAYS = {"pressed": (PRESSED, -1.0, 12.0), "stretched": (STRETCHED, 1.0, 30.0)}
 
 
-def force(sense: float, c10: float, c01: float, area: float = AREA_MM2) -> Callable[[float], float]:
+def force(sense, c10, c01, area=AREA_MM2):
     """Force of an incompressible Mooney-Rivlin specimen, N, in the sense of the test."""
 
-    def at(d: float) -> float:
+    def at(d):
         stretch = 1 + sense * d / LENGTH_MM
         return sense * area * 2 * (stretch - stretch**-2) * (c10 + c01 / stretch)
 
     return at
 
 
-def by_hand(
-    known: Callable[[float], float], depth_mm: float, place: float = PLACE_MM
-) -> dict[str, float]:
+def by_hand(known, depth_mm, place=PLACE_MM):
     h = 1e-4
     return {
         "peak_force": known(depth_mm),
@@ -140,19 +134,19 @@ practical = "10 % of mean"
 """
 
 
-def contents(name: str = "formula") -> Iterator[dict[str, object]]:
+def contents(name="formula"):
     for path in sorted(Path("results", name, "cases").glob("*/record.json")):
         yield json.loads(path.read_text())["content"]
 
 
-def values(record: dict[str, object], name: str) -> dict[str, float]:
+def values(record, name):
     found = record[name]
     assert isinstance(found, dict)
     return {key: one["value"] for key, one in found.items()}
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_simulation_in_closed_form_needs_no_measurement(way: str, inside: Path) -> None:
+def test_a_simulation_in_closed_form_needs_no_measurement(way, inside):
     specimen, sense, depth = WAYS[way]
     placed = specimen.replace("{depth}", f'displacement = "{depth:g} mm"\nsteps = 5')
     Path("formula.toml").write_text(DESIGN.format(specimen=placed, rest=GIVEN))
@@ -160,7 +154,7 @@ def test_a_simulation_in_closed_form_needs_no_measurement(way: str, inside: Path
     found = list(contents())
     assert len(found) == 2
     for record in found:
-        c10 = 1e-3 * float(record["levels"]["material.C10"].split()[0])  # type: ignore[index]
+        c10 = 1e-3 * float(record["levels"]["material.C10"].split()[0])
         exact = by_hand(force(sense, c10, 0.05), depth)
         told = values(record, "responses")
         for name, value in exact.items():
@@ -168,7 +162,7 @@ def test_a_simulation_in_closed_form_needs_no_measurement(way: str, inside: Path
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_what_was_measured_is_predicted_at_its_own_rows(way: str, inside: Path) -> None:
+def test_what_was_measured_is_predicted_at_its_own_rows(way, inside):
     """Chords between ten load steps were a quarter of a percent of the work off."""
     specimen, sense, depth = WAYS[way]
     rows = ["mix,d_mm,f_N"]
@@ -195,7 +189,7 @@ def test_what_was_measured_is_predicted_at_its_own_rows(way: str, inside: Path) 
         assert told["relative_rms_force_error"] < 1e-6
 
 
-def test_a_sample_of_ranges_without_any_answer_is_reported(inside: Path) -> None:
+def test_a_sample_of_ranges_without_any_answer_is_reported(inside):
     placed = STRETCHED.replace("{depth}", 'displacement = "30 mm"')
     Path("formula.toml").write_text(LOCKED.format(specimen=placed))
     answer = study("run", "formula.toml", "--jobs", 1)
@@ -207,7 +201,7 @@ def test_a_sample_of_ranges_without_any_answer_is_reported(inside: Path) -> None
 
 
 @pytest.mark.usefixtures("inside")
-def test_where_a_range_fails_is_named_and_nothing_is_predicted_there() -> None:
+def test_where_a_range_fails_is_named_and_nothing_is_predicted_there():
     """Gent's strip has a state while l^2 + 2/l - 3 < Jm; at 2.5 times its length from 4.05 on."""
     text = LOCKED.format(specimen=STRETCHED.replace("{depth}", 'displacement = "30 mm"'))
     wide = text.replace("specimen.area = {", "material.Jm = {").replace('"50 mm^2"', "0.5")
@@ -227,13 +221,13 @@ def test_where_a_range_fails_is_named_and_nothing_is_predicted_there() -> None:
 
 
 @pytest.mark.usefixtures("inside")
-def test_forces_of_a_function_are_known_between_the_displacements_it_was_asked_for() -> None:
+def test_forces_of_a_function_are_known_between_the_displacements_it_was_asked_for():
     """A function tells forces alone: tangents failed, and the work was that of five chords."""
     placed = STRETCHED.replace("{depth}", 'displacement = "30 mm"\nsteps = 8')
     placed += '[forward]\nmodel = "python"\n'
     Path("formula.toml").write_text(DESIGN.format(specimen=placed, rest=GIVEN))
 
-    def model(problem: dict[str, Any]) -> list[float]:
+    def model(problem):
         c10 = 2 * problem["material"]["constants_MPa"]["C10"]
         ls = [1 + d / 20.0 for d in problem["displacement_mm"]]
         return [100.0 * 2 * (x - x**-2) * (c10 + 0.05 / x) for x in ls]
@@ -251,7 +245,7 @@ def test_forces_of_a_function_are_known_between_the_displacements_it_was_asked_f
 
 
 @pytest.mark.usefixtures("inside")
-def test_a_strip_becomes_a_force_law() -> None:
+def test_a_strip_becomes_a_force_law():
     placed = STRETCHED.replace("{depth}", 'displacement = "30 mm"')
     text = DESIGN.format(specimen=placed, rest=GIVEN).partition("[factors]")[0]
     Path("strip.toml").write_text(text.replace('[study]\nname = "formula"\n', ""))
@@ -265,7 +259,7 @@ def test_a_strip_becomes_a_force_law() -> None:
 
 
 @pytest.mark.usefixtures("inside")
-def test_virtual_measurements_need_to_know_how_far_a_test_goes() -> None:
+def test_virtual_measurements_need_to_know_how_far_a_test_goes():
     text = DESIGN.format(specimen=STRETCHED, rest=FITTED.format(0.0, 3.0, 30.0))
     ranges = next(line for line in text.splitlines() if line.startswith("measurements.range"))
     text = text.replace(ranges, 'material.model = ["mooney-rivlin", "neo-hookean"]')
@@ -299,13 +293,13 @@ energy = ["soft", "stiff"]
 )
 
 
-def strip_force(d: np.ndarray, length: float = 20.0) -> np.ndarray:
+def strip_force(d, length=20.0):
     """Force over C10, mm^2, of 100 mm^2."""
     return 200 * (1 + d / length - (1 + d / length) ** -2)
 
 
 @pytest.mark.usefixtures("inside")
-def test_area_and_length_of_a_strip() -> None:
+def test_area_and_length_of_a_strip():
     Path("u.toml").write_text(UNCERTAIN)
     rows = [
         f"{name},{d:.4f},{scale * 0.01 * force:.6f}"
@@ -342,7 +336,7 @@ MODULI = {"a": 0.010, "b": 0.011, "c": 0.0095}
 
 
 @pytest.mark.usefixtures("inside")
-def test_the_rows_say_how_far_the_test_goes() -> None:
+def test_the_rows_say_how_far_the_test_goes():
     """The modulus comes back between frictionless plates, and is less if they are bonded."""
     Path("raw.toml").write_text(RAW)
     rows = ["specimen,d,f"]
@@ -395,7 +389,7 @@ material = ["neo-hookean", "mooney-rivlin"]
 
 
 @pytest.mark.usefixtures("inside")
-def test_a_score_is_that_of_the_other_specimens_and_a_constant_its_own() -> None:
+def test_a_score_is_that_of_the_other_specimens_and_a_constant_its_own():
     """Forces of s_k times one curve: constants to all but k have the mean of their s."""
     d = np.linspace(0.0, 6.0, 61)
     force = incompressible_force(C10_KPA, 0.0, d)
@@ -439,7 +433,7 @@ for _name in ("force_at", "stiffness_at"):
     ALONE = ALONE.replace(f'"{_name}"\n', f'"{_name}"\ndisplacement = "2.5 mm"\n')
 
 
-def pressed_by_hand(c10_kPa: float, radius_mm: float) -> dict[str, float]:  # noqa: N803
+def pressed_by_hand(c10_kPa, radius_mm):  # noqa: N803
     area = np.pi * radius_mm**2
     known = force(-1.0, 1e-3 * c10_kPa, 0.0, area)
     pressure = 1e3 * (1 - 4.0 / LENGTH_MM) * known(4.0) / area
@@ -447,12 +441,12 @@ def pressed_by_hand(c10_kPa: float, radius_mm: float) -> dict[str, float]:  # no
 
 
 @pytest.fixture
-def alone(inside: Path) -> Path:
+def alone(inside):
     (inside / "alone.toml").write_text(ALONE)
     return inside
 
 
-def test_simulated_responses_are_those_of_the_closed_form(alone: Path) -> None:
+def test_simulated_responses_are_those_of_the_closed_form(alone):
     found = success("run", "alone.toml", "--jobs", 1, "--json").json
     assert found["cases"] == {"total": 4, "done": 4, "failed": 0, "missing": 0}
 
@@ -487,7 +481,7 @@ def test_simulated_responses_are_those_of_the_closed_form(alone: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_two_studies_of_simulations_are_compared(alone: Path) -> None:
+def test_two_studies_of_simulations_are_compared(alone):
     other = ALONE.replace('"alone"', '"harder"').replace('"5 kPa", "10 kPa"', '"5 kPa", "20 kPa"')
     (alone / "harder.toml").write_text(other)
     for name in ("alone", "harder"):
@@ -497,7 +491,7 @@ def test_two_studies_of_simulations_are_compared(alone: Path) -> None:
     assert rows
 
 
-def test_more_runs_of_a_simulation_are_not_advised(alone: Path) -> None:
+def test_more_runs_of_a_simulation_are_not_advised(alone):
     """A simulation gives the same answer again; a finer mesh may give another."""
     design = alone / "alone.toml"
     text = design.read_text().replace('interface = "frictionless"', 'interface = "bonded"')

@@ -1,11 +1,7 @@
 """Studies of a function: runs that confirm, cells that are added, and combinations that fail."""
 
-from __future__ import annotations
-
 import inspect
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +12,9 @@ from study.ground.canonical import plain
 from study.harness.external.exchange import PythonFunction
 from study.harness.record.store import Store
 from study.harness.runner.fit_problem import Allowed
-from study.reporting.results.study_result import StudyResult
 from study.statistics.surfaces.emulator import fit_together
 from study.statistics.surfaces.surface_profile import level_difference
-from tests.cli.small import CSV, Answer, measured, pressed, responses, study, success
+from tests.cli.small import CSV, measured, pressed, responses, study, success
 from tests.response_surface import functions
 
 #: the force is a product of functions of four inputs, one of which is no number
@@ -78,7 +73,7 @@ SQUARES = np.array([(np.e**2 - 1) / 2, (1.75**3 - 1.25**3) / 1.5, 4 + 4 / 3 + 1 
 X = np.random.default_rng(5).random((4000, 3))
 
 
-def forward(problem):  # type: ignore[no-untyped-def]
+def forward(problem):
     """Give the product as a function: what `forward.model = "python"` stands for."""
     constants, height = problem["material"]["constants_MPa"], problem["specimen"]["height_mm"]
     x, z = 100 * constants["C10"] - 0.5, (height - 18) / 4
@@ -97,7 +92,7 @@ csv.writer(open("curve.csv", "w", newline="")).writerows(rows)
 """
 
 
-def multiplied(home: Path, **more: Any) -> StudyResult:
+def multiplied(home, **more):
     """Run the study of the function."""
     return public.run(
         home / "product.toml", jobs=1, results=home / "results", reports=None, forward=forward,
@@ -106,15 +101,13 @@ def multiplied(home: Path, **more: Any) -> StudyResult:
 
 
 @pytest.fixture(scope="module")
-def product(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyResult]:
+def product(tmp_path_factory):
     home = tmp_path_factory.mktemp("product")
     (home / "product.toml").write_text(DESIGN)
     return home, multiplied(home)
 
 
-def test_indices_beside_a_list_of_levels_are_those_of_a_product(
-    product: tuple[Path, StudyResult],
-) -> None:
+def test_indices_beside_a_list_of_levels_are_those_of_a_product(product):
     """24 runs a level, which learn from each other; shares do not depend on the level."""
     parts = SQUARES / MEANS**2 - 1
     whole = np.prod(1 + parts) - 1
@@ -134,9 +127,7 @@ def test_indices_beside_a_list_of_levels_are_those_of_a_product(
             assert row["T_interval"][0] <= t <= row["T_interval"][1]
 
 
-def test_the_state_of_a_finished_study_holds_its_verdicts(
-    product: tuple[Path, StudyResult],
-) -> None:
+def test_the_state_of_a_finished_study_holds_its_verdicts(product):
     """Those over numbers too: one row a factor and level, each with its interval."""
     home, found = product
     told = study("status", "product", "--results", home / "results", "--json").json["verdicts"]
@@ -146,7 +137,7 @@ def test_the_state_of_a_finished_study_holds_its_verdicts(
     assert public.api.status("product", results=home / "results")["verdicts"] == []
 
 
-def test_a_level_is_compared_over_the_ranges(product: tuple[Path, StudyResult]) -> None:
+def test_a_level_is_compared_over_the_ranges(product):
     """Bonded less frictionless is twice the product: its mean is that of the means."""
     _, found = product
     first, second = found.surfaces
@@ -161,7 +152,7 @@ def test_a_level_is_compared_over_the_ranges(product: tuple[Path, StudyResult]) 
     assert second.to_json()["differences"] == [plain(told)]
 
 
-def test_a_level_that_changes_nothing_makes_no_practical_difference() -> None:
+def test_a_level_that_changes_nothing_makes_no_practical_difference():
     x = functions.hypercube(2, 40, 1)
     y = np.sin(3 * x[:, 0]) + x[:, 1]
     same = (functions.unit_runs(x[:20], y[:20]), functions.unit_runs(x[20:], y[20:] + 0.01))
@@ -173,9 +164,7 @@ def test_a_level_that_changes_nothing_makes_no_practical_difference() -> None:
     assert level_difference(("f", "b", "a"), (second, first), None).verdict == "cannot tell"
 
 
-def test_a_level_is_chosen_with_the_numbers_and_confirmed_by_the_function(
-    product: tuple[Path, StudyResult],
-) -> None:
+def test_a_level_is_chosen_with_the_numbers_and_confirmed_by_the_function(product):
     _, found = product
     allowed = Allowed(function=PythonFunction.of(forward, "1"))
     (told,) = public.optimize(found, maximize="peak_force", permission=Permission(allowed=allowed))
@@ -188,7 +177,7 @@ def test_a_level_is_chosen_with_the_numbers_and_confirmed_by_the_function(
     assert own.found.runs.response.size == 25
 
 
-def test_a_program_confirms_once_it_is_allowed(inside: Path) -> None:
+def test_a_program_confirms_once_it_is_allowed(inside):
     (inside / "product.toml").write_text(COMMAND)
     (inside / "product.py").write_text(PROGRAM)
     answer = study("run", "product.toml", "--jobs", 1, "--allow-commands", "--json")
@@ -212,7 +201,7 @@ def test_a_program_confirms_once_it_is_allowed(inside: Path) -> None:
     assert _runs(study("report", "product", "--json")) == 19
 
 
-def test_every_block_confirms(inside: Path) -> None:
+def test_every_block_confirms(inside):
     """Four cylinders of 7 to 10 kPa: the constant that is least wrong for all lies between."""
     (inside / "product.toml").write_text(BLOCKED)
     stretch = 1 - np.linspace(0, 2, 21) / 20
@@ -230,15 +219,13 @@ def test_every_block_confirms(inside: Path) -> None:
     assert _runs(study("report", "product", "--json")) == before + 4
 
 
-def _runs(answer: Answer) -> int:
+def _runs(answer):
     """Runs of all surfaces of a study, from the answer of a run or a report."""
     assert answer.code == 0, answer.err
     return sum(one["runs"] for one in answer.json["surfaces"])
 
 
-def test_a_claim_over_numbers_waits_for_the_runs_that_confirm_it(
-    product: tuple[Path, StudyResult],
-) -> None:
+def test_a_claim_over_numbers_waits_for_the_runs_that_confirm_it(product):
     home, found = product
     rows = [row for row in found.verdicts if str(row["verdict"]).startswith("matters")]
     assert rows
@@ -258,8 +245,8 @@ def test_a_claim_over_numbers_waits_for_the_runs_that_confirm_it(
             assert high - low > 0.2
 
 
-def test_a_confirming_run_that_fails_is_named(tmp_path: Path) -> None:
-    def plane(case):  # type: ignore[no-untyped-def]
+def test_a_confirming_run_that_fails_is_named(tmp_path):
+    def plane(case):
         if case.parameters.b > 0.9999:
             raise RuntimeError("no convergence at the edge")
         return {"y": 4.0 * case.parameters.a - 3.0 * case.parameters.b**2}
@@ -291,13 +278,13 @@ HILL = (
 )
 
 
-def hill(x):  # type: ignore[no-untyped-def]
+def hill(x):
     """A hill in one corner, and slopes, over the unit box."""
     apart = (x[:, 0] - 0.75) ** 2 + (x[:, 1] - 0.3) ** 2
     return 3.0 * np.exp(-60.0 * apart) + x[:, 0] * x[:, 1] + 0.3 * x[:, 2] + 1.0
 
 
-def hill_forward(problem):  # type: ignore[no-untyped-def]
+def hill_forward(problem):
     """What `forward.model = "python"` stands for."""
     constants = problem["material"]["constants_MPa"]
     height = problem["specimen"]["height_mm"]
@@ -305,7 +292,7 @@ def hill_forward(problem):  # type: ignore[no-untyped-def]
     return [float(hill(np.array([x]))[0]) * d for d in problem["displacement_mm"]]
 
 
-def ran(folder: Path, text: str = HILL, jobs: int = 1, progress=None):  # type: ignore[no-untyped-def]
+def ran(folder, text=HILL, jobs=1, progress=None):
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "hill.toml").write_text(text)
     return public.run(
@@ -314,7 +301,7 @@ def ran(folder: Path, text: str = HILL, jobs: int = 1, progress=None):  # type: 
     )  # fmt: skip
 
 
-def missed(found) -> float:  # type: ignore[no-untyped-def]
+def missed(found):
     """Share of the function's variance that predictions of a study miss over the box."""
     from scipy.stats import qmc
 
@@ -331,21 +318,21 @@ def missed(found) -> float:  # type: ignore[no-untyped-def]
 
 
 @pytest.fixture(scope="module")
-def adaptive(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
+def adaptive(tmp_path_factory):
     folder = tmp_path_factory.mktemp("adaptive")
     return folder, ran(folder)
 
 
-def table(found) -> list[tuple[str, float]]:  # type: ignore[no-untyped-def]
+def table(found):
     return [(record.case_id, record.value("peak_force")) for record in found.records]
 
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_it_knows_the_function_better_than_as_many_runs_of_a_hypercube(tmp_path: Path) -> None:
+def test_it_knows_the_function_better_than_as_many_runs_of_a_hypercube(tmp_path):
     """Of eight seeds: a single one may well know less than its hypercube."""
-    ours: list[float] = []
-    plain: list[float] = []
+    ours = []
+    plain = []
     longer = HILL.replace("budget = 28", "budget = 44")
     cells = len(ran(tmp_path, longer).records)
     for seed in range(1, 9):
@@ -359,7 +346,7 @@ def test_it_knows_the_function_better_than_as_many_runs_of_a_hypercube(tmp_path:
     assert np.exp(np.mean(np.log(ours))) < 0.8 * np.exp(np.mean(np.log(plain)))
 
 
-def test_it_ends_with_its_goal_or_its_budget(adaptive) -> None:  # type: ignore[no-untyped-def]
+def test_it_ends_with_its_goal_or_its_budget(adaptive):
     _, found = adaptive
     history = found.to_json()["adaptive"]
     assert [step["cells"] for step in history] == list(range(20, len(found.records) + 1, 4))
@@ -372,16 +359,16 @@ def test_it_ends_with_its_goal_or_its_budget(adaptive) -> None:  # type: ignore[
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_it_is_the_same_for_any_number_of_workers(adaptive, processes, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_it_is_the_same_for_any_number_of_workers(adaptive, processes, tmp_path):
     _, found = adaptive
     assert table(ran(tmp_path, jobs=2)) == table(found)
 
 
-def test_an_interrupted_run_goes_on_to_the_same_table(adaptive, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_an_interrupted_run_goes_on_to_the_same_table(adaptive, tmp_path):
     _, found = adaptive
     calls = []
 
-    def stop(state) -> None:  # type: ignore[no-untyped-def]
+    def stop(state):
         calls.append(state)
         if len(calls) == 22:  # in the middle of the first batch
             raise KeyboardInterrupt
@@ -399,7 +386,7 @@ def test_an_interrupted_run_goes_on_to_the_same_table(adaptive, tmp_path: Path) 
     assert table(ran(tmp_path)) == table(found)
 
 
-def test_a_plan_says_start_batch_budget_and_cost(adaptive, inside: Path) -> None:  # type: ignore[no-untyped-def]
+def test_a_plan_says_start_batch_budget_and_cost(adaptive, inside):
     (inside / "hill.toml").write_text(HILL.replace('[forward]\nmodel = "python"\n', ""))
     answer = success("plan", "hill.toml", "--json")
     told = answer.json["adaptive"]
@@ -409,7 +396,7 @@ def test_a_plan_says_start_batch_budget_and_cost(adaptive, inside: Path) -> None
     assert "at most 28 cells" in shown.out
 
 
-def test_it_ends_where_every_factor_has_a_verdict(tmp_path: Path) -> None:
+def test_it_ends_where_every_factor_has_a_verdict(tmp_path):
     text = HILL.replace("q2 = 0.99", 'until = "verdict"').replace('"0.2 N"', '"2 N"')
     text = text.replace("start = 20", "start = 40").replace("budget = 28", "budget = 44")
     found = ran(tmp_path, text)
@@ -421,7 +408,7 @@ def test_it_ends_where_every_factor_has_a_verdict(tmp_path: Path) -> None:
     assert verdicts["specimen.height"] != "matters"
 
 
-def test_levels_have_as_many_cells_and_are_searched_each(tmp_path: Path) -> None:
+def test_levels_have_as_many_cells_and_are_searched_each(tmp_path):
     text = HILL.replace(
         "specimen.height = {", 'test.interface = ["frictionless", "bonded"]\nspecimen.height = {'
     ).replace("start = 20", "start = 24").replace("q2 = 0.99", "q2 = 0.9")  # fmt: skip
@@ -443,7 +430,7 @@ specimen.height = ["18 mm", "20 mm", "22 mm"]
 )
 
 
-def failing(problem: Any) -> list[float]:
+def failing(problem):
     """Force that grows with stiffness and falls with height; quadratic solids never converge."""
     model = problem["model"]
     if (str(model["space"]).lower(), model["element_order"]) == ("3d", "quadratic"):
@@ -454,7 +441,7 @@ def failing(problem: Any) -> list[float]:
     return [force * d for d in problem["displacement_mm"]]
 
 
-def test_good_cases_are_judged_and_no_sound_level_is_left_out(inside: Path) -> None:
+def test_good_cases_are_judged_and_no_sound_level_is_left_out(inside):
     (inside / "matrix.toml").write_text(MATRIX)
     matrix = public.run(
         "matrix.toml", jobs=1, reports=None, forward=failing, version="1", refine=False

@@ -1,13 +1,11 @@
 """Damaged files and full disks: an answer or a refusal in words, and nothing half written."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,8 +14,8 @@ from study import api
 from study.ground.errors import DiskFullError, StoreError
 from study.harness.record.atomic_files import FileSystem, replaced, write_new
 from study.harness.record.record import Record, seal
-from tests.cli.small import Answer, Finished, refusal, study, success
-from validation.damage import Damage, damages, sealed
+from tests.cli.small import refusal, study, success
+from validation.damage import damages, sealed
 from validation.fuzz import BUG, obey
 
 #: one damage of so many is looked at where it need not be all
@@ -33,12 +31,12 @@ RUN = ("run", "small.toml", "--data", "data", "--jobs", "1")
 SMALL = Path("results/small")
 
 
-def records() -> list[Path]:
+def records():
     """Records of the study, by name."""
     return sorted(SMALL.glob("cases/*/record.json"))
 
 
-def fault(words: Sequence[str]) -> str:
+def fault(words):
     """Say what is wrong with the answer to a verb; empty if nothing is."""
     answer = study(*words)
     said = answer.out + answer.err
@@ -50,7 +48,7 @@ def fault(words: Sequence[str]) -> str:
     return ""
 
 
-def accepted(content: object) -> Iterator[Damage]:
+def accepted(content):
     """Damages that make no record invalid; the others are one and the same to every verb."""
     for damage in damages(content):
         try:
@@ -60,7 +58,7 @@ def accepted(content: object) -> Iterator[Damage]:
         yield damage
 
 
-def look(path: Path, found: Sequence[Damage], verbs: Sequence[Sequence[str]]) -> list[str]:
+def look(path, found, verbs):
     """Damage a file in some ways, and list what is wrong with the answers."""
     whole = {one: one.read_bytes() for one in SMALL.rglob("*") if one.is_file()}
     wrong = []
@@ -74,7 +72,7 @@ def look(path: Path, found: Sequence[Damage], verbs: Sequence[Sequence[str]]) ->
     return wrong
 
 
-def content_of(path: Path) -> object:
+def content_of(path):
     """Content of a sealed file."""
     return json.loads(path.read_bytes())["content"]
 
@@ -82,7 +80,7 @@ def content_of(path: Path) -> object:
 @pytest.mark.parametrize(
     "step", [FEW, pytest.param(1, marks=[pytest.mark.slow, pytest.mark.verify])]
 )
-def test_damages_of_a_record(done: Path, step: int) -> None:
+def test_damages_of_a_record(done, step):
     path = records()[0]
     found = list(accepted(content_of(path)))
     why = ("why", path.parent.name[:8])
@@ -93,7 +91,7 @@ NAMES = ["study", "numerical", "runs/run-1", "fits/*"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_some_damages_of_other_files(done: Path, name: str) -> None:
+def test_some_damages_of_other_files(done, name):
     path = sorted(SMALL.glob(f"{name}.json"))[0]
     found = list(damages(content_of(path)))
     verbs = READERS[:2] if name == "study" else ()
@@ -105,7 +103,7 @@ def test_some_damages_of_other_files(done: Path, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize("name", NAMES)
-def test_all_damages_of_other_files(done: Path, name: str) -> None:
+def test_all_damages_of_other_files(done, name):
     path = sorted(SMALL.glob(f"{name}.json"))[0]
     for record in records():
         record.unlink()
@@ -115,7 +113,7 @@ def test_all_damages_of_other_files(done: Path, name: str) -> None:
 ROWS = (None, 1, [1], [{}], {"a": 1}, [[]], ["x"])
 
 
-def test_rows_that_are_none_are_set_aside_and_named(done: Path) -> None:
+def test_rows_that_are_none_are_set_aside_and_named(done):
     names = ("numerical", "spaces", "validation", "adaptive", "confirmed")
     for content in ROWS:
         for name in names:
@@ -127,7 +125,7 @@ def test_rows_that_are_none_are_set_aside_and_named(done: Path) -> None:
     assert study("report", "small", "--format", "csv").code == 0
 
 
-def test_an_unfinished_manifest_that_is_none_is_as_none(done: Path) -> None:
+def test_an_unfinished_manifest_that_is_none_is_as_none(done):
     for content in ([1], {}, "x", {"a": 1}):
         (SMALL / "unfinished.json").write_text(seal(content))
         assert study("status", "small", "--json").json["unfinished"] is None
@@ -135,7 +133,7 @@ def test_an_unfinished_manifest_that_is_none_is_as_none(done: Path) -> None:
         assert not fault(verb)
 
 
-def mended(path: Path, answer: Answer) -> None:
+def mended(path, answer):
     """Check that a damaged file was named, kept beside, and written once more."""
     assert answer.code == 0, answer.err
     assert re.search(rf"{path.name}: .*renamed to {path.name}\.corrupt-1", answer.err)
@@ -144,7 +142,7 @@ def mended(path: Path, answer: Answer) -> None:
 
 
 @pytest.mark.parametrize("key", ["key", "correlation", "n"])
-def test_a_record_of_a_wrong_fit_is_named_kept_and_computed_again(done: Path, key: str) -> None:
+def test_a_record_of_a_wrong_fit_is_named_kept_and_computed_again(done, key):
     path = records()[0]
     before, content = path.read_bytes(), json.loads(path.read_bytes())["content"]
     content["fit"]["A"][key] = -1
@@ -155,7 +153,7 @@ def test_a_record_of_a_wrong_fit_is_named_kept_and_computed_again(done: Path, ke
     assert again["fit"]["A"]["values"] == first["fit"]["A"]["values"]
 
 
-def test_a_fit_of_wrong_content_is_named_kept_and_computed_again(done: Path) -> None:
+def test_a_fit_of_wrong_content_is_named_kept_and_computed_again(done):
     content = json.loads(records()[0].read_bytes())["content"]
     path = SMALL / "fits" / f"{content['fit']['A']['key']}.json"
     records()[0].unlink()
@@ -163,7 +161,7 @@ def test_a_fit_of_wrong_content_is_named_kept_and_computed_again(done: Path) -> 
     mended(path, study(*RUN))
 
 
-def test_a_manifest_of_wrong_content_is_named_kept_and_written_again(done: Path) -> None:
+def test_a_manifest_of_wrong_content_is_named_kept_and_written_again(done):
     path = SMALL / "study.json"
     content = json.loads(path.read_bytes())["content"]
     del content["blocks"]
@@ -174,7 +172,7 @@ def test_a_manifest_of_wrong_content_is_named_kept_and_written_again(done: Path)
     mended(path, study(*RUN))
 
 
-def test_a_pipe_in_the_place_of_the_lock_is_refused(done: Path) -> None:
+def test_a_pipe_in_the_place_of_the_lock_is_refused(done):
     (SMALL / ".lock").unlink()
     os.mkfifo(SMALL / ".lock")
     assert study("status", "small").code == 0
@@ -183,7 +181,7 @@ def test_a_pipe_in_the_place_of_the_lock_is_refused(done: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def drawn(finished: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drawn(finished, tmp_path_factory):
     """A study with its page: it draws its figures, which takes seconds."""
     folder = tmp_path_factory.mktemp("drawn") / "copy"
     shutil.copytree(finished.folder, folder)
@@ -199,9 +197,7 @@ def drawn(finished: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("results/small/cases", 0o444, ""),
     ],
 )
-def test_what_may_not_be_read_is_told(
-    drawn: Path, inside: Path, place: str, mode: int, report: str
-) -> None:
+def test_what_may_not_be_read_is_told(drawn, inside, place, mode, report):
     """Rights are obeyed by root, too, for as long as it asks."""
     shutil.copytree(drawn, inside, dirs_exist_ok=True)
     verbs = [READERS[0], RUN, *([("verify", report)] if report else [])]
@@ -219,12 +215,12 @@ Fill = Callable[..., None]
 
 
 @pytest.fixture
-def fill(monkeypatch: pytest.MonkeyPatch) -> Fill:
+def fill(monkeypatch):
     """Let writes fail in the middle that a condition of path and number picks."""
     whole, written = FileSystem.write, [0]
 
-    def fill_up(is_full: Callable[[Path, int], bool], error: int = errno.ENOSPC) -> None:
-        def write(system: FileSystem, path: Path, data: bytes) -> None:
+    def fill_up(is_full, error=errno.ENOSPC):
+        def write(system, path, data):
             written[0] += 1
             if not is_full(path, written[0]):
                 return whole(system, path, data)
@@ -236,7 +232,7 @@ def fill(monkeypatch: pytest.MonkeyPatch) -> Fill:
     return fill_up
 
 
-def halves(folder: Path) -> list[Path]:
+def halves(folder):
     """Files that an unfinished write would leave."""
     return sorted(folder.rglob("*.part"))
 
@@ -244,13 +240,11 @@ def halves(folder: Path) -> list[Path]:
 @pytest.mark.parametrize(
     ("error", "first"), [(errno.ENOSPC, 130), (errno.EACCES, 2)], ids=["full", "forbidden"]
 )
-def test_a_run_that_may_write_no_longer_is_stopped_and_resumes(
-    home: Path, fill: Fill, error: int, first: int
-) -> None:
+def test_a_run_that_may_write_no_longer_is_stopped_and_resumes(home, fill, error, first):
     """Exit 2 says that nothing was written, which is true of the first file alone."""
-    written: list[Path] = []
+    written = []
 
-    def after_three_records(path: Path, number: int) -> bool:
+    def after_three_records(path, number):
         written.extend([path] * ("record.json" in path.name))
         return len(written) > 3
 
@@ -278,9 +272,7 @@ def test_a_run_that_may_write_no_longer_is_stopped_and_resumes(
         ("numbers.json", "analyze t.csv --response y --factors a,b --report page --format csv"),
     ],
 )
-def test_a_report_on_a_full_disk_leaves_no_part_of_a_file(
-    done: Path, fill: Fill, name: str, command: str
-) -> None:
+def test_a_report_on_a_full_disk_leaves_no_part_of_a_file(done, fill, name, command):
     rows = "".join(f"{a},{b},{k}\n" for k, (a, b) in enumerate(("xu", "xv", "yu", "yv") * 3))
     (done / "t.csv").write_text("a,b,y\n" + rows)
     fill(lambda path, number: name in path.name)
@@ -290,13 +282,13 @@ def test_a_report_on_a_full_disk_leaves_no_part_of_a_file(
     assert not halves(done)
 
 
-def half_written(path: Path) -> None:
+def half_written(path):
     with replaced(path) as part:
         part.write_text("half")
         raise OSError(errno.EDQUOT, "Disk quota exceeded")
 
 
-def test_a_new_file_is_there_whole_or_not_at_all(tmp_path: Path, fill: Fill) -> None:
+def test_a_new_file_is_there_whole_or_not_at_all(tmp_path, fill):
     fill(lambda path, number: True)
     with pytest.raises(DiskFullError):
         write_new(tmp_path / "new.toml", "schema = 1\n")

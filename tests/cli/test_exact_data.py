@@ -1,7 +1,5 @@
 """Needle studies whose right answer is known, and an emulator against runs it has not seen."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -10,14 +8,12 @@ import pytest
 
 import study as public
 from study.harness.design.factors import settings_of
-from study.harness.record.record import Record
 from study.mechanics.forward.closed_form import compression
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Block, Cone
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test as Loading
 from study.mechanics.solver.finite_element_solution import solve
-from study.reporting.results.study_result import StudyResult
 from tests.cli.small import success
 from tests.conftest import ROOT
 
@@ -28,12 +24,12 @@ BLOCK = Block(60.0, 60.0, 40.0)
 OFF = 0.01
 
 
-def write(path: Path, d: np.ndarray, force: np.ndarray) -> None:
+def write(path, d, force):
     rows = np.column_stack([d, force])
     np.savetxt(path, rows, "%.17g", ",", header="displacement_mm,force_N", comments="")
 
 
-def write_specimen(folder: Path, number: int, c10: float) -> None:
+def write_specimen(folder, number, c10):
     """Compression in closed form; the needle on the same mesh, cold, in eight times the steps."""
     material = Material("neo-hookean", {"C10": c10}, poisson_ratio=0.4995)
     test = Loading("indentation", 2.0, "frictionless", "bonded", 40, Cone(30.0, 1.0, 3.0))
@@ -48,7 +44,7 @@ def write_specimen(folder: Path, number: int, c10: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]]:
+def records(tmp_path_factory):
     """Run the shipped small needle study on these curves, as a user would."""
     folder = tmp_path_factory.mktemp("exact")
     (folder / "data" / "conical-small").mkdir(parents=True)
@@ -73,7 +69,7 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]]
     return [json.loads(path.read_text())["content"] for path in found]
 
 
-def test_every_specimen_has_the_error_of_its_curve(records: list[dict[str, object]]) -> None:
+def test_every_specimen_has_the_error_of_its_curve(records):
     """1 % over 1.01, whatever the energy, the first specimen or a later one.
 
     Slopes that were wrong between the steps made this 0.1 to 21 %. Five load steps of 0.4 mm
@@ -81,17 +77,17 @@ def test_every_specimen_has_the_error_of_its_curve(records: list[dict[str, objec
     """
     assert len(records) == 2 * len(SPECIMENS)
     for record in records:
-        response = record["responses"]["relative_rms_force_error"]  # type: ignore[index]
+        response = record["responses"]["relative_rms_force_error"]
         assert response["value"] == pytest.approx(100 * OFF / (1 + OFF), abs=0.02)
         assert 0 < response["u_steps"] < 0.1
 
 
-def test_every_record_holds_its_energy_balance(records: list[dict[str, object]]) -> None:
+def test_every_record_holds_its_energy_balance(records):
     for record in records:
         solver = record["solver"]
-        assert 0 <= solver["energy_mismatch"] < 1e-3  # type: ignore[index]
-        assert solver["stabilization_share"] == 0.0  # type: ignore[index]
-        assert solver["snaps_mm"] == []  # type: ignore[index]
+        assert 0 <= solver["energy_mismatch"] < 1e-3
+        assert solver["stabilization_share"] == 0.0
+        assert solver["snaps_mm"] == []
 
 
 DESIGN = Path(__file__).resolve().parents[2] / "designs" / "needle-geometry.toml"
@@ -107,7 +103,7 @@ INNER = {
 }
 
 
-def _inner(folder: Path) -> Path:
+def _inner(folder):
     """Write the design with the ranges of the held-out runs."""
     text = DESIGN.read_text()
     for old, new in INNER.items():
@@ -119,9 +115,7 @@ def _inner(folder: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_held_out_needles_lie_in_their_intervals(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_held_out_needles_lie_in_their_intervals(tmp_path, capsys):
     sixty = public.run(
         DESIGN, overrides=["design.runs=60"], results=tmp_path / "60", reports=None, jobs=1
     )
@@ -148,9 +142,7 @@ def test_held_out_needles_lie_in_their_intervals(
         assert min(q2) > 0.95
 
 
-def _told(
-    sixty: StudyResult, known: dict[str, dict[str, float]], record: Record, response: str
-) -> tuple[float, float, float]:
+def _told(sixty, known, record, response):
     """Predict a run, with its interval."""
     at = {n: known[n][label] if n in known else label for n, label in record.levels.items()}
     (told,) = public.predict(sixty, at, response=response)

@@ -1,7 +1,5 @@
 """study export: force laws and functions of surfaces, their files, bounds and refusals."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy
@@ -10,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +15,7 @@ import pytest
 import study as package
 from study.api import load as open_study
 from study.laboratory.haptics import haptic_export
-from study.laboratory.haptics.haptic_export import ForceLaw
-from tests.cli.small import PROBLEM, Finished, refusal, success
+from tests.cli.small import PROBLEM, refusal, success
 from tests.cli.test_numeric_factors import DESIGN, _force
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -49,19 +45,19 @@ mesh = "coarse"
 FLAT = 'indenter = { shape = "flat", radius = "4 mm", edge_radius = "1 mm" }'
 
 
-def closed_form(displacement_mm: np.ndarray, c10: float = 0.01) -> np.ndarray:
+def closed_form(displacement_mm, c10=0.01):
     """Force in N between frictionless plates: nominal stress 2 C10 (1/l^2 - l) on the area."""
     stretch = 1 - displacement_mm / HEIGHT_MM
     return np.asarray(2 * c10 * (stretch**-2 - stretch) * AREA_MM2)
 
 
-def module(path: Path) -> SimpleNamespace:
+def module(path):
     """The Python file, run as a user would import it."""
     return SimpleNamespace(**runpy.run_path(str(path)))
 
 
 @pytest.fixture(scope="module")
-def compressed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def compressed(tmp_path_factory):
     """Law of the compression whose closed form is known; folder and document."""
     folder = tmp_path_factory.mktemp("compressed")
     (folder / "plates.toml").write_text(PROBLEM)
@@ -70,16 +66,14 @@ def compressed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str
 
 
 @pytest.fixture(scope="module")
-def indented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ForceLaw]:
+def indented(tmp_path_factory):
     folder = tmp_path_factory.mktemp("indented")
     (folder / "sphere.toml").write_text(INDENTATION)
     found = package.export(folder / "sphere.toml", out=folder, tolerance=0.005)
     return folder, found.law
 
 
-def test_the_law_is_the_closed_form_within_its_bound_and_continues_as_stated(
-    compressed: tuple[Path, dict[str, Any]],
-) -> None:
+def test_the_law_is_the_closed_form_within_its_bound_and_continues_as_stated(compressed):
     folder, document = compressed
     law = module(folder / "plates_force_law.py")
     places = np.random.default_rng(1).uniform(0, 1, 500)
@@ -108,7 +102,7 @@ def test_the_law_is_the_closed_form_within_its_bound_and_continues_as_stated(
     assert document["continuation"] == {"below": "zero", "above": "linear", "simulated": False}
 
 
-def test_every_form_gives_the_same_force(indented: tuple[Path, ForceLaw]) -> None:
+def test_every_form_gives_the_same_force(indented):
     folder, law = indented
     python = module(folder / "sphere_force_law.py")
     places = np.linspace(-0.1, 1.2, 101)
@@ -126,7 +120,7 @@ def test_every_form_gives_the_same_force(indented: tuple[Path, ForceLaw]) -> Non
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
-def test_the_header_compiles_and_gives_the_same_force(indented: tuple[Path, ForceLaw]) -> None:
+def test_the_header_compiles_and_gives_the_same_force(indented):
     folder, law = indented
     program = folder / "main.c"
     program.write_text(
@@ -151,9 +145,7 @@ def test_the_header_compiles_and_gives_the_same_force(indented: tuple[Path, Forc
     assert rows[:, 3].tolist() == law.is_tested(places).tolist()
 
 
-def test_the_bound_holds_at_displacements_that_nobody_solved_before(
-    indented: tuple[Path, ForceLaw], tmp_path: Path
-) -> None:
+def test_the_bound_holds_at_displacements_that_nobody_solved_before(indented, tmp_path):
     """Steps of a seventh of the depth meet neither a knot nor a point kept out."""
     _, law = indented
     (tmp_path / "sphere.toml").write_text(INDENTATION)
@@ -170,7 +162,7 @@ def test_the_bound_holds_at_displacements_that_nobody_solved_before(
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_the_bound_holds_on_a_path_of_four_times_as_many_points(tmp_path: Path) -> None:
+def test_the_bound_holds_on_a_path_of_four_times_as_many_points(tmp_path):
     """Contact closes point by point under the edge of a punch: no smooth function."""
     text = re.sub("indenter.*", FLAT, INDENTATION).replace('"1 mm"\nsteps', '"3 mm"\nsteps')
     (tmp_path / "punch.toml").write_text(text)
@@ -182,7 +174,7 @@ def test_the_bound_holds_on_a_path_of_four_times_as_many_points(tmp_path: Path) 
     assert 0.2 * law.held_out.bound_N < off <= law.held_out.bound_N
 
 
-def test_a_calibration_gives_its_law_and_uncertainty(home: Path) -> None:
+def test_a_calibration_gives_its_law_and_uncertainty(home):
     success("calibrate calibration.toml --data data")
     law = success("export results/calibration/calibration.json --as force-law --json").json
     known = json.loads((home / "results/calibration/calibration.json").read_text())["parameters"]
@@ -201,7 +193,7 @@ def test_a_calibration_gives_its_law_and_uncertainty(home: Path) -> None:
     assert law["standard_uncertainty_N"][-1] > 0
 
 
-def test_a_case_of_a_study_gives_its_law(finished: Finished, tmp_path: Path) -> None:
+def test_a_case_of_a_study_gives_its_law(finished, tmp_path):
     opened = open_study(finished.folder / "results/small")
     case = next(r for r in opened.records if r.levels["material"] == "neo-hookean")
     out = tmp_path / "laws"
@@ -213,16 +205,14 @@ def test_a_case_of_a_study_gives_its_law(finished: Finished, tmp_path: Path) -> 
     assert found.law.force.values == pytest.approx(force, rel=1e-6, abs=1e-9)
 
 
-def test_a_simulation_that_stops_makes_no_law(home: Path) -> None:
+def test_a_simulation_that_stops_makes_no_law(home):
     """C20 so negative that the specimen softens without end."""
     deep = ["-s", 'test.displacement="6 mm"', "-s", 'material.model="reduced-polynomial"']
     refusal("export", "problem.toml", *deep, "-s", 'material.C20="-9 kPa"')
     assert not (home / "reports").exists()
 
 
-def test_a_tolerance_that_is_not_met_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tolerance_that_is_not_met_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(haptic_export, "MOST_INTERVALS", 40)
     (tmp_path / "plates.toml").write_text(PROBLEM)
     found = package.export(tmp_path / "plates.toml", tolerance=1e-15, out=tmp_path)
@@ -231,9 +221,7 @@ def test_a_tolerance_that_is_not_met_is_told(
     assert "1e-13" in page
 
 
-def test_the_page_needs_no_network_and_shows_both_figures(
-    compressed: tuple[Path, dict[str, Any]],
-) -> None:
+def test_the_page_needs_no_network_and_shows_both_figures(compressed):
     folder, document = compressed
     page = (folder / "plates-force-law.html").read_text()
     assert page.count("<svg") == 2
@@ -248,7 +236,7 @@ QUADRATIC = DESIGN.replace('kind = "latin-hypercube"\nruns = 30', 'kind = "centr
 
 
 @pytest.mark.parametrize(("text", "kind"), [(LOG, "emulator"), (QUADRATIC, "quadratic")])
-def test_the_function_gives_what_the_surface_predicts(inside: Path, text: str, kind: str) -> None:
+def test_the_function_gives_what_the_surface_predicts(inside, text, kind):
     (inside / "ranges.toml").write_text(text)
     ran = success("run", "ranges.toml", "--jobs", 1, "--json")
     (surface,) = ran.json["surfaces"]

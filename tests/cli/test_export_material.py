@@ -5,8 +5,6 @@ User Manual, Uncoupled materials), written here once more and differentiated by 
 complex step, so that no code of ours is between the file and the stress.
 """
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -22,7 +20,7 @@ from study.mechanics.material.relaxation import RelaxationTerm
 from tests.cli.small import refusal, success
 
 #: name, keys of [material] in MPa, and the same constants
-ENERGIES: dict[str, dict[str, float]] = {
+ENERGIES = {
     "neo-hookean": {"C10": 0.02},
     "mooney-rivlin": {"C10": 0.02, "C01": 0.005},
     "reduced-polynomial": {"C10": 0.02, "C20": 0.003, "C30": 0.0004},
@@ -52,7 +50,7 @@ SERIES = 1 / 2, 1 / 20, 11 / 1050, 19 / 7000, 519 / 673750
 Energy = Callable[[Array], complex]
 
 
-def problem(folder: Path, energy: str, volume: str = f'bulk_modulus = "{BULK} MPa"') -> Path:
+def problem(folder, energy, volume=f'bulk_modulus = "{BULK} MPa"'):
     constants = ENERGIES[energy]
     if energy == "ogden":
         lines = ['mu = ["0.03 MPa", "0.01 MPa"]', "alpha = [2.5, -3.0]"]
@@ -67,7 +65,7 @@ def problem(folder: Path, energy: str, volume: str = f'bulk_modulus = "{BULK} MP
     return path
 
 
-def exported(folder: Path, energy: str, program: str, *more: str) -> str:
+def exported(folder, energy, program, *more):
     asked = ["--as", program, "--reports", str(folder), *more]
     answer = success("export", str(problem(folder, energy)), *asked, "--json")
     text = Path(next(iter(answer.json["files"].values()))).read_text()
@@ -75,7 +73,7 @@ def exported(folder: Path, energy: str, program: str, *more: str) -> str:
     return text
 
 
-def states() -> Array:
+def states():
     """Twenty stretches and rotations, shape (3, 3, 20)."""
     rng = np.random.default_rng(3)
     out = []
@@ -87,7 +85,7 @@ def states() -> Array:
     return np.moveaxis(F * np.sign(np.linalg.det(F))[:, None, None], 0, -1)
 
 
-def invariants(C: Array) -> tuple[complex, complex, complex]:
+def invariants(C):
     """I1 and I2 of C without its volume change, and J; C may be complex."""
     J = np.linalg.det(C) ** 0.5
     first = np.trace(C)
@@ -95,7 +93,7 @@ def invariants(C: Array) -> tuple[complex, complex, complex]:
     return first * J ** (-2 / 3), second * J ** (-4 / 3), J
 
 
-def stress(energy: Energy, F: Array) -> Array:
+def stress(energy, F):
     """First Piola-Kirchhoff stress by a complex step, or by differences of principal stretches."""
     out, h = np.empty((3, 3)), 1e-30
     for i in range(3):
@@ -106,9 +104,7 @@ def stress(energy: Energy, F: Array) -> Array:
     return out
 
 
-def ogden_stress(
-    terms: list[tuple[float, float]], pressure: Callable[[float], float], F: Array
-) -> Array:
+def ogden_stress(terms, pressure, F):
     """P of W = sum c/m^2 (sum bar^m - 3) + U, by principal stretches."""
     left, stretch, right = np.linalg.svd(F)
     J = float(np.prod(stretch))
@@ -117,7 +113,7 @@ def ogden_stress(
     return np.asarray(left @ np.diag(tau / stretch) @ right)
 
 
-def abaqus_stress(text: str, F: Array) -> Array:
+def abaqus_stress(text, F):
     """Stress of an exported text by the formulas of Abaqus' Theory Guide."""
     lines = [line for line in text.splitlines() if not line.startswith("**")]
     head = next(line for line in lines if line.startswith("*Hyperelastic"))
@@ -131,7 +127,7 @@ def abaqus_stress(text: str, F: Array) -> Array:
         assert not any(v[2 * order + 1 :])
         return ogden_stress(terms, lambda J: 2 / v[2 * order] * (J - 1), F)
 
-    def energy(C: Array) -> complex:
+    def energy(C):
         a, b, J = invariants(C)
         squared = (J - 1) ** 2
         if "arruda" in head:
@@ -165,7 +161,7 @@ def abaqus_stress(text: str, F: Array) -> Array:
     return stress(energy, F)
 
 
-def febio_stress(text: str, F: Array) -> Array:
+def febio_stress(text, F):
     """Stress of an exported text by the formulas of FEBio's manual."""
     (material,) = ET.fromstring(text).findall("Material/material")
     assert material.findtext("pressure_model") == "Abaqus"  # U = k/2 (J - 1)^2
@@ -175,7 +171,7 @@ def febio_stress(text: str, F: Array) -> Array:
         terms = [(v[f"c{k}"], v[f"m{k}"]) for k in (1, 2)]
         return ogden_stress(terms, lambda J: v["k"] * (J - 1), F)
 
-    def energy(C: Array) -> complex:
+    def energy(C):
         a, b, J = invariants(C)
         volume = 0.5 * v["k"] * (J - 1) ** 2
         if kind == "Mooney-Rivlin":
@@ -201,9 +197,7 @@ def febio_stress(text: str, F: Array) -> Array:
     [("abaqus", abaqus_stress, energy) for energy in sorted(ABAQUS)]
     + [("febio", febio_stress, energy) for energy in sorted(FEBIO)],
 )
-def test_the_program_has_the_same_stress(
-    tmp_path: Path, program: str, stress_of: Callable[[str, Array], Array], energy: str
-) -> None:
+def test_the_program_has_the_same_stress(tmp_path, program, stress_of, energy):
     text, F = exported(tmp_path, energy, program), states()
     if program == "abaqus" and energy in ("arruda-boyce", "van-der-waals"):
         # another volumetric term, and the file says so
@@ -219,14 +213,14 @@ def test_the_program_has_the_same_stress(
     [(e, "abaqus") for e in sorted(set(ENERGIES) - ABAQUS)]
     + [(e, "febio") for e in sorted(set(ENERGIES) - FEBIO)],
 )
-def test_a_program_without_the_energy_is_told(tmp_path: Path, energy: str, program: str) -> None:
+def test_a_program_without_the_energy_is_told(tmp_path, energy, program):
     path = problem(tmp_path, energy)
     answer = refusal("export", str(path), "--as", program, "--reports", str(tmp_path / "out"))
     assert f"{program} has no energy with" in answer.err
     assert not (tmp_path / "out").exists()
 
 
-def test_relaxation_is_exported_with_instantaneous_constants(tmp_path: Path) -> None:
+def test_relaxation_is_exported_with_instantaneous_constants(tmp_path):
     fading = 'material.relaxation=[{share=0.3,time="2 s"},{share=0.2,time="1 min"}]'
     more = ("-s", fading, "-s", 'test.speed="1 mm/s"')
     text = exported(tmp_path, "neo-hookean", "abaqus", *more)
@@ -250,7 +244,7 @@ def test_relaxation_is_exported_with_instantaneous_constants(tmp_path: Path) -> 
         assert ours == pytest.approx(theirs, rel=1e-12)
 
 
-def test_what_a_material_needs_and_what_drucker_says_of_it_is_told(tmp_path: Path) -> None:
+def test_what_a_material_needs_and_what_drucker_says_of_it_is_told(tmp_path):
     path = problem(tmp_path, "ogden", "incompressible = true")
     answer = success(f"export {path} --as abaqus --reports {tmp_path}")
     assert "hybrid elements" in answer.out

@@ -1,9 +1,6 @@
 """``study analyze --numeric`` with ``--factors``: one surface a combination of labels."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ from tests.pages import both_pages
 EXTRA = 0.35
 
 
-def table(folder: Path, runs: int = 24, lost: str = "") -> tuple[Path, tuple[float, float]]:
+def table(folder, runs=24, lost=""):
     """Write runs of two materials: tip depth^1.5, and depth^2 besides in the second."""
     random = np.random.default_rng(3)
     rows = ["material,tip,depth,force"]
@@ -34,7 +31,7 @@ def table(folder: Path, runs: int = 24, lost: str = "") -> tuple[Path, tuple[flo
     return folder / "runs.csv", (min(depths), max(depths))
 
 
-def test_labels_are_compared_over_the_ranges(tmp_path: Path) -> None:
+def test_labels_are_compared_over_the_ranges(tmp_path):
     path, (low, high) = table(tmp_path)
     one, other = public.fit_surfaces(path, "force", ["tip", "depth"], ["material"], practical=1.0)
     assert [surface.labels for surface in (one, other)] == [
@@ -50,7 +47,7 @@ def test_labels_are_compared_over_the_ranges(tmp_path: Path) -> None:
     assert at.value[0] == pytest.approx(2**1.5, rel=0.01)
 
 
-def test_terminal_page_and_json_have_every_combination(inside: Path) -> None:
+def test_terminal_page_and_json_have_every_combination(inside):
     table(inside, lost="ogden,1.0,2.0,")
     asked = ("analyze", "runs.csv", "--response", "force", "--numeric", "tip,depth",
              "--factors", "material", "--practical", "1")  # fmt: skip
@@ -66,7 +63,7 @@ def test_terminal_page_and_json_have_every_combination(inside: Path) -> None:
     assert found[1]["differences"][0]["verdict"] == "matters"
 
 
-def test_a_combination_without_a_surface_is_named_and_the_others_stand(inside: Path) -> None:
+def test_a_combination_without_a_surface_is_named_and_the_others_stand(inside):
     table(inside, lost="gent,1.0,2.0,3.0")
     shown = success("analyze runs.csv --response force --numeric tip,depth --factors material")
     assert "material = gent: factor 'tip': has one setting in every run" in shown.err
@@ -74,7 +71,7 @@ def test_a_combination_without_a_surface_is_named_and_the_others_stand(inside: P
     assert "gent\nNo surface: factor 'tip': has one setting in every run" in shown.out
 
 
-def test_labels_that_never_meet_are_compared_where_they_do(tmp_path: Path) -> None:
+def test_labels_that_never_meet_are_compared_where_they_do(tmp_path):
     """Of three combinations the last has neither first level beside it at its other label."""
     x = np.random.default_rng(1).permutation(np.linspace(0, 1, 14))
     rows = [
@@ -88,7 +85,7 @@ def test_labels_that_never_meet_are_compared_where_they_do(tmp_path: Path) -> No
     assert told == [[], [("k", "q", 1.0)], [("m", "b", 2.0)]]
 
 
-def test_labels_in_too_many_combinations_are_refused(tmp_path: Path) -> None:
+def test_labels_in_too_many_combinations_are_refused(tmp_path):
     rows = ["name,x,y", *(f"n{k},{k % 7},{k}" for k in range(130))]
     (tmp_path / "many.csv").write_text("\n".join(rows))
     with pytest.raises(InputError, match="130 combinations, and each gets a surface"):

@@ -1,7 +1,5 @@
 """study plan of designs: their cells counted another way, their meshes, their run sheet."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections import Counter
@@ -40,7 +38,7 @@ model.mesh = ["coarse", "fine"]
 
 
 @pytest.fixture
-def design(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def design(tmp_path, monkeypatch):
     (tmp_path / "data").mkdir()
     monkeypatch.chdir(tmp_path)
     return tmp_path / "design.toml"
@@ -74,11 +72,11 @@ UNSAID = 'model = "neo-hookean"\nC10 = "5 kPa"\n'
 D_OPTIMAL = f'{BASE.replace(UNSAID, "")}{MIXED}[design]\nkind = "d-optimal"\nruns = 12\n'
 
 
-def counted(told: dict, *names: str) -> Counter[tuple[str, ...]]:
+def counted(told, *names):
     return Counter(tuple(cell["levels"][name] for name in names) for cell in told["matrix"])
 
 
-def test_a_d_optimal_design_is_the_orthogonal_array_where_there_is_one(design: Path) -> None:
+def test_a_d_optimal_design_is_the_orthogonal_array_where_there_is_one(design):
     """2^3 x 3 in 12 cells: main effects are orthogonal where every pair of levels is balanced."""
     design.write_text(D_OPTIMAL)
     told = success("plan design.toml --data data --json").json["design"]
@@ -89,7 +87,7 @@ def test_a_d_optimal_design_is_the_orthogonal_array_where_there_is_one(design: P
     assert "100.0 % of the precision" in told["scheme"]["summary"]
 
 
-def test_further_cells_complete_a_half_fraction(design: Path) -> None:
+def test_further_cells_complete_a_half_fraction(design):
     """2^(3-1) and four further cells are the whole 2^3, which tells all terms apart."""
     names = ["model.space", "model.element_order", "model.element_shape"]
     three = FIVE_CHOICES.split("model.formulation")[0]
@@ -117,7 +115,7 @@ FOLDOVER_ALIASES = (
 )  # fmt: skip
 
 
-def test_further_cells_of_a_published_fraction_do_what_its_fold_over_does(design: Path) -> None:
+def test_further_cells_of_a_published_fraction_do_what_its_fold_over_does(design):
     """Eight runs leave main effects in doubt; eight more clear them and one of each alias set."""
     choices = dict(line.split(" = ") for line in FIVE_CHOICES.strip().splitlines()[1:])
     choices |= {"test.interface": '["bonded", "frictionless"]',
@@ -155,13 +153,13 @@ def test_further_cells_of_a_published_fraction_do_what_its_fold_over_does(design
     assert len({tuple(row) for row in codes.tolist()}) == 16
 
 
-def test_a_full_factorial_has_no_further_cell(design: Path) -> None:
+def test_a_full_factorial_has_no_further_cell(design):
     design.write_text(f"{BASE}{FIVE_CHOICES}")
     answer = refusal("plan", design, "--data", "data", "--augment", 4)
     assert "runs every combination" in answer.err
 
 
-def test_each_specimen_meets_each_physical_condition_once(tmp_path: Path) -> None:
+def test_each_specimen_meets_each_physical_condition_once(tmp_path):
     out = tmp_path / "trials.csv"
     answer = success(f"plan {ROOT}/designs/demo.toml --run-sheet {out} --specimens 40 --json")
     assert "80 trials" in answer.err
@@ -180,9 +178,7 @@ def test_each_specimen_meets_each_physical_condition_once(tmp_path: Path) -> Non
 NEEDLE = Path(__file__).parents[2] / "designs" / "needle-geometry.toml"
 
 
-def surface_design(
-    folder: Path, more: str = "", size: tuple[float, float, float] = (24, 24, 34)
-) -> Path:
+def surface_design(folder, more="", size=(24, 24, 34)):
     write(folder / "box.stl", box(*size))
     rows = [f"{s},{d:.3f},{0.45 * d:.5f}" for s in "ab" for d in np.linspace(0, 0.7, 15)]
     (folder / "tests.csv").write_text("\n".join(["specimen,d,f", *rows, ""]))
@@ -208,17 +204,15 @@ PRESSED_BESIDE = [
          ["model.mesh_size: 1 mm gives about", 'mm" or more']),
     ],
 )  # fmt: skip
-def test_a_surface_that_cannot_be_meshed_is_refused(
-    inside: Path, more: str, size: tuple[float, float, float], command: str, says: list[str]
-) -> None:
+def test_a_surface_that_cannot_be_meshed_is_refused(inside, more, size, command, says):
     surface_design(inside, more, size)
     answer = refusal(f"{command} design.toml --data .")
     for piece in says:
         assert piece in answer.err
 
 
-def test_a_plan_of_a_surface_makes_no_mesh(inside: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def never(_: object) -> None:
+def test_a_plan_of_a_surface_makes_no_mesh(inside, monkeypatch):
+    def never(_):
         raise AssertionError("a mesh was made")
 
     monkeypatch.setattr(solution_cost, "build_mesh", never)
@@ -226,7 +220,7 @@ def test_a_plan_of_a_surface_makes_no_mesh(inside: Path, monkeypatch: pytest.Mon
     assert "predicted: " in success("plan design.toml --data .").out
 
 
-def test_a_plan_of_many_meshes_counts_but_a_few(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plan_of_many_meshes_counts_but_a_few(monkeypatch):
     """120 needles with 0.05 mm took more than 10 s to be meshed: 40,000 unknowns each."""
     meshed = []
     monkeypatch.setattr(

@@ -1,10 +1,7 @@
 """Markers inside a block by `study run`: virtual ones of a known plate, and the Truth Cube."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -63,7 +60,7 @@ ratio = 1.2
 )
 
 
-def virtual_rows(rng: np.random.Generator) -> list[str]:
+def virtual_rows(rng):
     """Markers of a cube whose plate did not do what was said; another mesh, and noise."""
     motion = FaceMotion(
         TRUTH["x"], TRUTH["y"], TRUTH["tilt_x"], TRUTH["tilt_y"], TRUTH["twist"],
@@ -89,14 +86,14 @@ def virtual_rows(rng: np.random.Generator) -> list[str]:
     return ["k,x0,y0,z0,x1,y1,z1", *rows]
 
 
-def documents(folder: Path) -> list[dict[str, Any]]:
+def documents(folder):
     """Records of a study, as they lie on the disk."""
     files = sorted(folder.rglob("record.json"))
     return [json.loads(path.read_text(encoding="utf-8"))["content"] for path in files]
 
 
 @pytest.fixture(scope="module")
-def virtual(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def virtual(tmp_path_factory):
     folder = tmp_path_factory.mktemp("virtual")
     (folder / "design.toml").write_text(VIRTUAL, encoding="utf-8")
     rows = virtual_rows(np.random.default_rng(7))
@@ -108,7 +105,7 @@ def virtual(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_plate_that_moves_as_said_predicts_too(virtual: Path, tmp_path: Path) -> None:
+def test_a_plate_that_moves_as_said_predicts_too(virtual, tmp_path):
     """Both errors are known where nothing is fitted: the plate can be a factor."""
     kept = ["--results", tmp_path / "results", "--reports", tmp_path / "reports"]
     success("run", virtual / "design.toml", "--data", virtual, "--jobs", 1, *kept,
@@ -125,7 +122,7 @@ def test_a_plate_that_moves_as_said_predicts_too(virtual: Path, tmp_path: Path) 
         assert squares > 0
 
 
-def test_the_plate_is_recovered_within_its_stated_error(virtual: Path) -> None:
+def test_the_plate_is_recovered_within_its_stated_error(virtual):
     true, other = (
         next(
             r
@@ -153,14 +150,14 @@ def test_the_plate_is_recovered_within_its_stated_error(virtual: Path) -> None:
     assert other["responses"]["marker_error"]["value"] > 1.5 * slipping["error_mm"]
 
 
-def test_the_report_has_the_motion_beside_the_error(virtual: Path) -> None:
+def test_the_report_has_the_motion_beside_the_error(virtual):
     table = (virtual / "reports").rglob("table-marker-errors.csv")
     lines = next(table).read_text(encoding="utf-8").splitlines()
     assert len(lines) == 1 + 2 * 4
     assert {"error_mm", "down_value", "spread_standard_error"} <= set(lines[0].split(","))
 
 
-def test_a_wrong_unit_is_seen(virtual: Path, tmp_path: Path) -> None:
+def test_a_wrong_unit_is_seen(virtual, tmp_path):
     found = refusal("run", virtual / "design.toml", "--data", virtual, "-s", "markers.unit=cm",
                     "--results", tmp_path, "--reports", tmp_path)  # fmt: skip
     assert "lie outside the block" in found.err
@@ -168,7 +165,7 @@ def test_a_wrong_unit_is_seen(virtual: Path, tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def truth_cube(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> list[dict[str, Any]]:
+def truth_cube(tmp_path_factory, data_dir):
     if not (data_dir / "truth_cube").is_dir():
         pytest.skip(f"no Truth Cube in {data_dir}")
     folder = tmp_path_factory.mktemp("cube")
@@ -184,7 +181,7 @@ def truth_cube(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> list
     return documents(folder)
 
 
-def errors(records: list[dict[str, Any]], material: str, state: str) -> dict[str, float]:
+def errors(records, material, state):
     (marked,) = (
         r["extra"]["markers"][0]
         for r in records
@@ -205,7 +202,7 @@ def errors(records: list[dict[str, Any]], material: str, state: str) -> dict[str
         ("18.25 %", (1.64, 0.63, 0.45, 0.46, 0.32)),
     ],
 )
-def test_the_truth_cube(truth_cube, state, known):  # type: ignore[no-untyped-def]
+def test_the_truth_cube(truth_cube, state, known):
     nominal, *most, floor = known
     found = errors(truth_cube, "neo-hookean", state)
     assert found["nominal"] == pytest.approx(nominal, abs=0.01)  # as the plate was said to move

@@ -1,10 +1,7 @@
 """Ranges in a study file: runs, surface, predictions, distributions and page, by closed forms."""
 
-from __future__ import annotations
-
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,7 +9,7 @@ import pytest
 
 import study as public
 from study.ground.errors import InputError
-from tests.cli.small import CSV, Answer, Finished, pressed, refusal, responses, success
+from tests.cli.small import CSV, pressed, refusal, responses, success
 from tests.conftest import ROOT
 from tests.pages import both_pages
 
@@ -41,13 +38,13 @@ FACTORS = ("material.C10", "specimen.radius", "specimen.height")
 CENTRE = "material.C10=7.3 kPa, specimen.radius=10.2 mm, specimen.height=19.5 mm"
 
 
-def _force(c10_kPa, radius_mm, height_mm):  # type: ignore[no-untyped-def]  # noqa: N803
+def _force(c10_kPa, radius_mm, height_mm):  # noqa: N803
     """Force in N at 3 mm (Treloar 1975, The Physics of Rubber Elasticity)."""
     stretch = 1 - 3.0 / height_mm
     return np.pi * radius_mm**2 * 2e-3 * c10_kPa * (stretch**-2 - stretch)
 
 
-def _shares() -> list[float]:
+def _shares():
     """Total indices on a grid: the force is a product, so its variance is one of products."""
     x = (np.arange(400) + 0.5) / 400
     parts = (5 + 5 * x, (9 + 2 * x) ** 2, _force(1.0, 1.0, 18 + 4 * x))
@@ -65,13 +62,13 @@ specimen.radius = { distribution = "uniform", low = "9.8 mm", high = "10.2 mm" }
 
 
 @pytest.fixture
-def ran(ranges: Finished, monkeypatch: pytest.MonkeyPatch) -> Answer:
+def ran(ranges, monkeypatch):
     """What the run printed, in its folder."""
     monkeypatch.chdir(ranges.folder)
     return ranges.answer
 
 
-def test_total_indices_are_those_of_the_closed_form(ran: Answer) -> None:
+def test_total_indices_are_those_of_the_closed_form(ran):
     (surface,) = ran.json["surfaces"]
     assert surface["surface"]["kind"] == "emulator"
     assert surface["surface"]["q2"] > 0.99
@@ -88,7 +85,7 @@ def test_total_indices_are_those_of_the_closed_form(ran: Answer) -> None:
 
 
 @pytest.mark.usefixtures("ran")
-def test_a_prediction_is_the_closed_form_within_its_interval() -> None:
+def test_a_prediction_is_the_closed_form_within_its_interval():
     answer = success("predict", "ranges", "--at", CENTRE, "--json")
     (found,) = answer.json["predictions"]
     assert found["low"] <= _force(7.3, 10.2, 19.5) <= found["high"]
@@ -105,7 +102,7 @@ def test_a_prediction_is_the_closed_form_within_its_interval() -> None:
 
 
 @pytest.mark.usefixtures("ran")
-def test_what_cannot_be_predicted_is_refused() -> None:
+def test_what_cannot_be_predicted_is_refused():
     for at, told in (
         (CENTRE.replace("7.3", "11"), "outside the settings that were run"),
         (CENTRE.replace("7.3 kPa", "7.3 mm"), "must be a pressure"),
@@ -116,7 +113,7 @@ def test_what_cannot_be_predicted_is_refused() -> None:
         assert told in refusal("predict", "ranges", "--at", at, "--json").err
 
 
-def test_the_distribution_is_that_of_the_closed_form(ranges: Finished) -> None:
+def test_the_distribution_is_that_of_the_closed_form(ranges):
     (surface,) = ranges.answer.json["surfaces"]
     told = surface["uncertainty"]
     # F = c C10 R^2 at the file's height, 20 mm: a product of independent inputs
@@ -147,7 +144,7 @@ def test_the_distribution_is_that_of_the_closed_form(ranges: Finished) -> None:
     assert "Held there for it" in page
 
 
-def test_a_standard_uncertainty_is_about_the_value_of_the_file(tmp_path: Path) -> None:
+def test_a_standard_uncertainty_is_about_the_value_of_the_file(tmp_path):
     (tmp_path / "ranges.toml").write_text(
         DESIGN + '\n[uncertainty]\nspecimen.radius = "0.2 mm"\nmaterial.C10 = "0.5 kPa"\n'
         + 'specimen.height = "0.1 mm"\n'
@@ -161,7 +158,7 @@ def test_a_standard_uncertainty_is_about_the_value_of_the_file(tmp_path: Path) -
     assert found.inputs["material.C10"].numbers == pytest.approx((7.0, 0.5))
 
 
-def _words(page: Path) -> str:
+def _words(page):
     text = re.sub(
         r"<svg.*?</svg>|<style.*?</style>|<script.*?</script>", "", page.read_text(), flags=re.S
     )
@@ -170,11 +167,11 @@ def _words(page: Path) -> str:
 
 
 @pytest.fixture
-def ranged(ranges: Finished) -> Path:
+def ranged(ranges):
     return ranges.folder / "reports" / "ranges"
 
 
-def test_the_answer_names_the_factors_by_what_they_do(ranged: Path) -> None:
+def test_the_answer_names_the_factors_by_what_they_do(ranged):
     words = _words(ranged / "ranges.html")
     answer = words[words.index("Answer Peak force") :].split("What would change")[0]
     found = re.search(
@@ -200,7 +197,7 @@ def test_the_answer_names_the_factors_by_what_they_do(ranged: Path) -> None:
     assert "<h2>Error term" not in details
 
 
-def test_its_pictures_hold_the_closed_form(ranged: Path) -> None:
+def test_its_pictures_hold_the_closed_form(ranged):
     data = ranged / "ranges-data"
     along = pd.read_csv(data / "figure-profiler.csv")
     middle = {"material.C10": 7.5, "specimen.radius": 10.0, "specimen.height": 20.0}
@@ -229,7 +226,7 @@ def test_its_pictures_hold_the_closed_form(ranged: Path) -> None:
         assert shares.loc[name, "low"] <= share <= shares.loc[name, "high"]
 
 
-def test_a_table_has_the_same_page(inside: Path) -> None:
+def test_a_table_has_the_same_page(inside):
     """Montgomery's example 11.2, whose numbers tests/response_surface compares with the book's."""
     chemical = ROOT / "validation" / "statistics" / "chemical_process.csv"
     numeric = "time_min=80..90,temperature_F=170..180"
@@ -245,7 +242,7 @@ def test_a_table_has_the_same_page(inside: Path) -> None:
     assert "chemical_process.csv --response yield" in words
 
 
-def test_a_surface_that_cannot_rank_says_so(inside: Path) -> None:
+def test_a_surface_that_cannot_rank_says_so(inside):
     rng = np.random.default_rng(5)
     frame = pd.DataFrame(rng.uniform(size=(40, 2)), columns=["a", "b"]).assign(
         y=rng.normal(size=40)

@@ -1,17 +1,12 @@
 """`study calibrate --by test`: the Wald test by hand, from the rows of every test."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from study.ground.arrays import Array
 from tests.cli.small import case_file, gauge, recorded, refusal, success
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -23,15 +18,13 @@ MU_KPA = 30.0
 NOISE_KPA = 0.4
 
 
-def stress(kind: str, stretch: np.ndarray) -> np.ndarray:
+def stress(kind, stretch):
     """Nominal stress over mu of an incompressible neo-Hookean solid."""
     exponent = {"tension": -2, "planar": -3, "equibiaxial": -5}[kind]
     return np.asarray(stretch - stretch**exponent)
 
 
-def measure(
-    folder: Path, mu: dict[str, float], rng: np.random.Generator, n: int = 15, zero: float = 0.0
-) -> None:
+def measure(folder, mu, rng, n=15, zero=0.0):
     stretch = np.linspace(1.05, 1.8, n)
     for kind, value in mu.items():
         s = value * stress(kind, stretch) + NOISE_KPA * rng.normal(size=n) + zero
@@ -40,17 +33,17 @@ def measure(
         (folder / f"{kind}.toml").write_text(table)
 
 
-def written(folder: Path, kinds: list[str]) -> Path:
+def written(folder, kinds):
     return case_file(folder, HEAD, *((folder / f"{kind}.toml").read_text() for kind in kinds))
 
 
-def calibrated(path: Path, *more: object) -> Any:
+def calibrated(path, *more):
     return success(
         "calibrate", path, "--data", path.parent, "--results", path.parent / "r", "--json", *more
     ).json
 
 
-def by_hand(folder: Path, kinds: list[str]) -> tuple[float, float, np.ndarray, float]:
+def by_hand(folder, kinds):
     """Statistic, common mu, mean weights, and p: from the rows, with whole covariance matrices.
 
     Given the correlations of the rows of three tests, a sum of weighted squares over 2 is an F; p
@@ -101,8 +94,8 @@ def by_hand(folder: Path, kinds: list[str]) -> tuple[float, float, np.ndarray, f
     [(1.0, 0.05, "agree"), (1.0, 0.01, "undecided"), (1.06, 0.04, "differ")],
 )
 def test_wald_statistic_and_power_of_three_separate_calibrations(
-    tmp_path: Path, off: float, difference: float, verdict: str
-) -> None:
+    tmp_path, off, difference, verdict
+):
     kinds = ["tension", "equibiaxial", "planar"]
     mu = {**dict.fromkeys(kinds, MU_KPA), "planar": off * MU_KPA}
     measure(tmp_path, mu, np.random.default_rng(7))
@@ -125,7 +118,7 @@ def test_wald_statistic_and_power_of_three_separate_calibrations(
         assert stats.ncf.sf(limit, 2, found["df_error"], again) == pytest.approx(0.8, abs=0.01)
 
 
-def test_two_tests_of_one_constant_are_welchs_t(tmp_path: Path) -> None:
+def test_two_tests_of_one_constant_are_welchs_t(tmp_path):
     kinds = ["tension", "planar"]
     measure(tmp_path, dict.fromkeys(kinds, MU_KPA), np.random.default_rng(3), n=6)
     alone = [calibrated(written(tmp_path, [kind])) for kind in kinds]
@@ -139,7 +132,7 @@ def test_two_tests_of_one_constant_are_welchs_t(tmp_path: Path) -> None:
     assert found["p"] == pytest.approx(2 * stats.t.sf(np.sqrt(wald), welch), rel=1e-6)
 
 
-def test_a_zero_of_the_load_cell_is_no_other_material(tmp_path: Path) -> None:
+def test_a_zero_of_the_load_cell_is_no_other_material(tmp_path):
     kinds = ["tension", "planar"]
     rng = np.random.default_rng(5)
     measure(tmp_path, {"tension": MU_KPA}, rng, n=200, zero=1.0)
@@ -160,7 +153,7 @@ def test_a_zero_of_the_load_cell_is_no_other_material(tmp_path: Path) -> None:
     assert known["groups"][0]["zero_error"][name] == pytest.approx(half, rel=1e-5)
 
 
-def test_words_and_refusals(tmp_path: Path) -> None:
+def test_words_and_refusals(tmp_path):
     kinds = ["tension", "planar"]
     measure(tmp_path, dict.fromkeys(kinds, MU_KPA), np.random.default_rng(3))
     asked = f"--data {tmp_path} --by"
@@ -178,9 +171,7 @@ def test_words_and_refusals(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize(("points", "least"), [(15, 0.0), (60, 0.03)])
-def test_five_percent_of_equal_materials_are_told_apart(
-    tmp_path: Path, points: int, least: float
-) -> None:
+def test_five_percent_of_equal_materials_are_told_apart(tmp_path, points, least):
     """600 materials of three tests; a share of 0.05 +- 0.009 is expected of 60 points each.
 
     Of 15 points nobody knows how strongly they are correlated: it may be less, never more.
@@ -199,7 +190,7 @@ def test_five_percent_of_equal_materials_are_told_apart(
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize(("truth", "verdict"), [("bonded", "agree"), ("frictionless", "differ")])
-def test_the_design_tells_two_truths_apart(tmp_path: Path, truth: str, verdict: str) -> None:
+def test_the_design_tells_two_truths_apart(tmp_path, truth, verdict):
     """Plates that are bonded as the calibration says, and plates that slip: mu0 tells it, too."""
     slip = f"presets.way.bonded-compression.test.interface={truth}"
     success("virtual", tmp_path, "--from", DESIGNS / "same-specimen.toml", "-s", slip)
@@ -214,7 +205,7 @@ def test_the_design_tells_two_truths_apart(tmp_path: Path, truth: str, verdict: 
     assert (mu0["bonded-compression"] == pytest.approx(others, rel=0.05)) is (verdict == "agree")
 
 
-def test_shear_that_cannot_tell_the_sign_of_an_exponent_agrees(tmp_path: Path) -> None:
+def test_shear_that_cannot_tell_the_sign_of_an_exponent_agrees(tmp_path):
     """One Ogden solid with alpha = -3; its shear is even in alpha and is fitted at either sign."""
     alpha, share, rng = -3.0, np.linspace(0.02, 0.5, 25), np.random.default_rng(3)
     noisy = {
@@ -233,7 +224,7 @@ def test_shear_that_cannot_tell_the_sign_of_an_exponent_agrees(tmp_path: Path) -
         assert found["p"] > 0.05
 
 
-def ogden_stresses(share: Array, alpha: float) -> dict[str, Array]:
+def ogden_stresses(share, alpha):
     """Stresses of an Ogden solid with mu = 2 kPa, at strains of each test."""
     mu, stretch = 2.0, 1 + share
     longest = 0.5 * (share + np.sqrt(share**2 + 4))
@@ -244,7 +235,7 @@ def ogden_stresses(share: Array, alpha: float) -> dict[str, Array]:
     }  # fmt: skip
 
 
-def written_tests(folder: Path, share: Array, stresses: Mapping[str, Array]) -> str:
+def written_tests(folder, share, stresses):
     """Write a CSV of each test, and give the calibration of one Ogden solid to all of them."""
     text = HEAD.replace("neo-hookean", "ogden") + "order = 1\n"
     for kind, s in stresses.items():
@@ -253,7 +244,7 @@ def written_tests(folder: Path, share: Array, stresses: Mapping[str, Array]) -> 
     return text
 
 
-def ogden_solid(folder: Path, alpha: float, rng: np.random.Generator) -> Path:
+def ogden_solid(folder, alpha, rng):
     """Tension and simple shear of one Ogden solid, 1 % of noise."""
     share = np.linspace(0.01, 0.3, 25)
     noisy = {
@@ -263,7 +254,7 @@ def ogden_solid(folder: Path, alpha: float, rng: np.random.Generator) -> Path:
     return case_file(folder, written_tests(folder, share, noisy))
 
 
-def test_a_test_that_stops_at_a_higher_minimum_is_fitted_from_the_others(tmp_path: Path) -> None:
+def test_a_test_that_stops_at_a_higher_minimum_is_fitted_from_the_others(tmp_path):
     """From its own start tension ends near alpha = 0, with five times the sum of squares."""
     path = ogden_solid(tmp_path, -8.0, np.random.default_rng(11))
     found = calibrated(path, "--by", "test")
@@ -277,7 +268,7 @@ def test_a_test_that_stops_at_a_higher_minimum_is_fitted_from_the_others(tmp_pat
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize("alpha", [-8.0, -3.0, 3.0, 8.0])
-def test_one_ogden_solid_is_told_apart_at_the_nominal_rate(tmp_path: Path, alpha: float) -> None:
+def test_one_ogden_solid_is_told_apart_at_the_nominal_rate(tmp_path, alpha):
     """200 materials; at 0.05, three binomial standard deviations are 0.046."""
     rng = np.random.default_rng(11)
     p = [calibrated(ogden_solid(tmp_path, alpha, rng), "--by", "test")["p"] for _ in range(200)]

@@ -1,9 +1,6 @@
 """The verbs optimize and invert against optima and constants that are known by hand."""
 
-from __future__ import annotations
-
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,7 +12,7 @@ from study.statistics.surfaces import surface_inversion, surface_optimum
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_inversion import agreeing
 from study.statistics.surfaces.surface_profile import fit_curves
-from tests.cli.small import Finished, refusal, study, success
+from tests.cli.small import refusal, study, success
 from tests.cli.test_numeric_factors import DESIGN, _force
 from tests.response_surface.functions import hypercube
 
@@ -23,7 +20,7 @@ BOWL = "optimize bowl.csv --numeric x,y"
 
 
 @pytest.fixture
-def bowl(inside: Path) -> None:
+def bowl(inside):
     """f has its least value 1 at (3, 2); c is x + y."""
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 5, 5), np.linspace(0, 5, 5)))
     frame = pd.DataFrame({"x": x, "y": y, "f": (x - 3) ** 2 + (y - 2) ** 2 + 1, "c": x + y})
@@ -40,9 +37,7 @@ def bowl(inside: Path) -> None:
     ],
 )
 @pytest.mark.usefixtures("bowl")
-def test_an_optimum_is_that_of_the_bowl(
-    asked: str, settings: dict[str, float], value: float, near: float
-) -> None:
+def test_an_optimum_is_that_of_the_bowl(asked, settings, value, near):
     answer = success(f"{BOWL} {asked} --json")
     (one,) = answer.json["recommendations"]
     assert one["settings"] == pytest.approx(settings, abs=1e-5)
@@ -54,16 +49,14 @@ def test_an_optimum_is_that_of_the_bowl(
 
 
 @pytest.mark.usefixtures("bowl")
-def test_a_search_that_has_not_converged_recommends_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_search_that_has_not_converged_recommends_nothing(monkeypatch):
     monkeypatch.setattr(surface_optimum, "STEPS", 1)
     answer = study(f"{BOWL} --minimize f --subject-to 'c <= 3'")
     assert answer.code == 3
     assert "the search for the best setting has not converged in 1 steps" in answer.err
 
 
-def test_an_emulator_finds_one_of_the_minima_of_branin(tmp_path: Path) -> None:
+def test_an_emulator_finds_one_of_the_minima_of_branin(tmp_path):
     # Dixon and Szego 1978: .397887 at (-pi, 12.275), (pi, 2.275), (9.42478, 2.475)
     u = hypercube(2, 80, 1)
     x, y = -5 + 15 * u[:, 0], 15 * u[:, 1]
@@ -80,7 +73,7 @@ def test_an_emulator_finds_one_of_the_minima_of_branin(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("bowl")
-def test_what_cannot_be_optimized_is_refused() -> None:
+def test_what_cannot_be_optimized_is_refused():
     rng = np.random.default_rng(0)
     noise = pd.DataFrame(rng.random((30, 3)), columns=["x", "y", "f"])
     noise.to_csv("noise.csv", index=False)
@@ -98,7 +91,7 @@ def test_what_cannot_be_optimized_is_refused() -> None:
 
 
 @pytest.fixture(scope="module")
-def ranged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ranged(tmp_path_factory):
     """Geometry is a choice, the constant an unknown."""
     home = tmp_path_factory.mktemp("optimum")
     text = DESIGN.replace('name = "ranges"', 'name = "ranges"\nassumed = ["material"]')
@@ -108,7 +101,7 @@ def ranged(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-def test_a_study_recommends_choices_alone_and_runs_the_best(ranged: Path) -> None:
+def test_a_study_recommends_choices_alone_and_runs_the_best(ranged):
     """Least force with a stiffness of at least .25 N/mm, by the closed form on a fine grid."""
     answer = success("optimize", "ranges", "--minimize", "peak_force", "--at",
                      "material.C10=7.5 kPa", "--subject-to", "stiffness_at >= 250 N/m",
@@ -134,7 +127,7 @@ def test_a_study_recommends_choices_alone_and_runs_the_best(ranged: Path) -> Non
     assert after.json["cases"]["total"] == 30
 
 
-def test_an_unknown_is_not_recommended(ranged: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unknown_is_not_recommended(ranged, monkeypatch):
     monkeypatch.chdir(ranged)
     asked = ("optimize", "ranges", "--minimize", "peak_force", "--no-confirm", "--json")
     (one,) = study(*asked).json["recommendations"]
@@ -151,14 +144,14 @@ def test_an_unknown_is_not_recommended(ranged: Path, monkeypatch: pytest.MonkeyP
 KNOWN = "specimen.radius=10.2 mm, specimen.height=19.5 mm"
 
 
-def _curve(displacement: np.ndarray) -> np.ndarray:
+def _curve(displacement):
     """Force in N of C10 7.3 kPa, radius 10.2 mm, height 19.5 mm (Treloar 1975)."""
     stretch = 1 - displacement / 19.5
     return np.asarray(np.pi * 10.2**2 * 2e-3 * 7.3 * (stretch**-2 - stretch))
 
 
 @pytest.fixture(scope="module")
-def measured(ranges: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def measured(ranges, tmp_path_factory):
     home = tmp_path_factory.mktemp("inversion") / "copy"
     shutil.copytree(ranges.folder, home)
     d = np.linspace(0.25, 3.0, 12)
@@ -168,13 +161,13 @@ def measured(ranges: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 @pytest.fixture
-def here(measured: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(measured, monkeypatch):
     monkeypatch.chdir(measured)
     return measured
 
 
 @pytest.mark.usefixtures("here")
-def test_a_constant_is_found_again() -> None:
+def test_a_constant_is_found_again():
     answer = success("invert", "ranges", "--to", "m.csv", "--at", KNOWN, "--json")
     (one,) = answer.json["inputs"]
     assert one["name"] == "material.C10"
@@ -190,7 +183,7 @@ LONG = (pytest.mark.slow, pytest.mark.verify)
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("runs", [0, pytest.param(2, marks=LONG)])
-def test_a_set_is_told_where_only_a_product_is_determined(runs: int) -> None:
+def test_a_set_is_told_where_only_a_product_is_determined(runs):
     """At a known height the force is that of C10 times the square of the radius."""
     known = ("--at", "specimen.height=19.5 mm", *(() if runs else ("--no-confirm",)))
     answer = success("invert", "ranges", "--to", "m.csv", *known, "--json")
@@ -216,7 +209,7 @@ def test_a_set_is_told_where_only_a_product_is_determined(runs: int) -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_an_inversion_that_has_not_settled_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_inversion_that_has_not_settled_says_so(monkeypatch):
     asked = ("invert", "ranges", "--to", "m.csv", "--at", KNOWN)
     with monkeypatch.context() as patch:
         patch.setattr(surface_inversion, "EVALUATIONS", 1)
@@ -235,7 +228,7 @@ def test_an_inversion_that_has_not_settled_says_so(monkeypatch: pytest.MonkeyPat
     assert "the emulator still misses the true model there by" in note
 
 
-def test_what_cannot_be_inverted_is_refused(here: Path) -> None:
+def test_what_cannot_be_inverted_is_refused(here):
     (here / "back.csv").write_text("displacement_mm,force_N\n1,1\n2,2\n1.5,1\n")
     (here / "far.csv").write_text("displacement_mm,force_N\n1,1\n4,2\n5,3\n")
     (here / "stiff.csv").write_text("displacement_mm,force_N\n1,10\n2,20\n3,30\n")
@@ -253,13 +246,13 @@ def test_what_cannot_be_inverted_is_refused(here: Path) -> None:
         assert said in answer.err
 
 
-def test_every_branch_of_a_set_is_traced() -> None:
+def test_every_branch_of_a_set_is_traced():
     factors = (NumericFactor("a", 5, 15), NumericFactor("b", 1, 3))
     cube = qmc.LatinHypercube(2, rng=np.random.default_rng(4), optimization="random-cd").random(60)
     a, b = 5 + 10 * cube[:, 0], 1 + 2 * cube[:, 1]
     depth = np.linspace(0.1, 1, 12)
 
-    def curve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def curve(a, b):
         return depth * (1 + (a[:, None] - 10) ** 2 / 25) + depth**2 * b[:, None]
 
     model = fit_curves(Runs("force", factors, 2 * cube - 1, np.zeros(60)), curve(a, b))
@@ -285,7 +278,7 @@ def test_every_branch_of_a_set_is_traced() -> None:
         assert off.max() <= np.log(rule.ratio) * (1 + 1e-9)
 
 
-def test_an_input_is_determined_where_others_make_up_for_each_other() -> None:
+def test_an_input_is_determined_where_others_make_up_for_each_other():
     """Force k d (1 + a d^2) / (1 + b): k and b go to the ends of the runs, and a stays where it is.
 
     The set is an ellipse in k / (1 + b) and a k / (1 + b), in which the force is linear.

@@ -1,7 +1,5 @@
 """The program as a process: help, pipes, signals, completion; what it and the README promise."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -21,7 +19,7 @@ from study.cli.app import app
 from study.harness.design import load
 from study.harness.record.record import table
 from study.harness.record.store import Store
-from tests.cli.small import Answer, Finished, study, success
+from tests.cli.small import study, success
 from tests.waiting import CAP_S
 
 ROOT = Path(__file__).parents[2]
@@ -30,11 +28,11 @@ COUNTED = r"\d+/12 cases, \d+/12 calibrations"
 PROGRAM = (sys.executable, "-c", "from study.cli import main; main()")
 
 
-def verbs() -> set[str]:
+def verbs():
     return {str(info.callback.__name__) for info in app.registered_commands if info.callback}
 
 
-def test_help_names_every_verb_and_readers_that_leave_early_are_no_error(home: Path) -> None:
+def test_help_names_every_verb_and_readers_that_leave_early_are_no_error(home):
     shown = success("--help").out
     assert all(verb in shown for verb in verbs())
     assert "the table [measurements] that reads it" in success("inspect", "--help").out
@@ -49,7 +47,7 @@ HANGUP = pytest.param(signal.SIGHUP, marks=(pytest.mark.slow, pytest.mark.verify
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, HANGUP])
-def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
+def test_interruption_is_130_and_resumable(home, number):
     with subprocess.Popen(
         [*PROGRAM, "run", "small.toml", "--data", "data", "--jobs", "1"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -79,13 +77,11 @@ def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
     assert state["running"] is None
 
 
-def test_the_program_as_a_function_leaves_the_signals_of_its_caller(
-    home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_program_as_a_function_leaves_the_signals_of_its_caller(home, monkeypatch):
     """A handler left behind made of any later SIGTERM, in whatever ran then, an interruption."""
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
 
-    def interrupted(*given: object, **options: object) -> None:
+    def interrupted(*given, **options):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("study.api.plan", interrupted)
@@ -94,10 +90,10 @@ def test_the_program_as_a_function_leaves_the_signals_of_its_caller(
     assert before == [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
 
 
-def test_the_end_of_a_file_is_no_interruption(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_of_a_file_is_no_interruption(home, monkeypatch):
     """The parser takes it for a user who left a prompt; the program has none."""
 
-    def truncated(*given: object, **options: object) -> None:
+    def truncated(*given, **options):
         raise EOFError("Ran out of input")
 
     monkeypatch.setattr("study.api.plan", truncated)
@@ -105,7 +101,7 @@ def test_the_end_of_a_file_is_no_interruption(home: Path, monkeypatch: pytest.Mo
         study("plan", "small.toml", "--data", "data")
 
 
-def test_what_the_readme_names_exists() -> None:
+def test_what_the_readme_names_exists():
     (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
     loaded = load.loads(text, "README.md")
     assert [factor.name for factor in loaded.factors] == ["material", "test.interface"]
@@ -120,7 +116,7 @@ def test_what_the_readme_names_exists() -> None:
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
 
 
-def commands(answer: Answer) -> list[str]:
+def commands(answer):
     """Return the indented commands that follow the line of the next step."""
     assert answer.code in (0, 1), answer.err
     return [
@@ -130,13 +126,13 @@ def commands(answer: Answer) -> list[str]:
     ]
 
 
-def typed(command: str) -> Answer:
+def typed(command):
     program, *arguments = shlex.split(command)
     assert program == "study"
     return study(*arguments)
 
 
-def completion(words: str) -> dict[str, str]:
+def completion(words):
     """Environment in which a shell asks what follows these words; the last is not finished."""
     return {
         "_STUDY_COMPLETE": "complete_bash", "COMP_WORDS": words,
@@ -158,8 +154,8 @@ def completion(words: str) -> dict[str, str]:
     ],
 )
 def test_a_shell_completes_verbs_options_studies_designs_tables_and_cases(
-    inside: Path, monkeypatch: pytest.MonkeyPatch, words: str, expected: set[str]
-) -> None:
+    inside, monkeypatch, words, expected
+):
     for name in ("designs/disc.toml", "discs.csv", "notes.txt", "results/disc/cases/0a1b/x"):
         (inside / name).parent.mkdir(parents=True, exist_ok=True)
         (inside / name).touch()
@@ -172,7 +168,7 @@ def test_a_shell_completes_verbs_options_studies_designs_tables_and_cases(
 
 
 @pytest.mark.usefixtures("inside")
-def test_a_new_file_runs_with_the_commands_that_are_named() -> None:
+def test_a_new_file_runs_with_the_commands_that_are_named():
     """From nothing to a plan with its cases, typing only what was printed."""
     make, plan = commands(study("new", "mine.toml"))
     assert plan == "study plan mine.toml"
@@ -185,7 +181,7 @@ def test_a_new_file_runs_with_the_commands_that_are_named() -> None:
     assert commands(planned) == ["study run mine.toml"]
 
 
-def test_measurements_elsewhere_are_named_again(home: Path) -> None:
+def test_measurements_elsewhere_are_named_again(home):
     (told,) = commands(study("virtual", "else where", "--from", "small.toml"))
     assert told == "study plan small.toml --data 'else where'"
     (run,) = commands(typed(told))
@@ -196,7 +192,7 @@ BOTH = "designs/measurements", "measurements"
 
 
 @pytest.mark.parametrize("places", [*((place,) for place in (*BOTH, "designs")), BOTH])
-def test_measurements_are_found_beside_a_design(home: Path, places: tuple[str, ...]) -> None:
+def test_measurements_are_found_beside_a_design(home, places):
     """A folder that exists and lacks the file hides no other; of two complete ones it is the first.
 
     The first is that beside the design for the files of a folder `designs`.
@@ -212,7 +208,7 @@ def test_measurements_are_found_beside_a_design(home: Path, places: tuple[str, .
     assert planned.json["next"] == "study run designs/small.toml"
 
 
-def test_a_finished_study_names_what_checks_it(done: Path) -> None:
+def test_a_finished_study_names_what_checks_it(done):
     planned = study("plan", "small.toml", "--data", "data")
     (again,) = commands(planned)
     assert again == "study report small"
@@ -226,7 +222,7 @@ def test_a_finished_study_names_what_checks_it(done: Path) -> None:
 
 
 @pytest.mark.usefixtures("inside")
-def test_a_study_that_was_named_by_its_folder_and_settings_are_named_again(done: Path) -> None:
+def test_a_study_that_was_named_by_its_folder_and_settings_are_named_again(done):
     (page,) = commands(study(f"report {done}/results/small --format csv"))
     assert page == f"study report small --results {done}/results --format html"
     options = "small.toml --data data --jobs 1 -s measurements.points=31 --results r"
@@ -235,7 +231,7 @@ def test_a_study_that_was_named_by_its_folder_and_settings_are_named_again(done:
     assert run == f"study run {options}"
 
 
-def test_hash_seed_language_and_clock_change_no_digit(home: Path, finished: Finished) -> None:
+def test_hash_seed_language_and_clock_change_no_digit(home, finished):
     """F37: what surrounds a run changes no digit of it; the other run has those of this process."""
     changed = {"PYTHONHASHSEED": "4711", "LC_ALL": "de_DE.UTF-8", "TZ": "Pacific/Auckland"}
     done = subprocess.run(

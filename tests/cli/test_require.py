@@ -1,10 +1,7 @@
 """``study require``: uncertainty by sensors, what they must be, and where first order holds."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -48,19 +45,19 @@ ERRORS = {
 }
 
 
-def shape(displacement_mm: np.ndarray) -> np.ndarray:
+def shape(displacement_mm):
     """Force over C10 between frictionless plates, mm^2: 2 A (1/l^2 - l)."""
     stretch = 1 - displacement_mm / HEIGHT_MM
     return np.asarray(2 * np.pi * RADIUS_MM**2 * (stretch**-2 - stretch))
 
 
-def shape_slope(displacement_mm: np.ndarray) -> np.ndarray:
+def shape_slope(displacement_mm):
     """Its derivative by the displacement, mm."""
     stretch = 1 - displacement_mm / HEIGHT_MM
     return np.asarray(2 * np.pi * RADIUS_MM**2 * (2 * stretch**-3 + 1) / HEIGHT_MM)
 
 
-def known_parts() -> dict[str, float]:
+def known_parts():
     """dC10/C10 by every error: C10 is the sum of s F over that of s^2, with s the shape."""
     d = DEPTH_MM * np.arange(1, POINTS + 1) / POINTS
     s, slope = shape(d), shape_slope(d)
@@ -75,7 +72,7 @@ def known_parts() -> dict[str, float]:
     }
 
 
-def asked(folder: Path, text: str = PLATES, *settings: str) -> dict[str, Any]:
+def asked(folder, text=PLATES, *settings):
     (folder / "plates.toml").write_text(text)
     overrides = [part for setting in settings for part in ("-s", setting)]
     out = str(folder / "reports")
@@ -84,12 +81,12 @@ def asked(folder: Path, text: str = PLATES, *settings: str) -> dict[str, Any]:
     ).json
 
 
-def named(document: dict[str, Any], name: str) -> dict[str, Any]:
+def named(document, name):
     return next(one for one in document["quantities"] if one["name"] == name)
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_every_error_does_what_the_closed_form_says(tmp_path: Path) -> None:
+def test_every_error_does_what_the_closed_form_says(tmp_path):
     found = asked(tmp_path)
     parts = known_parts()
     c10, force = named(found, "C10"), named(found, "force")
@@ -103,7 +100,7 @@ def test_every_error_does_what_the_closed_form_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_tests_simulated_by_hand_scatter_so(tmp_path: Path) -> None:
+def test_tests_simulated_by_hand_scatter_so(tmp_path):
     """20,000 tests, each fitted by its one-line least squares, without any gradient."""
     n, random = 20_000, np.random.default_rng(8)
     d = DEPTH_MM * np.arange(1, POINTS + 1) / POINTS
@@ -129,7 +126,7 @@ def test_tests_simulated_by_hand_scatter_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_errors_of_the_force_alone_are_exactly_linear(tmp_path: Path) -> None:
+def test_errors_of_the_force_alone_are_exactly_linear(tmp_path):
     none = ['position.offset="0 mm"', 'position.scale="0 %"', 'position.noise="0 mm"']
     found = asked(tmp_path, PLATES, *none, "requirement.samples=50", "requirement.multiples=[1,10]")
     for one in found["monte_carlo"]:
@@ -139,7 +136,7 @@ def test_errors_of_the_force_alone_are_exactly_linear(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_what_is_allowed_is_just_enough(tmp_path: Path) -> None:
+def test_what_is_allowed_is_just_enough(tmp_path):
     found, parts = asked(tmp_path), known_parts()
     allowed = {}
     for row in found["required"]:
@@ -164,7 +161,7 @@ def test_what_is_allowed_is_just_enough(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_where_first_order_fails_it_says_so(tmp_path: Path) -> None:
+def test_where_first_order_fails_it_says_so(tmp_path):
     found = asked(
         tmp_path, PLATES, 'position.noise="0.4 mm"', "requirement.samples=100",
         "requirement.multiples=[1]",
@@ -177,7 +174,7 @@ def test_where_first_order_fails_it_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_force_is_predicted_in_another_test(tmp_path: Path) -> None:
+def test_a_force_is_predicted_in_another_test(tmp_path):
     other = '[predict.test]\nkind = "compression"\ninterface = "frictionless"\n'
     wider = '[predict.specimen]\nshape = "cylinder"\nradius = "20 mm"\nheight = "10 mm"\n'
     found = asked(tmp_path, f'{PLATES}{other}displacement = "1 mm"\n{wider}')
@@ -199,7 +196,7 @@ BONDED = (
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_finite_elements_in_processes(tmp_path: Path) -> None:
+def test_finite_elements_in_processes(tmp_path):
     """The force is in proportion to C10, so that the fit is linear: s F over s^2 once more."""
     found = asked(tmp_path, BONDED)
     solved = package.solve(_problem(tmp_path), overrides=["test.steps=20"]).curve
@@ -219,14 +216,14 @@ def test_finite_elements_in_processes(tmp_path: Path) -> None:
         assert quantity["ratio"] == pytest.approx(1.0, abs=1e-3)
 
 
-def _problem(folder: Path) -> Path:
+def _problem(folder):
     """The same problem without what only `require` knows."""
     path = folder / "problem.toml"
     path.write_text(BONDED[: BONDED.index("[force]")])
     return path
 
 
-def test_the_page_needs_no_network_and_shows_the_map(tmp_path: Path) -> None:
+def test_the_page_needs_no_network_and_shows_the_map(tmp_path):
     """The seed decides the simulated tests, and nothing else does."""
     wanted = ("requirement.samples=60", "requirement.multiples=[1]")
     again, other, found = (
@@ -251,7 +248,7 @@ def test_the_page_needs_no_network_and_shows_the_map(tmp_path: Path) -> None:
     assert f"{alone:.3g} mm" in words
 
 
-def test_constants_that_no_sensor_tells_apart_are_refused(tmp_path: Path) -> None:
+def test_constants_that_no_sensor_tells_apart_are_refused(tmp_path):
     """Two terms with one exponent: only their sum is in the force."""
     twins = 'model = "ogden"\nmu = ["10 kPa", "10 kPa"]\nalpha = [2.0, 2.0]'
     text = PLATES.replace('model = "neo-hookean"\nC10 = "10 kPa"', twins)

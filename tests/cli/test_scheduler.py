@@ -1,23 +1,17 @@
 """`study run --scheduler`: a study on a Dask cluster gives the numbers of this machine."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from study import api
-from study.harness.record.record import Record
-from study.harness.runner.batch import Progress
-from study.reporting.results.study_result import StudyResult
 from tests.cli.small import refusal, study
-from tests.execution.loopback import ROOT, Loopback, loopback
+from tests.execution.loopback import ROOT, loopback
 from tests.fem.surfaces import box, write
 from tests.forward.test_command import DESIGN as PROGRAMS
 from tests.forward.test_command import force
@@ -46,7 +40,7 @@ HELD = PROGRAMS.replace(', "differences", "gradients"]', ', "gradients"]').repla
 
 
 @pytest.fixture
-def held(tmp_path: Path) -> Path:
+def held(tmp_path):
     """A study that cannot end before the file `go` is there, on a machine of any speed."""
     (tmp_path / "small.toml").write_text(HELD)
     (tmp_path / "solvers").mkdir()
@@ -65,20 +59,20 @@ while not pathlib.Path({str(tmp_path / "go")!r}).exists():
     return tmp_path
 
 
-def allowed(folder: Path) -> tuple[str, str]:
+def allowed(folder):
     """Options that allow the programs of the study."""
     plan = study("plan", folder / "small.toml", "--data", folder / "data", "--json").json
     return "--allow-digest", plan["commands_digest"]
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     (tmp_path / "small.toml").write_text(FEM)
     make_data(tmp_path, ("M1", "M2"))
     return tmp_path
 
 
-def started(folder: Path, cluster: Loopback, *options: str) -> subprocess.Popen[str]:
+def started(folder, cluster, *options):
     """`study run` on a cluster, in a process of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "study", "run", "small.toml", "--data", "data",
@@ -90,31 +84,31 @@ def started(folder: Path, cluster: Loopback, *options: str) -> subprocess.Popen[
     )  # fmt: skip
 
 
-def kept_of(folder: Path) -> list[Path]:
+def kept_of(folder):
     """Fits and records that are on disk; fits come first, and take nearly all of the time."""
     home = folder / "results" / "small"
     return [*(home / "fits").glob("*.json"), *(home / "cases").rglob("*.json")]
 
 
-def numbers(record: Record) -> object:
+def numbers(record):
     """Everything of a record but the times that it took."""
     return without_times(json.loads(record.to_json())["content"])
 
 
-def without_times(document: object) -> object:
+def without_times(document):
     if isinstance(document, dict):
         kept = {k: v for k, v in document.items() if k not in ("seconds", "timings")}
         return {k: without_times(v) for k, v in kept.items()}
     return [without_times(v) for v in document] if isinstance(document, list) else document
 
 
-def assert_equal(found: StudyResult, expected: StudyResult) -> None:
+def assert_equal(found, expected):
     """The same tables, records and numerical uncertainty, bit for bit."""
     there, here = (one.table.drop(columns="seconds") for one in (found, expected))
     assert there.equals(here)
     for one, other in zip(found.records, expected.records, strict=True):
         assert numbers(one) == numbers(other)
-    assert {"responses", "curves", "fit"} <= set(numbers(found.records[0]))  # type: ignore[call-overload]
+    assert {"responses", "curves", "fit"} <= set(numbers(found.records[0]))
     assert found.numerical == expected.numerical
     assert len(found.numerical) > 0
 
@@ -122,9 +116,7 @@ def assert_equal(found: StudyResult, expected: StudyResult) -> None:
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.usefixtures("processes")  # a solver that other tests used may round otherwise
-def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(folder, tmp_path):
     cluster_folder = tmp_path / "cluster"
     cluster_folder.mkdir()
     with loopback(cluster_folder) as cluster:
@@ -145,9 +137,7 @@ LONG = (pytest.mark.slow, pytest.mark.verify)
 
 
 @pytest.mark.parametrize("lost", ["scheduler", pytest.param("terminal", marks=LONG)])
-def test_a_study_that_is_stopped_keeps_what_is_finished_and_resumes(
-    held: Path, tmp_path: Path, lost: str
-) -> None:
+def test_a_study_that_is_stopped_keeps_what_is_finished_and_resumes(held, tmp_path, lost):
     """Where its scheduler is gone it goes on here; after Ctrl-C the cluster is there as before."""
     cluster_folder, options = tmp_path / "cluster", allowed(held)
     cluster_folder.mkdir()
@@ -174,9 +164,7 @@ def test_a_study_that_is_stopped_keeps_what_is_finished_and_resumes(
     assert {path: path.read_bytes() for path in kept} == kept
 
 
-def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(folder, monkeypatch):
     monkeypatch.chdir(folder)
     answer = refusal("run", "small.toml", "--data", "data", "--scheduler", "nowhere.json")
     assert "'nowhere.json' is no address and no file" in answer.err
@@ -187,7 +175,7 @@ def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.usefixtures("processes")
-def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path: Path) -> None:
+def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path):
     """The file is gone as soon as something is computed: workers read the copies that they got."""
     designs, data, place = (tmp_path / name for name in ("designs", "data", "cluster"))
     for folder in (designs, data, place):
@@ -200,7 +188,7 @@ def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path: Path) -> N
     with loopback(place) as cluster:
         for name, engine in (("here", None), ("there", cluster.file)):
 
-            def hide(state: Progress, name: str = name) -> None:
+            def hide(state, name=name):
                 if name == "there":
                     (designs / "box.stl").unlink(missing_ok=True)
 

@@ -1,7 +1,5 @@
 """The second computation of a study's figures: it agrees, and it finds what was falsified."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 import importlib
@@ -9,11 +7,10 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from tests.cli.small import DESIGN, Answer, answer_of, success, write_files
+from tests.cli.small import DESIGN, answer_of, success, write_files
 from tests.conftest import ROOT
 
 SCRIPT = ROOT / "validation" / "conical" / "second_way.py"
@@ -34,7 +31,7 @@ THREE = DESIGN.replace(
 Edit = Callable[[list[dict[str, str]]], None]
 
 
-def fourth_specimen(rows: list[dict[str, str]]) -> None:
+def fourth_specimen(rows):
     """Add a mix: the normality of a contrast over blocks needs four of them."""
     last = rows[-1]["mix"]
     for row in [r for r in rows if r["mix"] == last]:
@@ -43,7 +40,7 @@ def fourth_specimen(rows: list[dict[str, str]]) -> None:
 
 
 @pytest.fixture(scope="module")
-def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def reported(tmp_path_factory):
     """Report of a small study in closed form."""
     folder = tmp_path_factory.mktemp("second")
     write_files(folder)
@@ -54,48 +51,48 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def report(reported: Path, tmp_path: Path) -> Path:
+def report(reported, tmp_path):
     """Copy of the report, to falsify."""
     return Path(shutil.copytree(reported, tmp_path / "small"))
 
 
-def script(name: str) -> Any:
+def script(name):
     """Import a script from its folder, as Python does with one that it runs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(SCRIPT.parent)
         return importlib.import_module(name)
 
 
-def second_way(folder: Path, *more: str) -> Answer:
+def second_way(folder, *more):
     return answer_of(script("second_way").main, folder, *more)
 
 
-def change(path: Path, edit: Edit) -> None:
+def change(path, edit):
     """Change rows of a CSV, packed or not."""
     opened = gzip.open if path.suffix == ".gz" else open
-    with opened(path, "rt", newline="") as file:  # type: ignore[operator]
+    with opened(path, "rt", newline="") as file:
         rows = list(csv.DictReader(file))
     edit(rows)
-    with opened(path, "wt", newline="") as file:  # type: ignore[operator]
+    with opened(path, "wt", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
 
 
-def scaled(column: str, factor: float) -> Edit:
-    def edit(rows: list[dict[str, str]]) -> None:
+def scaled(column, factor):
+    def edit(rows):
         rows[4][column] = repr(factor * float(rows[4][column]))
 
     return edit
 
 
-def test_it_shares_no_code_with_the_program() -> None:
+def test_it_shares_no_code_with_the_program():
     for path in SCRIPT.parent.glob("*.py"):
         assert "import study" not in path.read_text()
         assert "from study" not in path.read_text()
 
 
-def test_every_figure_agrees(report: Path) -> None:
+def test_every_figure_agrees(report):
     found = second_way(report)
     assert found.code == 0, found.out + found.err
     assert ", 0 differ by more than 1e-06" in found.out
@@ -108,14 +105,14 @@ def test_every_figure_agrees(report: Path) -> None:
     assert second_way(report / "small-data", "--all").code == 0
 
 
-def falsify(path: Path, name: str, row: Callable[[Any], Any], key: str) -> None:
+def falsify(path, name, row, key):
     """Change a number in numbers.json by a ten-thousandth."""
-    numbers: dict[str, Any] = json.loads(path.read_text())
+    numbers = json.loads(path.read_text())
     row(numbers["responses"][name])[key] *= 1.0001
     path.write_text(json.dumps(numbers))
 
 
-def of_material(response: Any) -> Any:
+def of_material(response):
     return next(r for r in response["anova"]["rows"] if r["term"] == "material")
 
 
@@ -136,16 +133,14 @@ ERROR = "relative_rms_force_error"
          "differ"),
     ],
 )  # fmt: skip
-def test_what_was_falsified_is_found(
-    report: Path, file: str, falsified: Callable[[Path], None], said: str
-) -> None:
+def test_what_was_falsified_is_found(report, file, falsified, said):
     falsified(report / "small-data" / file)
     found = second_way(report)
     assert found.code == 1
     assert said in found.out
 
 
-def test_an_incomplete_table_is_no_silent_pass(report: Path, tmp_path: Path) -> None:
+def test_an_incomplete_table_is_no_silent_pass(report, tmp_path):
     change(report / "small-data" / "cases.csv", lambda rows: rows.pop(3) and None)
     found = second_way(report)
     assert found.code == 2

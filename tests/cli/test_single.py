@@ -1,7 +1,5 @@
 """The verbs about one thing: new, solve, calibrate, converge, virtual, doctor, analyze a CSV."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 from dataclasses import replace
@@ -15,7 +13,6 @@ from study import api
 from study.ground.curve import Curve
 from tests.cli.small import (
     CSV,
-    Edit,
     incompressible_force,
     pressed,
     refusal,
@@ -45,7 +42,7 @@ ROW_KEYS = {
 
 
 @pytest.mark.drawings
-def test_solve(home: Path) -> None:
+def test_solve(home):
     drawn = ("--vtu", "out.vtu", "--picture", "mesh.svg")
     found = success("solve", "problem.toml", "--json", *drawn).json
     assert set(found) >= SOLVE_KEYS
@@ -68,8 +65,8 @@ def test_solve(home: Path) -> None:
 
 
 def test_solve_that_does_not_converge_exits_1_and_without_a_step_writes_no_fields(
-    home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    home, monkeypatch
+):
     # a solver that gives up takes minutes to do so: the real answer of an easy problem, renamed
     solved = replace(api.solve("problem.toml"), status="not-converged", message="gave up at 1 mm")
     for found in (replace(solved, curve=Curve(*np.zeros((3, 0))), warm=None), solved):
@@ -105,14 +102,14 @@ def test_solve_that_does_not_converge_exits_1_and_without_a_step_writes_no_field
     ],
 )  # fmt: skip
 @pytest.mark.usefixtures("home")
-def test_what_is_hardly_meant_is_warned_of(command: str, said: str, unsaid: str) -> None:
+def test_what_is_hardly_meant_is_warned_of(command, said, unsaid):
     answer = success(command)
     words = answer.out + answer.err
     assert said in words
     assert unsaid not in words
 
 
-def test_converge_of_numbers_is_the_published_example() -> None:
+def test_converge_of_numbers_is_the_published_example():
     # NASA's tutorial "Examining Spatial (Grid) Convergence": p = 1.786, 0.97130, GCI 0.103 %
     series = ("converge", "--values", "0.97050,0.96854,0.96178", "--sizes", "1,2,4")
     found = success(*series, "--formal-order", "2", "--json").json
@@ -122,7 +119,7 @@ def test_converge_of_numbers_is_the_published_example() -> None:
     assert found["gci_fine"] == pytest.approx(0.00103083, abs=1e-8)
 
 
-def test_virtual_measurements_reach_the_deepest_range(home: Path, edit: Edit) -> None:
+def test_virtual_measurements_reach_the_deepest_range(home, edit):
     shutil.rmtree("data")
     answer = success("virtual", "data", "--from", "small.toml")
     assert answer.out.split() == ["data/tests.csv", "data/tests.csv.virtual.json"]
@@ -135,7 +132,7 @@ def test_virtual_measurements_reach_the_deepest_range(home: Path, edit: Edit) ->
     assert len(plan.json["blocks"]) == 6
 
 
-def test_doctor() -> None:
+def test_doctor():
     answer = study("doctor", "--json")
     found = answer.json
     assert answer.code == 0, found
@@ -146,7 +143,7 @@ def test_doctor() -> None:
 
 
 @pytest.mark.usefixtures("inside")
-def test_analyze_a_table() -> None:
+def test_analyze_a_table():
     """Two factors in four blocks: material adds 2, plates nothing, each block its own height."""
     noise = np.random.default_rng(3).normal(0, 0.05, (4, 2, 3))
     table = ["specimen,material,plates,force"] + [
@@ -175,9 +172,7 @@ def test_analyze_a_table() -> None:
     assert "--practical" in words.err
 
 
-def test_solve_refuses_a_file_that_cannot_be_written_before_it_solves(
-    home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_solve_refuses_a_file_that_cannot_be_written_before_it_solves(home, monkeypatch):
     monkeypatch.setattr(api, "solve", lambda *_, **__: pytest.fail("solved"), raising=False)
     answer = refusal("solve", "problem.toml", "--vtu", "nowhere/out.vtu", "--picture", ".")
     assert "there is no folder nowhere" in answer.err
@@ -189,7 +184,7 @@ BONDED = (
 )  # fmt: skip
 
 
-def test_a_bonded_problem_is_refined_and_kept(home: Path) -> None:
+def test_a_bonded_problem_is_refined_and_kept(home):
     found = success("converge", "problem.toml", *BONDED, "--json").json
     assert set(found) >= CONVERGE_KEYS
     # 2 lambda of the bonded corner, nu close to 0.5 (Williams 1952)
@@ -228,7 +223,7 @@ FACTOR = (
 WEIGHT = 980e-9 * 9.80665 * np.pi * 10**2 * 40
 
 
-def test_gravity_is_a_factor(tmp_path: Path) -> None:
+def test_gravity_is_a_factor(tmp_path):
     (tmp_path / "d.toml").write_text(HEAVY + FACTOR, encoding="utf-8")
     success("run", tmp_path / "d.toml", "--jobs", 1, "--results", tmp_path / "results",
             "--reports", tmp_path / "reports")  # fmt: skip
@@ -244,7 +239,7 @@ def test_gravity_is_a_factor(tmp_path: Path) -> None:
     assert (peak["up"] + peak["down"]) / 2 == pytest.approx(peak["none"], rel=0.01)
 
 
-def scaled(home: Path, force: float = 1.0, add: float = 0.0) -> None:
+def scaled(home, force=1.0, add=0.0):
     """Write the forces of the measurements multiplied and shifted."""
     path = home / "data" / "tests.csv"
     head, *rows = path.read_text().splitlines()
@@ -252,7 +247,7 @@ def scaled(home: Path, force: float = 1.0, add: float = 0.0) -> None:
     path.write_text("\n".join([head, *(f"{a},{force * float(b) + add}" for a, b in cells)]))
 
 
-def test_forces_in_another_unit_and_a_load_cell_offset(home: Path) -> None:
+def test_forces_in_another_unit_and_a_load_cell_offset(home):
     asked = "plan small.toml --data data"
     assert success(asked).err == ""
     scaled(home, add=2.0)
@@ -266,7 +261,7 @@ def test_forces_in_another_unit_and_a_load_cell_offset(home: Path) -> None:
     assert "a force 1000 times smaller would be one" in said
 
 
-def test_calibration_uses_the_loading_branch_and_says_so(home: Path) -> None:
+def test_calibration_uses_the_loading_branch_and_says_so(home):
     d = np.linspace(0.0, 6.5, 66)
     force = incompressible_force(8.0, 0.5, d)
     rows = [*zip(d, force, strict=True), *zip(d[-2::-1], 0.7 * force[-2::-1], strict=True)]
@@ -302,7 +297,7 @@ ASKED = ("--response", "Force", "--factors", "material,Space", "--block", "speci
 
 
 @pytest.mark.parametrize("label", ["Stiff", "st iff", "stiff"])
-def test_levels_that_differ_in_capitals_or_spaces_alone_are_named(home: Path, label: str) -> None:
+def test_levels_that_differ_in_capitals_or_spaces_alone_are_named(home, label):
     (home / "t.csv").write_text(TABLE.format(stiff=label))
     answer = success("analyze", "t.csv", *ASKED, "--error", "pooled", "--model", "1", "--json")
     named = [one for one in answer.json["warnings"] if "differ in capitals or spaces" in one]
@@ -310,12 +305,10 @@ def test_levels_that_differ_in_capitals_or_spaces_alone_are_named(home: Path, la
     assert all(f"'stiff' and '{label}'" in one for one in named)
 
 
-def test_a_format_is_checked_before_anything_is_computed(
-    home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_format_is_checked_before_anything_is_computed(home, monkeypatch):
     from study import api
 
-    def compute(*_: object, **__: object) -> None:
+    def compute(*_, **__):
         raise AssertionError("something was computed")
 
     (home / "t.csv").write_text(TABLE.format(stiff="stiff"))

@@ -1,7 +1,5 @@
 """The verbs about studies on a real one: plan, run, status, report, analyze, why, diff."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from contextlib import chdir
@@ -16,14 +14,11 @@ from study import api
 from study.api import study as verb
 from study.api.study import report
 from study.harness.execution.local import Worker
-from study.harness.record.document import FitDocument
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from tests.cli.small import (
     DESIGN,
     TRUTH,
-    Edit,
-    Finished,
     incompressible_force,
     refusal,
     study,
@@ -37,13 +32,13 @@ COUNTS = {"total", "done", "failed", "missing"}
 VERDICT_KEYS = {"response", "factor", "verdict", "effect", "ci95", "practical", "u_num", "p"}
 
 
-def stamps(folder: Path) -> dict[str, int]:
+def stamps(folder):
     """When each file of the records was last written."""
     files = [p for p in (folder / "results" / "small" / "cases").rglob("*") if p.is_file()]
     return {str(p.relative_to(folder)): p.stat().st_mtime_ns for p in files}
 
 
-def test_plan_counts_cases_and_writes_nothing(home: Path) -> None:
+def test_plan_counts_cases_and_writes_nothing(home):
     asked = ("plan", "small.toml", "--data", "data")
     found = success(*asked, "--json").json
     assert set(found) >= STUDY_KEYS
@@ -66,7 +61,7 @@ def test_plan_counts_cases_and_writes_nothing(home: Path) -> None:
     assert "--data DIR" in answer.err
 
 
-def test_a_report_of_records_that_are_lost_says_what_is_missing(done: Path) -> None:
+def test_a_report_of_records_that_are_lost_says_what_is_missing(done):
     shutil.rmtree(done / "results" / "small" / "cases")
     answer = study("report", "results/small", "--format", "html")
     assert "12 cases: 0 done, 0 failed, 12 missing" in answer.out
@@ -74,7 +69,7 @@ def test_a_report_of_records_that_are_lost_says_what_is_missing(done: Path) -> N
     assert "<h1>" in (done / "reports/small/small.html").read_text(encoding="utf-8")
 
 
-def test_run_gives_the_document_of_the_contract(finished: Finished) -> None:
+def test_run_gives_the_document_of_the_contract(finished):
     found = finished.answer.json
     assert set(found) >= STUDY_KEYS
     assert set(found["cases"]) == COUNTS
@@ -85,7 +80,7 @@ def test_run_gives_the_document_of_the_contract(finished: Finished) -> None:
     assert "12/12 cases, 12/12 calibrations" in finished.answer.err
 
 
-def test_run_scores_what_was_measured(finished: Finished) -> None:
+def test_run_scores_what_was_measured(finished):
     table = api.load(finished.folder / "results" / "small").table
     d = np.linspace(0.3, 6.0, 30)
     for mix in ("M1", "M2", "M3"):
@@ -97,7 +92,7 @@ def test_run_scores_what_was_measured(finished: Finished) -> None:
         assert got == pytest.approx(expected, rel=5e-3)
 
 
-def test_running_again_computes_only_what_is_missing(done: Path) -> None:
+def test_running_again_computes_only_what_is_missing(done):
     before = stamps(done)
     gone = sorted((done / "results" / "small" / "cases").iterdir())[:3]
     for case in gone:
@@ -115,7 +110,7 @@ def test_running_again_computes_only_what_is_missing(done: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["small", "results/small", "small.toml"])
-def test_status_by_name_folder_and_design(done: Path, path: str) -> None:
+def test_status_by_name_folder_and_design(done, path):
     found = success("status", path, "--json").json
     assert set(found) >= STUDY_KEYS
     assert found["cases"] == {"total": 12, "done": 12, "failed": 0, "missing": 0}
@@ -123,7 +118,7 @@ def test_status_by_name_folder_and_design(done: Path, path: str) -> None:
     assert "12 cases: 12 done" in success("status", path).out
 
 
-def test_report_and_analyze_again_without_computing(done: Path) -> None:
+def test_report_and_analyze_again_without_computing(done):
     before = stamps(done)
     shutil.rmtree(done / "reports")
     answer = success("report small --format csv --json")
@@ -136,7 +131,7 @@ def test_report_and_analyze_again_without_computing(done: Path) -> None:
     assert stamps(done) == before
 
 
-def test_a_practical_difference_is_read_in_the_unit_of_its_response(finished: Finished) -> None:
+def test_a_practical_difference_is_read_in_the_unit_of_its_response(finished):
     """500 Pa of a modulus in kPa were taken for 500 kPa, so that nothing could matter."""
     asked = ("analyze", "results/small", "--response", "mu0", "--json", "--practical")
     for size in ("500 Pa", "0.5 kPa", "0.5"):
@@ -147,7 +142,7 @@ def test_a_practical_difference_is_read_in_the_unit_of_its_response(finished: Fi
     assert "practical: is in mm, which is not of the kind of kPa" in fault
 
 
-def test_why_explains_a_case(done: Path) -> None:
+def test_why_explains_a_case(done):
     case = sorted((done / "results" / "small" / "cases").iterdir())[0].name
     words = success("why", case[:8]).out
     assert f"case {case} of small: converged" in words
@@ -163,7 +158,7 @@ def test_why_explains_a_case(done: Path) -> None:
     first = next(a for a in "0123456789abcdef" if sum(i[0] == a for i in ids) > 1)
     assert "begins several ids" in refusal(f"why {first}").err
     # a fit to resampled residuals
-    fit: FitDocument = {
+    fit = {
         "key": "f1", "message": "converged in 3 steps", "values": {"C10": 0.005},
         "identifiable": True,
     }  # fmt: skip
@@ -174,7 +169,7 @@ def test_why_explains_a_case(done: Path) -> None:
     assert "calibration on A: converged in 3 steps; identifiable" in words
 
 
-def test_cases_stopped_by_the_clock_are_failures_with_a_reason(home: Path) -> None:
+def test_cases_stopped_by_the_clock_are_failures_with_a_reason(home):
     path = home / "data" / "tests.csv"
     lines = path.read_text().splitlines()
     path.write_text("\n".join(x for x in lines if x.startswith(("mix", "M1"))))
@@ -188,7 +183,7 @@ def test_cases_stopped_by_the_clock_are_failures_with_a_reason(home: Path) -> No
 
 
 @pytest.mark.parametrize("below", ["small", "small/small-data"])
-def test_a_link_does_not_lead_a_report_out_of_its_folder(done: Path, below: str) -> None:
+def test_a_link_does_not_lead_a_report_out_of_its_folder(done, below):
     other = done / "other"
     other.mkdir()
     (other / "made-from.json").write_text("not of this report")
@@ -204,7 +199,7 @@ def test_a_link_does_not_lead_a_report_out_of_its_folder(done: Path, below: str)
     assert [path.name for path in other.iterdir()] == ["made-from.json"]
 
 
-def test_a_link_does_not_lead_results_out_of_their_folder(done: Path) -> None:
+def test_a_link_does_not_lead_results_out_of_their_folder(done):
     """The folder itself may be one."""
     shutil.rmtree("results")
     (done / "other").mkdir()
@@ -218,7 +213,7 @@ def test_a_link_does_not_lead_results_out_of_their_folder(done: Path) -> None:
     assert (done / "other" / "small" / "small-data" / "numbers.json").is_file()
 
 
-def test_what_an_interrupted_report_left_is_not_written_through(done: Path) -> None:
+def test_what_an_interrupted_report_left_is_not_written_through(done):
     success("report", "small", "--reports", "again")
     note = done / "note.txt"
     note.write_text("mine")
@@ -230,7 +225,7 @@ def test_what_an_interrupted_report_left_is_not_written_through(done: Path) -> N
     assert (data / "numbers.json").is_file()
 
 
-def test_sorted_rows_are_a_warning_not_a_secret(home: Path) -> None:
+def test_sorted_rows_are_a_warning_not_a_secret(home):
     path = home / "data" / "tests.csv"
     lines = path.read_text().splitlines()
     lines[10], lines[11] = lines[11], lines[10]
@@ -239,14 +234,14 @@ def test_sorted_rows_are_a_warning_not_a_secret(home: Path) -> None:
     assert "out of order sorted by displacement (in 1 of 12 tests)" in answer.err
 
 
-def means(home: Path) -> dict[tuple[str, str], float]:
+def means(home):
     """Mean score of every cell, by its labels."""
     table = api.load(home / "results" / "small").table
     found = table.groupby(["material", "range"])["relative_rms_force_error"].mean()
     return {(str(a), str(b)): float(mean) for (a, b), mean in found.items()}
 
 
-def run_again(home: Path, text: str) -> str:
+def run_again(home, text):
     """Change the design and run it; what the run said."""
     (home / "small.toml").write_text(text)
     answer = success("run small.toml --data data --jobs 1")
@@ -258,9 +253,7 @@ def run_again(home: Path, text: str) -> str:
     [("short", "large"), ("large", "small")],
     ids=["a new name", "names that change places"],
 )
-def test_labels_are_those_of_the_design_not_of_the_records(
-    done: Path, small: str, large: str
-) -> None:
+def test_labels_are_those_of_the_design_not_of_the_records(done, small, large):
     """Names are no content: records that name the former ones stay, and must not be believed."""
     before = means(done)
     records = {path: path.read_bytes() for path in done.rglob("record.json")}
@@ -274,7 +267,7 @@ def test_labels_are_those_of_the_design_not_of_the_records(
     assert means(done) == {(a, new[b]): mean for (a, b), mean in before.items()}
 
 
-def test_a_renamed_factor_is_shown_under_its_new_name(done: Path) -> None:
+def test_a_renamed_factor_is_shown_under_its_new_name(done):
     text = DESIGN.replace("presets.range.", "presets.depth.").replace('range = ["s', 'depth = ["s')
     run_again(done, text)
     table = api.load(done / "results" / "small").table
@@ -282,16 +275,16 @@ def test_a_renamed_factor_is_shown_under_its_new_name(done: Path) -> None:
     assert "range" not in table
 
 
-def files(folder: Path) -> dict[Path, bytes]:
+def files(folder):
     return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 @pytest.mark.drawings
-def test_a_second_process_changes_no_byte(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[str] = []
+def test_a_second_process_changes_no_byte(done, monkeypatch):
+    begun = []
 
     class Watched(Worker):
-        def begin(self, call, *arguments):  # type: ignore[no-untyped-def]
+        def begin(self, call, *arguments):
             begun.append(call.func.__name__)
             return super().begin(call, *arguments)
 
@@ -319,7 +312,7 @@ SECOND = (
 
 
 @pytest.fixture(scope="module")
-def pair(finished: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pair(finished, tmp_path_factory):
     """Folder with two finished studies and one that shares nothing with them."""
     folder = tmp_path_factory.mktemp("pair")
     write_files(folder)
@@ -333,13 +326,13 @@ def pair(finished: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(pair: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(pair, monkeypatch):
     monkeypatch.chdir(pair)
     return pair
 
 
 @pytest.mark.usefixtures("here")
-def test_diff_as_json() -> None:
+def test_diff_as_json():
     found = success("diff", "small", "results/other", "--json").json
     assert [s["name"] for s in found["studies"]] == ["small", "other"]
     assert found["studies"][0]["cases"] == {"total": 12, "done": 12, "failed": 0, "missing": 0}
@@ -377,14 +370,14 @@ def test_diff_as_json() -> None:
         ("report small --beside alone --reports none", "share a [[response]] and a factor by name"),
     ],
 )
-def test_what_cannot_be_compared_is_bad_input(here: Path, command: str, said: str) -> None:
+def test_what_cannot_be_compared_is_bad_input(here, command, said):
     answer = refusal(command)
     assert said in answer.err
     assert answer.out == ""
     assert not (here / "none").exists()
 
 
-def test_report_beside_another_study(here: Path) -> None:
+def test_report_beside_another_study(here):
     answer = success("report small --beside other --format html --reports two --json")
     assert set(answer.json["beside"]) >= {"summary", "conclusions"}
     first = here / answer.json["report"]
@@ -402,17 +395,17 @@ ASKED = (
 
 
 @pytest.fixture
-def asked(edit: Edit, home: Path) -> Path:
+def asked(edit, home):
     """Working folder of a design that names two differences."""
     edit("[report]", f"{ASKED}[report]")
     edit('format = ["csv"]', 'format = ["html", "csv"]')
     return home
 
 
-def by_hand(cases: pd.DataFrame, first: dict[str, str], second: dict[str, str]) -> np.ndarray:  # type: ignore[type-arg]
+def by_hand(cases, first, second):
     """Difference of two settings in every block, from the table of cases."""
 
-    def mean(setting: dict[str, str]) -> pd.Series:
+    def mean(setting):
         kept = cases
         for name, level in setting.items():
             kept = kept[kept[name] == level]
@@ -421,7 +414,7 @@ def by_hand(cases: pd.DataFrame, first: dict[str, str], second: dict[str, str]) 
     return (mean(first) - mean(second)).to_numpy()
 
 
-def test_a_study_answers_the_differences_that_it_names(asked: Path) -> None:
+def test_a_study_answers_the_differences_that_it_names(asked):
     run = success("run", "small.toml", "--data", "data", "--jobs", 1, "--json")
     report = Path(run.json["report"])
     cases = pd.read_csv(report.with_name("small-data") / "cases.csv", dtype={"block": str})
@@ -454,7 +447,7 @@ def test_a_study_answers_the_differences_that_it_names(asked: Path) -> None:
     assert "small - large" in said
 
 
-def test_the_page_of_a_table_has_them_and_its_line_makes_it_again(tmp_path: Path) -> None:
+def test_the_page_of_a_table_has_them_and_its_line_makes_it_again(tmp_path):
     rows = ["a,b,y", *(f"{a},{b},{x + 2 * y + e}" for x, a in enumerate("pq")
                        for y, b in enumerate("uv") for e in (-0.1, 0.1))]  # fmt: skip
     (tmp_path / "t.csv").write_text("\n".join(rows) + "\n")

@@ -12,7 +12,6 @@ from __future__ import annotations
 import copy
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,18 +71,18 @@ class Faulty(NamedTuple):
     faults: list[list[str]]
 
     @property
-    def table(self) -> str:
+    def table(self):
         """Table of the file that is changed."""
         return next(iter(self.change)).partition(".")[0]
 
 
-def stored() -> list[Faulty]:
+def stored():
     """Every change with its faults, as kept."""
     lines = (FOLDER / "faults.jsonl").read_text(encoding="utf-8").splitlines()
     return [Faulty(**json.loads(line)) for line in lines]
 
 
-def faults_of(base: str, change: dict[str, Any]) -> list[list[str]]:
+def faults_of(base, change):
     """Faults that today's reader finds in a changed file."""
     tables = copy.deepcopy(_tables(base))
     for key, value in change.items():
@@ -96,16 +95,16 @@ def faults_of(base: str, change: dict[str, Any]) -> list[list[str]]:
     return []
 
 
-def _shortened(mend: str) -> str:
+def _shortened(mend):
     """Mend without the list of all valid names, which grows with every new key."""
     return re.sub(r"Valid: .*", "Valid:", mend, flags=re.DOTALL)
 
 
-def _tables(base: str) -> dict[str, Any]:
+def _tables(base):
     return parse_toml((FOLDER / f"{base}.toml").read_text(encoding="utf-8"), base)
 
 
-def _set(node: Any, path: list[str], value: Any) -> None:
+def _set(node, path, value):
     for part in path[:-1]:
         node = node[int(part)] if isinstance(node, list) else node.setdefault(part, {})
     if value is ABSENT:
@@ -114,7 +113,7 @@ def _set(node: Any, path: list[str], value: Any) -> None:
         node[path[-1]] = value
 
 
-def changes(base: str, met: set[str]) -> Iterator[dict[str, Any]]:
+def changes(base, met):
     """Every key left out, misspelt and with wrong values."""
     for key, value in _keys(_tables(base), ""):
         plain = re.sub(r"^calibration\.problem\.|\btests\.\d+\.|\d+\.", "", key)
@@ -128,12 +127,12 @@ def changes(base: str, met: set[str]) -> Iterator[dict[str, Any]]:
             yield from ({key: wrong} for wrong in (_wrong(value) if first else REPEATED_VALUES))
 
 
-def misspelt(key: str) -> str:
+def misspelt(key):
     """Key with two letters exchanged, or one more."""
     return key[0] + key[2] + key[1] + key[3:] if len(key) > 3 and key[1] != key[2] else f"{key}x"
 
 
-def _keys(node: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def _keys(node, prefix):
     for name, value in node.items():
         key = f"{prefix}{name}"
         yield key, value
@@ -144,7 +143,7 @@ def _keys(node: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
                 yield from _keys(row, f"{key}.{i}.")
 
 
-def _wrong(value: Any) -> tuple[Any, ...]:
+def _wrong(value):
     if isinstance(value, bool):
         return ("true", 1)
     if isinstance(value, dict):
@@ -158,7 +157,7 @@ def _wrong(value: Any) -> tuple[Any, ...]:
     return _wrong_quantity(value) or (*TEXT_VALUES, misspelt(value))
 
 
-def _wrong_quantity(text: str) -> tuple[Any, ...]:
+def _wrong_quantity(text):
     """Texts near to a number with a unit; none where the text is something else."""
     match = re.fullmatch(r"(-?[\d.]+) (\S+)", text)
     if match is None:
@@ -169,9 +168,9 @@ def _wrong_quantity(text: str) -> tuple[Any, ...]:
     return (float(number), *texts)
 
 
-def found_now() -> Iterator[Faulty]:
+def found_now():
     """Changes of every key, then those that were thought of, with the faults of today's reader."""
-    met: set[str] = set()
+    met = set()
     thought_of = stored()
     for base in LOADERS:
         every = {str(change): change for change in changes(base, met)}

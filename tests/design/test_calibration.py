@@ -1,7 +1,5 @@
 """Calibration files, and the calibration problem of a design."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from study.harness.design import load
@@ -35,7 +33,7 @@ weight = 2.5
 CONICAL = (Path(__file__).parents[2] / "designs" / "conical-indentation.toml").read_text()
 
 
-def test_tests_inherit_specimen_and_model() -> None:
+def test_tests_inherit_specimen_and_model():
     found = load.loads_calibration(TEXT)
     fit, held_out = found.tests
     assert found.material.order == 2
@@ -48,7 +46,7 @@ def test_tests_inherit_specimen_and_model() -> None:
     assert held_out.setup.test.base == "bonded"
 
 
-def test_no_calibration_where_constants_are_given() -> None:
+def test_no_calibration_where_constants_are_given():
     start, end = CONICAL.index("[calibration]"), CONICAL.index("[factors]")
     text = CONICAL[:start] + CONICAL[end:]
     fixed = text.replace('model = "neo-hookean"\n', 'model = "neo-hookean"\nC10 = "5 kPa"\n')

@@ -4,8 +4,6 @@
 anybody has computed with these designs.
 """
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 
@@ -19,7 +17,7 @@ STORED = Path(__file__).parent / "case_ids.csv"
 SHIPPED = [path.stem for path in sorted(DESIGNS.glob("*.toml")) if file_kind(path) == "design"]
 
 
-def names_of(design: str) -> list[list[str]]:
+def names_of(design):
     """Design, cell, case id, names of the fit and of what the cell computes."""
     return [
         [
@@ -34,7 +32,7 @@ def names_of(design: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("design", SHIPPED)
-def test_names_of_cases(design: str) -> None:
+def test_names_of_cases(design):
     with STORED.open(encoding="utf-8", newline="") as file:
         kept = [row for row in csv.reader(file) if row[0] == design]
     assert kept

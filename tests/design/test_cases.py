@@ -1,7 +1,5 @@
 """Cells, cases, names made of content, levels laid over a file."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,13 +13,13 @@ BASE = faulty.BASE.replace('"bonded"', '"frictionless"')
 SPACES = '[factors]\nmodel.space = ["axisymmetric", "3d"]\n'
 
 
-def test_quoted_and_unquoted_keys_are_one() -> None:
+def test_quoted_and_unquoted_keys_are_one():
     quoted = BASE + '[factors]\n"model.space" = ["axisymmetric", "3d"]\n'
     assert load.loads(BASE + SPACES) == load.loads(quoted)
 
 
-def test_ids_ignore_names_and_see_values() -> None:
-    def ids(text: str) -> list[str]:
+def test_ids_ignore_names_and_see_values():
+    def ids(text):
         return [case.case_id for case in spec.cases(load.loads(text))]
 
     text = BASE + SPACES
@@ -37,16 +35,16 @@ def test_ids_ignore_names_and_see_values() -> None:
 
 
 @given(st.integers(-(2**52), 2**52))
-def test_whole_numbers_have_one_name(value: int) -> None:
+def test_whole_numbers_have_one_name(value):
     assert content.case_id({"a": value}) == content.case_id({"a": float(value)})
 
 
-def test_nan_has_no_name() -> None:
+def test_nan_has_no_name():
     with pytest.raises(InputError):
         content.case_id({"a": float("nan")})
 
 
-def test_cases_are_cells_in_blocks() -> None:
+def test_cases_are_cells_in_blocks():
     study = load.loads(BASE + SPACES)
     found = spec.cases(study, ("A", "B", "C"))
     assert len(found) == 6
@@ -57,7 +55,7 @@ def test_cases_are_cells_in_blocks() -> None:
         spec.cases(study, ("A", "A"))
 
 
-def test_exclusions_say_why() -> None:
+def test_exclusions_say_why():
     text = BASE + (
         '[factors]\nmodel.space = ["axisymmetric", "3d"]\n'
         'model.mesh = ["coarse", "medium", "fine"]\n'
@@ -78,7 +76,7 @@ def test_exclusions_say_why() -> None:
     assert load.loads(load.dump(study)) == study
 
 
-def test_an_impossible_cell_may_be_excluded() -> None:
+def test_an_impossible_cell_may_be_excluded():
     text = BASE + (
         "[presets.bulk.exact]\nmaterial.incompressible = true\n"
         "[presets.bulk.near]\nmaterial.poisson_ratio = 0.499\n"
@@ -91,7 +89,7 @@ def test_an_impossible_cell_may_be_excluded() -> None:
     assert len(study.treatments) == 3
 
 
-def test_duplicates_are_reported() -> None:
+def test_duplicates_are_reported():
     text = BASE + '[factors]\nmodel.mesh_size = ["10 mm", "1 cm", "5 mm"]\n'
     study = load.loads(text)
     (group,) = overview.duplicates(study)
@@ -99,7 +97,7 @@ def test_duplicates_are_reported() -> None:
     assert any("no replicates: 10 mm = 1 cm" in line for line in overview.warnings(study))
 
 
-def test_a_preset_of_a_table_is_laid_over_it() -> None:
+def test_a_preset_of_a_table_is_laid_over_it():
     text = BASE + (
         '[presets.material.soft]\nC10 = "1 kPa"\n'
         '[presets.material.ogden]\nmodel = "ogden"\nmu = ["5 kPa"]\nalpha = [3]\n'
@@ -111,7 +109,7 @@ def test_a_preset_of_a_table_is_laid_over_it() -> None:
     assert ogden.cell.document()["material"]["constants"] == {"mu1": 0.005, "alpha1": 3.0}
 
 
-def test_indenters_as_presets() -> None:
+def test_indenters_as_presets():
     text = BASE.replace('"compression"', '"indentation"') + (
         '[presets.tip.cone]\ntest.indenter = { shape = "cone", half_angle = "30 deg" }\n'
         '[presets.tip.ball]\ntest.indenter = { shape = "sphere", radius = "5 mm" }\n'
@@ -139,7 +137,7 @@ def test_indenters_as_presets() -> None:
         ("material.C10=1 kPa", "material", "constants", {"C10": 0.001}),
     ],
 )
-def test_overrides(override: str, section: str, key: str, value: object) -> None:
+def test_overrides(override, section, key, value):
     text = BASE.replace("[model]\nmesh", "[model]\nelement_order = 'linear'\n# mesh") + SPACES
     study = load.loads(text, overrides=[override])
     for cell in study.treatments:
@@ -147,7 +145,7 @@ def test_overrides(override: str, section: str, key: str, value: object) -> None
         assert key != "mesh_size_mm" or "mesh" not in cell.cell.document()[section]
 
 
-def test_levels_and_lists_can_be_overridden() -> None:
+def test_levels_and_lists_can_be_overridden():
     overrides = ['factors.model.space=["3d", "axisymmetric"]', "response.0.transform=log"]
     study = load.loads(BASE + SPACES, overrides=overrides)
     assert study.factors[0].labels == ("3d", "axisymmetric")
@@ -162,8 +160,8 @@ RANGED = (
 )
 
 
-def test_a_range_and_a_distribution_can_be_overridden_in_part_and_whole() -> None:
-    def span(*overrides: str) -> spec.Span | None:
+def test_a_range_and_a_distribution_can_be_overridden_in_part_and_whole():
+    def span(*overrides):
         return load.loads(RANGED, overrides=overrides).factors[0].span
 
     whole = 'factors.material.C10={ low = "1.1 kPa", high = "4 kPa" }'
@@ -187,7 +185,7 @@ PRESET = BASE + (
     ("text", "override"),
     [(RANGED, "material.C10=1.5 kPa"), (PRESET, "material.poisson_ratio=0.3")],
 )
-def test_an_override_that_a_level_hides_is_refused(text: str, override: str) -> None:
+def test_an_override_that_a_level_hides_is_refused(text, override):
     with pytest.raises(InputError, match="would hide this"):
         load.loads(text, overrides=[override])
 
@@ -196,6 +194,6 @@ def test_an_override_that_a_level_hides_is_refused(text: str, override: str) -> 
     "override",
     ["model.space=3d", "nonsense", "=3", "a b=3", "response.7.name=mu0", "schema.x=1", "model.x=1"],
 )
-def test_bad_overrides(override: str) -> None:
+def test_bad_overrides(override):
     with pytest.raises(InputError):
         load.loads(BASE + SPACES, overrides=[override])

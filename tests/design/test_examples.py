@@ -1,7 +1,5 @@
 """The contract: the designs that ship, the template, and what they resolve to."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -12,7 +10,6 @@ import pytest
 from study.ground.contrast import Threshold
 from study.harness.design import load, overview
 from study.harness.design import spec as cases
-from study.harness.design.spec import Design
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.tracker.tracker_recording import load_tracking
 
@@ -21,16 +18,16 @@ SHIPPED = ("ecoflex-compression", "conical-indentation", "ecoflex-range", "flat-
 
 
 @pytest.fixture(scope="module")
-def ecoflex() -> Design:
+def ecoflex():
     return load.load(DESIGNS / "ecoflex-compression.toml")
 
 
 @pytest.fixture(scope="module")
-def conical() -> Design:
+def conical():
     return load.load(DESIGNS / "conical-indentation.toml")
 
 
-def test_responses(ecoflex: Design, conical: Design) -> None:
+def test_responses(ecoflex, conical):
     first, second = ecoflex.responses
     assert (first.name, first.unit, first.transform) == ("relative_rms_force_error", "%", "none")
     assert first.practical == Threshold(0.5)
@@ -39,7 +36,7 @@ def test_responses(ecoflex: Design, conical: Design) -> None:
     assert conical.responses[1].unit == "N"
 
 
-def test_frictionless_plates_are_four_answers_in_sixteen_cells(ecoflex: Design) -> None:
+def test_frictionless_plates_are_four_answers_in_sixteen_cells(ecoflex):
     # a homogeneous deformation is in every finite element space
     groups = overview.equivalent_groups(ecoflex)
     assert len(groups) == 20
@@ -54,7 +51,7 @@ def test_frictionless_plates_are_four_answers_in_sixteen_cells(ecoflex: Design) 
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_designs_have_no_warnings_and_describe_themselves(name: str) -> None:
+def test_shipped_designs_have_no_warnings_and_describe_themselves(name):
     study = load.load(DESIGNS / f"{name}.toml")
     told = overview.overview(study).to_json()
     if name == "ecoflex-range":  # to stretch 0.4, beyond Biot's 0.4437
@@ -66,13 +63,13 @@ def test_shipped_designs_have_no_warnings_and_describe_themselves(name: str) -> 
     json.dumps(told, allow_nan=False)
 
 
-def test_the_template_loads_as_it_stands() -> None:
+def test_the_template_loads_as_it_stands():
     study = load.loads(load.template())
     assert len(study.treatments) == 8
     assert not overview.warnings(study)
 
 
-def test_the_commented_lines_of_the_template_are_valid_too() -> None:
+def test_the_commented_lines_of_the_template_are_valid_too():
     text = load.template()
     for line in ('toe = "0.02 N"', 'zero = "first"', 'displacement = "6 mm"'):
         assert f"# {line}" in text
@@ -85,7 +82,7 @@ def test_the_commented_lines_of_the_template_are_valid_too() -> None:
 
 
 @pytest.mark.parametrize("name", [*SHIPPED, "template"])
-def test_round_trip(name: str) -> None:
+def test_round_trip(name):
     text = load.template() if name == "template" else (DESIGNS / f"{name}.toml").read_text()
     study = load.loads(text)
     again = load.loads(load.dump(study))
@@ -95,7 +92,7 @@ def test_round_trip(name: str) -> None:
     assert ids == [case.case_id for case in cases.cases(again, ("a", "b"))]
 
 
-def test_loading_is_quick_and_light() -> None:
+def test_loading_is_quick_and_light():
     code = (
         "import sys; from study.harness.design.load import load; load(sys.argv[1]);"
         "heavy = {'pint', 'pandas', 'scipy', 'matplotlib', 'gmsh', 'skfem', 'statsmodels'};"
@@ -107,7 +104,7 @@ def test_loading_is_quick_and_light() -> None:
 
 
 @pytest.mark.parametrize("path", sorted(DESIGNS.glob("*.toml")), ids=lambda p: p.stem)
-def test_every_design_that_ships_is_read(path: Path) -> None:
+def test_every_design_that_ships_is_read(path):
     kind = load.file_kind(path)
     if kind == "calibration":
         assert load.load_calibration(path).tests
@@ -121,7 +118,7 @@ def test_every_design_that_ships_is_read(path: Path) -> None:
         assert load.load(path).treatments
 
 
-def test_what_nobody_measured_is_unknown_unless_said_otherwise() -> None:
+def test_what_nobody_measured_is_unknown_unless_said_otherwise():
     plain = load.load(DESIGNS / "demo.toml").roles
     assert plain == {"material": "choice", "plates": "unknown", "model.space": "choice"}
     override = 'analysis.roles={ plates = "condition" }'

@@ -3,8 +3,6 @@
 What is wrong with keys stands in ``faulty_files``; here is what no change of a key shows.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -44,7 +42,7 @@ mesh_size = "1.5 mm"
 DESIGN = (Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml").read_text()
 
 
-def faults(load, text: str, *args: object) -> dict[str, str]:  # type: ignore[no-untyped-def]
+def faults(load, text, *args):
     with pytest.raises(InputError) as caught:
         load(text, "x.toml", *args)
     for fault in caught.value.faults:
@@ -52,7 +50,7 @@ def faults(load, text: str, *args: object) -> dict[str, str]:  # type: ignore[no
     return {f.where.removeprefix("x.toml: "): f"{f.rule} | {f.mend}" for f in caught.value.faults}
 
 
-def test_the_problem_itself_is_fine() -> None:
+def test_the_problem_itself_is_fine():
     config = loads_problem(PROBLEM).problem.document()
     assert config["material"] == {
         "model": "reduced-polynomial",
@@ -65,7 +63,7 @@ def test_the_problem_itself_is_fine() -> None:
     assert config["test"]["base"] == "bonded"
 
 
-def test_unstable_constants_name_the_stretch() -> None:
+def test_unstable_constants_name_the_stretch():
     # F26: a negative C20 softens with compression; Drucker's limit is that of
     # study.mechanics.material
     text = PROBLEM.replace('"indentation"', '"compression"').replace('C20 = "1', 'C20 = "-3')
@@ -76,7 +74,7 @@ def test_unstable_constants_name_the_stretch() -> None:
     assert loads_problem(text.replace('"5 mm"', '"1 mm"'))
 
 
-def test_synonyms() -> None:
+def test_synonyms():
     text = PROBLEM.replace('"frictionless"', '"lubricated"')
     for written, meant in (
         ("triangle", "simplex"),
@@ -89,7 +87,7 @@ def test_synonyms() -> None:
         assert config["test"]["interface"] == "frictionless"
 
 
-def test_uncertainty_is_in_internal_units() -> None:
+def test_uncertainty_is_in_internal_units():
     lines = '"specimen.height" = "1 cm"\nmaterial.poisson_ratio = 0.001\n'
     study = loads(f"{DESIGN}\n[uncertainty]\n{lines}")
     assert study.uncertainty == {"specimen.height": 10.0, "material.poisson_ratio": 0.001}
@@ -104,13 +102,13 @@ def test_uncertainty_is_in_internal_units() -> None:
         ('a = "never closed', "x.toml:1:18"),
     ],
 )
-def test_malformed_toml_says_file_line_and_column(text: str, place: str) -> None:
+def test_malformed_toml_says_file_line_and_column(text, place):
     ((where, rule),) = faults(loads, text).items()  # F24
     assert where == place
     assert "not valid TOML" in rule
 
 
-def test_not_utf8() -> None:
+def test_not_utf8():
     with pytest.raises(InputError, match=r"x\.toml:2: is not UTF-8"):
         loads(b"schema = 1\n# \xff\n", "x.toml")
     with pytest.raises(InputError, match=r"x\.toml:2: holds a NUL byte: it is no text file"):
@@ -131,18 +129,18 @@ def test_not_utf8() -> None:
         "\n".join(f"{'.'.join('abc' * 600)}.k{i} = 1" for i in range(60)),
     ],
 )
-def test_sizes_are_capped(text: str) -> None:
+def test_sizes_are_capped(text):
     faults(loads, text)
 
 
-def test_a_factor_is_a_list_or_a_range() -> None:
+def test_a_factor_is_a_list_or_a_range():
     twice = '[factors]\n"specimen.height" = ["28 mm", "30 mm"]\nspecimen.height.low = "25 mm"\n'
     twice += 'specimen.height.high = "35 mm"\n'
     found = faults(loads, DESIGN.replace("[factors]", twice, 1))
     assert "stands twice" in found["factors.specimen.height"]
 
 
-def test_a_range_of_no_parameter_is_named_by_its_key() -> None:
+def test_a_range_of_no_parameter_is_named_by_its_key():
     text = (
         'schema = 1\n[parameters]\nk = 1.0\n[forward]\nmodel = "python"\n[[response]]\nname = "y"\n'
     )
@@ -150,21 +148,21 @@ def test_a_range_of_no_parameter_is_named_by_its_key() -> None:
     assert "sets parameters.x, which [parameters] does not have" in found["factors.parameters.x"]
 
 
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+def test_files_that_cannot_be_read(tmp_path):
     for path in (tmp_path / "none.toml", tmp_path, "a\0b", tmp_path / ("x" * 400)):
         for load in (load_module.load, load_problem, load_calibration, file_kind):
             with pytest.raises(InputError):
                 load(path)
 
 
-def test_files_of_another_kind_are_named() -> None:
+def test_files_of_another_kind_are_named():
     assert "use `study solve`" in faults(loads_calibration, PROBLEM)["x.toml"]
     assert "is a design" in faults(loads_problem, DESIGN)["x.toml"]
     assert "use `study solve`" in faults(loads, PROBLEM)["x.toml"]
     assert "factors" in faults(loads, PROBLEM + '[report]\nformat = ["csv"]\n')
 
 
-def test_plausibility_warns_of_units() -> None:
+def test_plausibility_warns_of_units():
     wrong = PROBLEM.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"')
     told, none = (
         plausibility.cautions_of(loaded.problem) for loaded in map(loads_problem, (wrong, PROBLEM))

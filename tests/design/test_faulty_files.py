@@ -1,7 +1,5 @@
 """Every key of a study file, wrong in every way: the same rule at the same place, and a mend."""
 
-from __future__ import annotations
-
 import re
 from itertools import groupby
 
@@ -19,12 +17,12 @@ GROUPS = {
 
 
 @pytest.mark.parametrize("base", faulty.LOADERS)
-def test_the_sound_files_are_sound(base: str) -> None:
+def test_the_sound_files_are_sound(base):
     assert faulty.faults_of(base, {}) == []
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_faults_of_changed_files(group: str) -> None:
+def test_faults_of_changed_files(group):
     differing, poorer = {}, {}
     for kept in GROUPS[group]:
         found = faulty.faults_of(kept.base, kept.change)
@@ -36,13 +34,13 @@ def test_faults_of_changed_files(group: str) -> None:
     assert poorer == {}
 
 
-def is_poorer(found: list[str], kept: list[str]) -> bool:
+def is_poorer(found, kept):
     """Whether a mend is gone, or no longer names the nearest key."""
     named = re.match(r"did you mean '[^']*'", kept[2])
     return bool(kept[2] and not found[2]) or bool(named and named[0] not in found[2])
 
 
-def test_every_key_is_changed() -> None:
-    met: set[str] = set()
+def test_every_key_is_changed():
+    met = set()
     every = {(base, str(c)) for base in faulty.LOADERS for c in faulty.changes(base, met)}
     assert every <= {(one.base, str(one.change)) for one in STORED}

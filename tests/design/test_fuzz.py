@@ -1,7 +1,5 @@
 """Any bytes, any damage, any name: a clean InputError or a valid object (P24, P25)."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -25,7 +23,7 @@ LOADERS = (loads, loads_problem, loads_calibration)
 quick = settings(suppress_health_check=[HealthCheck.too_slow])
 
 
-def survives(text: str | bytes) -> None:
+def survives(text):
     for load in LOADERS:
         try:
             load(text, "x.toml")
@@ -38,13 +36,13 @@ def survives(text: str | bytes) -> None:
 
 @quick
 @given(st.binary(max_size=300))
-def test_any_bytes(raw: bytes) -> None:
+def test_any_bytes(raw):
     survives(raw)
 
 
 @quick
 @given(st.binary(max_size=8), st.integers(0, len(DESIGN)), st.integers(0, 40))
-def test_a_damaged_design(patch: bytes, at: int, cut: int) -> None:
+def test_a_damaged_design(patch, at, cut):
     raw = DESIGN.encode()
     survives(raw[:at] + patch + raw[at + cut :])
 
@@ -60,7 +58,7 @@ VALUES = st.recursive(
 )
 
 
-def paths(node: object, at: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
+def paths(node, at=()):
     items = enumerate(node) if isinstance(node, list) else ()
     items = node.items() if isinstance(node, dict) else items
     return [at] * bool(at) + [path for k, v in items for path in paths(v, (*at, k))]
@@ -69,7 +67,7 @@ def paths(node: object, at: tuple[object, ...] = ()) -> list[tuple[object, ...]]
 WHERE = paths(parse_toml(DESIGN, "x"))
 
 
-def without_none(value: object) -> object:
+def without_none(value):
     if isinstance(value, dict):
         return {k: without_none(v) for k, v in value.items() if v is not None}
     if isinstance(value, list):
@@ -79,21 +77,21 @@ def without_none(value: object) -> object:
 
 @quick
 @given(st.sampled_from(WHERE), VALUES)
-def test_any_value_at_any_key(path: tuple[object, ...], value: object) -> None:
+def test_any_value_at_any_key(path, value):
     tables = parse_toml(DESIGN, "x")
-    node: object = tables
+    node = tables
     for part in path[:-1]:
-        node = node[part]  # type: ignore[index]
+        node = node[part]
     if value is None:
-        del node[path[-1]]  # type: ignore[attr-defined]
+        del node[path[-1]]
     else:
-        node[path[-1]] = without_none(value)  # type: ignore[index]
+        node[path[-1]] = without_none(value)
     survives(dump_toml(tables))
 
 
 @quick
 @given(st.dictionaries(st.text(max_size=6), VALUES, max_size=4))
-def test_dumped_tables_are_read_back(tables: dict[str, object]) -> None:
+def test_dumped_tables_are_read_back(tables):
     plain = without_none(tables)
     assert isinstance(plain, dict)
     text = dump_toml(plain)
@@ -106,7 +104,7 @@ def test_dumped_tables_are_read_back(tables: dict[str, object]) -> None:
     assert json.dumps(again, sort_keys=True) == json.dumps(plain, sort_keys=True)
 
 
-def test_the_slowest_file_that_the_caps_let_through() -> None:
+def test_the_slowest_file_that_the_caps_let_through():
     key = ".".join("ab" * 15)
     survives("\n".join(f"{key}.k{i} = 1" for i in range(3800)))
     survives("\n".join(f"k{i}.{key} = 1" for i in range(3700)))
@@ -127,7 +125,7 @@ toml = json.dumps
 
 
 @pytest.mark.parametrize("name", CORPUS)
-def test_names_of_levels_and_of_factors(name: str) -> None:
+def test_names_of_levels_and_of_factors(name):
     for factor, level in (("set", name), (name, "a")):
         presets = "".join(
             f"[presets.{toml(factor)}.{toml(label)}]\ntest.steps = {steps}\n"
@@ -147,7 +145,7 @@ def test_names_of_levels_and_of_factors(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CORPUS)
-def test_names_of_studies_are_folder_names(name: str) -> None:
+def test_names_of_studies_are_folder_names(name):
     text = DESIGN.replace('"ecoflex-compression"', toml(name))
     if name in ("__class__", "NUL"):
         assert loads(text).name == name
@@ -157,7 +155,7 @@ def test_names_of_studies_are_folder_names(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CORPUS)
-def test_names_elsewhere_never_run(name: str) -> None:
+def test_names_elsewhere_never_run(name):
     for old in ('"full"', '"mu0"', '"phantom"', '"load_N"', '"auto"', '"cylinder"', '"B"'):
         survives(DESIGN.replace(old, toml(name), 1))
     survives(DESIGN.replace("[specimen]", f"[{toml(name)}]", 1))

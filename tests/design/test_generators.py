@@ -1,7 +1,5 @@
 """Generated designs against their definitions: balance, orthogonality, published words."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -12,7 +10,7 @@ from study.harness.design import generators
 NAMES = list("ABCDEFGHJKLM")
 
 
-def gram(runs: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def gram(runs):
     return np.asarray(runs.T @ runs)
 
 
@@ -31,7 +29,7 @@ def gram(runs: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
         (8, {"G": "ABCD", "H": "ABEF"}, 64, 5),
     ],
 )
-def test_published_fractions(count: int, given: dict[str, str], runs: int, resolution: int) -> None:
+def test_published_fractions(count, given, runs, resolution):
     names = NAMES[:count]
     found = generators.fractional(names, {k: (1, list(v)) for k, v in given.items()})
     assert found.shape == (runs, count)
@@ -44,14 +42,14 @@ def test_published_fractions(count: int, given: dict[str, str], runs: int, resol
     assert generators.resolution(found) == resolution
 
 
-def test_a_negative_generator_is_the_other_fraction() -> None:
+def test_a_negative_generator_is_the_other_fraction():
     plus = generators.fractional(["A", "B", "C"], {"C": (1, ["A", "B"])})
     minus = generators.fractional(["A", "B", "C"], {"C": (-1, ["A", "B"])})
     assert len({tuple(run) for run in np.vstack([plus, minus])}) == 8
     assert generators.defining_relation(minus, ["A", "B", "C"]) == "I = -A:B:C"
 
 
-def test_words_of_a_quarter_fraction() -> None:
+def test_words_of_a_quarter_fraction():
     # 2^(5-2), D = AB, E = AC: I = ABD = ACE = BCDE (Box, Hunter and Hunter 1978, chapter 12)
     runs = generators.fractional(NAMES[:5], {"D": (1, ["A", "B"]), "E": (1, ["A", "C"])})
     words = {generators.term_name(w, NAMES) for w in generators.defining_words(runs)}
@@ -64,14 +62,14 @@ def test_words_of_a_quarter_fraction() -> None:
     assert "the interaction of B and C cannot be told from the interaction of D and E" in told
 
 
-def test_a_full_factorial_aliases_nothing() -> None:
+def test_a_full_factorial_aliases_nothing():
     runs = np.array(list(itertools.product([-1.0, 1.0], repeat=4)))
     assert generators.resolution(runs) is None
     assert generators.sentences(runs, NAMES[:4]) == []
     assert generators.defining_relation(runs, NAMES[:4]) == ""
 
 
-def test_a_wrong_fraction_is_found_out() -> None:
+def test_a_wrong_fraction_is_found_out():
     # column C repeats column A: whatever a generator promised, that is resolution 2
     runs = np.array([[-1, -1, -1], [-1, 1, -1], [1, -1, 1], [1, 1, 1]], dtype=float)
     assert generators.resolution(runs) == 2
@@ -82,7 +80,7 @@ def test_a_wrong_fraction_is_found_out() -> None:
 
 @pytest.mark.parametrize("resolution", [3, 4, 5])
 @pytest.mark.parametrize("count", [4, 5, 6, 7, 8])
-def test_fractions_by_resolution_keep_their_word(count: int, resolution: int) -> None:
+def test_fractions_by_resolution_keep_their_word(count, resolution):
     try:
         runs = generators.by_resolution(count, resolution)
     except ValueError:
@@ -93,7 +91,7 @@ def test_fractions_by_resolution_keep_their_word(count: int, resolution: int) ->
 
 
 @pytest.mark.parametrize("count", range(2, 16))
-def test_plackett_burman_is_orthogonal(count: int) -> None:
+def test_plackett_burman_is_orthogonal(count):
     runs = generators.plackett_burman(count)
     assert len(runs) % 4 == 0
     assert count < len(runs) <= count + 4
@@ -101,7 +99,7 @@ def test_plackett_burman_is_orthogonal(count: int) -> None:
     assert runs.sum(axis=0).tolist() == [0.0] * count
 
 
-def test_plackett_burman_of_twelve_mixes_by_thirds() -> None:
+def test_plackett_burman_of_twelve_mixes_by_thirds():
     # each main effect has correlation 1/3 with every interaction of two others (Lin and
     # Draper 1992, Technometrics 34, 423)
     runs = generators.plackett_burman(11)
@@ -112,7 +110,7 @@ def test_plackett_burman_of_twelve_mixes_by_thirds() -> None:
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5])
-def test_central_composite(count: int) -> None:
+def test_central_composite(count):
     runs = generators.central_composite(count)
     assert len(runs) == 2**count + 2 * count + 1
     assert np.abs(runs).max() == pytest.approx(1)
@@ -131,7 +129,7 @@ def test_central_composite(count: int) -> None:
     ("count", "block", "runs"),
     [(3, 2, 12), (4, 2, 24), (5, 2, 40), (6, 3, 48), (7, 3, 56), (9, 3, 96), (10, 4, 160)],
 )
-def test_box_behnken(count: int, block: int, runs: int) -> None:
+def test_box_behnken(count, block, runs):
     found = generators.box_behnken(count)
     assert len(found) == len({tuple(run) for run in found}) == runs + 1
     assert sorted(set(np.abs(found).sum(axis=1))) == [0.0, block]
@@ -140,7 +138,7 @@ def test_box_behnken(count: int, block: int, runs: int) -> None:
 
 
 @pytest.mark.parametrize("count", range(3, 11))
-def test_box_behnken_estimates_every_quadratic_term(count: int) -> None:
+def test_box_behnken_estimates_every_quadratic_term(count):
     # a column is estimable where a part of it lies outside the span of all others, which is one
     # over its variance inflation; the center alone tells the constant from the sum of the squares
     columns = quadratic_columns(generators.box_behnken(count))
@@ -154,21 +152,21 @@ def test_box_behnken_estimates_every_quadratic_term(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [4, 7])
-def test_box_behnken_designs_of_four_and_seven_factors_are_rotatable(count: int) -> None:
+def test_box_behnken_designs_of_four_and_seven_factors_are_rotatable(count):
     # exactly (Box and Behnken 1960): sum x^4 = 3 sum x^2 y^2
     moments = gram(generators.box_behnken(count) ** 2)
     assert set(np.diag(moments)) == {3 * moments[0, 1]}
     assert len(set(moments[~np.eye(count, dtype=bool)])) == 1
 
 
-def quadratic_columns(runs: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def quadratic_columns(runs):
     """Constant, linear, square and product columns of coded runs."""
     pairs = itertools.combinations(range(runs.shape[1]), 2)
     products = [runs[:, i] * runs[:, j] for i, j in pairs]
     return np.column_stack([np.ones(len(runs)), runs, runs**2, *products])
 
 
-def test_latin_hypercube_has_one_run_in_each_slice() -> None:
+def test_latin_hypercube_has_one_run_in_each_slice():
     runs = generators.latin_hypercube(4, 20, seed=3)
     for column in runs.T:
         assert sorted((column * 20).astype(int)) == list(range(20))
@@ -176,7 +174,7 @@ def test_latin_hypercube_has_one_run_in_each_slice() -> None:
     assert runs.tolist() != generators.latin_hypercube(4, 20, seed=4).tolist()
 
 
-def test_sobol_is_a_net() -> None:
+def test_sobol_is_a_net():
     # 32 points of a (t, m, 2)-net with t = 0: every elementary box of volume 1/32 has one
     runs = generators.sobol(2, 32, seed=3)
     for power in range(6):
@@ -188,7 +186,7 @@ def test_sobol_is_a_net() -> None:
 # D-optimal designs against known bounds of the determinant.
 
 
-def main_effects(factors: int) -> list[tuple[int, ...]]:
+def main_effects(factors):
     return [(k,) for k in range(factors)]
 
 
@@ -196,7 +194,7 @@ def main_effects(factors: int) -> list[tuple[int, ...]]:
     ("sizes", "runs"),
     [((2,) * 4, 8), ((2,) * 7, 8), ((2,) * 11, 12), ((3,) * 4, 9), ((2, 2, 2, 3), 12)],
 )
-def test_orthogonal_arrays_are_found(sizes: tuple[int, ...], runs: int) -> None:
+def test_orthogonal_arrays_are_found(sizes, runs):
     # half fraction, Hadamard 8, Plackett and Burman 12, Taguchi's L9, L12 of mixed levels
     words = main_effects(len(sizes))
     found = generators.d_optimal(sizes, words, runs, seed=1)
@@ -205,7 +203,7 @@ def test_orthogonal_arrays_are_found(sizes: tuple[int, ...], runs: int) -> None:
 
 
 @pytest.mark.parametrize(("factors", "runs"), [(3, 6), (5, 10)])
-def test_the_bound_of_ehlich_is_met(factors: int, runs: int) -> None:
+def test_the_bound_of_ehlich_is_met(factors, runs):
     """Ehlich 1964, Math. Z. 83, 123: det <= [(n - 2 + p) (n - 2)^(p/2 - 1)]^2 for n = 2 mod 4."""
     p = factors + 1
     bound = ((runs - 2 + p) * (runs - 2) ** (p // 2 - 1)) ** 2
@@ -214,14 +212,14 @@ def test_the_bound_of_ehlich_is_met(factors: int, runs: int) -> None:
     assert np.linalg.det(x.T @ x) == pytest.approx(bound, rel=1e-9)
 
 
-def test_given_cells_are_kept_and_not_chosen_again() -> None:
+def test_given_cells_are_kept_and_not_chosen_again():
     sizes, words = (2, 2, 2), [(0,), (1,), (2,), (0, 1), (0, 2), (1, 2)]
     given = [(0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 1)]
     found = generators.d_optimal(sizes, words, 4, seed=3, given=given)
     assert sorted([*given, *found]) == sorted(itertools.product(range(2), repeat=3))
 
 
-def test_the_best_of_all_subsets_is_found_where_they_can_be_counted() -> None:
+def test_the_best_of_all_subsets_is_found_where_they_can_be_counted():
     """C(12, 6) = 924 designs of 6 of the 12 cells of 2 x 2 x 3."""
     sizes, words = (2, 2, 3), main_effects(3)
     every = list(itertools.product(range(2), range(2), range(3)))

@@ -1,7 +1,5 @@
 """Keys that may vary: all of them declared, each with the dimension of its declaration."""
 
-from __future__ import annotations
-
 import pytest
 
 from study.ground.declaration import keys_of, written_keys
@@ -10,7 +8,7 @@ from study.mechanics.material.material import ENERGIES
 
 
 @pytest.mark.parametrize("name", overlay.PLACES)
-def test_keys_that_rule_exclude_or_vary_are_declared(name: str) -> None:
+def test_keys_that_rule_exclude_or_vary_are_declared(name):
     place = overlay.PLACES[name]
     declared = {key for kind in place.sections for key in written_keys(kind)}
     assert {*place.varying, *place.alternatives, place.ruling} - {""} <= declared
@@ -18,7 +16,7 @@ def test_keys_that_rule_exclude_or_vary_are_declared(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in overlay.PLACES if name != "measurements"])
-def test_a_key_has_the_dimension_of_its_declaration(name: str) -> None:
+def test_a_key_has_the_dimension_of_its_declaration(name):
     # keys of several tables share a name, such as the radius of a specimen and of an indenter
     for kind in overlay.PLACES[name].sections:
         for key in keys_of(kind):
@@ -28,7 +26,7 @@ def test_a_key_has_the_dimension_of_its_declaration(name: str) -> None:
 
 
 @pytest.mark.parametrize("energy", ENERGIES.values(), ids=list(ENERGIES))
-def test_constants_of_every_energy_may_vary_and_take_the_place_of_others(energy) -> None:  # type: ignore[no-untyped-def]
+def test_constants_of_every_energy_may_vary_and_take_the_place_of_others(energy):
     keys = energy.list_keys or energy.constant_names(1)
     for key in keys:
         assert overlay.may_vary(f"material.{key}")
@@ -38,7 +36,7 @@ def test_constants_of_every_energy_may_vary_and_take_the_place_of_others(energy)
         {"material": {"model": "another", **dict.fromkeys(keys, 1), "no_constant": 1}},
         {"material.model": energy.name},
     )
-    assert set(laid["material"]) == {"model", "no_constant", *keys}  # type: ignore[call-overload]
+    assert set(laid["material"]) == {"model", "no_constant", *keys}
     for other in ENERGIES.values():
         left = overlay.lay(laid, {"material.model": other.name})["material"]
-        assert all(other.has_key(key) for key in keys if key in left)  # type: ignore[operator]
+        assert all(other.has_key(key) for key in keys if key in left)

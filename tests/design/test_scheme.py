@@ -1,20 +1,15 @@
 """Table ``[design]``: which cells are run, what they can tell, and what is refused."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from study.api.study import load_design
-from study.ground.diagnostics import Faults
 from study.ground.errors import InputError
 from study.harness.design import overview, spec
-from study.harness.design.cell import Cell
 from study.harness.design.load import dump, loads
 from study.harness.design.overview import calibration_factors, inert_cells
-from study.harness.design.spec import Design, Level
+from study.harness.design.spec import Design
 from tests.design.faulty import BASE
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -34,17 +29,17 @@ material.poisson_ratio = { low = 0.49, high = 0.499 }
 HALF = 'kind = "fractional"\ngenerators = ["specimen.height = -model.space:test.interface"]\n'
 
 
-def load(factors: str, table: str = "", more: str = "") -> spec.Design:
+def load(factors, table="", more=""):
     return loads(f"{BASE}{factors}[design]\n{table}{more}", "x.toml")
 
 
-def faults(factors: str, table: str, more: str = "") -> dict[str, str]:
+def faults(factors, table, more=""):
     with pytest.raises(InputError) as caught:
         load(factors, table, more)
     return {f.where.removeprefix("x.toml: "): f"{f.rule} | {f.mend}" for f in caught.value.faults}
 
 
-def test_a_range_has_two_levels_in_a_factorial() -> None:
+def test_a_range_has_two_levels_in_a_factorial():
     study = load(TWO)
     assert len(study.treatments) == 16
     assert study.factors[-1].labels == ("28 mm", "32 mm")
@@ -53,7 +48,7 @@ def test_a_range_has_two_levels_in_a_factorial() -> None:
     assert study.scheme.rows is None
 
 
-def test_a_fraction_says_what_it_cannot_tell() -> None:
+def test_a_fraction_says_what_it_cannot_tell():
     study = load(TWO, HALF)
     cells = study.treatments
     assert len(cells) == 8
@@ -73,7 +68,7 @@ def test_a_fraction_says_what_it_cannot_tell() -> None:
 
 
 @pytest.mark.parametrize(("resolution", "model"), [(3, 1), (4, 1)])
-def test_the_model_has_the_terms_that_are_clear(resolution: int, model: int) -> None:
+def test_the_model_has_the_terms_that_are_clear(resolution, model):
     study = load(TWO, f'kind = "fractional"\nresolution = {resolution}\n')
     assert study.scheme.resolution == resolution
     assert study.analysis.model == model
@@ -82,7 +77,7 @@ def test_the_model_has_the_terms_that_are_clear(resolution: int, model: int) -> 
 HALF_OF_16 = 'kind = "fractional"\nresolution = 4\n'
 
 
-def test_two_aliases_are_refused_and_one_of_them_is_analyzed() -> None:
+def test_two_aliases_are_refused_and_one_of_them_is_analyzed():
     # I = ABCD: AB = CD
     pairs = "model.space:model.element_order", "test.interface:specimen.height"
     both = f"[analysis]\nmodel = {list(pairs)}\n"
@@ -108,7 +103,7 @@ def test_two_aliases_are_refused_and_one_of_them_is_analyzed() -> None:
         (TWO, 'zip = [["model.space", "test.interface"]]', 8),
     ],
 )
-def test_every_kind_loads_again_from_its_dump(factors: str, table: str, cells: int) -> None:
+def test_every_kind_loads_again_from_its_dump(factors, table, cells):
     study = load(factors, table)
     assert len(study.treatments) == cells
     again = loads(dump(study))
@@ -117,7 +112,7 @@ def test_every_kind_loads_again_from_its_dump(factors: str, table: str, cells: i
     assert len({c.case_id for c in spec.cases(study)}) == cells
 
 
-def test_response_surfaces_stay_in_their_ranges() -> None:
+def test_response_surfaces_stay_in_their_ranges():
     for kind in ("central-composite", "box-behnken"):
         for cell in load(RANGES, f'kind = "{kind}"').treatments:
             assert 28 <= cell.cell.document()["specimen"]["height_mm"] <= 32
@@ -128,8 +123,8 @@ def test_response_surfaces_stay_in_their_ranges() -> None:
     assert labels.count("30 mm / 2.5 cm / 0.4945") == 1
 
 
-def test_draws_follow_the_seed() -> None:
-    def cells(table: str, more: str = "") -> list[str]:
+def test_draws_follow_the_seed():
+    def cells(table, more=""):
         study = load(RANGES, f'kind = "latin-hypercube"\nruns = 8\n{table}', more)
         return [cell.label for cell in study.treatments]
 
@@ -138,7 +133,7 @@ def test_draws_follow_the_seed() -> None:
     assert cells("seed = 7\n") == cells("", "[study]\nseed = 7\n")
 
 
-def test_zipped_factors_change_together() -> None:
+def test_zipped_factors_change_together():
     study = load(TWO, 'zip = ["model.space", "test.interface"]')
     pairs = {(c.levels["model.space"], c.levels["test.interface"]) for c in study.treatments}
     assert pairs == {("axisymmetric", "frictionless"), ("3d", "bonded")}
@@ -161,7 +156,7 @@ levels = { axisymmetric = ["4 mm", "5 mm"], 3d = ["6 mm", "7 mm"] }
 """
 
 
-def test_nested_levels_exist_in_one_level_of_their_parent() -> None:
+def test_nested_levels_exist_in_one_level_of_their_parent():
     text = BASE.replace('mesh = "coarse"\n', "") + NESTED
     study = loads(text)
     cells = {(c.levels["model.space"], c.levels["model.mesh_size"]) for c in study.treatments}
@@ -176,7 +171,7 @@ def test_nested_levels_exist_in_one_level_of_their_parent() -> None:
     )  # fmt: skip
 
 
-def test_listed_cells_are_those_and_no_others() -> None:
+def test_listed_cells_are_those_and_no_others():
     rows = """kind = "listed"
 treatments = [
   { model.space = "3d", test.interface = "bonded" },
@@ -189,7 +184,7 @@ treatments = [
     assert labels == ["3d / bonded", "axisymmetric / bonded", "axisymmetric / frictionless"]
 
 
-def test_what_a_factor_can_do_is_asked_of_cells_that_are_not_run() -> None:
+def test_what_a_factor_can_do_is_asked_of_cells_that_are_not_run():
     # of a fraction no two cells differ in one factor only, yet the space matters where bonded
     text = BASE.replace('C10 = "5 kPa"\n', "").replace("seconds", "mu0") + TWO
     text += """
@@ -207,11 +202,11 @@ units = { displacement = "mm", force = "N" }
     assert inert_cells(part, "specimen.height") == 0
 
 
-def test_a_sampled_range_is_compared_at_its_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[int] = []
+def test_a_sampled_range_is_compared_at_its_ends(monkeypatch):
+    made = []
     resolve = Design._resolved
 
-    def counted(design: Design, levels: Sequence[Level], faults: Faults) -> Cell:
+    def counted(design, levels, faults):
         made.append(1)
         return resolve(design, levels, faults)
 
@@ -230,9 +225,7 @@ def test_a_sampled_range_is_compared_at_its_ends(monkeypatch: pytest.MonkeyPatch
         ("noise", "noise", 200, ("200 times", "(E2)")),
     ],
 )
-def test_replicates_are_described_dumped_and_overridden(
-    key: str, kind: str, count: int, says: tuple[str, str]
-) -> None:
+def test_replicates_are_described_dumped_and_overridden(key, kind, count, says):
     text = (DESIGNS / "ecoflex-compression.toml").read_text()
     assert overview.replication(loads(text)) is None
     study = loads(f"{text}\n[replicates]\n{key} = {count}\n")

@@ -1,11 +1,8 @@
 """Pages of the documentation name files, commands and tests that exist."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path
-from typing import Any
 
 import pytest
 import typer
@@ -20,17 +17,17 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 SHIPPED = re.compile(r"(?<![\w/.-])(?:designs|validation|scripts|benchmarks)/[\w/.-]*\w")
 
 
-def named(page: Path) -> set[str]:
+def named(page):
     """Files of the repository that a page names; a folder of results below one is none."""
     return set(SHIPPED.findall(page.read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_file_that_a_page_names_ships(page: Path) -> None:
+def test_every_file_that_a_page_names_ships(page):
     assert [name for name in sorted(named(page)) if not (ROOT / name).exists()] == []
 
 
-def test_some_page_names_files() -> None:
+def test_some_page_names_files():
     assert len(set().union(*map(named, PAGES))) > 15
 
 
@@ -44,18 +41,18 @@ COMMANDS = [
 ]
 
 
-def parsed(line: str) -> Any:
+def parsed(line):
     """Parse a command as the program does, without running it."""
     name, verb, *rest = shlex.split(line)
     assert name == "study"
-    commands: Any = typer.main.get_command(app)
+    commands = typer.main.get_command(app)
     command = commands.commands.get(verb)
     assert command is not None, f"no verb {verb!r}"
     return command.make_context(verb, rest)
 
 
 @pytest.mark.parametrize("line", COMMANDS)
-def test_a_command_is_understood(line: str) -> None:
+def test_a_command_is_understood(line):
     found = parsed(line)
     for word in shlex.split(line):
         if word.startswith("designs/"):
@@ -67,7 +64,7 @@ def test_a_command_is_understood(line: str) -> None:
         load.load(ROOT / found.params["source"], found.params["settings"] or ())
 
 
-def test_every_part_has_its_command() -> None:
+def test_every_part_has_its_command():
     parts = re.split(r"^## \d\. ", THESIS, flags=re.MULTILINE)[1:]
     assert len(parts) == 9
     for part in parts:
@@ -76,7 +73,7 @@ def test_every_part_has_its_command() -> None:
 
 
 @pytest.mark.parametrize("line", ["study calibrat a.toml", "study calibrate a.toml --bye test"])
-def test_a_wrong_command_is_seen(line: str) -> None:
+def test_a_wrong_command_is_seen(line):
     with pytest.raises(Exception, match="no verb|[Nn]o such option"):
         parsed(line)
 
@@ -87,7 +84,7 @@ FAULTS = ROOT / "docs" / "faults.md"
 ROW = re.compile(r"^\| (F\d\d) .*\| (.*) \|$", re.MULTILINE)
 
 
-def test_every_fault_has_a_test_that_exists() -> None:
+def test_every_fault_has_a_test_that_exists():
     rows = dict(ROW.findall(FAULTS.read_text(encoding="utf-8")))
     assert list(rows) == [f"F{number:02}" for number in range(1, 39)]
     for fault, cell in rows.items():

@@ -1,7 +1,5 @@
 """The cookbook: a valid notebook whose cells run from top to bottom."""
 
-from __future__ import annotations
-
 import ast
 import json
 from pathlib import Path
@@ -12,11 +10,11 @@ DOCS = Path(__file__).parents[2] / "docs"
 COOKBOOK = json.loads((DOCS / "cookbook.ipynb").read_text(encoding="utf-8"))
 
 
-def code() -> list[str]:
+def code():
     return ["".join(c["source"]) for c in COOKBOOK["cells"] if c["cell_type"] == "code"]
 
 
-def run_cell(text: str, names: dict[str, object]) -> object:
+def run_cell(text, names):
     """Run a cell as a notebook does: the value of a last expression is what it shows."""
     *body, last = ast.parse(text).body
     if not isinstance(last, ast.Expr):
@@ -26,7 +24,7 @@ def run_cell(text: str, names: dict[str, object]) -> object:
     return eval(compile(ast.Expression(last.value), "a cell", "eval"), names)
 
 
-def test_it_is_a_notebook_of_format_four() -> None:
+def test_it_is_a_notebook_of_format_four():
     assert (COOKBOOK["nbformat"], COOKBOOK["nbformat_minor"]) == (4, 5)
     assert {"cells", "metadata", "nbformat", "nbformat_minor"} == set(COOKBOOK)
     ids = [cell["id"] for cell in COOKBOOK["cells"]]
@@ -40,11 +38,9 @@ def test_it_is_a_notebook_of_format_four() -> None:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_every_cell_runs_and_shows_what_it_ends_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_cell_runs_and_shows_what_it_ends_with(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
+    names = {}
     drawn = tables = 0
     for text in code():
         shown = run_cell(text, names)
@@ -56,7 +52,7 @@ def test_every_cell_runs_and_shows_what_it_ends_with(
     assert (tmp_path / "reports" / "cookbook" / "cookbook.html").is_file()
 
 
-def test_a_cell_that_fails_is_seen() -> None:
+def test_a_cell_that_fails_is_seen():
     with pytest.raises(AssertionError):
         run_cell("x = 1\nassert x == 2", {})
     assert run_cell("x = 1\nx + 1", {}) == 2

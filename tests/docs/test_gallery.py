@@ -1,15 +1,11 @@
 """The gallery: every shipped file says how it is run, and what is shown is what it answers."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil
 import struct
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from typer.main import get_command
@@ -23,7 +19,7 @@ DESIGNS = sorted((ROOT / "designs").glob("*.toml"))
 
 
 @pytest.fixture(scope="module")
-def pictures() -> Iterator[ModuleType]:
+def pictures():
     sys.path.insert(0, str(DOCS))
     try:
         import gallery_pictures
@@ -34,7 +30,7 @@ def pictures() -> Iterator[ModuleType]:
 
 
 @pytest.fixture(scope="module")
-def reference(pictures: ModuleType) -> ModuleType:
+def reference(pictures):
     import reference
 
     return reference

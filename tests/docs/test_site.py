@@ -4,8 +4,6 @@ A block ``console`` holds commands after ``$`` and lines that they print; ``pyth
 ``toml`` and ``text`` whose first line is a comment with a file name are that file.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re
@@ -29,11 +27,11 @@ TUTORIALS = ("tutorial-virtual", "tutorial-csv", "other-code", "your-own-solver"
 NAMED = re.compile(r"# ([\w.-]+\.(?:toml|csv|j2|py))\n")
 
 
-def blocks(page: str) -> list[tuple[str, str]]:
+def blocks(page):
     return BLOCK.findall((DOCS / f"{page}.md").read_text(encoding="utf-8"))
 
 
-def run_console(text: str) -> int:
+def run_console(text):
     """Run every command of a block and look for the lines below it; return their number."""
     parts = re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]
     for part in parts:
@@ -49,7 +47,7 @@ def run_console(text: str) -> int:
     return len(parts)
 
 
-def run_python(text: str, names: dict[str, object]) -> None:
+def run_python(text, names):
     """Run a block and compare what it prints with what its comments say."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
@@ -63,7 +61,7 @@ def run_python(text: str, names: dict[str, object]) -> None:
 @pytest.mark.parametrize("page", TUTORIALS)
 def test_every_snippet_of_a_tutorial_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
+    names = {}
     ran = 0
     for language, text in blocks(page):
         if language == "console":

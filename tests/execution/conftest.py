@@ -1,18 +1,14 @@
 """A cluster that the tests of a room share."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-
 import pytest
 
 from study.harness.execution.cluster import Cluster
-from tests.execution.loopback import Loopback, loopback
+from tests.execution.loopback import loopback
 from tests.execution.misbehaving import perform
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Loopback]:
+def cluster(tmp_path_factory):
     """Two workers of one thread each, which the tests leave alive."""
     pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
     with loopback(tmp_path_factory.mktemp("cluster")) as made:

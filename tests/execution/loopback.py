@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 QUIET = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}
 
 
-def children(pid: int) -> dict[int, str]:
+def children(pid):
     """Command line of every process that one has started, by any of its threads."""
     lists = Path(f"/proc/{pid}/task").glob("*/children")
     places = {int(child): Path(f"/proc/{child}/cmdline") for path in lists
@@ -37,18 +37,18 @@ class Loopback:
     processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     @property
-    def file(self) -> Path:
+    def file(self):
         return self.folder / "scheduler.json"
 
     @property
-    def scheduler(self) -> subprocess.Popen[bytes]:
+    def scheduler(self):
         return self.processes[0]
 
     @property
-    def workers(self) -> list[subprocess.Popen[bytes]]:
+    def workers(self):
         return self.processes[1:]
 
-    def start_scheduler(self) -> None:
+    def start_scheduler(self):
         protocol = "tls" if self.tls else "tcp"
         self._start(
             "dask_scheduler", "--host", f"{protocol}://127.0.0.1", "--port", "0",
@@ -56,7 +56,7 @@ class Loopback:
         )  # fmt: skip
         until(self.file.is_file)
 
-    def start_worker(self, shadow: str = "", nanny: bool = False) -> subprocess.Popen[bytes]:
+    def start_worker(self, shadow="", nanny=False):
         return self._start(
             "dask_worker", "--scheduler-file", str(self.file), "--nthreads", str(self.threads),
             "--memory-limit", "0", "--no-dashboard", "--nanny" if nanny else "--no-nanny",
@@ -64,7 +64,7 @@ class Loopback:
             "--local-directory", str(self.folder), *self.tls, shadow=shadow,
         )  # fmt: skip
 
-    def _start(self, what: str, *options: str, shadow: str = "") -> subprocess.Popen[bytes]:
+    def _start(self, what, *options, shadow=""):
         path = os.pathsep.join(p for p in (shadow, str(ROOT), os.environ.get("PYTHONPATH")) if p)
         log = (self.folder / f"{what}-{len(self.processes)}.log").open("wb")
         with log:
@@ -77,11 +77,11 @@ class Loopback:
         self.processes.append(process)
         return process
 
-    def log(self, number: int) -> str:
+    def log(self, number):
         (found,) = self.folder.glob(f"*-{number}.log")
         return found.read_text()
 
-    def stop(self) -> None:
+    def stop(self):
         for process in self.processes[::-1]:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
@@ -89,9 +89,9 @@ class Loopback:
 
 
 @contextmanager
-def loopback(folder: Path, workers: int = 2, **options: object) -> Iterator[Loopback]:
+def loopback(folder, workers=2, **options):
     """Start a scheduler and some workers; kill them in the end."""
-    made = Loopback(folder, **options)  # type: ignore[arg-type]
+    made = Loopback(folder, **options)
     try:
         made.start_scheduler()
         for _ in range(workers):

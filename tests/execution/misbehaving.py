@@ -1,25 +1,21 @@
 """Tasks that misbehave on demand, to see what the executor makes of them."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
-from typing import Any
 
 from study.harness.execution.task import Task
 from tests.execution.loopback import ROOT
 from tests.waiting import CAP_S
 
 
-def perform(task: dict[str, Any]) -> dict[str, Any]:
+def perform(task):
     kind = task["kind"]
     if kind == "die":
         os.kill(os.getpid(), signal.SIGKILL)
@@ -61,11 +57,11 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
     return {"status": "converged", "value": task.get("value", 0) + 1}
 
 
-def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
+def task(key, kind="work", needs=(), **values):
     return Task(key, lambda results: {"kind": kind, **values}, needs)
 
 
-def never_up(_parent: int) -> None:
+def never_up(_parent):
     """Stop a worker before it can say that it is there."""
     os.kill(os.getpid(), signal.SIGSTOP)
 
@@ -87,7 +83,7 @@ for outcome in (Cluster(perform, *sys.argv[1:]) if sys.argv[1:] else Loky(perfor
 
 
 @contextmanager
-def study_left(*scheduler: str) -> Iterator[subprocess.Popen[str]]:
+def study_left(*scheduler):
     """Process of such a study, killed at the end."""
     path = os.pathsep.join([str(ROOT), *sys.path])
     owner = subprocess.Popen(
@@ -101,7 +97,7 @@ def study_left(*scheduler: str) -> Iterator[subprocess.Popen[str]]:
             owner.kill()
 
 
-def line_of(owner: subprocess.Popen[str]) -> str:
+def line_of(owner):
     """Next line that a process says."""
     assert owner.stdout is not None
     return owner.stdout.readline()

@@ -1,23 +1,18 @@
 """Tasks on a Dask cluster: as on this machine, and what is lost with workers and scheduler."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from study.ground.errors import InputError, RefusedError, SchedulerLostError
 from study.harness.execution.cluster import Cluster, Crew, Processes, differences
-from study.harness.execution.task import Outcome, Task
-from tests.execution.loopback import Loopback, children, loopback
+from tests.execution.loopback import children, loopback
 from tests.execution.misbehaving import line_of, perform, study_left, task
 from tests.waiting import CAP_S, until
 
@@ -25,11 +20,11 @@ distributed = pytest.importorskip("distributed", reason="Dask is not installed (
 dask = pytest.importorskip("dask", reason="Dask is not installed (extra 'dask')")
 
 
-def run(where: Loopback, tasks: list[Task], **options: Any) -> dict[str, Outcome]:
+def run(where, tasks, **options):
     return {o.key: o for o in Cluster(perform, where.file, **options).run(tasks)}
 
 
-def worker_processes(cluster: Loopback) -> list[str]:
+def worker_processes(cluster):
     """Command lines of the processes beside the workers."""
     lines = [line for worker in cluster.workers for line in children(worker.pid).values()]
     return [line for line in lines if "popen_loky" in line]
@@ -37,7 +32,7 @@ def worker_processes(cluster: Loopback) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path: Path) -> None:
+def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path):
     """As `dask worker` starts them: children of a nanny, which may have no children of theirs."""
     with loopback(tmp_path, workers=0) as made:
         nanny = made.start_worker(nanny=True)
@@ -56,7 +51,7 @@ def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path: Path) -> None:
         nanny.wait(timeout=CAP_S)
 
 
-def test_what_is_lost_with_workers_and_with_the_scheduler(tmp_path: Path) -> None:
+def test_what_is_lost_with_workers_and_with_the_scheduler(tmp_path):
     """A worker costs what it was doing; a task that loses two is a failed case and says so.
 
     It may be what brings the machines down; others are done by the worker that comes. One that
@@ -64,7 +59,7 @@ def test_what_is_lost_with_workers_and_with_the_scheduler(tmp_path: Path) -> Non
     """
     with loopback(tmp_path) as made:
         tasks = [task(str(k), "process") for k in range(40)]
-        seen: dict[str, Outcome] = {}
+        seen = {}
         for outcome in Cluster(perform, made.file).run(tasks):
             seen[outcome.key] = outcome
             if len(seen) == 6:
@@ -97,12 +92,12 @@ def test_what_is_lost_with_workers_and_with_the_scheduler(tmp_path: Path) -> Non
     assert lost.value.exit_code == 130
 
 
-def begun(mark: Path) -> int:
+def begun(mark):
     """How often a task that hangs has begun."""
     return mark.read_text().count("begun") if mark.exists() else 0
 
 
-def _lose_twice(made: Loopback, mark: Path) -> None:
+def _lose_twice(made, mark):
     """Kill the worker while it hangs, and the next one, and start a third."""
     for k in range(2):
         until(lambda k=k: begun(mark) > k)
@@ -110,7 +105,7 @@ def _lose_twice(made: Loopback, mark: Path) -> None:
         made.start_worker()
 
 
-def test_a_worker_without_the_package_is_refused(tmp_path: Path) -> None:
+def test_a_worker_without_the_package_is_refused(tmp_path):
     (tmp_path / "study").mkdir()
     (tmp_path / "study" / "__init__.py").write_text("raise ImportError('no study here')\n")
     with loopback(tmp_path, workers=0) as made:
@@ -119,7 +114,7 @@ def test_a_worker_without_the_package_is_refused(tmp_path: Path) -> None:
             run(made, [task("a")])
 
 
-def test_what_differs_is_named() -> None:
+def test_what_differs_is_named():
     here = {"a": "1", "b": "2"}
     assert differences(here, {"a": "1", "c": "3"}) == "b absent (here 2), c 3 (here absent)"
     assert differences(here, here) == ""
@@ -127,12 +122,12 @@ def test_what_differs_is_named() -> None:
 
 
 def test_a_study_waits_for_the_first_worker_and_a_later_one_gets_its_share(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, capsys, monkeypatch
+):
     call = Crew._call_for_workers
     with loopback(tmp_path, workers=0) as made:
 
-        def answered(crew: Crew) -> None:
+        def answered(crew):
             call(crew)
             if not made.workers:
                 made.start_worker()
@@ -158,22 +153,20 @@ def test_a_study_waits_for_the_first_worker_and_a_later_one_gets_its_share(
         ("tcp://127.0.0.1:9", r"tcp://127.0.0.1:9 cannot be reached"),
     ],
 )
-def test_a_scheduler_that_is_none_is_refused(
-    place: str, said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_that_is_none_is_refused(place, said, monkeypatch):
     monkeypatch.setattr("study.harness.execution.cluster.PATIENCE_S", 1.0)
     with pytest.raises(InputError, match=said):
         list(Cluster(perform, place).run([]))
 
 
 @pytest.fixture(scope="module")
-def certificates(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], list[str]]:
+def certificates(tmp_path_factory):
     """Certificates of an authority of our own, by its name."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl, which makes the certificates, is not installed")
     folder = tmp_path_factory.mktemp("certificates")
 
-    def made(name: str) -> list[str]:
+    def made(name):
         key, cert = folder / f"{name}.key", folder / f"{name}.pem"
         subprocess.run(
             ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2",
@@ -186,8 +179,8 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], li
 
 
 def test_an_encrypted_cluster_lets_in_those_with_its_certificate(
-    tmp_path: Path, certificates: Callable[[str], list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, certificates, monkeypatch
+):
     own, foreign = certificates("own"), certificates("foreign")
     with loopback(tmp_path, workers=1, tls=own) as made:
         with dask.config.set(_tls(own)):
@@ -199,7 +192,7 @@ def test_an_encrypted_cluster_lets_in_those_with_its_certificate(
             run(made, [task("a")])
 
 
-def _tls(options: list[str]) -> dict[str, str]:
+def _tls(options):
     """What a file of Dask's configuration says of certificates."""
     ca, cert, key = options[1::2]
     place = "distributed.comm.tls"
@@ -208,7 +201,7 @@ def _tls(options: list[str]) -> dict[str, str]:
     }  # fmt: skip
 
 
-def test_processes_that_nobody_uses_end() -> None:
+def test_processes_that_nobody_uses_end():
     """A study that was killed cannot say that it is over."""
     here = Processes()
     answer = here.perform(("gone", 0), perform, [{"kind": "process"}], None, lambda: False)
@@ -222,7 +215,7 @@ def test_processes_that_nobody_uses_end() -> None:
 # What one cluster is enough for stands last: it runs no longer than these tests.
 
 
-def test_leaving_early_stops_the_tasks_of_this_run_alone(cluster: Loopback, tmp_path: Path) -> None:
+def test_leaving_early_stops_the_tasks_of_this_run_alone(cluster, tmp_path):
     """Two studies on one cluster: the end of one is not that of the other."""
     slow = task("slow", "hang", mark=str(tmp_path / "mark"))
     mine = Cluster(perform, cluster.file, jobs=2).run([task("a"), slow])
@@ -239,7 +232,7 @@ def test_leaving_early_stops_the_tasks_of_this_run_alone(cluster: Loopback, tmp_
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_no_task_outlives_its_study(cluster: Loopback, how: signal.Signals) -> None:
+def test_no_task_outlives_its_study(cluster, how):
     """However it ends, the workers notice and stop what nobody waits for."""
     with study_left(str(cluster.file)) as owner:
         assert int(line_of(owner))
@@ -252,20 +245,20 @@ def test_no_task_outlives_its_study(cluster: Loopback, how: signal.Signals) -> N
     assert run(cluster, [task("a"), task("b")])["a"].status == "converged"
 
 
-def test_a_worker_with_other_versions_is_refused_with_the_differences(cluster: Loopback) -> None:
+def test_a_worker_with_other_versions_is_refused_with_the_differences(cluster):
     with pytest.raises(RefusedError, match="would not give the numbers") as refused:
         run(cluster, [task("a")], identity=_of_process)
     assert "numpy 1.0 (here 2.0)" in str(refused.value)
     assert "2 workers" in str(refused.value)
 
 
-def _of_process() -> dict[str, str]:
+def _of_process():
     """Versions that differ between the study and the processes of the cluster."""
     is_worker = any("dask_worker" in word for word in sys.argv)
     return {"numpy": "1.0" if is_worker else "2.0"}
 
 
-def test_files_that_tasks_read_travel_with_the_study(cluster: Loopback, tmp_path: Path) -> None:
+def test_files_that_tasks_read_travel_with_the_study(cluster, tmp_path):
     """A worker on another machine sees no file of ours; its copy goes when the run ends."""
     path = tmp_path / "a surface.stl"
     path.write_text("solid")
@@ -278,7 +271,7 @@ def test_files_that_tasks_read_travel_with_the_study(cluster: Loopback, tmp_path
     assert not any(Path(place).exists() for place in places)
 
 
-def test_a_client_that_was_given_stays_open(cluster: Loopback) -> None:
+def test_a_client_that_was_given_stays_open(cluster):
     with distributed.Client(scheduler_file=str(cluster.file), set_as_default=False) as client:
         for _ in range(2):
             found = list(Cluster(perform, client).run([task("a"), task("b")]))

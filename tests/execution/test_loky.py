@@ -1,7 +1,5 @@
 """F01, F06, F07, F13: tasks that die, hang or are stopped cost themselves alone."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal
@@ -11,9 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from threading import Timer
-from typing import Any
 
 import pytest
 
@@ -21,7 +17,7 @@ from study.ground.errors import InputError
 from study.harness.execution.cluster import Cluster
 from study.harness.execution.local import Loky, Worker
 from study.harness.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, longest_first
-from study.harness.execution.task import Document, Outcome, Results, Task
+from study.harness.execution.task import Task
 from tests.execution.loopback import ROOT, children
 from tests.execution.misbehaving import line_of, never_up, perform, study_left, task
 from tests.waiting import CAP_S, is_alive, state_of, until
@@ -31,34 +27,27 @@ LIMIT_S = 4.0
 
 
 Make = Callable[..., Loky | Cluster]
-HERE: Make = partial(Loky, perform)
+HERE = partial(Loky, perform)
 
 
 @pytest.fixture(params=["here", "cluster"])
-def make(request: pytest.FixtureRequest) -> Make:
+def make(request):
     """Make an executor on processes of this machine, or on the workers of a cluster."""
     if request.param == "here":
         return HERE
     return partial(Cluster, perform, request.getfixturevalue("cluster").file)
 
 
-def run(
-    tasks: list[Task],
-    jobs: int = 2,
-    limit_s: float | None = None,
-    *,
-    make: Make = HERE,
-    **more: Any,
-) -> dict[str, Outcome]:
+def run(tasks, jobs=2, limit_s=None, *, make=HERE, **more):
     return {o.key: o for o in make(jobs=jobs, limit_s=limit_s).run(tasks, **more)}
 
 
-def workers() -> list[str]:
+def workers():
     """Command lines of worker processes that this process has."""
     return [line for line in children(os.getpid()).values() if "popen_loky" in line]
 
 
-def test_tasks_that_misbehave_cost_themselves_alone(make: Make, tmp_path: Path) -> None:
+def test_tasks_that_misbehave_cost_themselves_alone(make, tmp_path):
     ends = {
         "die": ("crashed", "signal 9"),
         "exit": ("crashed", "exit code 3"),
@@ -67,9 +56,9 @@ def test_tasks_that_misbehave_cost_themselves_alone(make: Make, tmp_path: Path) 
         "nan": ("failed", "not JSON compliant"),
         "not plain": ("failed", "not JSON serializable"),
     }
-    seen: dict[str, Any] = {}
+    seen = {}
 
-    def told(results: Any) -> dict[str, Any]:
+    def told(results):
         seen.update(results["die"])
         return {"kind": "work"}
 
@@ -87,8 +76,8 @@ def test_tasks_that_misbehave_cost_themselves_alone(make: Make, tmp_path: Path) 
     assert found["next"].result["status"] == "converged"
 
 
-def test_what_is_finished_already_is_not_done_again() -> None:
-    def payload(results: Any) -> dict[str, Any]:
+def test_what_is_finished_already_is_not_done_again():
+    def payload(results):
         return {"kind": "work", "value": results["stored"]["value"]}
 
     found = run([Task("next", payload, ("stored",))], finished={"stored": {"value": 5}})
@@ -96,26 +85,26 @@ def test_what_is_finished_already_is_not_done_again() -> None:
     assert found["next"].result["value"] == 6
 
 
-def test_a_need_that_nobody_makes_is_a_bug_and_raises() -> None:
+def test_a_need_that_nobody_makes_is_a_bug_and_raises():
     with pytest.raises(RuntimeError, match="nobody makes"):
         run([task("a", needs=("ghost",))])
 
 
-def test_a_worker_has_one_thread_and_no_output(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_has_one_thread_and_no_output(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     found = run([task("loud", "print"), task("a", "threads")], jobs=1)
     assert found["loud"].result["value"] == 1
     assert found["a"].result["threads"] == "1"
 
 
-def test_leaving_early_kills_the_workers() -> None:
+def test_leaving_early_kills_the_workers():
     outcomes = Loky(perform, 2).run([task("a"), task("slow", "hang")])
     assert next(outcomes).key == "a"
     outcomes.close()
     assert workers() == []
 
 
-def test_the_limit_holds_whatever_a_worker_does(make: Make) -> None:
+def test_the_limit_holds_whatever_a_worker_does(make):
     # a loaded machine needs more for the sound task alone
     began = time.perf_counter()
     run([task("a")], 1, make=make)
@@ -128,7 +117,7 @@ def test_the_limit_holds_whatever_a_worker_does(make: Make) -> None:
     assert found["a"].result["status"] == "converged"
 
 
-def test_a_worker_that_never_comes_up_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_never_comes_up_is_given_up(monkeypatch):
     """No limit was asked for: only the start of a process has one of its own."""
     monkeypatch.setattr("study.harness.execution.local.serve_quietly", never_up)
     monkeypatch.setattr("study.harness.execution.supervisor.START_LIMIT_S", 1.0)
@@ -138,7 +127,7 @@ def test_a_worker_that_never_comes_up_is_given_up(monkeypatch: pytest.MonkeyPatc
     assert workers() == []
 
 
-def test_a_pipe_that_nobody_reads_does_not_hold_the_owner() -> None:
+def test_a_pipe_that_nobody_reads_does_not_hold_the_owner():
     """A worker stops after its answer, and the next task is larger than any pipe."""
     outcomes = Loky(perform, 1, LIMIT_S).run(
         [task("a", "stop soon"), task("large", needs=("a",), text="x" * 30_000_000),
@@ -151,13 +140,13 @@ def test_a_pipe_that_nobody_reads_does_not_hold_the_owner() -> None:
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_limit_that_is_none_is_refused(make: Make, limit: float) -> None:
+def test_a_limit_that_is_none_is_refused(make, limit):
     with pytest.raises(InputError, match="must be a positive number"):
         run([task("a")], limit_s=limit, make=make)
 
 
-def test_outcomes_do_not_depend_on_the_executor(make: Make) -> None:
-    def payload(results: Any) -> dict[str, Any]:
+def test_outcomes_do_not_depend_on_the_executor(make):
+    def payload(results):
         return {"kind": "work", "value": results["a"]["value"]}
 
     tasks = [Task("b", payload, ("a",)), task("a", value=3), task("bad", "raise")]
@@ -169,7 +158,7 @@ def test_outcomes_do_not_depend_on_the_executor(make: Make) -> None:
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_no_worker_outlives_its_study(how: signal.Signals) -> None:
+def test_no_worker_outlives_its_study(how):
     with study_left() as owner:
         pids = {int(line_of(owner)) for _ in range(2)}
         owner.send_signal(how)
@@ -177,7 +166,7 @@ def test_no_worker_outlives_its_study(how: signal.Signals) -> None:
     until(lambda: not any(is_alive(pid) for pid in pids))
 
 
-def test_a_worker_whose_parent_died_before_it_was_up_ends() -> None:
+def test_a_worker_whose_parent_died_before_it_was_up_ends():
     """Who asks for its parent's number that late gets another one, which never changes."""
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
@@ -187,14 +176,14 @@ def test_a_worker_whose_parent_died_before_it_was_up_ends() -> None:
     assert orphan.returncode == -signal.SIGKILL
 
 
-def test_workers_that_are_starting_end_with_a_killed_parent() -> None:
+def test_workers_that_are_starting_end_with_a_killed_parent():
     with study_left() as owner:
         until(lambda: len(children(owner.pid)) >= 2)
         pids = set(children(owner.pid))
     until(lambda: not any(is_alive(pid) for pid in pids))
 
 
-def test_tasks_of_a_group_stay_with_one_process_of_one_thread(make: Make) -> None:
+def test_tasks_of_a_group_stay_with_one_process_of_one_thread(make):
     grouped = [
         Task(f"{g}{k}", lambda _: {"kind": "process"}, group=g) for k in range(3) for g in "ab"
     ]
@@ -205,7 +194,7 @@ def test_tasks_of_a_group_stay_with_one_process_of_one_thread(make: Make) -> Non
     assert processes["a"] != processes["b"]
 
 
-def test_the_queue_grows_no_slower_than_its_tasks() -> None:
+def test_the_queue_grows_no_slower_than_its_tasks():
     """Looking at every task for every task took 10,000 of them 8 seconds: operations counted."""
     count = 2000
     tasks = [Task(str(k), lambda _: {}, group=str(k % 7)) for k in range(count)]
@@ -216,10 +205,10 @@ def test_the_queue_grows_no_slower_than_its_tasks() -> None:
     assert ready._fronts == []
 
 
-def test_the_longest_comes_first_and_what_others_wait_for_before_them() -> None:
+def test_the_longest_comes_first_and_what_others_wait_for_before_them():
     """Graham 1969: two workers end after 6, 5 and 6 + 5 where the long ones came last."""
 
-    def nothing(results: Results) -> Document:
+    def nothing(results):
         return {}
 
     tasks = [
@@ -235,29 +224,29 @@ def test_the_longest_comes_first_and_what_others_wait_for_before_them() -> None:
     assert [t.key for _ in range(4) if (t := ready.take(""))] == ["fit", "g1", "long", "g2"]
 
 
-def test_no_more_run_at_once_than_there_is_room_for() -> None:
+def test_no_more_run_at_once_than_there_is_room_for():
     """Predicted memory: two of 3 beside each other in 7, and one of 20 alone."""
     sizes = {"giant": 20.0, **{f"t{k}": 3.0 for k in range(6)}}
-    running: list[float] = []
-    most: list[float] = []
+    running = []
+    most = []
 
     class Counted:
         """Slot that does its task at once, and is told when it ends."""
 
-        def start(self, payloads: Any, done: Any, ticket: object) -> None:
+        def start(self, payloads, done, ticket):
             running.append(sizes[payloads[0]])
             most.append(sum(running))
             Timer(0.02, self._end, (payloads[0], done, ticket)).start()
 
-        def _end(self, key: str, done: Any, ticket: object) -> None:
+        def _end(self, key, done, ticket):
             running.remove(sizes[key])
             done.put((ticket, Answer('[{"status": "converged"}]')))
 
-        def kill(self) -> None:
+        def kill(self):
             """Nothing runs elsewhere."""
 
     tasks = [
-        Task(key, lambda _, key=key: key, seconds=1.0, memory_MB=size)  # type: ignore[misc]
+        Task(key, lambda _, key=key: key, seconds=1.0, memory_MB=size)
         for key, size in sizes.items()
     ]
     found = list(
@@ -267,11 +256,11 @@ def test_no_more_run_at_once_than_there_is_room_for() -> None:
     assert sorted(set(most)) == [3.0, 6.0, 20.0]
 
 
-def short(key: str, kind: str = "work", **values: Any) -> Task:
+def short(key, kind="work", **values):
     return replace(task(key, kind, **values), seconds=0.02)
 
 
-def test_short_tasks_go_to_a_worker_together_and_come_back_one_by_one() -> None:
+def test_short_tasks_go_to_a_worker_together_and_come_back_one_by_one():
     found = list(Loky(perform, 2).run([short(f"{k}", value=k) for k in range(40)]))
     assert {one.key: one.result["value"] for one in found} == {f"{k}": k + 1 for k in range(40)}
     # the last of those that came together has nothing behind it
@@ -280,7 +269,7 @@ def test_short_tasks_go_to_a_worker_together_and_come_back_one_by_one() -> None:
 
 
 @pytest.mark.parametrize(("kind", "status"), [("die", "crashed"), ("hang", "timeout")])
-def test_a_short_task_that_misbehaves_costs_those_beside_it_nothing(kind: str, status: str) -> None:
+def test_a_short_task_that_misbehaves_costs_those_beside_it_nothing(kind, status):
     tasks = [short("bad", kind), *(short(f"{k}") for k in range(30))]
     found = {one.key: one for one in Loky(perform, 2, LIMIT_S).run(tasks)}
     assert found.pop("bad").status == status
@@ -288,7 +277,7 @@ def test_a_short_task_that_misbehaves_costs_those_beside_it_nothing(kind: str, s
     assert len(found) == 30
 
 
-def test_results_are_kept_while_somebody_needs_them() -> None:
+def test_results_are_kept_while_somebody_needs_them():
     ready = ReadyQueue([task("a"), task("b", needs=("a",)), task("c", needs=("a",))], {"x": {}})
     assert ready.results == {}
     for key, kept in (("a", {"a"}), ("b", {"a"}), ("c", set())):
@@ -301,17 +290,17 @@ def test_results_are_kept_while_somebody_needs_them() -> None:
 # A process beside this one: it works, and whatever becomes of it the call is made.
 
 
-def where(text: str) -> tuple[str, int]:
+def where(text):
     return text, os.getpid()
 
 
-def killed_elsewhere(home: int) -> int:
+def killed_elsewhere(home):
     if os.getpid() != home:
         os.kill(os.getpid(), signal.SIGKILL)
     return home
 
 
-def test_a_call_is_made_in_another_process_that_ends_with_the_context() -> None:
+def test_a_call_is_made_in_another_process_that_ends_with_the_context():
     with Worker(dict) as worker:
         found, process = worker.begin(where, "there")()
     assert found == "there"
@@ -319,7 +308,7 @@ def test_a_call_is_made_in_another_process_that_ends_with_the_context() -> None:
     until(lambda: not is_alive(process))
 
 
-def test_a_death_or_what_cannot_be_sent_is_made_up_for_here() -> None:
+def test_a_death_or_what_cannot_be_sent_is_made_up_for_here():
     with Worker(dict) as worker:
         assert worker.begin(killed_elsewhere, os.getpid())() == os.getpid()
         assert worker.begin(where, "here")() == ("here", os.getpid())
@@ -328,7 +317,7 @@ def test_a_death_or_what_cannot_be_sent_is_made_up_for_here() -> None:
         assert worker.begin(sum, unsent)() == 3
 
 
-def test_a_fault_of_the_call_is_raised_here() -> None:
+def test_a_fault_of_the_call_is_raised_here():
     with Worker(dict) as worker:
         later = worker.begin(int, "none")
         with pytest.raises(ValueError, match="none"):

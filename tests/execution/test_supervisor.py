@@ -1,24 +1,22 @@
 """What a supervisor makes of answers that no worker of ours gives."""
 
-from __future__ import annotations
-
 import pytest
 
-from study.harness.execution.supervisor import Answer, Done, ReadyQueue, Supervisor
+from study.harness.execution.supervisor import Answer, ReadyQueue, Supervisor
 from study.harness.execution.task import Task
 
 
 class Liar:
     """A slot whose answers are what somebody else made of them."""
 
-    def __init__(self, answers: list[str]) -> None:
+    def __init__(self, answers):
         self.answers, self.killed = answers, 0
 
-    def start(self, payloads: list[object], done: Done, ticket: object) -> bool | None:
+    def start(self, payloads, done, ticket):
         done.put((ticket, Answer(self.answers.pop(0))))
-        return None
+        return
 
-    def kill(self) -> None:
+    def kill(self):
         self.killed += 1
 
 
@@ -28,7 +26,7 @@ GOOD = '[{"status": "converged"}]'
 @pytest.mark.parametrize(
     "bad", ["[" * 100_000, "", "[]", "null", '"text"', "{", '[{"status": 1}]', f"[{GOOD}]"]
 )
-def test_an_answer_that_is_no_result_costs_its_own_case_alone(bad: str) -> None:
+def test_an_answer_that_is_no_result_costs_its_own_case_alone(bad):
     tasks = [Task(name, lambda results: {}) for name in "ab"]
     slot = Liar([bad, bad, GOOD])
     outcomes = list(Supervisor(ReadyQueue(tasks, {}), [slot]).outcomes())

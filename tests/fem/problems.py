@@ -48,7 +48,7 @@ def compression(
 
 def indentation(
     indenter, depth, specimen=SPECIMEN, *, material=RUBBER, steps=10, base="bonded",
-    interface="frictionless", **model,
+    interface="frictionless", **model
 ):  # fmt: skip
     test = Test("indentation", depth, interface, base, steps, indenter)
     return Problem(specimen, test, material, replace(Model(), **model))

@@ -1,11 +1,8 @@
 """Curves in closed form between their rows: the same as if every place had been a row."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.mechanics.forward.closed_form import at_rows, between_rows, solution
@@ -35,25 +32,17 @@ CASES = [
 ]
 
 
-def made(
-    kind: str, specimen: Cylinder | Homogeneous, depth: float, more: dict[str, object]
-) -> Setup:
-    return Setup(specimen, Test(kind, displacement_mm=depth, **more), Model())  # type: ignore[arg-type]
+def made(kind, specimen, depth, more):
+    return Setup(specimen, Test(kind, displacement_mm=depth, **more), Model())
 
 
-def dense(setup: Setup, material: Material, d: Array) -> Array:
+def dense(setup, material, d):
     """Force where every place is a row of its own."""
     return at_rows(setup, material, Curve(d, np.empty(0))).force_N
 
 
 @pytest.mark.parametrize(("kind", "specimen", "material", "depth", "more"), CASES)
-def test_curve_between_its_rows(
-    kind: str,
-    specimen: Shape,
-    material: Material,
-    depth: float,
-    more: dict[str, object],
-) -> None:
+def test_curve_between_its_rows(kind, specimen, material, depth, more):
     setup = made(kind, specimen, depth, more)
     rows = np.linspace(0, depth, 41)
     curve = between_rows(setup, material, rows)
@@ -79,7 +68,7 @@ def test_curve_between_its_rows(
     assert curve.work_Nmm[-1] == pytest.approx(work, rel=1e-7)
 
 
-def test_material_without_a_state_ends_its_curve_there() -> None:
+def test_material_without_a_state_ends_its_curve_there():
     weak = Material("ogden", {"mu1": 0.1, "alpha1": -1.0}, incompressible=True)
     limited = Material("gent", {"mu": 0.1, "Jm": 3.0}, incompressible=True)
     for material, depth in ((weak, 30.0), (limited, 40.0)):
@@ -92,7 +81,7 @@ def test_material_without_a_state_ends_its_curve_there() -> None:
         assert (found.status == "converged") == (found.reached_mm == depth)
 
 
-def test_a_plate_that_would_pass_the_base_is_refused() -> None:
+def test_a_plate_that_would_pass_the_base_is_refused():
     setup = made("compression", Cylinder(10.0, 20.0), 20.0, {"interface": "frictionless"})
     with pytest.raises(InputError):
         between_rows(setup, GEL, np.array([10.0, 20.0]))

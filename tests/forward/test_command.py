@@ -39,7 +39,7 @@ HEIGHT, RADIUS, C10, C20 = 25.0, 14.5, 0.006, 0.0011
 POINTS = np.linspace(0.0, 5.0, 6)[1:]
 
 
-def commands(argv, contents, **more: object) -> External:
+def commands(argv, contents, **more):
     """Forward model of commands that find some files in their folder."""
     return External(ForwardModel(model="command", argv=argv, **more), contents, {}, None)
 
@@ -115,7 +115,7 @@ def problem(**constants):
     ).at()
 
 
-def force(d: float) -> float:
+def force(d):
     """Nominal stress of Yeoh's energy times the area, written down once more."""
     stretch = 1 - d / HEIGHT
     invariant = stretch**2 + 2 / stretch - 3
@@ -123,11 +123,11 @@ def force(d: float) -> float:
     return math.pi * RADIUS**2 * slope * (C10 + 2 * C20 * invariant)
 
 
-def script(text: str, **more: object) -> External:
+def script(text, **more):
     return commands((("python", "run.py"),), {"run.py": text}, **more)
 
 
-def refusal(made: External) -> NoAnswer:
+def refusal(made):
     with pytest.raises(NoAnswer) as caught:
         solve_by_command(made, problem(C10=C10), POINTS)
     return caught.value
@@ -233,7 +233,7 @@ while not all(os.path.isfile({place!r} + w) and os.path.getsize({place!r} + w) f
 """
 
 
-def left_behind(place: Path) -> list[str]:
+def left_behind(place):
     """Ids of the processes that a program left, which still run."""
     marks = [place.with_name(place.name + word) for word in "01"]
     pids = [mark.read_text() for mark in marks if mark.is_file()]
@@ -383,7 +383,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def study(folder: Path, *words: str) -> subprocess.CompletedProcess:
+def study(folder, *words):
     return subprocess.run(
         [sys.executable, "-m", "study", *words], cwd=folder, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=CAP_S, check=False,
@@ -449,7 +449,7 @@ def test_hostile_answers_are_statuses_of_their_cases(folder):
     assert {record.status for record in records.values()} <= {"failed", "not-converged"}
 
 
-def lubricated(order: str):
+def lubricated(order):
     """Problem whose closed form checks an adapter."""
     tables = {
         "specimen": {"shape": "cylinder", "radius_mm": RADIUS, "height_mm": HEIGHT},

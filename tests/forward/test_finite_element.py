@@ -1,20 +1,16 @@
 """Cases of a cell start from one solution: same answer, whatever was computed before."""
 
-from __future__ import annotations
-
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from study.harness.design.load import loads
 from study.harness.record.document import CurveKey
-from study.harness.record.record import Record, table
+from study.harness.record.record import table
 from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import Work
 from study.harness.runner.tasks import processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.mechanics.forward.finite_element import Anchors
@@ -71,7 +67,7 @@ practical = "2 pp"
 
 
 @pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Work:
+def work(tmp_path_factory):
     home = tmp_path_factory.mktemp("data")
     design = loads(DESIGN, "cone.toml")
     write_virtual(design, home, usual_generator(design, blocks=3))
@@ -79,17 +75,17 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Work:
 
 
 @pytest.fixture(scope="module")
-def whole(work: Work, tmp_path_factory: pytest.TempPathFactory) -> list[Record]:
+def whole(work, tmp_path_factory):
     return finished(work, tmp_path_factory.mktemp("whole"))
 
 
-def finished(work: Work, folder: Path, jobs: int = 2) -> list[Record]:
+def finished(work, folder, jobs=2):
     store = Store(folder)
     run_batch(work, store, processes(jobs))
     return store.records(work.input_hashes)
 
 
-def test_cases_of_a_cell_share_the_fit_of_its_first_specimen(work: Work) -> None:
+def test_cases_of_a_cell_share_the_fit_of_its_first_specimen(work):
     groups = {job.group for job in work.jobs}
     assert len(work.jobs) == 6
     assert len(groups) == 2
@@ -101,9 +97,7 @@ def test_cases_of_a_cell_share_the_fit_of_its_first_specimen(work: Work) -> None
 
 
 @pytest.mark.parametrize(("order", "shared"), [("linear", False), ("quadratic", True)])
-def test_linear_solids_under_an_indenter_follow_their_own_load_path(
-    order: str, shared: bool, work: Work
-) -> None:
+def test_linear_solids_under_an_indenter_follow_their_own_load_path(order, shared, work):
     """Another specimen's load steps lead them to a neighbouring equilibrium, 0.2 to 0.8 % away."""
     text = DESIGN.replace('space = "axisymmetric"', f'space = "3d"\nelement_order = "{order}"')
     design = loads(text, "cone.toml")
@@ -112,7 +106,7 @@ def test_linear_solids_under_an_indenter_follow_their_own_load_path(
     assert all((job.anchor is not None) is shared for job in jobs)
 
 
-def test_predictions_are_those_of_cold_solutions(work: Work, whole: list[Record]) -> None:
+def test_predictions_are_those_of_cold_solutions(work, whole):
     for record in whole:
         assert record.status == "converged", record.message
         job = next(j for j in work.jobs if j.case.case_id == record.case_id)
@@ -124,9 +118,7 @@ def test_predictions_are_those_of_cold_solutions(work: Work, whole: list[Record]
         np.testing.assert_allclose(predicted, cold.curve.force_N, rtol=1e-6)
 
 
-def test_a_resumed_study_gives_the_same_digits(
-    work: Work, whole: list[Record], tmp_path: Path
-) -> None:
+def test_a_resumed_study_gives_the_same_digits(work, whole, tmp_path):
     """Only the last specimens are missing: their anchor is made again, not taken from nearby."""
     store = Store(tmp_path)
     kept = [r for r in whole if r.block == "2"]
@@ -138,7 +130,7 @@ def test_a_resumed_study_gives_the_same_digits(
     assert both[0] == both[1]
 
 
-def test_seconds_of_a_case_are_those_of_the_cell_alone(work: Work, tmp_path: Path) -> None:
+def test_seconds_of_a_case_are_those_of_the_cell_alone(work, tmp_path):
     """With one worker: two may both solve a cell, each in a time of its own."""
     records = finished(work, tmp_path, jobs=1)
     for levels in {r.levels["material"] for r in records}:

@@ -1,9 +1,5 @@
 """Indentation in closed form, and the start that it gives to a fit."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -18,14 +14,14 @@ from tests.fem.problems import LONG
 
 HIGH = 1e9
 NEO_HOOKEAN = 6e-3
-INDENTERS: dict[str, dict[str, Any]] = {
+INDENTERS = {
     "flat": {"shape": "flat", "radius_mm": 8.0, "edge_radius_mm": 1.0},
     "cone": {"shape": "cone", "half_angle_deg": 45.0, "tip_radius_mm": 2.0},
     "needle": {"shape": "cone", "half_angle_deg": 30.0, "tip_radius_mm": 1.0,
                "shaft_radius_mm": 3.0},
     "sphere": {"shape": "sphere", "radius_mm": 8.0},
 }  # fmt: skip
-SPECIMENS: dict[str, dict[str, Any]] = {
+SPECIMENS = {
     "thick cylinder": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
     "thin cylinder": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 8.0},
     "thick block": {"shape": "block", "width_mm": 60.0, "depth_mm": 60.0, "height_mm": 40.0},
@@ -33,7 +29,7 @@ SPECIMENS: dict[str, dict[str, Any]] = {
 }
 
 
-def test_a_rounded_tip_and_a_shaft() -> None:
+def test_a_rounded_tip_and_a_shaft():
     """A rounded tip lies its own rounding deeper than a sharp one; a shaft goes on as a punch."""
     depth = np.array([20.0, 30.0])
     sharp = indentation(Cone(45.0), depth + (np.sqrt(2) - 1) * 0.2, height_mm=HIGH)
@@ -43,7 +39,7 @@ def test_a_rounded_tip_and_a_shaft() -> None:
     assert np.diff(shaft) == pytest.approx(2 * 3.0 * 10.0 / 0.75)
 
 
-def setting(indenter: str, specimen: str, nu: float = 0.4995) -> dict[str, Any]:
+def setting(indenter, specimen, nu=0.4995):
     own = SPECIMENS[specimen]
     return {
         "specimen": own,
@@ -55,12 +51,12 @@ def setting(indenter: str, specimen: str, nu: float = 0.4995) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def calibrated(document: dict[str, Any], measured: Curve) -> fit_task.FitResult:
+def calibrated(document, measured):
     problem = fit_problem(Cell(CellProblem.of(document), "auto"))
     return fit_task.fitted(fit_task.FitJob(problem, (measured,)))
 
 
-def virtual(config: dict[str, Any]) -> Curve:
+def virtual(config):
     solution = finite_element.solve(
         CellProblem.of(config).at({"C10": NEO_HOOKEAN}), gradients=False
     )
@@ -76,7 +72,7 @@ FITS = [  # each indenter and each specimen once in the suite, all pairs in the 
 
 
 @pytest.mark.parametrize(("indenter", "specimen"), FITS)
-def test_an_indentation_fit_starts_near_its_end(indenter: str, specimen: str) -> None:
+def test_an_indentation_fit_starts_near_its_end(indenter, specimen):
     """Large strains, a layer and a finite width are in the data: a factor of 1.25 at most."""
     config = setting(indenter, specimen)
     measured = virtual(config)

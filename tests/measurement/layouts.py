@@ -1,10 +1,7 @@
 """Files as instruments lay them out, written for tests: one neo-Hookean specimen in each."""
 
-from __future__ import annotations
-
 import io
 import zipfile
-from collections.abc import Sequence
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -13,7 +10,7 @@ import numpy as np
 AREA, LENGTH, C10 = 80.0, 20.0, 0.03
 
 
-def force(displacement: np.ndarray, sense: float = 1.0) -> np.ndarray:
+def force(displacement, sense=1.0):
     """Force of the specimen that resists, N."""
     stretch = 1 + sense * displacement / LENGTH
     return sense * AREA * 2 * C10 * (stretch - stretch**-2)
@@ -23,11 +20,11 @@ UP = np.linspace(0.0, 6.0, 41)
 TIME = 0.2 * np.arange(UP.size)
 
 
-def german(text: str) -> str:
+def german(text):
     return text.replace(",", "\0").replace(".", ",").replace("\0", ".")
 
 
-def bluehill() -> bytes:
+def bluehill():
     """Instron: a preamble of quoted pairs, names, units in brackets, quoted numbers."""
     head = (
         'Specimen label,"A 1"\nTest : Rate 1,"30.00000",mm/min\n\n'
@@ -37,7 +34,7 @@ def bluehill() -> bytes:
     return (head + "".join(rows)).encode()
 
 
-def mts() -> bytes:
+def mts():
     """MTS: tabs, a block of words, names, units, the actuator's own position, kN."""
     head = (
         "MTS793|MPT|ENU|1|2|.|/|:|1|0|0|A\n\n"
@@ -51,7 +48,7 @@ def mts() -> bytes:
     return (head + "".join(rows)).encode()
 
 
-def testxpert() -> bytes:
+def testxpert():
     """Zwick: Latin-1, semicolons, decimal commas, points between thousands, a pressed specimen."""
     head = 'Prüfer;"Müller"\nTemperatur;23,5 °C\n\nPrüfzeit;Standardweg;Standardkraft\ns;mm;mN\n'
     rows = (
@@ -61,7 +58,7 @@ def testxpert() -> bytes:
     return (head + german("".join(rows))).encode("latin-1")
 
 
-def texture_analyser() -> bytes:
+def texture_analyser():
     """TA.XT: gram-force, millimetres and seconds in the names, a load and an unload."""
     place = np.r_[UP, UP[-2::-1]]
     grams = np.r_[force(UP, -1.0), 0.8 * force(UP[-2::-1], -1.0)] / 9.80665e-3
@@ -73,7 +70,7 @@ def texture_analyser() -> bytes:
     return (head + "".join(rows)).encode()
 
 
-def cellscale() -> bytes:
+def cellscale():
     """CellScale: units behind underscores, micrometres, millinewtons, cycles."""
     place = np.concatenate([UP, UP[-2::-1], UP[1:], UP[-2::-1]])
     factor = np.repeat([1.0, 0.9, 0.95, 0.9], [41, 40, 40, 40])
@@ -87,7 +84,7 @@ def cellscale() -> bytes:
     return (head + "".join(rows)).encode()
 
 
-def optics11() -> bytes:
+def optics11():
     """Optics11: tabs, a long preamble of pairs, nanometres and micronewtons, an approach."""
     before = np.arange(-1.5, 0.0, 0.15)
     place = np.r_[before, UP, UP[-2::-1], before[::-1]]
@@ -104,7 +101,7 @@ def optics11() -> bytes:
     return (head + "".join(rows)).encode()
 
 
-def workbook(sheets: dict[str, Sequence[Sequence[object]]]) -> bytes:
+def workbook(sheets):
     """Excel workbook, written part by part."""
     names = list(sheets)
     kind = "application/vnd.openxmlformats-officedocument.spreadsheetml"
@@ -151,7 +148,7 @@ def workbook(sheets: dict[str, Sequence[Sequence[object]]]) -> bytes:
     return content.getvalue()
 
 
-def _cell(column: int, row: int, value: object) -> str:
+def _cell(column, row, value):
     if value is None:
         return ""
     place = f"{chr(ord('A') + column)}{row}"

@@ -1,7 +1,5 @@
 """Any bytes as a measurement file: a clean error or a valid table, soon, never a traceback."""
 
-from __future__ import annotations
-
 import math
 
 from hypothesis import example, given

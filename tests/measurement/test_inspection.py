@@ -1,7 +1,5 @@
 """``study inspect``: the table that it prints reads the file to the constant behind it."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import re
@@ -26,7 +24,7 @@ ROWS = [["Run of May", None, None], ["t", "Weg", "Kraft"], ["s", "mm", "N"]] + [
 ]
 PLAIN = "".join(f"{d:.4f} {f:.6f}\n" for d, f in zip(UP, force(UP), strict=True))
 #: content, kind of test, what the table must say besides columns and units, rows read and used
-FILES: dict[str, tuple[bytes, str, dict[str, object], tuple[int, int]]] = {
+FILES = {
     "bluehill.csv": (layouts.bluehill(), "tension", {"skip_lines": 3, "unit_row": True}, (41, 41)),
     "mts.txt": (
         layouts.mts(), "tension",
@@ -62,7 +60,7 @@ FILES: dict[str, tuple[bytes, str, dict[str, object], tuple[int, int]]] = {
 }  # fmt: skip
 
 
-def calibration(table: str, kind: str) -> str:
+def calibration(table, kind):
     return (
         f'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "{AREA} mm^2"\n'
         f'length = "{LENGTH} mm"\n[material]\nmodel = "neo-hookean"\nincompressible = true\n'
@@ -86,7 +84,7 @@ def test_the_table_reads_the_file_as_it_is(tmp_path, name):
     assert made["curves"][0]["r_squared"] > 0.99999
 
 
-def written(head: str, *columns: np.ndarray, sep: str = ",") -> str:
+def written(head, *columns, sep=","):
     return head + "".join(
         sep.join(f"{v:.6f}" for v in row) + "\n" for row in zip(*columns, strict=True)
     )
@@ -104,7 +102,7 @@ SINE = 3 + 3 * np.sin(0.1 * np.arange(200))
 POINTS = "".join(f"{1e3 * d:,.0f};{1e3 * f:,.0f}\n" for d, f in zip(UP, force(UP), strict=True))
 QUOTED = "".join(f'"{d:.4f}","{f:.6f}"\n' for d, f in zip(UP, force(UP), strict=True))
 #: recordings that are laid out or run otherwise than a plain test: text and kind of test
-UGLY: dict[str, tuple[bytes, str]] = {
+UGLY = {
     "units above the names": (
         written("mm,mN\nWeg,Kraft\n", UP, 1e3 * force(UP)).encode(), "tension"),
     "units below a second line of names": (
@@ -165,7 +163,7 @@ UGLY: dict[str, tuple[bytes, str]] = {
 }  # fmt: skip
 
 
-def calibrated(folder, content: bytes, kind: str, change=lambda table: table):
+def calibrated(folder, content, kind, change=lambda table: table):
     (folder / "a.csv").write_bytes(content)
     table = change(inspect(folder / "a.csv").toml)
     (folder / "c.toml").write_text(calibration(table, kind))

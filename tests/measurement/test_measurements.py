@@ -1,10 +1,7 @@
 """Measurement files: what they mean is read exactly, what is doubtful is refused by place."""
 
-from __future__ import annotations
-
 import gzip
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,15 +29,13 @@ REPEATS = "s,r,d,f\n" + "".join(
 PLAIN = Spec()
 
 
-def read(
-    folder: Path, text: str | bytes, spec: MeasurementSpec = PLAIN, height_mm: float | None = None
-):
+def read(folder, text, spec=PLAIN, height_mm=None):
     data = text.encode() if isinstance(text, str) else text
     (folder / "a.csv").write_bytes(data)
     return read_measurements(spec, folder, height_mm)
 
 
-def refusal(folder: Path, text: str | bytes, spec: MeasurementSpec = PLAIN) -> str:
+def refusal(folder, text, spec=PLAIN):
     with pytest.raises(InputError) as caught:
         read(folder, text, spec)
     return str(caught.value)
@@ -60,7 +55,7 @@ def test_a_range_that_nobody_asked_for_begins_with_the_last_test(tmp_path):
 
 OFFSET = "d,f\n" + "".join(f"{x:.4f},{2 * x + 0.5:.4f}\n" for x in np.linspace(0, 4, 81))
 #: rows, keys of the table, forces at its points (by hand), and what is said of the rows
-RULES: dict[str, tuple[str, dict[str, object], list[float], list[str]]] = {
+RULES = {
     "a straight line": (LINE, {"points": 9}, [0, 1, 2, 3, 4, 5, 6, 7, 8], ["1 test of 5 rows"]),
     "10 kN at 0.4 cm": (
         "d;f\n0;0\n0,1;2,5\n0,2;5\n0,4;10\n",
@@ -120,12 +115,12 @@ def test_dress_of_the_file_does_not_matter(tmp_path, change):
 FORCE_N = [0.0, 400.0, 800.0, 1200.5, 1600.0]
 
 
-def rows(cells: str) -> str:
+def rows(cells):
     return "".join(cells.format(d=d, f=f, g=f"{f:,.2f}") for d, f in enumerate(FORCE_N))
 
 
 DEGREE = "Zeit [s]\td\tf\tTemperatur [\u00b0C]\n"
-FILES: dict[str, tuple[bytes, dict[str, object]]] = {
+FILES = {
     "row of units": (("d,f\n(mm),(N)\n" + rows('"{d}","{f}"\n')).encode(), {}),
     "units without brackets": (("t;d;f\n;mm;N\n" + rows("0;{d};{f}\n")).encode(), {}),
     "units of pint": (

@@ -1,7 +1,5 @@
 """Data that are not what they seem: unloading, offsets, units; each with an answer from outside."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -25,14 +23,13 @@ from study.mechanics.measurement.measured_test import (
 )
 from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec
 from study.mechanics.measurement.phases import phases_of
-from study.mechanics.setup.setup import Setup
 
 COLUMNS = Columns(displacement="d", force="f")
 RULES = Rules(MeasurementSpec(COLUMNS, points=10), 0.5, 5.0)
 UP = np.linspace(0.0, 6.0, 61)
 
 
-def test_what_was_only_loaded_loses_nothing() -> None:
+def test_what_was_only_loaded_loses_nothing():
     random = np.random.default_rng(2)
     straight = UP + 0.05 * random.standard_normal(61)
     # rows in no order at all are sorted, as they always were
@@ -54,7 +51,7 @@ def test_what_was_only_loaded_loses_nothing() -> None:
         (UP + 0.05, None),  # 0.8 %: less than it takes
     ],
 )
-def test_a_load_cell_that_does_not_begin_at_zero(force: np.ndarray, told: float | None) -> None:
+def test_a_load_cell_that_does_not_begin_at_zero(force, told):
     found = condition(UP, force, RULES, "a test")
     if told is None:
         assert found.offset is None
@@ -67,7 +64,7 @@ def test_a_load_cell_that_does_not_begin_at_zero(force: np.ndarray, told: float 
 
 
 @pytest.mark.parametrize(("factor", "size"), [(1e-3, "small"), (1e3, "large")])
-def test_travel_in_another_unit_is_recognised(factor: float, size: str) -> None:
+def test_travel_in_another_unit_is_recognised(factor, size):
     many = np.linspace(0.0, 6.0, 601)
     with pytest.raises(InputError, match=f"1000 times too {size}.*measurements.units"):
         condition(factor * many, many, RULES, "a test")
@@ -82,7 +79,7 @@ INDENTERS = {
 }
 
 
-def setup(indenter: str | None) -> Setup:
+def setup(indenter):
     if indenter is None:
         return CellProblem.of({"specimen": CYLINDER, "test": {"kind": "compression"}}).setup
     test = {"kind": "indentation", "indenter": INDENTERS[indenter][0]}
@@ -91,7 +88,7 @@ def setup(indenter: str | None) -> Setup:
 
 @pytest.mark.parametrize("indenter", [None, *INDENTERS])
 @pytest.mark.parametrize("young", [0.03, 2.0])
-def test_the_modulus_behind_a_curve(indenter: str | None, young: float) -> None:
+def test_the_modulus_behind_a_curve(indenter, young):
     d = 2.0
     if indenter is None:
         force = young * math.pi * 25**2 * d / 30
@@ -104,9 +101,7 @@ def test_the_modulus_behind_a_curve(indenter: str | None, young: float) -> None:
 @pytest.mark.parametrize(
     ("factor", "hint"), [(1.0, None), (1e4, "1000 times smaller"), (1e-4, "1000 times larger")]
 )
-def test_forces_of_no_soft_material_are_told(
-    indenter: str | None, factor: float, hint: str | None
-) -> None:
+def test_forces_of_no_soft_material_are_told(indenter, factor, hint):
     made, d = setup(indenter), np.linspace(0.5, 2.5, 5)
     young = 0.05  # a silicone: factors of 10^4 leave the window, and 1000 brings them back
     unit = np.array([apparent_modulus(made, float(x), 1.0) for x in d], dtype=float)
@@ -124,7 +119,7 @@ def test_forces_of_no_soft_material_are_told(
     assert SOFT_MPA[0] < young < SOFT_MPA[1]
 
 
-def test_a_bulk_modulus_is_no_fault() -> None:
+def test_a_bulk_modulus_is_no_fault():
     gauge = {"shape": "homogeneous", "area_mm2": 1.0, "height_mm": 1.0}
     pressed = CellProblem.of({"specimen": gauge, "test": {"kind": "volumetric"}}).setup
     assert apparent_modulus(pressed, 0.01, 20.0) is None

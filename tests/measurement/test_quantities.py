@@ -1,9 +1,6 @@
 """One state, recorded in every way that a file may record it, is one curve."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,13 +24,13 @@ def rows(kinematic, deformed, kinetic, resisted, gauge):
 
 @pytest.mark.parametrize("kinetic", RESISTED)
 @pytest.mark.parametrize("kinematic", DEFORMED)
-def test_every_pair_of_columns_is_the_same_curve(kinematic: str, kinetic: str) -> None:
+def test_every_pair_of_columns_is_the_same_curve(kinematic, kinetic):
     d, f = rows(kinematic, [DEFORMED[kinematic]], kinetic, [RESISTED[kinetic]], PULLED)
     assert d == pytest.approx([5.0], rel=1e-14)
     assert f == pytest.approx([12.0], rel=1e-14)
 
 
-def test_volume_and_pressure() -> None:
+def test_volume_and_pressure():
     """J = 0.729 is a stretch of 0.9; a pressure of 2 MPa on faces of 0.81 x 4 mm^2 is 6.48 N."""
     pressed = Gauge(4.0, 20.0, "volumetric", -1.0, True)
     d, f = rows("volume_ratio", [0.729], "pressure", [2.0], pressed)
@@ -50,14 +47,12 @@ def test_volume_and_pressure() -> None:
         ("stretch", "stress", Gauge(4.0, 20.0, "uniaxial", -1.0, False), "bonded"),
     ],
 )
-def test_columns_without_meaning_are_refused(
-    kinematic: str, kinetic: str, gauge: Gauge | None, words: str
-) -> None:
+def test_columns_without_meaning_are_refused(kinematic, kinetic, gauge, words):
     with pytest.raises(InputError, match=words):
         rows(kinematic, [1.1], kinetic, [1.1], gauge)
 
 
-def test_rows_as_measured_of_a_text_with_comments(tmp_path: Path) -> None:
+def test_rows_as_measured_of_a_text_with_comments(tmp_path):
     """Every row counts once, at its own place; nothing is interpolated."""
     text = "digitised 1944\n# UT\nl P\n1.0 0.0\n1.3 0.31\n# a gap\n1.1 0.1\n2.0 0.55\n"
     (tmp_path / "ut.txt").write_text(text)
@@ -75,7 +70,7 @@ def test_rows_as_measured_of_a_text_with_comments(tmp_path: Path) -> None:
     ["1.0, 0.0\n1.1, 0.1\n1.3, 0.31\n2.0, 0.55\n", "  1.0  0\n1.1\t0.1\n\n1.3 0.31\n2 0.55",
      "1.0;0\n1.1;0.1\n1.3;0.31\n2;0.55"],
 )  # fmt: skip
-def test_a_file_without_a_header(tmp_path: Path, text: str) -> None:
+def test_a_file_without_a_header(tmp_path, text):
     """Columns are named by their number, whatever parts them; lines keep theirs."""
     (tmp_path / "ut.txt").write_text(text)
     columns, units = Columns(stretch="1", stress="2"), Units(stretch="1", stress="kPa")
@@ -99,12 +94,12 @@ def test_a_file_without_a_header(tmp_path: Path, text: str) -> None:
         ("stretch", [100.0, 250.0], "a stretch of 250"),
     ],
 )
-def test_per_cent_taken_for_a_ratio_is_refused(kinematic, values, said) -> None:
+def test_per_cent_taken_for_a_ratio_is_refused(kinematic, values, said):
     with pytest.raises(InputError, match=said) as caught:
         rows(kinematic, values, "stress", [0.0, 1.0], PULLED)
     assert f'units = {{ {kinematic} = "%" }}' in str(caught.value)
 
 
-def test_a_stretch_of_a_tough_gel_is_none_of_per_cent() -> None:
+def test_a_stretch_of_a_tough_gel_is_none_of_per_cent():
     d, _ = rows("stretch", [1.0, 18.0], "stress", [0.0, 1.0], PULLED)
     assert d == pytest.approx([0.0, 340.0])

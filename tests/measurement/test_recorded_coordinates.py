@@ -1,15 +1,11 @@
 """Coordinates of the machine: put into those of the specimen by what is declared, or refused."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from study.ground.errors import InputError
 from study.mechanics.measurement.conditioning import slack_end
-from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
+from study.mechanics.measurement.measurement_section import Range
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.measurement.recording import Gauge
 from tests.record.samples import Spec
@@ -20,20 +16,20 @@ STIFFNESS = 3.0
 GAUGE = Gauge(20.0, 25.0, "uniaxial", 1.0, True)
 
 
-def write(folder: Path, place: np.ndarray, force: np.ndarray) -> None:
+def write(folder, place, force):
     rows = (f"{d:.6f},{f:.6f}\n" for d, f in zip(place, force, strict=True))
     (folder / "a.csv").write_text("d,f\n" + "".join(rows))
 
 
-def spec(**changes: object) -> MeasurementSpec:
+def spec(**changes):
     return Spec(**{"range": None, "points": "raw", **changes})
 
 
-def read(folder: Path, **changes: object):
+def read(folder, **changes):
     return read_measurements(spec(**changes), folder)
 
 
-def stiffness(folder: Path, **changes: object) -> tuple[float, int]:
+def stiffness(folder, **changes):
     found = read(folder, **changes).curve().curve
     d, f = found.displacement_mm, found.force_N
     return float(d @ f / (d @ d)), d.size
@@ -138,7 +134,7 @@ def test_a_test_through_zero_is_one_test_or_split_by_its_ranges(tmp_path):
 CYCLES = (("loading", 1, 3.0), ("unloading", 1, 2.4), ("loading", 2, 2.6), ("unloading", 2, 2.2))
 
 
-def write_cycles(folder: Path, ways: tuple[tuple[str, int, float], ...] = CYCLES) -> None:
+def write_cycles(folder, ways=CYCLES):
     up = np.linspace(1.0, 6.0, 21)
     first = [DEPTH, up[-2::-1], up[1:], up[-2::-1]][: len(ways)]
     place = np.concatenate(first)

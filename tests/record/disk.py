@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Sequence
 from pathlib import Path
 
 from study.harness.record.atomic_files import FileSystem
@@ -21,30 +20,30 @@ class FailingDisk(FileSystem):
     fsync lose their second half, renames in a folder without fsync are undone.
     """
 
-    def __init__(self, fail_at: int = 0, power_loss: bool = False) -> None:
+    def __init__(self, fail_at=0, power_loss=False):
         self.fail_at, self.power_loss = fail_at, power_loss
         self.count = 0
         self.unsynced: set[Path] = set()
         self.renames: list[tuple[Path, bytes | None]] = []
 
-    def make_folder(self, path: Path) -> None:
+    def make_folder(self, path):
         self._tick()
         super().make_folder(path)
 
-    def write(self, path: Path, data: bytes) -> None:
+    def write(self, path, data):
         if self._due():
             path.write_bytes(data[: len(data) // 2])  # a torn write
         self._tick()
         super().write(path, data)
         self.unsynced.add(path)
 
-    def sync(self, paths: Sequence[Path]) -> None:
+    def sync(self, paths):
         for path in paths:
             self._tick()
             self.unsynced.discard(path)
             self.renames = [(t, old) for t, old in self.renames if t.parent != path]
 
-    def replace(self, source: Path, target: Path) -> None:
+    def replace(self, source, target):
         self._tick()
         self.renames.append((target, target.read_bytes() if target.exists() else None))
         super().replace(source, target)
@@ -52,14 +51,14 @@ class FailingDisk(FileSystem):
             self.unsynced.remove(source)
             self.unsynced.add(target)
 
-    def unlink(self, path: Path) -> None:
+    def unlink(self, path):
         self._tick()
         super().unlink(path)
 
-    def _due(self) -> bool:
+    def _due(self):
         return self.count + 1 == self.fail_at
 
-    def _tick(self) -> None:
+    def _tick(self):
         due = self._due()
         self.count += 1
         if not due:

@@ -1,8 +1,6 @@
 """Small records and specifications that the tests of this room share."""
 
-from __future__ import annotations
-
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -12,13 +10,13 @@ from study.harness.record.record import Record
 from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
 
 #: a fit that several cases share, and what refinement says of one response
-FIT: dict[str, object] = {
+FIT = {
     "status": "converged",
     "names": ["C10"],
     "values": {"C10": 1 / 3},
     "message": "a minimum",
 }
-NUMERICAL: dict[str, object] = {
+NUMERICAL = {
     "levels": {"space": "3d"},
     "response": "error",
     "value": 1.25,
@@ -29,9 +27,9 @@ NUMERICAL: dict[str, object] = {
 }
 
 
-def Spec(**changes: Any) -> MeasurementSpec:
+def Spec(**changes):
     """One file ``a.csv`` with columns d (mm) and f (N), 5 points from 0 to 4 mm."""
-    values: dict[str, Any] = {
+    values = {
         "file": "a.csv",
         "columns": {"displacement": "d", "force": "f"},
         "units": {"displacement": "mm", "force": "N"},
@@ -41,8 +39,8 @@ def Spec(**changes: Any) -> MeasurementSpec:
     return MeasurementSpec(**{**values, **changes})
 
 
-def record(case_id: str = "a1", **changes: Any) -> Record:
-    values: dict[str, Any] = {
+def record(case_id="a1", **changes):
+    values = {
         "case_id": case_id,
         "study": "demo",
         "levels": {"material": "neo-hookean", "space": "3d"},
@@ -57,9 +55,9 @@ def record(case_id: str = "a1", **changes: Any) -> Record:
     return Record(**{**values, **changes})
 
 
-def manifest(**changes: Any) -> ManifestDocument:
+def manifest(**changes):
     """Say what a study of no case is."""
-    whole: ManifestDocument = {
+    whole = {
         "name": "demo",
         "design": "",
         "text": "",

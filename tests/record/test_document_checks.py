@@ -1,12 +1,7 @@
 """A file with a right checksum and wrong content is damaged, whatever is wrong with it."""
 
-from __future__ import annotations
-
 import json
 import os
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +25,7 @@ from tests.record.samples import FIT, NUMERICAL, manifest, record
 from validation.damage import Damage, damages, sealed
 
 CURVE = Curve(np.array([1.0, 2.0]), np.array([0.1, 0.3]), np.array([0.1, 0.2]))
-FITTED: dict[str, Any] = {
+FITTED = {
     "key": "f1",
     "message": "a minimum",
     "names": ["C10", "C01"],
@@ -43,7 +38,7 @@ FITTED: dict[str, Any] = {
 }
 
 
-def whole() -> Record:
+def whole():
     """A record with something of everything that a record may hold."""
     plate = {
         "plate": "rigid",
@@ -54,7 +49,7 @@ def whole() -> Record:
         "error_by_layer_mm": {"top": 0.1},
         "motion": {"down": [1.0, 0.1]},
     }
-    solver: Any = {
+    solver = {
         "name": "pardiso",
         "min_j": 0.9,
         "energy_mismatch": 1e-4,
@@ -110,7 +105,7 @@ SOLUTION = {
 SERIES = {**NUMERICAL, "mesh_size": [2.0, 1.0], "series": [1.25, 1.2], "formal_order": 2.0}
 
 #: a stored file, what a study writes there, and how it is read
-KINDS: dict[str, tuple[Any, Callable[[Store], object]]] = {
+KINDS = {
     "study": (
         dict(manifest(cases={"a1": "h-a1"}, versions={"numpy": "2"})),
         lambda store: store.read_manifest(),
@@ -131,12 +126,12 @@ KINDS: dict[str, tuple[Any, Callable[[Store], object]]] = {
 }
 
 
-def test_a_whole_record_is_read() -> None:
+def test_a_whole_record_is_read():
     text = whole().to_json()
     assert Record.from_json(text).to_json() == text
 
 
-def test_whatever_stands_in_a_record_it_is_read_or_refused_in_words() -> None:
+def test_whatever_stands_in_a_record_it_is_read_or_refused_in_words():
     content = json.loads(whole().to_json())["content"]
     refused = []
     for damage in damages(content):
@@ -149,7 +144,7 @@ def test_whatever_stands_in_a_record_it_is_read_or_refused_in_words() -> None:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_whatever_stands_in_another_file_it_is_read_or_set_aside(tmp_path: Path, name: str) -> None:
+def test_whatever_stands_in_another_file_it_is_read_or_set_aside(tmp_path, name):
     content, read = KINDS[name]
     path = tmp_path / f"{name}.json"
     path.parent.mkdir(exist_ok=True)
@@ -163,7 +158,7 @@ def test_whatever_stands_in_another_file_it_is_read_or_set_aside(tmp_path: Path,
         assert [str(path) in said for said in store.warnings] == [True] * lost, damage
 
 
-def broken(*place: str | int, value: object = None) -> Damage:
+def broken(*place, value=None):
     """Find the damage of a whole record at a place."""
     content = json.loads(whole().to_json())["content"]
     part = content
@@ -187,20 +182,20 @@ def broken(*place: str | int, value: object = None) -> Damage:
         (broken("curves", value={}), "has no curve predicted:B1"),
     ],
 )
-def test_what_is_wrong_is_named(damage: Damage, said: str) -> None:
+def test_what_is_wrong_is_named(damage, said):
     with pytest.raises(StoreError, match="r.json: is no record of a case") as caught:
         Record.from_json(sealed(damage.content).encode(), "r.json")
     assert said in str(caught.value)
 
 
-def test_what_was_not_finite_when_it_was_written_is_no_damage() -> None:
+def test_what_was_not_finite_when_it_was_written_is_no_damage():
     """A record says null there, and one that its own program refuses is computed for ever."""
     nan = float("nan")
     one = record(responses={"error": {"value": nan, "unit": "%", "u_steps": nan}})
     assert Record.from_json(one.to_json()).responses["error"]["u_steps"] is None
 
 
-def test_a_pipe_is_no_lock(tmp_path: Path) -> None:
+def test_a_pipe_is_no_lock(tmp_path):
     """To open a pipe waits for somebody who writes to it."""
     os.mkfifo(tmp_path / atomic_files.LOCK_NAME)
     assert atomic_files.holder(tmp_path) is None

@@ -1,10 +1,7 @@
 """A finished study stays readable while an edited one is computed, whatever happens meanwhile."""
 
-from __future__ import annotations
-
 import contextlib
 import os
-from pathlib import Path
 
 import pytest
 
@@ -21,9 +18,7 @@ OLD = {name: "old-" + name for name in CASES}
 NEW = {"b2": "new-b2", "c3": "new-c3", "d4": "new-d4"}
 
 
-def compute(
-    path: Path, design: str, cases: dict[str, str], disk: FailingDisk | None = None
-) -> None:
+def compute(path, design, cases, disk=None):
     """Run a study: what is missing is computed, with rows beside it."""
     store = Store(path, system=disk)
     with store.lock():
@@ -35,7 +30,7 @@ def compute(
         store.finish_run(manifest(design=design, cases=cases))
 
 
-def seen(path: Path) -> tuple[object, ...]:
+def seen(path):
     """Everything that a reader gets of the last finished run."""
     store = Store(path)
     known = store.read_manifest()
@@ -48,7 +43,7 @@ def seen(path: Path) -> tuple[object, ...]:
 
 
 @pytest.fixture(scope="module")
-def expected(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, object, int]:
+def expected(tmp_path_factory):
     """Finished study, edited study, and the operations of the disk that lie between."""
     path = tmp_path_factory.mktemp("clean")
     compute(path, "old", OLD)
@@ -58,9 +53,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, object, 
 
 
 @pytest.mark.parametrize("power_loss", [False, True], ids=["disk full", "power loss"])
-def test_one_of_the_two_is_whole_after_a_failure_at_every_operation(
-    tmp_path: Path, expected: tuple[object, object, int], power_loss: bool
-) -> None:
+def test_one_of_the_two_is_whole_after_a_failure_at_every_operation(tmp_path, expected, power_loss):
     old, new, operations = expected
     assert operations > 45
     readable = set()
@@ -70,17 +63,17 @@ def test_one_of_the_two_is_whole_after_a_failure_at_every_operation(
         with contextlib.suppress(StoreError, PowerLoss):
             compute(path, "newer", NEW, FailingDisk(k, power_loss))
         found = seen(path)
-        if found[2] == old[2]:  # type: ignore[index]
+        if found[2] == old[2]:
             assert found == old, k
         else:  # rows go first, and the manifest that they belong to at once after them
-            assert found in (new, (*old[:2], new[2])), k  # type: ignore[index]
+            assert found in (new, (*old[:2], new[2])), k
         readable.add(found[0])
         compute(path, "newer", NEW)
         assert seen(path) == new, k
     assert readable == {"old", "newer"}
 
 
-def test_each_run_has_a_manifest_and_the_latest_comes_first(tmp_path: Path) -> None:
+def test_each_run_has_a_manifest_and_the_latest_comes_first(tmp_path):
     compute(tmp_path, "old", OLD)
     compute(tmp_path, "old", OLD)  # resumed with nothing to do: it is the same run
     compute(tmp_path, "newer", NEW)
@@ -91,7 +84,7 @@ def test_each_run_has_a_manifest_and_the_latest_comes_first(tmp_path: Path) -> N
     assert not list(tmp_path.glob("unfinished*"))
 
 
-def test_an_edit_that_is_taken_back_finds_what_was_there(tmp_path: Path) -> None:
+def test_an_edit_that_is_taken_back_finds_what_was_there(tmp_path):
     compute(tmp_path, "old", OLD)
     store = Store(tmp_path)
     with store.lock():
@@ -107,7 +100,7 @@ def test_an_edit_that_is_taken_back_finds_what_was_there(tmp_path: Path) -> None
     assert Store(tmp_path).read_unfinished() is None
 
 
-def test_results_of_other_libraries_are_found_and_count_only_if_they_may(tmp_path: Path) -> None:
+def test_results_of_other_libraries_are_found_and_count_only_if_they_may(tmp_path):
     then, now = {"numpy": "1.26.4", "gmsh": "4.13"}, {"numpy": "2.2.1", "gmsh": "4.13"}
     store = Store(tmp_path)
     with store.lock():
@@ -128,7 +121,7 @@ def test_results_of_other_libraries_are_found_and_count_only_if_they_may(tmp_pat
 
 
 @pytest.mark.parametrize("victim", ["study.json", "cases/b2/record.json"])
-def test_what_a_newer_version_wrote_is_refused_and_left_alone(tmp_path: Path, victim: str) -> None:
+def test_what_a_newer_version_wrote_is_refused_and_left_alone(tmp_path, victim):
     compute(tmp_path, "old", OLD)
     path = tmp_path / victim
     text = seal({"a": 1}).replace('"schema":1', '"schema":3').replace('"checksum"', '"sum"')
@@ -143,9 +136,9 @@ def test_what_a_newer_version_wrote_is_refused_and_left_alone(tmp_path: Path, vi
     assert not list(tmp_path.rglob("*.corrupt-*"))
 
 
-def test_what_is_no_file_is_not_read(tmp_path: Path) -> None:
+def test_what_is_no_file_is_not_read(tmp_path):
     """A pipe has no end, and a device may have none."""
-    said: list[str] = []
+    said = []
     os.mkfifo(tmp_path / "study.json")
     store = Store(tmp_path, warn=said.append)
     assert store.read_manifest() is None

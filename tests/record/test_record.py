@@ -1,7 +1,5 @@
 """A record comes back as it went, or is found to be damaged."""
 
-from __future__ import annotations
-
 import json
 import math
 

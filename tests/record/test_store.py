@@ -1,7 +1,5 @@
 """The store loses no finished case and uses no damaged one, whatever happens in between."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -25,7 +23,7 @@ CASES = ("a1", "b2", "c3")
 WANTED = {name: "h-" + name for name in CASES}
 
 
-def run(path: Path, disk: FailingDisk | None = None, followed: bool = False) -> Store:
+def run(path, disk=None, followed=False):
     """A study of three cases that share a fit: what is missing is computed and stored."""
     store = Store(path, system=disk)
     with store.lock():
@@ -39,7 +37,7 @@ def run(path: Path, disk: FailingDisk | None = None, followed: bool = False) -> 
     return store
 
 
-def state(path: Path) -> tuple:
+def state(path):
     store = Store(path)
     records = store.records(WANTED)
     return (
@@ -154,7 +152,7 @@ def test_failed_cases_are_done_unless_tried_again(tmp_path):
 def test_warnings_are_handed_on_once(tmp_path):
     run(tmp_path)
     (tmp_path / "cases" / "a1" / "record.json").write_text("x")
-    heard: list[str] = []
+    heard = []
     store = Store(tmp_path, heard.append)
     store.read("a1")
     store.read("a1")
@@ -223,7 +221,7 @@ def test_ids_are_no_paths(tmp_path, name):
         store.write_fit(name + "/..", {})
 
 
-def test_a_study_that_is_a_link_to_itself_is_refused(tmp_path: Path) -> None:
+def test_a_study_that_is_a_link_to_itself_is_refused(tmp_path):
     (tmp_path / "small").symlink_to(tmp_path / "small")
     with pytest.raises(StoreError, match="cannot be used"):
         own_folder(tmp_path, "small")

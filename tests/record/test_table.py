@@ -1,7 +1,5 @@
 """The tidy table: a row per case, failed ones visible, safe in a spreadsheet."""
 
-from __future__ import annotations
-
 import math
 
 import pandas as pd

@@ -42,13 +42,13 @@ MATERIALS = {
 }
 
 
-def undrawn(data: ReportData) -> str:
+def undrawn(data):
     """Both pages in one document without their drawings, which take most of the time."""
     with data_alone():
         return build(data)
 
 
-def example() -> ReportData:
+def example():
     """Build the whole thing."""
     table = make_table()
     options = {"block": "block", "records": True, "tolerance": 1e-7}
@@ -94,11 +94,11 @@ def example() -> ReportData:
     )
 
 
-def cells() -> list[dict[str, str]]:
+def cells():
     return [dict(zip(FACTORS, levels, strict=True)) for levels in product(*FACTORS.values())]
 
 
-def make_table() -> pd.DataFrame:
+def make_table():
     rng = np.random.default_rng(5)
     shift = {block: rng.normal(0, 1.1) for block in BLOCKS}
     stiff = {block: float(np.exp(rng.normal(0, 0.22))) for block in BLOCKS}
@@ -127,7 +127,7 @@ def make_table() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["case_id", "block", *FACTORS, *answers])
 
 
-def make_curves() -> tuple[CurvePair, ...]:
+def make_curves():
     rng = np.random.default_rng(7)
     d = np.linspace(0.3, 6.0, 200)
     pairs = []
@@ -143,7 +143,7 @@ def make_curves() -> tuple[CurvePair, ...]:
     return tuple(pairs)
 
 
-def make_fits() -> tuple[FittedConstant, ...]:
+def make_fits():
     constants = {
         "neo-hookean": ("C10",),
         "mooney-rivlin": ("C10", "C01"),
@@ -164,7 +164,7 @@ def make_fits() -> tuple[FittedConstant, ...]:
     return tuple(rows)
 
 
-def make_numerical() -> tuple[NumericalUncertainty, ...]:
+def make_numerical():
     how = ("two meshes", "EF10_4, mesh refined by 1.5")
     rows = []
     for space, order in product(FACTORS["model.space"], FACTORS["model.element_order"]):
@@ -176,7 +176,7 @@ def make_numerical() -> tuple[NumericalUncertainty, ...]:
     return tuple(rows)
 
 
-def unreplicated() -> ReportData:
+def unreplicated():
     """A 2x2x2x2 factorial run once: material and its interaction with plates are real."""
     rng = np.random.default_rng(3)
     names = ("material", "plates", "space", "order")
@@ -192,7 +192,7 @@ def unreplicated() -> ReportData:
     return ReportData("once", "", dict.fromkeys(names, ("lo", "hi")), table, (response,))
 
 
-def with_failures(data: ReportData) -> ReportData:
+def with_failures(data):
     """The same study with three failed cases in two cells."""
     table = data.table.copy()
     failed = table.index[[5, 40, 41]]
@@ -210,12 +210,12 @@ def with_failures(data: ReportData) -> ReportData:
     return replace(data, table=table, failures=failures)
 
 
-def build(data: ReportData) -> str:
+def build(data):
     """Both pages of a report in one document."""
     return printed(*prepare(data).html())
 
 
-def words_of(page: str) -> str:
+def words_of(page):
     """Text of a page without its style, script and drawings."""
     read = re.sub(r"<(style|script|svg)\b.*?</\1>", " ", page, flags=re.S)
     return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", read)))
@@ -229,7 +229,7 @@ class ReadPage(HTMLParser):
     """Tags, attributes, links and text of a page; what a browser would mend in silence, and what
     a reader who does not see would miss."""
 
-    def __init__(self, page: str) -> None:
+    def __init__(self, page):
         super().__init__()
         self.open: list[str] = []
         self.levels: list[int] = []
@@ -241,10 +241,10 @@ class ReadPage(HTMLParser):
         self.text: list[str] = []
         self.feed(page)
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         self.text.append(data)
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         have = dict(attrs)
         self.tags.add(tag)
         self.attributes |= set(have)
@@ -264,12 +264,12 @@ class ReadPage(HTMLParser):
         if "id" in have:
             self.ids.append(str(have["id"]))
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         if not self.open or self.open.pop() != tag:
             self.found.append(f"</{tag}> ends nothing")
 
 
-def faults_of(page: str) -> list[str]:
+def faults_of(page):
     """Elements that are not closed, names used twice, headings that skip a level, requests."""
     seen = ReadPage(page)
     requests = [f"request of {link}" for link in seen.links if re.match(r"(https?:)?//", link)]

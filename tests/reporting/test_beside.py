@@ -1,7 +1,5 @@
 """The section of a report that sets another study beside it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -19,27 +17,24 @@ from study.reporting.results.study_answers import (
     Conclusion,
     OnlyInOne,
 )
-from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect
 from tests.reporting.example import words_of
 
 EVIL = '<script>alert("x")</script>'
 
 
-def found(verdict: str, effect: float) -> Effect:
+def found(verdict, effect):
     return Effect(
         "t", (), (), (effect - 0.1, effect + 0.1), effect, verdict, practical=0.5, p=0.003,
         u_num=0.02, effect_over_u_num=effect / 0.02,
     )  # fmt: skip
 
 
-def conclusion(
-    term: str, kind: str, holds: bool | None, *both: Effect, **more: object
-) -> Conclusion:
-    return Conclusion("work_error", term, "%", kind, holds, (both[0], both[1]), **more)  # type: ignore[arg-type]
+def conclusion(term, kind, holds, *both, **more):
+    return Conclusion("work_error", term, "%", kind, holds, (both[0], both[1]), **more)
 
 
-def example(name: str = "second") -> Beside:
+def example(name="second"):
     yes, no, open_ = "matters", "no practical difference", "cannot tell"
     lead = {"end": "lowest"}
     rows = (
@@ -58,21 +53,21 @@ def example(name: str = "second") -> Beside:
 
 
 @pytest.fixture(scope="module")
-def page(data: ReportData) -> str:
+def page(data):
     """Second page of the example with another study."""
     return with_beside(data, example())
 
 
-def with_beside(data: ReportData, other: Beside) -> str:
+def with_beside(data, other):
     with data_alone():
         return prepare(replace(data, beside=other)).html()[1]
 
 
-def section(page: str) -> str:
+def section(page):
     return page[page.index('<section id="beside">') : page.index('<section id="assumptions">')]
 
 
-def test_summary_says_what_holds_what_differs_and_what_is_open() -> None:
+def test_summary_says_what_holds_what_differs_and_what_is_open():
     count, differs, unsure = (
         s.replace("\N{NO-BREAK SPACE}", " ") for s in comparison_content.summary(example())
     )
@@ -87,12 +82,12 @@ def test_summary_says_what_holds_what_differs_and_what_is_open() -> None:
     assert unsure.startswith("Range, for the work error: matters under first (1.00 pp), cannot")
 
 
-def test_answer_box_says_which_conclusions_hold(page: str) -> None:
+def test_answer_box_says_which_conclusions_hold(page):
     box = words_of(page[page.index('id="answer"') : page.index('id="study"')])
     assert "Of 4 conclusions about single factors, 2 hold under both first and second" in box
 
 
-def test_section_holds_every_number_between_responses_and_assumptions(page: str) -> None:
+def test_section_holds_every_number_between_responses_and_assumptions(page):
     assert page.index('id="r-mu0"') < page.index('<section id="beside">')
     assert '<a href="#beside">Compared with second</a>' in page
     said = words_of(section(page)).replace("\N{NO-BREAK SPACE}", " ")
@@ -108,7 +103,7 @@ def test_section_holds_every_number_between_responses_and_assumptions(page: str)
     assert quiet in said
 
 
-def test_names_of_users_are_escaped(data: ReportData) -> None:
+def test_names_of_users_are_escaped(data):
     other = example(EVIL)
     other = replace(
         other,

@@ -1,10 +1,6 @@
 """The page of a convergence study: complete, safe, and with its numbers beside it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +15,6 @@ from study.reporting.output.convergence_page import (
     sources_tables,
     write_convergence,
 )
-from study.reporting.results.study_result import ReportData
 from study.statistics.convergence.grid_convergence import (
     NumericalUncertainty,
     compare,
@@ -27,7 +22,7 @@ from study.statistics.convergence.grid_convergence import (
 )
 
 
-def cell(order: float, label: str = "quadratic / mixed", error: float = 0.05) -> dict[str, Any]:
+def cell(order, label="quadratic / mixed", error=0.05):
     h = np.array([1.0, 1.5, 2.25, 3.4])
     found = grid_convergence(h, 9 + error * h**order, formal_order=1.19, qoi="peak_force", unit="N")
     row = {"source": "mesh", "quantity": "peak_force", "unit": "N", "u": 0.1, "relative": 0.01}
@@ -38,7 +33,7 @@ def cell(order: float, label: str = "quadratic / mixed", error: float = 0.05) ->
     }  # fmt: skip
 
 
-def document() -> dict[str, Any]:
+def document():
     points = [
         {"cell": "P2", "mesh_size": h, "unknowns": 100, "seconds": 1 / h, "memory_MB": 10.0,
          "value": 9.0, "error": 0.02 * h}
@@ -54,7 +49,7 @@ def document() -> dict[str, Any]:
 TRIANGLE = ("fine", np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([[0, 1, 2]]))
 
 
-def test_the_page_has_every_figure_and_its_data(tmp_path: Path) -> None:
+def test_the_page_has_every_figure_and_its_data(tmp_path):
     page = write_convergence(
         "mesh study", "Which?", document(), tmp_path, [TRIANGLE], [[0, 0], [1, 1]]
     )
@@ -70,7 +65,7 @@ def test_the_page_has_every_figure_and_its_data(tmp_path: Path) -> None:
     )
 
 
-def test_names_from_outside_are_escaped(tmp_path: Path) -> None:
+def test_names_from_outside_are_escaped(tmp_path):
     evil = document()
     evil["cells"][0]["levels"] = {"a": "<script>alert(1)</script>"}
     evil["fronts"][0]["points"][0]["cell"] = "<img src=x onerror=alert(1)>"
@@ -82,33 +77,33 @@ def test_names_from_outside_are_escaped(tmp_path: Path) -> None:
     assert page.parent == tmp_path
 
 
-def test_errors_are_distances_to_the_limit() -> None:
+def test_errors_are_distances_to_the_limit():
     frame = convergence.error_points([cell(1.2)])
     expected = 0.05 * frame["mesh_size"] ** 1.2 / 9
     np.testing.assert_allclose(frame["error"], expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize("order", [-1.0, 0.0])
-def test_series_without_an_order_are_drawn_without_a_fit(order: float) -> None:
+def test_series_without_an_order_are_drawn_without_a_fit(order):
     ((name, plot),) = convergence_plots([cell(order)]).items()
     assert name == "convergence-values"
     assert not make(name, plot).missing
 
 
-def test_the_caption_says_how_many_converge() -> None:
+def test_the_caption_says_how_many_converge():
     text = convergence.value_caption([cell(1.2), cell(-1.0, error=1.0)])
     assert text.startswith("1 of 2 series have an interval")
     assert convergence.error_caption([cell(-1.0)]) == "No series has an order."
 
 
-def comparison(label: str, error: float) -> dict[str, Any]:
+def comparison(label, error):
     d = np.linspace(0.5, 5, 6)
     u = {"numerics": 0.02 * d, "inputs": 0.01 * d, "data": None}
     facts = {"levels": {"material": label}, "block": "M1", "label": "A", "role": "score"}
     return facts | compare(d, d * (1 + error), d, u)
 
 
-def test_validation_is_drawn_and_tabled() -> None:
+def test_validation_is_drawn_and_tabled():
     rows = [comparison("neo-hookean", 0.1), comparison("<b>ogden</b>", 0.001)]
     frame = convergence.validation_error_points(rows)
     assert len(frame) == 12
@@ -128,7 +123,7 @@ def test_validation_is_drawn_and_tabled() -> None:
     assert "<b>" not in svg
 
 
-def test_parts_of_a_value_are_percentages() -> None:
+def test_parts_of_a_value_are_percentages():
     sources = [
         {"quantity": "curve_rms", "source": "mesh", "u": 0.2, "unit": "N", "relative": share}
         for share in (8.8e-3, 5.3e-10, 0.0, None)
@@ -142,7 +137,7 @@ def test_parts_of_a_value_are_percentages() -> None:
     assert both.columns[0] == "cell"
 
 
-def test_series_of_a_sample_are_named_by_the_level_that_tells_them_apart() -> None:
+def test_series_of_a_sample_are_named_by_the_level_that_tells_them_apart():
     names = ["bonded", "frictionless"]
     sampled = [
         cell(1.2) | {"levels": {"C10": f"{k}.5 kPa", "interface": name}}
@@ -153,7 +148,7 @@ def test_series_of_a_sample_are_named_by_the_level_that_tells_them_apart() -> No
     assert convergence.value_points(crossed)["panel"].unique().tolist()[0] == "a / x"
 
 
-def test_a_row_does_not_repeat_its_levels_beside_its_meshes(data: ReportData) -> None:
+def test_a_row_does_not_repeat_its_levels_beside_its_meshes(data):
     levels, how = {"material": "neo-hookean"}, "neo-hookean / 7; 3 meshes of ratio 1.5"
     known = NumericalUncertainty(levels, "mu0", 20.4, 0.1, "kPa", "monotone", how)
     table = tables.numerical([known], replace(data, block="batch", blocks=("7",)))

@@ -1,7 +1,5 @@
 """What was expected stands beside what was found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -9,20 +7,18 @@ import pytest
 from study.harness.design.spec import Expected
 from study.reporting.content import effect_words
 from study.reporting.content.report_facts import facts
-from study.reporting.results.study_result import ReportData
-from study.statistics.analysis.anova_table import Effect
 from tests.reporting.example import undrawn
 
 SCORE, MODULUS = "relative_rms_force_error", "mu0"
 BEST = {"material": "reduced-polynomial-3", "plates": "bonded"}
 
 
-def judged(data: ReportData, *items: Expected) -> list[tuple[str, ...]]:
+def judged(data, *items):
     whole = replace(data, expected=items)
     return list(effect_words.table(whole, facts(whole)).rows)
 
 
-def test_an_effect_is_larger_where_intervals_do_not_overlap(data: ReportData) -> None:
+def test_an_effect_is_larger_where_intervals_do_not_overlap(data):
     pair = ("plates", "model.space")
     there, back = judged(
         data,
@@ -36,7 +32,7 @@ def test_an_effect_is_larger_where_intervals_do_not_overlap(data: ReportData) ->
     assert same[3] == "cannot tell"
 
 
-def test_a_factor_matters_as_its_verdict_says(data: ReportData) -> None:
+def test_a_factor_matters_as_its_verdict_says(data):
     for facts_of in facts(data):
         for effect in facts_of.effects:
             (row,) = judged(data, Expected("matters", (effect.term,), (), facts_of.name))
@@ -44,7 +40,7 @@ def test_a_factor_matters_as_its_verdict_says(data: ReportData) -> None:
             assert row[3] == words.get(effect.verdict, "cannot tell")
 
 
-def test_cells_are_compared_by_their_means_with_what_matters(data: ReportData) -> None:
+def test_cells_are_compared_by_their_means_with_what_matters(data):
     known = data.table.dropna(subset=[SCORE])
     means = known.groupby(list(BEST))[SCORE].mean()
     top = dict(zip(BEST, means.idxmin(), strict=True))
@@ -62,26 +58,26 @@ def test_cells_are_compared_by_their_means_with_what_matters(data: ReportData) -
     assert "0.5" in rows[2][2]
 
 
-def test_what_the_study_cannot_answer_is_said(data: ReportData) -> None:
+def test_what_the_study_cannot_answer_is_said(data):
     gone = {"material": "ogden-1", "plates": "bonded"}
     (row,) = judged(data, Expected("best", (), (gone,), SCORE))
     assert row[2:] == ("The study has no answer.", "cannot tell")
 
 
 @pytest.mark.parametrize("stated", [True, False])
-def test_the_page_shows_them_where_there_are_any(data: ReportData, stated: bool) -> None:
+def test_the_page_shows_them_where_there_are_any(data, stated):
     item = Expected("matters", ("plates",), (), MODULUS, "<b>me</b>")
     page = undrawn(replace(data, expected=(item,) if stated else ()))
     assert ('id="expected"' in page) is stated
     assert "<b>me</b>" not in page
 
 
-def effect_of(data: ReportData, response: str, factor: str) -> Effect:
+def effect_of(data, response, factor):
     of = next(item for item in facts(data) if item.name == response)
     return next(effect for effect in of.effects if effect.term == factor)
 
 
-def test_a_direction_holds_on_one_side_alone(data: ReportData) -> None:
+def test_a_direction_holds_on_one_side_alone(data):
     effect = effect_of(data, MODULUS, "plates")
     top, low = effect.highest, effect.lowest
     assert effect.pairs[0].different
@@ -96,7 +92,7 @@ def test_a_direction_holds_on_one_side_alone(data: ReportData) -> None:
     assert rows[0][0] == f"{low} needs less than the others"
 
 
-def test_an_error_is_better_where_it_is_smaller(data: ReportData) -> None:
+def test_an_error_is_better_where_it_is_smaller(data):
     best = {"material": effect_of(data, SCORE, "material").lowest}
     better, fewer = judged(
         data, Expected("better", (), (best,), SCORE), Expected("fewer", (), (best,), SCORE)

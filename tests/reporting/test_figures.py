@@ -1,25 +1,20 @@
 """What figures compute and draw: numbers without pixels."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from scipy import stats
 
 from study import fit_surfaces
 from study.ground.curve import Curve
-from study.reporting.content.report_facts import Facts, cells, facts
+from study.reporting.content.report_facts import cells, facts
 from study.reporting.content.sentences import cost_front
 from study.reporting.figures import (
     axes,
@@ -36,13 +31,13 @@ from study.statistics.analysis.unreplicated import pseudo_standard_error
 from tests.reporting.example import build, unreplicated
 
 
-def test_log_cells_are_geometric_means(data: ReportData):
+def test_log_cells_are_geometric_means(data):
     first = cells(data, "mu0").iloc[0]
     match = (data.table[list(data.factors)].astype(str) == first[list(data.factors)]).all(axis=1)
     assert first["mean"] == pytest.approx(stats.gmean(data.table.loc[match, "mu0"]), rel=1e-12)
 
 
-def test_scores_are_those_of_ryan_joiner(data: ReportData):
+def test_scores_are_those_of_ryan_joiner(data):
     frame = residual_figures.diagnostic_residual_points(facts(data)[1])
     n = len(frame)
     assert n == 72  # 8 distinct computations, 9 blocks
@@ -59,7 +54,7 @@ def test_envelope_covers_what_it_says():
     assert inside == pytest.approx(0.95, abs=0.01)
 
 
-def test_interval_of_a_standard_deviation(data: ReportData):
+def test_interval_of_a_standard_deviation(data):
     frame = residual_figures.spread_of_cells(facts(data)[1], 0.05)
     row = frame.iloc[0]
     tail = 0.05 / 2 / len(frame)
@@ -68,7 +63,7 @@ def test_interval_of_a_standard_deviation(data: ReportData):
     assert row["high"] == pytest.approx(row["sd"] * np.sqrt(8 / stats.chi2.ppf(tail, 8)))
 
 
-def test_front_holds_what_no_other_cell_dominates(data: ReportData):
+def test_front_holds_what_no_other_cell_dominates(data):
     frame = cost_front(data, facts(data)[0])
     for row in frame.itertuples():
         # 0.5 pp matters, so a gain below 0.0005 pp is none
@@ -104,7 +99,7 @@ def test_a_report_without_replicates_shows_its_contrasts_and_no_residuals():
     assert "p (Lenth)" in page
 
 
-def test_constants_keep_their_intervals_and_the_order_of_the_design(data: ReportData):
+def test_constants_keep_their_intervals_and_the_order_of_the_design(data):
     frame = study_figures.constant_points(data)
     assert len(frame) == len(data.fits)
     first = frame[frame["place"] == 0]
@@ -113,14 +108,14 @@ def test_constants_keep_their_intervals_and_the_order_of_the_design(data: Report
     assert not frame.loc[frame["row"].str.startswith("mooney"), "identifiable"].any()
 
 
-def test_many_blocks_are_thinned_and_counted(data: ReportData):
+def test_many_blocks_are_thinned_and_counted(data):
     pairs = tuple(replace(pair, block=f"b{i}") for i in range(40) for pair in data.curves[:8])
     found = curve_figures.curve_panels(replace(data, curves=pairs))
     assert len(found.panels) <= 24
     assert found.left_out > 0
 
 
-def two_ranges(data: ReportData) -> ReportData:
+def two_ranges(data):
     """Two materials compared with the first 5 mm and with all 10 mm of one measured curve."""
     d = np.linspace(0, 10, 101)
     force = 0.2 * d + 0.05 * d**2
@@ -138,7 +133,7 @@ def two_ranges(data: ReportData) -> ReportData:
     return replace(data, factors=factors, blocks=("b",), curves=curves)
 
 
-def test_every_panel_shows_its_own_measurement_to_its_end(data: ReportData):
+def test_every_panel_shows_its_own_measurement_to_its_end(data):
     found = curve_figures.curve_panels(two_ranges(data))
     assert (found.line, found.panel) == ("material", "range")
     for (block, level), end in zip(found.panels, (5.0, 10.0), strict=True):
@@ -151,7 +146,7 @@ def test_every_panel_shows_its_own_measurement_to_its_end(data: ReportData):
     assert found.is_relative
 
 
-def test_a_prediction_that_stopped_leaves_its_measurement_whole(data: ReportData):
+def test_a_prediction_that_stopped_leaves_its_measurement_whole(data):
     whole = two_ranges(data).curves[2]
     short = replace(whole, predicted=Curve(np.array([0.0, 4.0]), np.array([0.0, 1.5])))
     alone = replace(two_ranges(data), curves=(short,), factors={"material": ("soft",)})
@@ -162,7 +157,7 @@ def test_a_prediction_that_stopped_leaves_its_measurement_whole(data: ReportData
     assert "stopped" in registry.curves(found, data)
 
 
-def test_no_two_panels_have_the_same_title(data: ReportData):
+def test_no_two_panels_have_the_same_title(data):
     names = tuple(f"{'reduced-polynomial-' * 6}{order}" for order in (2, 3))
     renamed = dict(zip(("half", "whole"), names, strict=True))
     both = two_ranges(data)
@@ -187,7 +182,7 @@ def test_mathematics_in_a_name_stays_text():
     assert svg == axes.render(draw, "n", "t")
 
 
-def luminance(color: str) -> float:
+def luminance(color):
     """Relative luminance of a hexadecimal color (WCAG 2.1)."""
     parts = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
@@ -195,7 +190,7 @@ def luminance(color: str) -> float:
 
 
 @pytest.mark.parametrize("color", [*axes.WORDS, axes.INK, axes.MUTED])
-def test_words_can_be_read(color: str):
+def test_words_can_be_read(color):
     for ground in ("#ffffff", axes.BAND):
         contrast = (luminance(ground) + 0.05) / (luminance(color) + 0.05)
         # words of a figure are small: level AA asks for 4.5; on the band for large ones, 3
@@ -206,29 +201,29 @@ def test_words_can_be_read(color: str):
 
 
 @pytest.fixture(scope="module")
-def error(data: ReportData) -> Facts:
+def error(data):
     return facts(data)[0]
 
 
-def points(ax: Axes) -> list[np.ndarray]:
+def points(ax):
     """Places of the points of every scatter that has any, each of shape (n, 2)."""
     scatters = (found for found in ax.collections if isinstance(found, PathCollection))
     return [np.asarray(found.get_offsets()) for found in scatters if len(found.get_offsets())]
 
 
-def heights(ax: Axes) -> list[float]:
+def heights(ax):
     """Finite heights of the lines that have markers."""
     lines = [line for line in ax.lines if line.get_marker() not in ("None", "", None)]
     return [y for line in lines for y in line.get_ydata() if np.isfinite(y)]
 
 
-def test_main_effects(data: ReportData, error: Facts):
+def test_main_effects(data, error):
     frame = effect_figures.level_means(error)
     panels = effect_figures.draw_level_means(frame, error, data).axes
     assert [y for ax in panels for y in heights(ax)] == frame["mean"].tolist()
 
 
-def test_effects_stand_at_their_multiples_of_what_matters(data: ReportData):
+def test_effects_stand_at_their_multiples_of_what_matters(data):
     both = facts(data)
     frame = effect_figures.against_limits(both, data.labels)
     (ax,) = effect_figures.draw_against_limits(frame, both).axes
@@ -245,7 +240,7 @@ def test_effects_stand_at_their_multiples_of_what_matters(data: ReportData):
     assert row.difference == pytest.approx(math.log(last.range) / math.log(last.practical))
 
 
-def test_effects_without_an_interval_are_drawn_with_their_mesh_error(data: ReportData):
+def test_effects_without_an_interval_are_drawn_with_their_mesh_error(data):
     both = facts(data)
     frame = effect_figures.against_limits(both, data.labels).assign(low=np.nan, high=np.nan)
     (ax,) = effect_figures.draw_against_limits(frame, both).axes
@@ -254,7 +249,7 @@ def test_effects_without_an_interval_are_drawn_with_their_mesh_error(data: Repor
     assert right - left == pytest.approx(2 * frame["bound"][0])
 
 
-def test_cells(data: ReportData, error: Facts):
+def test_cells(data, error):
     frame = effect_figures.cell_points(data, error)
     (ax,) = effect_figures.draw_cells(frame, error, 0.5).axes
     *strips, means = points(ax)
@@ -267,7 +262,7 @@ def test_cells(data: ReportData, error: Facts):
     assert first["label"].is_unique
 
 
-def test_cells_of_a_design_without_blocks_have_no_lines(data: ReportData, error: Facts):
+def test_cells_of_a_design_without_blocks_have_no_lines(data, error):
     """A column of blocks that holds none: parameters alone, each cell computed once."""
     frame = effect_figures.cell_points(data, error).drop_duplicates("rank").assign(block=None)
     (ax,) = effect_figures.draw_cells(frame, error, 0.5).axes
@@ -276,7 +271,7 @@ def test_cells_of_a_design_without_blocks_have_no_lines(data: ReportData, error:
     assert len(np.vstack(strips)) == len(frame)
 
 
-def test_interactions(data: ReportData, error: Facts):
+def test_interactions(data, error):
     frame = effect_figures.pair_means(data, error)
     gap = frame.index[0]
     panels = effect_figures.draw_interactions(frame.drop(gap), error, data).axes
@@ -291,7 +286,7 @@ def test_interactions(data: ReportData, error: Facts):
             np.testing.assert_array_equal(line.get_ydata(), expected)
 
 
-def test_residuals(data: ReportData, error: Facts):
+def test_residuals(data, error):
     frame = residual_figures.diagnostic_residual_points(error)
     figure = residual_figures.draw_residuals(frame, error, data)
     _, fitted, histogram, factors = figure.axes
@@ -310,7 +305,7 @@ def test_residuals(data: ReportData, error: Facts):
 # Logarithmic axes and legends.
 
 
-def seen(ax, axis: str) -> list[str]:
+def seen(ax, axis):
     low, high = sorted(ax.get_xlim() if axis == "x" else ax.get_ylim())
     target = ax.xaxis if axis == "x" else ax.yaxis
     ax.figure.canvas.draw()
@@ -320,7 +315,7 @@ def seen(ax, axis: str) -> list[str]:
 
 @pytest.mark.parametrize("low", [1e-9, 0.0031, 0.97, 9.9, 12345.0])
 @pytest.mark.parametrize("ratio", [1.001, 1.05, 1.7, 3.3, 9.0, 11.0, 1e3, 1e12])
-def test_a_logarithmic_axis_shows_two_different_labels(low: float, ratio: float):
+def test_a_logarithmic_axis_shows_two_different_labels(low, ratio):
     ax = axes.canvas(3, 6).subplots()
     ax.loglog([low, low * ratio], [0.07, 0.07 * ratio])
     axes.log_ticks(ax)
@@ -331,7 +326,7 @@ def test_a_logarithmic_axis_shows_two_different_labels(low: float, ratio: float)
 
 
 @pytest.mark.parametrize("spread", [1.001, 1.3, 50.0])
-def test_figures_of_convergence_label_both_axes(spread: float):
+def test_figures_of_convergence_label_both_axes(spread):
     error = 0.03 * np.geomspace(1, spread, 3)
     frame = pd.DataFrame(
         {"cell": "a", "mesh_size": [1.0, 1.5, 2.25], "error": error, "formal_order": np.nan}
@@ -345,18 +340,18 @@ def test_figures_of_convergence_label_both_axes(spread: float):
 
 
 @pytest.mark.parametrize("levels", [2, 14, 40])
-def test_cost_against_accuracy_of_many_levels(levels: int):
+def test_cost_against_accuracy_of_many_levels(levels):
     ranges = [f"{k} %" for k in range(levels)]
     factors = {"material": ["neo-hookean", "reduced-polynomial-3"], "range": ranges}
     frame = pd.DataFrame(product(*factors.values()), columns=list(factors))
     seconds, mean = np.geomspace(0.05, 0.2, len(frame)), np.linspace(6.0, 3.0, len(frame))
     cell = frame["material"] + frame["range"]
     frame = frame.assign(cell=cell, seconds=seconds, mean=mean, front=True)
-    facts: Any = SimpleNamespace(better="lower", title="relative RMS force error", unit="%")
-    data: Any = SimpleNamespace(factors=factors, labels={})
+    facts = SimpleNamespace(better="lower", title="relative RMS force error", unit="%")
+    data = SimpleNamespace(factors=factors, labels={})
     found = []
 
-    def draw() -> Any:
+    def draw():
         found.append(study_figures.draw_front(frame, facts, data, 0.5))
         return found[0]
 
@@ -369,7 +364,7 @@ def test_cost_against_accuracy_of_many_levels(levels: int):
     assert ax.get_position().height * found[0].get_figheight() > 1.5
 
 
-def test_profiles_of_all_responses_go_through_the_best_setting(tmp_path: Path):
+def test_profiles_of_all_responses_go_through_the_best_setting(tmp_path):
     a, b = (part.ravel() for part in np.meshgrid(np.linspace(0, 1, 5), np.linspace(-1, 1, 5)))
     table = {"a": a, "b": b, "y": (a - 0.3) ** 2 + 0.2 * b, "z": 5 * b + 0.01 * a}
     noise = np.random.default_rng(1).normal(size=a.size)

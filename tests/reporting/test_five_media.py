@@ -1,7 +1,5 @@
 """One table in every medium: page, terminal, notebook, LaTeX, CSV, JSON hold the same numbers."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -24,7 +22,7 @@ SIGNS = {
 
 
 @pytest.fixture(scope="module")
-def media(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def media(tmp_path_factory):
     """What each medium says of one analysis."""
     folder = tmp_path_factory.mktemp("media")
     files = ("--report", folder, "--format", "html,tex,csv")
@@ -47,7 +45,7 @@ def media(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     }  # fmt: skip
 
 
-def latex_rows(text: str, label: str) -> list[list[str]]:
+def latex_rows(text, label):
     """Cells of a table, as they are escaped."""
     body = text.partition(rf"\label{{tab:{label}}}")[2].partition(r"\end{tabular}")[0]
     body = body.partition(r"\midrule")[2].partition(r"\bottomrule")[0]
@@ -55,7 +53,7 @@ def latex_rows(text: str, label: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("name", ["anova", "verdicts", "means"])
-def test_every_number_that_is_shown_is_shown_alike(media: dict[str, str], name: str) -> None:
+def test_every_number_that_is_shown_is_shown_alike(media, name):
     rows = latex_rows(media["latex"], name)
     assert rows
     for row in rows:
@@ -68,7 +66,7 @@ def test_every_number_that_is_shown_is_shown_alike(media: dict[str, str], name: 
             assert line in media[medium], (medium, line)
 
 
-def test_every_number_that_is_stored_is_equal_to_the_last_digit(media: dict[str, str]) -> None:
+def test_every_number_that_is_stored_is_equal_to_the_last_digit(media):
     document = json.loads(media["json"])
     stored = {row["term"]: row for row in csv.DictReader(media["anova"].splitlines())}
     for row in document["anova"]["rows"]:
@@ -84,7 +82,7 @@ def test_every_number_that_is_stored_is_equal_to_the_last_digit(media: dict[str,
             assert row["verdict"] == effect["verdict"]
 
 
-def test_latex_has_a_label_and_the_rules_of_booktabs_for_each_table(media: dict[str, str]) -> None:
+def test_latex_has_a_label_and_the_rules_of_booktabs_for_each_table(media):
     count = media["latex"].count(r"\begin{table}")
     assert count >= 4
     labels = re.findall(r"\\label\{tab:([a-z0-9-]+)\}", media["latex"])
@@ -93,6 +91,6 @@ def test_latex_has_a_label_and_the_rules_of_booktabs_for_each_table(media: dict[
         assert media["latex"].count(f"\\{rule}") == count
 
 
-def test_a_p_is_written_one_way(media: dict[str, str]) -> None:
+def test_a_p_is_written_one_way(media):
     for medium in ("page", "terminal", "notebook", "latex"):
         assert not re.search(r"\bp(-value)? ?(=|<|>) ?0\.\d", media[medium]), medium

@@ -1,22 +1,17 @@
 """Hostile names in the files beside a page: SVG, CSV, LaTeX and the printed PDF."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
 import shutil
 import subprocess
 import zlib
-from collections.abc import Callable
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from study.reporting.figures.axes import data_alone
 from study.reporting.output import write
-from study.reporting.results.study_result import ReportData
 from tests.reporting.test_page import ALL_IN_ONE, CORPUS, hostile
 
 #: one name that speaks to every language; the whole of the corpus is slow
@@ -27,7 +22,7 @@ RUNS = re.compile(r"^[\s\ufeff]*[=+\-@\t\r|%]")
 COMMANDS = re.compile(r"\\([a-zA-Z]+|[^a-zA-Z])")
 
 
-def number(text: str) -> bool:
+def number(text):
     try:
         float(text.replace("\u2212", "-").replace(",", ""))
     except ValueError:
@@ -36,16 +31,14 @@ def number(text: str) -> bool:
 
 
 @pytest.fixture(scope="module")
-def sound_commands(data: ReportData) -> set[str]:
+def sound_commands(data):
     """Commands that the LaTeX of a harmless report holds."""
     with data_alone():
         return set(COMMANDS.findall(write._latex(data, write.prepare(data))))
 
 
 @pytest.mark.parametrize("evil", [*FEW, *SLOW], ids=range(len(FEW) + len(SLOW)))
-def test_no_file_beside_the_page_runs_a_name(
-    tmp_path: Path, data: ReportData, sound_commands: set[str], evil: str
-) -> None:
+def test_no_file_beside_the_page_runs_a_name(tmp_path, data, sound_commands, evil):
     report = write.write(hostile(data, evil), tmp_path / "report", ("html", "tex", "csv"))
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     # a name such as ../../x leads nowhere else
@@ -63,7 +56,7 @@ def test_no_file_beside_the_page_runs_a_name(
             check_latex(path.read_text("utf-8"), sound_commands)
 
 
-def check_svg(text: str) -> None:
+def check_svg(text):
     """Well formed, drawn, and without anything that runs or asks for something."""
     assert not re.search("[\x00-\x08\x0b\x0c\x0e-\x1f\u202a-\u202e\u2066-\u2069]", text)
     for element in ElementTree.fromstring(text).iter():
@@ -77,7 +70,7 @@ def check_svg(text: str) -> None:
             assert not re.search(r"url\((?!#)", value)
 
 
-def check_csv(text: str) -> None:
+def check_csv(text):
     """As many cells in every row, none of which a spreadsheet would run."""
     rows = list(csv.reader(io.StringIO(text)))
     assert len({len(row) for row in rows if row}) <= 1
@@ -87,7 +80,7 @@ def check_csv(text: str) -> None:
             assert "\x00" not in cell
 
 
-def check_latex(text: str, sound: set[str]) -> None:
+def check_latex(text, sound):
     """No command that a harmless report has not, no formula but a sign, braces that close."""
     escaped = set(COMMANDS.findall("".join(write._SPECIAL.values())))
     assert set(COMMANDS.findall(text)) <= sound | escaped
@@ -107,7 +100,7 @@ def check_latex(text: str, sound: set[str]) -> None:
         (check_latex, ("$x$", set())),
     ],
 )
-def test_the_checks_see_what_is_wrong(check: Callable[..., None], bad: tuple[object, ...]) -> None:
+def test_the_checks_see_what_is_wrong(check, bad):
     with pytest.raises(AssertionError):
         check(*bad)
 
@@ -117,7 +110,7 @@ def test_the_checks_see_what_is_wrong(check: Callable[..., None], bad: tuple[obj
 @pytest.mark.skipif(
     not any(map(shutil.which, write.BROWSERS)), reason="no Chromium or Chrome is installed"
 )
-def test_a_printed_page_runs_nothing(tmp_path: Path, data: ReportData) -> None:
+def test_a_printed_page_runs_nothing(tmp_path, data):
     evil = "<script>document.title='run'</script> =cmd|' /C calc'!A0 $\\frac{a}{b}$"
     write.write(hostile(data, evil), tmp_path, ("html", "pdf"))
     (path,) = tmp_path.glob("*.pdf")
@@ -132,7 +125,7 @@ def test_a_printed_page_runs_nothing(tmp_path: Path, data: ReportData) -> None:
         assert "document.title='run'" in " ".join(text.decode().split())
 
 
-def inflated(stream: bytes) -> bytes:
+def inflated(stream):
     try:
         return zlib.decompress(stream)
     except zlib.error:

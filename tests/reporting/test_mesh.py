@@ -1,7 +1,5 @@
 """Pictures of meshes: the boundary is found, nothing but vectors is drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ TETRAHEDRA = np.array(
 )
 
 
-def area(points: np.ndarray, faces: np.ndarray) -> float:
+def area(points, faces):
     a, b, c = (points[faces[:, i]] for i in range(3))
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 

@@ -1,7 +1,5 @@
 """Files: the data beside the page, safe CSV, LaTeX, PDF, terminal tables."""
 
-from __future__ import annotations
-
 import csv
 import gc
 import io
@@ -9,7 +7,6 @@ import json
 import re
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -19,20 +16,19 @@ from study.ground.errors import InputError
 from study.reporting.content import tables
 from study.reporting.content.blocks import Figure, Heading, Table
 from study.reporting.content.report_facts import facts
-from study.reporting.output import page, write
+from study.reporting.output import write
 from study.reporting.output.terminal import say
-from study.reporting.results.study_result import ReportData
 from tests.reporting.example import unreplicated
 
 
 @pytest.fixture
-def quick(monkeypatch, contents: page.Pages) -> None:
+def quick(monkeypatch, contents):
     """Reuse the report of the session: these tests are about files."""
     monkeypatch.setattr(write, "prepare", lambda data, worker: contents)
 
 
 @pytest.mark.usefixtures("quick")
-def test_writes_pages_and_data_beside(tmp_path: Path, data: ReportData, both: tuple[str, str]):
+def test_writes_pages_and_data_beside(tmp_path, data, both):
     main = write.write(data, tmp_path / "new folder", ("csv", "tex", "html"))
     assert main == tmp_path / "new folder" / "ecoflex-compression.html"
     written = (main, main.with_stem("ecoflex-compression-details"))
@@ -49,22 +45,20 @@ def test_writes_pages_and_data_beside(tmp_path: Path, data: ReportData, both: tu
     assert len(pd.read_csv(beside / "cases.csv")) == 288
 
 
-def test_no_drawing_outlives_its_report(tmp_path: Path):
+def test_no_drawing_outlives_its_report(tmp_path):
     before = drawings()
     write.write(unreplicated(), tmp_path)
     assert drawings() <= before
 
 
-def drawings() -> set[int]:
+def drawings():
     gc.collect()
     return {id(one) for one in gc.get_objects() if isinstance(one, Drawing)}
 
 
 @pytest.mark.usefixtures("quick")
-def test_reference_cycles_are_looked_for_again_after_a_report(
-    tmp_path: Path, data: ReportData, monkeypatch: pytest.MonkeyPatch
-):
-    def broken(data: ReportData, beside: Path) -> None:
+def test_reference_cycles_are_looked_for_again_after_a_report(tmp_path, data, monkeypatch):
+    def broken(data, beside):
         assert not gc.isenabled()
         raise OSError("disk full")
 
@@ -74,7 +68,7 @@ def test_reference_cycles_are_looked_for_again_after_a_report(
     assert gc.isenabled()
 
 
-def test_pdf_without_a_browser_says_how_to_mend(monkeypatch, tmp_path: Path, data: ReportData):
+def test_pdf_without_a_browser_says_how_to_mend(monkeypatch, tmp_path, data):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(InputError, match="apt-get install chromium"):
         write.write(data, tmp_path / "x", ("html", "pdf"))
@@ -84,7 +78,7 @@ def test_pdf_without_a_browser_says_how_to_mend(monkeypatch, tmp_path: Path, dat
 @pytest.mark.parametrize(
     "evil", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "  =1+1", "=cmd|' /C calc'!A0"]
 )
-def test_text_cells_are_no_formulas(evil: str):
+def test_text_cells_are_no_formulas(evil):
     rows = list(csv.reader(io.StringIO(write.of_rows([evil], [[evil]]))))
     assert all(cell.startswith("'") for row in rows for cell in row)
 
@@ -110,9 +104,7 @@ def test_tex_has_no_command_of_a_user():
     assert r"\label{tab:t}" in made
 
 
-def test_a_terminal_has_a_table_for_each_response(
-    data: ReportData, capsys: pytest.CaptureFixture[str]
-):
+def test_a_terminal_has_a_table_for_each_response(data, capsys):
     whole = tables.verdicts(facts(data), data)
     say([Heading("a\N{NO-BREAK SPACE}b"), whole, Figure("f", "no place here"), None])
     shown = capsys.readouterr().out
@@ -127,7 +119,7 @@ def test_a_terminal_has_a_table_for_each_response(
         assert row[3].replace("\N{NO-BREAK SPACE}", " ") in shown
 
 
-def test_matrix_survives_colons_in_levels(data: ReportData):
+def test_matrix_survives_colons_in_levels(data):
     table = data.table.assign(plates=data.table["plates"].str.replace("bonded", "a:b"))
     factors = {**data.factors, "plates": ("frictionless", "a:b")}
     changed = replace(data, table=table, factors=factors)
@@ -138,7 +130,7 @@ def test_matrix_survives_colons_in_levels(data: ReportData):
 # From a mean to the records behind it: the matrix leads to the cases of a cell.
 
 
-def test_every_cell_leads_to_its_own_cases(data: ReportData, contents: page.Pages):
+def test_every_cell_leads_to_its_own_cases(data, contents):
     cells, records = contents.tables["cells"], contents.tables["records"]
     factors = len(data.factors)
     assert len(records.rows) == len(data.table)
@@ -152,7 +144,7 @@ def test_every_cell_leads_to_its_own_cases(data: ReportData, contents: page.Page
         assert sum(one[:factors] == row[:factors] for one in records.rows) == count
 
 
-def test_cells_stand_in_the_order_of_the_design(data: ReportData):
+def test_cells_stand_in_the_order_of_the_design(data):
     shuffled = replace(data, table=data.table.sample(frac=1.0, random_state=1))
     order = [
         [levels.index(label) for label, levels in zip(cell, data.factors.values(), strict=True)]
@@ -165,6 +157,6 @@ def test_cells_stand_in_the_order_of_the_design(data: ReportData):
     assert plain.rows == mixed.rows
 
 
-def test_a_page_lists_no_more_than_it_can_hold(data: ReportData, monkeypatch: pytest.MonkeyPatch):
+def test_a_page_lists_no_more_than_it_can_hold(data, monkeypatch):
     monkeypatch.setattr(tables, "MOST", len(data.table) - 1)
     assert tables.case_records(data, facts(data)) is None

@@ -1,11 +1,8 @@
 """The page: complete, in order, self-contained, and safe with hostile names."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -20,7 +17,7 @@ from study.reporting.content.sentences import folded
 from study.reporting.figures import effect_figures
 from study.reporting.figures.axes import data_alone
 from study.reporting.output import study_page
-from study.reporting.output.page import Pages, page_names, policy_hash, printed, table_script
+from study.reporting.output.page import page_names, policy_hash, printed, table_script
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import Check, ReportData, ResponseAnalysis
 from study.statistics.analysis.simple_effects import MATTERS
@@ -58,7 +55,7 @@ CORPUS = [
 ]
 
 
-def only_our_script(html: str) -> bool:
+def only_our_script(html):
     """Whether the page has one script, the shipped one, and its policy allows no other."""
     script = table_script()
     policy = f"script-src '{policy_hash(script)}';"
@@ -67,19 +64,19 @@ def only_our_script(html: str) -> bool:
     ] and (policy in html and html.lower().count("<script") == 1)
 
 
-def is_local(link: str) -> bool:
+def is_local(link):
     """Whether a link leads to one of the two pages, or to a file in the folder of their data."""
     return bool(re.fullmatch(r"#[\w-]+|[a-z0-9-]+-data/[a-z0-9.-]+|[a-z0-9-]+\.html", link))
 
 
-def test_a_second_script_would_be_found(html: str):
+def test_a_second_script_would_be_found(html):
     assert only_our_script(html)
     assert not only_our_script(html.replace("</main>", "<script>alert(1)</script></main>"))
     assert not only_our_script(html.replace("LONG = 12", "LONG = 13"))
     assert not is_local("javascript:alert(1)")
 
 
-def test_an_unfinished_study_says_so_at_the_top(data: ReportData, html: str):
+def test_an_unfinished_study_says_so_at_the_top(data, html):
     assert "Unfinished study" not in html
     few = data.table.iloc[: len(data.table) // 2]
     half = replace(data, table=few, responses=(), curves=())
@@ -89,13 +86,13 @@ def test_an_unfinished_study_says_so_at_the_top(data: ReportData, html: str):
     assert page.index("Unfinished study") < page.index('id="answer"')
 
 
-def test_sections_stand_in_the_order_of_the_design(first: str, second: str):
+def test_sections_stand_in_the_order_of_the_design(first, second):
     assert re.findall(r'<section id="([^"]+)"', first) == FIRST
     assert " ".join(re.findall(r'<section id="([^"]+)"', second)) == SECTIONS
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_page_is_self_contained_and_small(both: tuple[str, str], which: int):
+def test_page_is_self_contained_and_small(both, which):
     html = both[which]
     page = ReadPage(html)
     assert faults_of(html) == []
@@ -113,7 +110,7 @@ def test_page_is_self_contained_and_small(both: tuple[str, str], which: int):
     assert len(html.encode()) < 3_000_000
 
 
-def test_faults_of_a_page_are_found(first: str):
+def test_faults_of_a_page_are_found(first):
     mended = (
         ("</section>", ""), ('<html lang="en">', "<html>"), ("<h2>", "<h4>"), ("</h2>", "</h4>"),
         ("<header>", '<header><img src="//far.org/a.png">'), ("<p ", '<p id="card" '),
@@ -123,7 +120,7 @@ def test_faults_of_a_page_are_found(first: str):
         assert faults_of(first.replace(before, after)), before
 
 
-def test_no_number_is_longer_than_a_reader_can_use(html: str):
+def test_no_number_is_longer_than_a_reader_can_use(html):
     body = re.sub(
         r"<svg.*?</svg>|<style>.*?</style>|<dl class=\"facts mono\">.*?</dl>", "", html, flags=re.S
     )
@@ -133,11 +130,11 @@ def test_no_number_is_longer_than_a_reader_can_use(html: str):
     assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!: all)", text)
 
 
-def test_same_data_give_the_same_bytes(contents: Pages, both: tuple[str, str]):
+def test_same_data_give_the_same_bytes(contents, both):
     assert contents.html() == both
 
 
-def test_every_figure_is_drawn_and_says_its_finding(contents: Pages):
+def test_every_figure_is_drawn_and_says_its_finding(contents):
     figures = [b for page in (contents.first, contents.second) for b in page.flat
                if isinstance(b, Figure)]  # fmt: skip
     assert not any(figure.missing for figure in figures)
@@ -145,7 +142,7 @@ def test_every_figure_is_drawn_and_says_its_finding(contents: Pages):
     assert len(figures) == len(contents.figures) == 15
 
 
-def test_the_first_page_is_short_and_leads_to_the_second(first: str, second: str):
+def test_the_first_page_is_short_and_leads_to_the_second(first, second):
     assert len(words_of(first).split()) <= 700
     answer = first.partition('<section id="answer"')[2].partition("</section>")[0]
     said = words_of(f"<p {answer}")
@@ -155,7 +152,7 @@ def test_the_first_page_is_short_and_leads_to_the_second(first: str, second: str
     assert 'href="ecoflex-compression.html"' in second
 
 
-def test_a_claim_that_hangs_on_one_block_says_so_in_the_answer(data: ReportData):
+def test_a_claim_that_hangs_on_one_block_says_so_in_the_answer(data):
     analyzed = facts(data)[0]
     fragile = tuple(
         replace(e, lost_without=("EF10_1",)) if e.verdict == MATTERS else e for e in analyzed.terms
@@ -170,7 +167,7 @@ def test_the_answer_has_five_sentences_at_most():
     assert study_page.in_few(["A. B. C. D. E. F."]) == ("A. B. C. D. E.",)
 
 
-def test_the_card_says_what_each_check_means(data: ReportData):
+def test_the_card_says_what_each_check_means(data):
     checks = analysis_content.all_checks(data, facts(data))
     card = study_page.report_card(checks, replace(data, warnings=("one",), data_notes=()))
     outcomes = [*(g[0].outcome for g in analysis_content.by_name(checks)), "note"]
@@ -182,7 +179,7 @@ def test_the_card_says_what_each_check_means(data: ReportData):
 
 
 def test_a_broken_figure_is_named_and_the_others_are_the_same_to_the_byte(
-    monkeypatch, data: ReportData, contents: Pages
+    monkeypatch, data, contents
 ):
     def broken(*_args):
         raise RuntimeError("the <pen> broke")
@@ -200,11 +197,11 @@ def test_a_broken_figure_is_named_and_the_others_are_the_same_to_the_byte(
     assert again == first | {f"{stem}interactions": ""}
 
 
-def test_assumed_inputs_are_labelled(html: str):
+def test_assumed_inputs_are_labelled(html):
     assert re.search(r"test\.interface <span class=\"flag\">assumed</span>", html)
 
 
-def test_failures_are_listed_and_a_refused_response_still_makes_a_report(data: ReportData):
+def test_failures_are_listed_and_a_refused_response_still_makes_a_report(data):
     refused = ResponseAnalysis("mu0", "kPa", refused="copies pose as replicates")
     page = undrawn(replace(with_failures(data), responses=(refused,), curves=()))
     for words in (
@@ -214,7 +211,7 @@ def test_failures_are_listed_and_a_refused_response_still_makes_a_report(data: R
         assert words in page
 
 
-def test_checks_of_several_responses_stand_together(contents: Pages, data: ReportData):
+def test_checks_of_several_responses_stand_together(contents, data):
     rows = contents.tables["checks"].rows
     names = [row[0] for row in rows]
     assert all(names.count(name) == 1 for name in names if name)
@@ -223,7 +220,7 @@ def test_checks_of_several_responses_stand_together(contents: Pages, data: Repor
     assert second[0] == ""
 
 
-def test_levels_stand_in_the_order_of_the_design(data: ReportData):
+def test_levels_stand_in_the_order_of_the_design(data):
     for found in facts(data):
         for effect in found.effects:
             assert effect.levels == data.factors[effect.term]
@@ -233,14 +230,14 @@ def test_levels_stand_in_the_order_of_the_design(data: ReportData):
                 assert named == pytest.approx(per_level.to_dict(), rel=1e-9)
 
 
-def test_u_num_is_a_letter_with_a_subscript(html: str):
+def test_u_num_is_a_letter_with_a_subscript(html):
     text = re.sub(r"<style>.*?</style>", "", html, flags=re.S)
     assert "u_num" not in text
     assert "u<sub>num</sub>" in text
     assert "U, the bound of the numerical error, is the same for every factor" in text
 
 
-def test_a_huge_f_is_only_said_to_be_so(data: ReportData):
+def test_a_huge_f_is_only_said_to_be_so(data):
     found = facts(data)[1]
     assert found.result is not None
     rows = tuple(replace(row, f=7.6e9) if row.term == "plates" else row for row in found.rows)
@@ -250,7 +247,7 @@ def test_a_huge_f_is_only_said_to_be_so(data: ReportData):
     assert table.note.startswith("F > 10,000: the effect is nearly the same in every phantom")
 
 
-def test_cells_are_compared_over_the_blocks_they_share(data: ReportData):
+def test_cells_are_compared_over_the_blocks_they_share(data):
     data = with_failures(data)
     name = "relative_rms_force_error"
     failed = set(data.table.loc[data.table[name].isna(), "block"])
@@ -261,7 +258,7 @@ def test_cells_are_compared_over_the_blocks_they_share(data: ReportData):
     assert (frame["n"] == len(data.blocks) - len(failed)).all()
 
 
-def test_warnings_that_differ_in_names_and_numbers_are_one_line(data: ReportData):
+def test_warnings_that_differ_in_names_and_numbers_are_one_line(data):
     found = [
         ("error", "material: 1 of 3 degrees of freedom are not estimable"),
         ("error", "model.space: 1 of 1 degrees of freedom are not estimable"),
@@ -284,7 +281,7 @@ def test_smallest_possible_report():
     assert "tiny" in undrawn(data)
 
 
-def hostile(data: ReportData, evil: str) -> ReportData:
+def hostile(data, evil):
     """The example with a hostile text in every place where a user may write."""
     from study.statistics.analysis.anova import anova
 
@@ -329,7 +326,7 @@ DRAWN = pytest.param(True, marks=[pytest.mark.slow, pytest.mark.verify])
 
 @pytest.mark.parametrize("drawn", [False, DRAWN])
 @pytest.mark.parametrize("evil", [*ALL_IN_ONE, *SLOW_CORPUS])
-def test_hostile_names_are_shown_and_never_run(data: ReportData, evil: str, drawn: bool):
+def test_hostile_names_are_shown_and_never_run(data, evil, drawn):
     page = (build if drawn else undrawn)(hostile(data, evil))
     seen = ReadPage(page)
     assert not seen.tags & {"img", "iframe", "link"}
@@ -345,7 +342,7 @@ def test_hostile_names_are_shown_and_never_run(data: ReportData, evil: str, draw
 # Tables whose blocks do not hold every cell, and tables that leave doubts.
 
 
-def halves() -> pd.DataFrame:
+def halves():
     """A 2 x 2 x 2 factorial in six blocks of four, as field trials lay it: A x B x C is lost."""
     rng = np.random.default_rng(8)
     rows = [
@@ -357,7 +354,7 @@ def halves() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["field", "A", "B", "C", "yield"])
 
 
-def test_a_table_whose_blocks_hold_half_of_the_cells(tmp_path: Path) -> None:
+def test_a_table_whose_blocks_hold_half_of_the_cells(tmp_path):
     """Nothing is missing, every figure is drawn, and the methods name the model that was fitted."""
     analyze(halves(), "yield", ["A", "B", "C"], block="field", practical="2").report(tmp_path)
     first, details = ((tmp_path / name).read_text("utf-8") for name in page_names("table-yield"))
@@ -381,14 +378,14 @@ def test_a_table_whose_blocks_hold_half_of_the_cells(tmp_path: Path) -> None:
     assert "adjusted p" not in pairs
 
 
-def first_page(folder: Path, table: pd.DataFrame, response: str, *factors: str, **how: str) -> str:
+def first_page(folder, table, response, *factors, **how):
     """Words of the first page of an analysis."""
     with data_alone():
         analyze(table, response, list(factors), **how).report(folder)
     return words_of((folder / f"table-{response.lower()}.html").read_text("utf-8"))
 
 
-def test_more_rows_would_narrow_what_a_table_leaves_open(tmp_path: Path) -> None:
+def test_more_rows_would_narrow_what_a_table_leaves_open(tmp_path):
     rng = np.random.default_rng(2)
     table = pd.DataFrame({"wool": list("AB") * 6, "breaks": rng.normal(30, 5, 12)})
     page = first_page(tmp_path, table, "breaks", "wool", practical="2")
@@ -396,7 +393,7 @@ def test_more_rows_would_narrow_what_a_table_leaves_open(tmp_path: Path) -> None
     assert "More rows would narrow the interval of wool." in page
 
 
-def test_a_claim_goes_no_further_than_the_cells_that_were_measured(tmp_path: Path) -> None:
+def test_a_claim_goes_no_further_than_the_cells_that_were_measured(tmp_path):
     """Foam was never measured between oiled plates: of all settings nothing can be said."""
     rng = np.random.default_rng(5)
     rows = [

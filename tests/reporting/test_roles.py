@@ -1,9 +1,6 @@
 """Answers by the role of a factor: conditions, unknowns, and recommendations among choices."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 
@@ -19,7 +16,7 @@ from study.statistics.analysis.anova import anova
 FACTORS = {"material": ("soft", "stiff"), "range": ("20 %", "60 %"), "plates": ("dry", "glued")}
 
 
-def study(declared: Mapping[str, str] | None = None, glue: float = 3.0) -> ReportData:
+def study(declared=None, glue=3.0):
     """The material matters at 60 % (soft is 5 better) and not at 20 %; glue adds ``glue``."""
     random = np.random.default_rng(1)
     rows = []
@@ -39,7 +36,7 @@ def study(declared: Mapping[str, str] | None = None, glue: float = 3.0) -> Repor
 DECLARED = {"range": "condition", "plates": "unknown"}
 
 
-def test_a_choice_is_answered_at_each_level_of_a_condition() -> None:
+def test_a_choice_is_answered_at_each_level_of_a_condition():
     data = study(DECLARED)
     (line,) = effect_words.by_condition(data, facts(data))
     assert line.startswith("Material by range, for the error: no practical difference at 20 % (")
@@ -51,14 +48,14 @@ def test_a_choice_is_answered_at_each_level_of_a_condition() -> None:
 
 
 @pytest.mark.parametrize(("glue", "words"), [(3.0, "Measure it."), (0.0, "need not be measured")])
-def test_an_unknown_says_whether_measuring_it_pays(glue: float, words: str) -> None:
+def test_an_unknown_says_whether_measuring_it_pays(glue, words):
     data = study(DECLARED, glue)
     (line,) = effect_words.unknowns(data, facts(data))
     assert line.startswith("The level of plates was assumed")
     assert words in line
 
 
-def test_only_choices_are_recommended() -> None:
+def test_only_choices_are_recommended():
     data = study(DECLARED)
     found = facts(data)
     use = sentences.recommendation(data, found[0])
@@ -68,13 +65,13 @@ def test_only_choices_are_recommended() -> None:
     assert [word in first for word in words] == [True, False, False]
 
 
-def test_all_factors_are_choices_unless_said_otherwise() -> None:
+def test_all_factors_are_choices_unless_said_otherwise():
     data = study()
     assert effect_words.factors_of(data, effect_words.CHOICE) == list(FACTORS)
     assert "dry" in sentences.recommendation(data, facts(data)[0])
 
 
-def test_the_best_cell_is_not_called_cheapest_where_another_is_cheaper() -> None:
+def test_the_best_cell_is_not_called_cheapest_where_another_is_cheaper():
     """The best cell takes 2.0 s; one within reach takes 1.7 s, a gain too small to give it up."""
     data = study()
     dry = data.table["plates"] == "dry"

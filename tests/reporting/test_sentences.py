@@ -1,7 +1,5 @@
 """Sentences say what the numbers say: wording pinned."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pandas as pd
@@ -40,11 +38,11 @@ from tests.reporting.example import undrawn
 EMPTY = ReportData("none", "", {}, pd.DataFrame())
 
 
-def flat(text: str) -> str:
+def flat(text):
     return text.replace("\N{NO-BREAK SPACE}", " ")
 
 
-def effect(verdict: str, **changes) -> Effect:
+def effect(verdict, **changes):
     levels = ("frictionless", "bonded")
     known = {"largest": levels[::-1], "practical": 0.5, "p": 0.001}
     return replace(
@@ -52,16 +50,16 @@ def effect(verdict: str, **changes) -> Effect:
     )
 
 
-def error() -> Facts:
+def error():
     title = "relative RMS force error"
     return Facts("relative_rms_force_error", "%", better="lower", title=title)
 
 
-def modulus() -> Facts:
+def modulus():
     return Facts("mu0", "kPa", transform="log", title="initial shear modulus")
 
 
-def with_result(facts: Facts, assumptions: Assumptions, *, u_num_by_term: bool = False) -> Facts:
+def with_result(facts, assumptions, *, u_num_by_term=False):
     """Facts of a response whose analysis holds these tests and nothing else."""
     none = pd.DataFrame()
     result = AnalysisResult(
@@ -126,7 +124,7 @@ LEVENE = SpreadTest(9.0, (3, 20), 0.03, p_monte_carlo=0.2)
         (Assumptions(levene=LEVENE), SPREAD, "pass", "not rejected (Levene p = .200)"),
     ],
 )  # fmt: skip
-def test_a_check_says_why(tests: Assumptions, name: str, outcome: str, finding: str):
+def test_a_check_says_why(tests, name, outcome, finding):
     tested = replace(with_result(error(), tests), terms=(effect(MATTERS),))
     (check,) = [c for c in analysis_content.all_checks(EMPTY, (tested,)) if c.name == name]
     assert (check.outcome, check.finding) == (outcome, finding)
@@ -154,7 +152,7 @@ def test_failures_are_said_plainly():
     assert "not missing at random" in text
 
 
-def test_answer_is_three_sentences_of_the_example(data: ReportData):
+def test_answer_is_three_sentences_of_the_example(data):
     found = facts(data)
     which, contrast, best = (flat(line) for line in sentences.answer(data, found))
     assert "material (1.76 pp between extremes) matters" in which
@@ -167,7 +165,7 @@ def test_answer_is_three_sentences_of_the_example(data: ReportData):
     assert best.startswith("Use mooney-rivlin")
 
 
-def test_the_answer_names_levels_that_no_effect_covers(data: ReportData):
+def test_the_answer_names_levels_that_no_effect_covers(data):
     found = facts(data)
     assert "Left out" not in " ".join(sentences.answer(data, found))
     name, levels = next(iter(data.factors.items()))
@@ -178,20 +176,20 @@ def test_the_answer_names_levels_that_no_effect_covers(data: ReportData):
     assert f": {name} 9." in sentences.answer(numbered, found)[0]
 
 
-def test_one_factor_alone_has_no_interaction_to_speak_of(data: ReportData):
+def test_one_factor_alone_has_no_interaction_to_speak_of(data):
     one = replace(data, factors={"material": data.factors["material"]})
     assert sentences.interactions(one, ()) == ""
     assert "Interactions are no part" in sentences.interactions(data, ())
 
 
-def test_virtual_specimens_are_said_to_be_virtual(data: ReportData):
+def test_virtual_specimens_are_said_to_be_virtual(data):
     virtual = replace(data, virtual=True)
     few = replace(virtual, responses=data.responses[:1], curves=(), fits=())
     assert "scatter of their generator" in undrawn(few)
     assert "real measurements" in would_change(virtual, facts(virtual))
 
 
-def test_error_term_is_said_once_for_responses_that_share_it(data: ReportData):
+def test_error_term_is_said_once_for_responses_that_share_it(data):
     said = sentences.error_terms(data, facts(data))
     assert [who for who, text in said if text.startswith("The error term")] == [""]
     assert all(text.endswith((".", "?")) for _, text in said)
@@ -211,20 +209,20 @@ def test_an_effect_is_no_finer_than_a_thousandth_of_what_matters():
     assert flat(effect_words.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
 
 
-def test_the_cheaper_level_of_the_model_is_named_and_no_other_factor(data: ReportData):
+def test_the_cheaper_level_of_the_model_is_named_and_no_other_factor(data):
     text = flat(cheaper(data, facts(data)[0]))
     assert text.startswith("Space: axisymmetric is enough")
     assert "plates" not in text.lower()
 
 
-def test_replicates_are_not_advised_where_one_specimen_is_the_reason(data: ReportData):
+def test_replicates_are_not_advised_where_one_specimen_is_the_reason(data):
     doubt = replace(effect(CANNOT_TELL), why=ONE_SPECIMEN)
     text = would_change(data, (replace(facts(data)[0], terms=(doubt,)),))
     assert "easurements of more specimens, for one tells nothing of" in text
     assert "would narrow" not in text
 
 
-def test_recommendation_takes_the_cheapest_within_what_matters(data: ReportData):
+def test_recommendation_takes_the_cheapest_within_what_matters(data):
     table = data.table.copy()
     slow = (table["material"] == "mooney-rivlin") & (table["plates"] == "frictionless")
     table.loc[slow, "seconds"] = 500.0
@@ -234,7 +232,7 @@ def test_recommendation_takes_the_cheapest_within_what_matters(data: ReportData)
     assert "8.3 min" in text
 
 
-def test_without_computing_times_the_best_cell_is_recommended(data: ReportData):
+def test_without_computing_times_the_best_cell_is_recommended(data):
     text = flat(recommendation(replace(data, table=data.table.drop(columns="seconds")),
                                facts(data)[0]))  # fmt: skip
     assert text.startswith("Use mooney-rivlin, frictionless")
@@ -286,7 +284,7 @@ def test_a_factor_that_the_mesh_leaves_open_names_the_setting_and_the_bound_ther
         assert words in flat(effect_words.open_verdict(other, modulus()))
 
 
-def test_what_would_change_an_effect_that_the_mesh_leaves_open(data: ReportData):
+def test_what_would_change_an_effect_that_the_mesh_leaves_open(data):
     why = "the numerical uncertainty would have to be below 0.2"
     few = replace(error(), terms=(effect(CANNOT_TELL, why="the interval crosses the threshold"),))
     coarse = replace(error(), terms=(effect(NOT_RESOLVED, term="order", why=why),))

@@ -1,7 +1,5 @@
 """The language of a report: plain order, no riddles, and numbers that are those of the data."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -11,7 +9,6 @@ import pytest
 from study.harness.record.record import Record
 from study.reporting.content import methods
 from study.reporting.content.report_facts import facts
-from study.reporting.results.study_result import ReportData
 from tests.reporting.example import undrawn, unreplicated, words_of
 
 #: what no sentence of a report says, and what it says instead
@@ -35,11 +32,11 @@ NOT_USED = {
 }
 
 
-def breaches(text: str) -> list[str]:
+def breaches(text):
     return [f"{rule}: write {better}" for rule, better in NOT_USED.items() if re.search(rule, text)]
 
 
-def test_no_sentence_has_a_word_that_is_not_used(html: str):
+def test_no_sentence_has_a_word_that_is_not_used(html):
     assert breaches(words_of(html)) == []
     assert breaches(words_of(undrawn(unreplicated()))) == []
 
@@ -49,11 +46,11 @@ def test_no_sentence_has_a_word_that_is_not_used(html: str):
     "The residuals are normal.", "the two differ by at most < 0.1 % of it",
     "unstable below stretch #", "stopped at # mm of # mm", "a force of 0.028937628 N",
 ])  # fmt: skip
-def test_the_list_of_words_finds_a_breach(text: str):
+def test_the_list_of_words_finds_a_breach(text):
     assert breaches(text)
 
 
-def all_failed(data: ReportData) -> ReportData:
+def all_failed(data):
     gone = {one.name: np.nan for one in data.responses}
     table = data.table.assign(status="diverged", **gone)
     failed = tuple(
@@ -64,7 +61,7 @@ def all_failed(data: ReportData) -> ReportData:
     return replace(data, table=table, responses=refused, failures=failed, curves=(), fits=())
 
 
-def test_a_study_of_which_every_case_failed_has_a_page(data: ReportData):
+def test_a_study_of_which_every_case_failed_has_a_page(data):
     page = words_of(undrawn(all_failed(data)))
     assert "All 288 cases failed, so there is nothing to compare." in page
     assert "288 cases of 288" in page
@@ -75,7 +72,7 @@ def test_a_study_of_which_every_case_failed_has_a_page(data: ReportData):
 
 
 @pytest.mark.parametrize(("rows", "failed"), [(288, 0), (288, 3), (100, 2)])
-def test_the_methods_count_the_cases(data: ReportData, rows: int, failed: int):
+def test_the_methods_count_the_cases(data, rows, failed):
     some = tuple(Record(str(k), "s", {}, "b", "not-converged") for k in range(failed))
     text = methods.paragraph(replace(data, table=data.table.iloc[:rows], failures=some), ())
     counts = [
@@ -86,7 +83,7 @@ def test_the_methods_count_the_cases(data: ReportData, rows: int, failed: int):
     assert ("none failed" in text) == (failed == 0)
 
 
-def test_the_methods_say_level_and_fit(data: ReportData):
+def test_the_methods_say_level_and_fit(data):
     text = methods.paragraph(data, facts(data)).replace("\N{NO-BREAK SPACE}", " ")
     assert "95 %" in text
     assert "90 %" in methods.paragraph(replace(data, alpha=0.1), facts(data)).replace("\xa0", " ")

@@ -1,9 +1,6 @@
 """Numbers as text: pinned by hand."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
 
 import pytest
 
@@ -35,11 +32,11 @@ from study.reporting.content.text import (
 from study.reporting.results.study_answers import Change
 
 
-def flat(text: str) -> str:
+def flat(text):
     return text.replace("\N{NO-BREAK SPACE}", " ")
 
 
-def change(then: str | None, now: str | None) -> str:
+def change(then, now):
     return Change("design", "k", (then, now)).sentence
 
 
@@ -142,7 +139,7 @@ def change(then: str | None, now: str | None) -> str:
         (clean, ("x" * 50, 10), "x" * 9 + "\N{HORIZONTAL ELLIPSIS}"),
     ],
 )
-def test_numbers_and_words(write: Callable[..., str], arguments: tuple[object, ...], text: str):
+def test_numbers_and_words(write, arguments, text):
     assert flat(write(*arguments)) == text
 
 

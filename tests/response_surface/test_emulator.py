@@ -1,9 +1,6 @@
 """The emulator against other codes, closed forms and functions with known indices."""
 
-from __future__ import annotations
-
 import tracemalloc
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,11 +10,9 @@ from scipy.stats import qmc
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
-from study.ground.arrays import Array
 from study.ground.errors import RefusedError
 from study.statistics.surfaces import gaussian_process
 from study.statistics.surfaces.emulator import (
-    Emulator,
     fit_emulator,
     fit_together,
     jansen,
@@ -26,7 +21,6 @@ from study.statistics.surfaces.emulator import (
 from study.statistics.surfaces.gaussian_process import (
     FAMILIES,
     CategoryCorrelation,
-    Family,
     condition,
     draw_paths,
     fit_process,
@@ -40,13 +34,13 @@ from tests.response_surface import functions
 THETA = np.log([0.4, 0.7, 1.3, 1.7, 1e-4])
 
 
-def standardized(n: int = 40) -> tuple[Array, Array]:
+def standardized(n=40):
     x = functions.hypercube(3, n, 4)
     y = functions.ishigami(x)
     return x, (y - y.mean()) / y.std()
 
 
-def two_categories(n: int = 30, seed: int = 4) -> tuple[Runs, Runs]:
+def two_categories(n=30, seed=4):
     """A product: the second category answers three times as much, plus a constant."""
     x = functions.hypercube(5, 2 * n, seed)
     y = functions.friedman(x)
@@ -56,7 +50,7 @@ def two_categories(n: int = 30, seed: int = 4) -> tuple[Runs, Runs]:
 
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("sizes", [(), (3, 2), (6,), (2,)])
-def test_gradient_is_that_of_finite_differences(family: Family, sizes: tuple[int, ...]) -> None:
+def test_gradient_is_that_of_finite_differences(family, sizes):
     rng = np.random.default_rng(1)
     number = np.arange(50) % max(1, int(np.prod(sizes)))
     x = np.column_stack([rng.random((50, 2)), *([number] if sizes else [])])
@@ -71,7 +65,7 @@ def test_gradient_is_that_of_finite_differences(family: Family, sizes: tuple[int
     assert slope == pytest.approx(numeric, rel=1e-4, abs=1e-4)
 
 
-def test_categories_correlate_by_their_distances_from_the_shared_part() -> None:
+def test_categories_correlate_by_their_distances_from_the_shared_part():
     both = CategoryCorrelation.of(np.array([0.1, 0.2, 0.4, 0.05]), (3, 2))
     three = np.exp(-np.array([[0.0, 0.3, 0.5], [0.3, 0.0, 0.6], [0.5, 0.6, 0.0]]))
     two = np.exp(-np.array([[0.0, 0.1], [0.1, 0.0]]))
@@ -79,7 +73,7 @@ def test_categories_correlate_by_their_distances_from_the_shared_part() -> None:
     assert both.parts @ both.parts.T == pytest.approx(both.matrix, abs=1e-9)
 
 
-def test_categories_that_are_alike_learn_from_each_other() -> None:
+def test_categories_that_are_alike_learn_from_each_other():
     runs = two_categories()
     together = fit_together(runs, (2,))
     apart = [fit_emulator(one) for one in runs]
@@ -93,7 +87,7 @@ def test_categories_that_are_alike_learn_from_each_other() -> None:
         assert error[0] < 0.8 * error[1]
 
 
-def test_left_out_runs_of_a_category_are_those_of_conditioning_without_them() -> None:
+def test_left_out_runs_of_a_category_are_those_of_conditioning_without_them():
     runs = two_categories(15)
     for number, one in enumerate(fit_together(runs, (2,))):
         process = one.process
@@ -104,7 +98,7 @@ def test_left_out_runs_of_a_category_are_those_of_conditioning_without_them() ->
         assert one.loo_errors[3] == pytest.approx(runs[number].response[3] - told, rel=1e-6)
 
 
-def test_a_category_with_hardly_any_runs_is_refused() -> None:
+def test_a_category_with_hardly_any_runs_is_refused():
     first, second = two_categories(20)
     few = Runs(second.name, second.factors, second.coded[:4], second.response[:4])
     with pytest.raises(RefusedError, match="4 different runs at one combination"):
@@ -112,7 +106,7 @@ def test_a_category_with_hardly_any_runs_is_refused() -> None:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_likelihood_and_prediction_are_those_of_scikit_learn(family: Family) -> None:
+def test_likelihood_and_prediction_are_those_of_scikit_learn(family):
     """A constant with a wide prior is the mean by least squares, up to a constant likelihood."""
     x, y = standardized()
     wide, steps = 1e5, []
@@ -135,7 +129,7 @@ def test_likelihood_and_prediction_are_those_of_scikit_learn(family: Family) -> 
     assert steps[0] == pytest.approx(steps[1], abs=1e-4)
 
 
-def test_leave_one_out_is_what_conditioning_without_the_run_says() -> None:
+def test_leave_one_out_is_what_conditioning_without_the_run_says():
     x, y = standardized(30)
     noise = np.full(y.size, 1e-3)
     found = hyperparameters(THETA, "Matern 5/2")
@@ -152,7 +146,7 @@ def test_leave_one_out_is_what_conditioning_without_the_run_says() -> None:
 
 
 @pytest.mark.parametrize("sizes", [(), (2,)])
-def test_paths_scatter_as_the_posterior_says(sizes: tuple[int, ...]) -> None:
+def test_paths_scatter_as_the_posterior_says(sizes):
     x, y = standardized(30)
     theta = np.log([0.4, 0.7, 1.3, *([0.3] if sizes else []), 1.7, 1e-4])
     points = np.random.default_rng(2).random((25, 3))
@@ -167,19 +161,19 @@ def test_paths_scatter_as_the_posterior_says(sizes: tuple[int, ...]) -> None:
     assert values[:, 1:].std(axis=1) == pytest.approx(deviation, rel=0.15)
 
 
-def test_jansen_on_sobols_function() -> None:
+def test_jansen_on_sobols_function():
     s, t = functions.sobol_g_indices()
     first, total = jansen(lambda x: functions.sobol_g(x)[:, None], 4, seed=1)
     assert first[:, 0] == pytest.approx(s, abs=0.005)
     assert total[:, 0] == pytest.approx(t, abs=0.005)
 
 
-def emulated(function: Callable[[Array], Array], k: int, n: int, seed: int) -> Emulator:
+def emulated(function, k, n, seed):
     x = functions.hypercube(k, n, seed)
     return fit_emulator(functions.unit_runs(x, function(x)), seed)
 
 
-def on_other_points(function: Callable[[Array], Array], found: Emulator) -> tuple[float, float]:
+def on_other_points(function, found):
     """Q2 and share of 2,000 other points within their intervals."""
     x = np.random.default_rng(99).random((2000, len(found.runs.factors)))
     y = function(x)
@@ -188,7 +182,7 @@ def on_other_points(function: Callable[[Array], Array], found: Emulator) -> tupl
     return float(q2), float(np.mean(np.abs(values - y) <= half))
 
 
-def errors_of_indices(found: Emulator, s: Array, t: Array) -> tuple[float, float, float]:
+def errors_of_indices(found, s, t):
     """Largest errors of S and T, and the share of intervals that hold the truth."""
     indices = found.indices()
     first = np.array([i.first for i in indices])
@@ -198,7 +192,7 @@ def errors_of_indices(found: Emulator, s: Array, t: Array) -> tuple[float, float
     return float(np.abs(first - s).max()), float(np.abs(total - t).max()), float(np.mean(held))
 
 
-def test_borehole_of_50_runs() -> None:
+def test_borehole_of_50_runs():
     found = emulated(functions.borehole, 8, 50, 1)
     q2, cover = on_other_points(functions.borehole, found)
     s, t, held = errors_of_indices(found, functions.BOREHOLE_S, functions.BOREHOLE_T)
@@ -208,7 +202,7 @@ def test_borehole_of_50_runs() -> None:
     assert held == 1.0
 
 
-def test_friedman_gives_the_range_of_its_additive_inputs() -> None:
+def test_friedman_gives_the_range_of_its_additive_inputs():
     found = emulated(functions.friedman, 5, 100, 1)
     assert found.gate == "given"
     ranges = found.ranges(practical=3.0)
@@ -228,13 +222,11 @@ def test_friedman_gives_the_range_of_its_additive_inputs() -> None:
         (5.0, 0.1, None, "cannot tell"),
     ],
 )
-def test_verdict_of_a_range(
-    value: float, bound: float, practical: float | None, verdict: str
-) -> None:
+def test_verdict_of_a_range(value, bound, practical, verdict):
     assert verdict_of(value, bound, practical, 10.0) == verdict
 
 
-def test_copies_are_no_test_of_themselves() -> None:
+def test_copies_are_no_test_of_themselves():
     x = functions.hypercube(3, 40, 2)
     y = functions.ishigami(x)
     once = fit_emulator(functions.unit_runs(x, y))
@@ -242,14 +234,14 @@ def test_copies_are_no_test_of_themselves() -> None:
     assert twice.q2 == pytest.approx(once.q2, abs=1e-9)
 
 
-def test_known_numerical_uncertainty_widens_deviations() -> None:
+def test_known_numerical_uncertainty_widens_deviations():
     x, y = standardized()
     exact = fit_process(x, y, np.zeros(y.size), "Gaussian")
     noisy = condition(x, y, np.full(y.size, 0.05), exact.found)
     assert (noisy.deviation(x) > exact.deviation(x)).all()
 
 
-def test_what_no_emulator_can_be_made_of_is_refused() -> None:
+def test_what_no_emulator_can_be_made_of_is_refused():
     x = functions.hypercube(2, 30, 1)
     eight, many = functions.hypercube(3, 8, 1), np.random.default_rng(1).random((10_000, 2))
     for points, response, match in [
@@ -279,13 +271,7 @@ ISHIGAMI = functions.ISHIGAMI_S, functions.ISHIGAMI_T
         (functions.harmonic, 3, 60, functions.harmonic_indices(), None),
     ],
 )
-def test_published_indices_lie_in_their_intervals(
-    function: Callable[[Array], Array],
-    k: int,
-    n: int,
-    indices: tuple[Array, Array],
-    limits: tuple[float, float, float] | None,
-) -> None:
+def test_published_indices_lie_in_their_intervals(function, k, n, indices, limits):
     """Bar 11; stated intervals are of about 95 %, over all indices of all seeds."""
     found = [emulated(function, k, n, seed) for seed in range(8)]
     q2, cover = np.median([on_other_points(function, f) for f in found[:5]], axis=0)
@@ -305,14 +291,14 @@ def test_published_indices_lie_in_their_intervals(
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_few_runs_are_refused() -> None:
+def test_few_runs_are_refused():
     few = [emulated(functions.ishigami, 3, 50, seed) for seed in range(5)]
     assert sum(f.gate == "refused" for f in few) >= 4
 
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_a_thousand_runs() -> None:
+def test_a_thousand_runs():
     tracemalloc.start()
     found = emulated(functions.borehole, 8, 1000, 1)
     found.indices()
@@ -322,14 +308,14 @@ def test_a_thousand_runs() -> None:
     assert peak < 2e9
 
 
-def flat_specimen(x: Array) -> Array:
+def flat_specimen(x):
     """Force of a neo-Hookean cylinder between frictionless plates, 4 mm of 15 to 30 mm, N."""
     radius, height, c10 = 15 + 10 * x[:, 0], 15 + 15 * x[:, 1], 5e-3 + 10e-3 * x[:, 2]
     stretch = 1 - 4 / height
     return np.asarray(np.pi * radius**2 * 2 * c10 * (stretch**-2 - stretch))
 
 
-def test_extremes_lie_in_corners_and_inside_their_intervals() -> None:
+def test_extremes_lie_in_corners_and_inside_their_intervals():
     ends = {True: np.array([[1.0, -1.0, 1.0]]), False: np.array([[-1.0, 1.0, -1.0]])}
     inside = []
     for seed in range(1, 7):
@@ -343,7 +329,7 @@ def test_extremes_lie_in_corners_and_inside_their_intervals() -> None:
     assert sum(inside) >= 11  # of twelve; six where the other kernel did not count
 
 
-def test_a_search_of_length_scales_goes_on_or_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_of_length_scales_goes_on_or_is_refused(monkeypatch):
     x = qmc.Sobol(2, seed=3).random(16)
     y = np.sin(5 * x[:, 0]) + x[:, 1] ** 2
     y, noise = (y - y.mean()) / y.std(), np.zeros(16)

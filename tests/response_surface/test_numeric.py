@@ -1,18 +1,12 @@
 """Numeric factors through the verb: a textbook, known functions, and whatever a table may hold."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
 
 import study as public
-from study.ground.arrays import Array
 from study.ground.errors import InputError
-from tests.cli.small import Answer, study
+from tests.cli.small import study
 from tests.conftest import ROOT
 from tests.response_surface import functions
 
@@ -20,22 +14,22 @@ from tests.response_surface import functions
 CHEMICAL = ROOT / "validation" / "statistics" / "chemical_process.csv"
 
 
-def write(path: Path, columns: dict[str, object]) -> Path:
+def write(path, columns):
     pd.DataFrame(columns).to_csv(path, index=False)
     return path
 
 
-def table(path: Path, function: Callable[[Array], Array], k: int, n: int) -> Path:
+def table(path, function, k, n):
     x = functions.hypercube(k, n, 1)
-    columns: dict[str, object] = {f"x{j + 1}": x[:, j] for j in range(k)}
+    columns = {f"x{j + 1}": x[:, j] for j in range(k)}
     return write(path, columns | {"y": function(x)})
 
 
-def analyze(path: Path, numeric: str, *more: object) -> Answer:
+def analyze(path, numeric, *more):
     return study("analyze", path, "--response", "y", "--numeric", numeric, *more)
 
 
-def test_montgomery_example_11_2() -> None:
+def test_montgomery_example_11_2():
     numeric = "time_min=80..90,temperature_F=170..180"
     asked = ("analyze", CHEMICAL, "--response", "yield", "--numeric", numeric)
     found = study(*asked, "--json").json
@@ -60,7 +54,7 @@ def test_montgomery_example_11_2() -> None:
     assert level in " ".join(study(*asked).out.split())
 
 
-def test_no_p_is_printed_of_a_deterministic_surface(tmp_path: Path) -> None:
+def test_no_p_is_printed_of_a_deterministic_surface(tmp_path):
     x = np.array([[a, b] for a in (1.0, 2.0, 3.0) for b in (1.0, 2.0, 3.0)])
     path = write(tmp_path / "t.csv", {"a": x[:, 0], "b": x[:, 1], "y": np.exp(x[:, 0]) + x[:, 1]})
     answer = analyze(path, "a,b")
@@ -70,14 +64,14 @@ def test_no_p_is_printed_of_a_deterministic_surface(tmp_path: Path) -> None:
     assert [t["p"] for t in terms] == [None] * 6
 
 
-def test_few_runs_give_no_indices(tmp_path: Path) -> None:
+def test_few_runs_give_no_indices(tmp_path):
     answer = analyze(table(tmp_path / "t.csv", functions.ishigami, 3, 50), "x1,x2,x3", "--json")
     assert answer.json["sensitivity"] == []
     assert answer.json["surface"]["indices"] == "refused"
     assert "add runs, 100 in all" in answer.err
 
 
-def test_practical_difference_decides_ranges(tmp_path: Path) -> None:
+def test_practical_difference_decides_ranges(tmp_path):
     path = table(tmp_path / "t.csv", lambda x: 10 * x[:, 0] + 0.1 * x[:, 1] + x[:, 0] ** 3, 2, 40)
     answer = analyze(path, "x1,x2", "--practical", "2", "--json").json
     first, second = answer["sensitivity"]
@@ -92,12 +86,12 @@ def test_practical_difference_decides_ranges(tmp_path: Path) -> None:
     assert "That x1 matters is claimed once these two were run: x1 " in text
 
 
-def test_a_quadratic_in_blocks_is_judged_by_the_blocks(tmp_path: Path) -> None:
+def test_a_quadratic_in_blocks_is_judged_by_the_blocks(tmp_path):
     x = np.linspace(-1.0, 1.0, 5)
     slopes = np.array([1.0, 1.2, 0.9, 1.3, 1.1])
     rng = np.random.default_rng(4)
     y = [s * x - 2.0 * x**2 + 0.01 * rng.standard_normal(5) for s in slopes]
-    columns: dict[str, object] = {
+    columns = {
         "x": np.tile(x, 5), "b": np.repeat(list("pqrst"), 5), "y": np.concatenate(y)
     }  # fmt: skip
     path = write(tmp_path / "t.csv", columns)
@@ -115,11 +109,11 @@ def test_a_quadratic_in_blocks_is_judged_by_the_blocks(tmp_path: Path) -> None:
     assert "All terms of x: F(" in analyze(path, "x", "--block", "b").out
 
 
-def test_emulators_of_blocks_are_compared_over_blocks(tmp_path: Path) -> None:
+def test_emulators_of_blocks_are_compared_over_blocks(tmp_path):
     x = functions.hypercube(2, 25, 1)
     slopes = [9.0, 10.0, 11.0, 10.5]
     y = [s * x[:, 0] + np.sin(3 * x[:, 1]) for s in slopes]
-    columns: dict[str, object] = {
+    columns = {
         "x1": np.tile(x[:, 0], 4), "x2": np.tile(x[:, 1], 4),
         "b": np.repeat(["p", "q", "r", "s"], 25), "y": np.concatenate(y),
     }  # fmt: skip
@@ -142,7 +136,7 @@ def test_emulators_of_blocks_are_compared_over_blocks(tmp_path: Path) -> None:
     assert "one block at a time" in answer.err
 
 
-def test_no_surface_is_the_table_of_levels(tmp_path: Path) -> None:
+def test_no_surface_is_the_table_of_levels(tmp_path):
     levels = np.repeat([1.0, 2.0, 3.0], 4)
     y = levels + np.random.default_rng(1).normal(0, 0.1, 12)
     path = write(tmp_path / "t.csv", {"a": levels, "y": y})
@@ -150,7 +144,7 @@ def test_no_surface_is_the_table_of_levels(tmp_path: Path) -> None:
     assert found == study("analyze", path, "--response", "y", "--factors", "a", "--json").json
 
 
-def test_prediction_from_python() -> None:
+def test_prediction_from_python():
     found = public.fit_surface(CHEMICAL, "yield", ["time_min", "temperature_F"])
     at = found.predict({"time_min": [85.0, 86.95], "temperature_F": [175.0, 176.53]})
     assert at.value == pytest.approx([79.94, 80.21], abs=0.01)
@@ -159,7 +153,7 @@ def test_prediction_from_python() -> None:
         found.predict({"time_min": 95.0, "temperature_F": 175.0})
 
 
-def test_a_prediction_where_nothing_was_run_says_so(tmp_path: Path) -> None:
+def test_a_prediction_where_nothing_was_run_says_so(tmp_path):
     """Runs fill three quarters of the box; the exponential rises steepest in the fourth."""
     x = np.array([[a, b] for a in range(7) for b in range(7) if a <= 3 or b <= 3])
     path = write(tmp_path / "t.csv", {"a": x[:, 0], "b": x[:, 1], "y": np.exp(x.sum(axis=1) / 6)})
@@ -171,7 +165,7 @@ def test_a_prediction_where_nothing_was_run_says_so(tmp_path: Path) -> None:
     assert best.notes.count(said) == 1
 
 
-def test_failed_runs_are_left_out_and_said(tmp_path: Path) -> None:
+def test_failed_runs_are_left_out_and_said(tmp_path):
     x = np.linspace(0, 1, 12)
     y = ["nan", *[str(v) for v in np.sin(5 * x[1:])]]
     path = write(tmp_path / "t.csv", {"x": x, "y": y})
@@ -180,7 +174,7 @@ def test_failed_runs_are_left_out_and_said(tmp_path: Path) -> None:
     assert "1 run without a response left out: lines 2" in answer.err
 
 
-def test_a_log_scale_makes_a_power_law_of_logarithms_a_parabola(tmp_path: Path) -> None:
+def test_a_log_scale_makes_a_power_law_of_logarithms_a_parabola(tmp_path):
     x = np.array([1.0, 10.0, 100.0, 1000.0, 10000.0])
     path = write(tmp_path / "t.csv", {"x": x, "y": np.log10(x) ** 2})
     found = analyze(path, "x log", "--json").json
@@ -209,11 +203,9 @@ def test_a_log_scale_makes_a_power_law_of_logarithms_a_parabola(tmp_path: Path) 
         ("time,same", ("--surface", "emulator"), 3, "change together"),
     ],
 )
-def test_bad_input(
-    tmp_path: Path, numeric: str, more: tuple[str, ...], code: int, said: str
-) -> None:
+def test_bad_input(tmp_path, numeric, more, code, said):
     n = np.arange(24.0)
-    columns: dict[str, object] = {
+    columns = {
         "time": n, "temp": n**2, "flat": n * 0 + 1, "word": ["a"] * 24, "zero": n, "two": n % 2,
         "same": 2 * n, "y": np.sin(n),
     }  # fmt: skip
@@ -222,7 +214,7 @@ def test_bad_input(
     assert said in " ".join(answer.err.split())
 
 
-def rows(**columns: object) -> dict[str, object]:
+def rows(**columns):
     """Thirty runs in two columns that fill the box, with others beside."""
     x = functions.hypercube(2, 30, 1)
     return {"a": x[:, 0], "b": x[:, 1], **columns, "y": np.sin(3 * x[:, 0]) + x[:, 1]}
@@ -252,16 +244,14 @@ WITH_UNITS = [f"{v:.3f} mm" if i % 2 else f"{0.1 * v:.4f} cm" for i, v in enumer
         (rows(), ("--numeric", "a=0..3,b"), 2, "a surface is not extrapolated"),
     ],
 )  # fmt: skip
-def test_what_a_table_may_hold(
-    tmp_path: Path, columns: dict[str, object], asked: tuple[str, ...], code: int, said: str
-) -> None:
+def test_what_a_table_may_hold(tmp_path, columns, asked, code, said):
     path = write(tmp_path / "t.csv", columns)
     answer = study("analyze", path, "--response", "y", *asked)
     assert answer.code == code
     assert said in " ".join(answer.err.split())
 
 
-def test_a_saturated_surface_has_no_error_and_says_so(tmp_path: Path) -> None:
+def test_a_saturated_surface_has_no_error_and_says_so(tmp_path):
     path = write(tmp_path / "t.csv", {"x": [1.0, 2.0, 3.0], "y": [1.0, 4.0, 9.0]})
     answer = analyze(path, "x", "--json")
     assert answer.json["surface"]["best"]["largest"]["half_width"] is None

@@ -1,7 +1,5 @@
 """Uncertain inputs through a surface: distributions whose answers are known in closed form."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,16 +10,15 @@ from study.ground.errors import RefusedError
 from study.statistics.surfaces.emulator import fit_emulator
 from study.statistics.surfaces.input_distribution import InputDistribution
 from study.statistics.surfaces.quadratic import fit_quadratic
-from study.statistics.surfaces.surface_result import SurfaceAnalysis, analysis_of, propagate
+from study.statistics.surfaces.surface_result import analysis_of, propagate
 from tests.response_surface import functions
-from tests.response_surface.functions import Array
 
 
-def of(kind: str, *numbers: float) -> InputDistribution:
+def of(kind, *numbers):
     return InputDistribution(kind, numbers, 0.0, 1.0)
 
 
-def emulated(function, k: int, n: int, seed: int = 1) -> SurfaceAnalysis:  # type: ignore[no-untyped-def]
+def emulated(function, k, n, seed=1):
     x = functions.hypercube(k, n, seed)
     return analysis_of(fit_emulator(functions.unit_runs(x, function(x))))
 
@@ -36,12 +33,12 @@ def emulated(function, k: int, n: int, seed: int = 1) -> SurfaceAnalysis:  # typ
         (of("lognormal", 0.3, 1.2), stats.lognorm(math.log(1.2), scale=0.3)),
     ],
 )
-def test_quantiles_are_those_of_scipy(found: InputDistribution, known) -> None:  # type: ignore[no-untyped-def]
+def test_quantiles_are_those_of_scipy(found, known):
     p = np.linspace(0.001, 0.999, 57)
     assert found.quantile(p) == pytest.approx(known.ppf(p), rel=1e-6)
 
 
-def test_half_the_spread_is_half_the_deviation() -> None:
+def test_half_the_spread_is_half_the_deviation():
     p = (np.arange(20000) + 0.5) / 20000
     for whole in (
         of("normal", 0.5, 0.05),
@@ -55,11 +52,11 @@ def test_half_the_spread_is_half_the_deviation() -> None:
     assert logs.std() == pytest.approx(0.5 * math.log(1.2), rel=1e-3)
 
 
-def linear(x: Array) -> Array:
+def linear(x):
     return 1.0 + 3.0 * x[:, 0] - 2.0 * x[:, 1] + 0.5 * x[:, 2]
 
 
-def test_a_linear_function_of_normal_inputs_is_normal() -> None:
+def test_a_linear_function_of_normal_inputs_is_normal():
     inputs = {"x1": of("normal", 0.5, 0.05), "x2": of("normal", 0.4, 0.06)}
     told = propagate(emulated(linear, 3, 30), inputs, {"x3": 0.2})
     variance = (3 * 0.05) ** 2 + (2 * 0.06) ** 2
@@ -77,12 +74,12 @@ def test_a_linear_function_of_normal_inputs_is_normal() -> None:
     assert told.fixed == {"x3": 0.2}
 
 
-def square(x: Array) -> Array:
+def square(x):
     return 4.0 * (x[:, 0] - 0.2) ** 2 + x[:, 1]
 
 
 @pytest.mark.parametrize("kind", ["emulator", "quadratic"])
-def test_a_square_of_a_normal_input_is_a_shifted_chi_square(kind: str) -> None:
+def test_a_square_of_a_normal_input_is_a_shifted_chi_square(kind):
     if kind == "emulator":
         found = emulated(square, 2, 30)
     else:
@@ -99,7 +96,7 @@ def test_a_square_of_a_normal_input_is_a_shifted_chi_square(kind: str) -> None:
 
 
 @pytest.mark.parametrize("last", [1, pytest.param(8, marks=[pytest.mark.slow, pytest.mark.verify])])
-def test_ishigamis_mean_and_variance_are_inside_what_the_emulator_may_err(last: int) -> None:
+def test_ishigamis_mean_and_variance_are_inside_what_the_emulator_may_err(last):
     uniform = {f"x{j}": of("uniform", 0.0, 1.0) for j in (1, 2, 3)}
     mean, variance = 3.5, 7**2 / 8 + 0.1 * math.pi**4 / 5 + 0.01 * math.pi**8 / 18 + 0.5
     held = []
@@ -117,7 +114,7 @@ def test_ishigamis_mean_and_variance_are_inside_what_the_emulator_may_err(last: 
         assert low <= known <= high
 
 
-def test_a_poor_surface_says_nothing() -> None:
+def test_a_poor_surface_says_nothing():
     rng = np.random.default_rng(1)
     found = emulated(lambda x: rng.standard_normal(len(x)), 2, 24)
     with pytest.raises(RefusedError, match="nothing is said of uncertain inputs"):

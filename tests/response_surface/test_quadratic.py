@@ -1,11 +1,8 @@
 """Quadratic surfaces against a textbook, closed forms and simulated coverage."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from study.ground.arrays import Array
 from study.ground.errors import InputError, RefusedError
 from study.statistics.surfaces.emulator import is_confirmed
 from study.statistics.surfaces.quadratic import QuadraticPolynomial as Polynomial
@@ -29,12 +26,12 @@ from study.statistics.surfaces.surface_optimum import check_carries
 from study.statistics.surfaces.surface_result import analysis_of
 
 
-def unit_runs(coded: Array, response: Array, blocks: tuple[str, ...] = ()) -> Runs:
+def unit_runs(coded, response, blocks=()):
     factors = tuple(NumericFactor(f"x{j + 1}", -1.0, 1.0) for j in range(coded.shape[1]))
     return Runs("y", factors, coded, response, blocks)
 
 
-def face_centred(k: int) -> Array:
+def face_centred(k):
     corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * k)).reshape(k, -1).T
     return np.vstack([corners, np.eye(k), -np.eye(k), np.zeros((1, k))])
 
@@ -48,7 +45,7 @@ def face_centred(k: int) -> Array:
         ((-4.0, 0.1), "ridge"),
     ],
 )
-def test_constructed_surface_is_found_again(eigenvalues: tuple[float, float], kind: str) -> None:
+def test_constructed_surface_is_found_again(eigenvalues, kind):
     angle, at = 0.4, np.array([0.3, -0.2])
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     matrix = turn @ np.diag(eigenvalues) @ turn.T
@@ -64,7 +61,7 @@ def test_constructed_surface_is_found_again(eigenvalues: tuple[float, float], ki
     assert found.loo.q2 == pytest.approx(1.0, abs=1e-12)
 
 
-def test_deterministic_surface_has_no_p_and_counts_copies_once() -> None:
+def test_deterministic_surface_has_no_p_and_counts_copies_once():
     coded = face_centred(2)
     response = np.exp(coded[:, 0]) + coded[:, 1]
     once, copied = (
@@ -78,7 +75,7 @@ def test_deterministic_surface_has_no_p_and_counts_copies_once() -> None:
     assert "2 copies of deterministic runs count once" in copied.notes
 
 
-def test_leave_one_out_is_what_fitting_without_the_run_says() -> None:
+def test_leave_one_out_is_what_fitting_without_the_run_says():
     coded = face_centred(3)
     response = np.exp(coded @ [0.5, 0.3, -0.7])
     terms = second_order((3, 3, 3))
@@ -94,7 +91,7 @@ def test_leave_one_out_is_what_fitting_without_the_run_says() -> None:
     assert (found.rms, found.largest, found.q2) == pytest.approx(theirs, rel=1e-9)
 
 
-def test_terms_that_cannot_be_told_are_listed() -> None:
+def test_terms_that_cannot_be_told_are_listed():
     coded = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1], [0, 0]], dtype=float)
     found = fit_quadratic(unit_runs(coded, np.arange(5.0) ** 2))
     assert found.aliases == ("x2^2 = x1^2",)
@@ -105,7 +102,7 @@ def test_terms_that_cannot_be_told_are_listed() -> None:
     assert "x2 = -1 x1" in fit_quadratic(unit_runs(np.column_stack([x, -x]), x + x**2)).aliases
 
 
-def block_runs(rng: np.random.Generator, coded: Array, true: Polynomial, blocks: int) -> Runs:
+def block_runs(rng, coded, true, blocks):
     """Every block with its own quadratic, and no misfit."""
     response, names = [], []
     for b in range(blocks):
@@ -115,7 +112,7 @@ def block_runs(rng: np.random.Generator, coded: Array, true: Polynomial, blocks:
     return unit_runs(np.tile(coded, (blocks, 1)), np.concatenate(response), tuple(names))
 
 
-def test_incomplete_blocks_are_left_out_or_refused() -> None:
+def test_incomplete_blocks_are_left_out_or_refused():
     coded = face_centred(2)
     true = Polynomial(second_order((3, 3)), np.arange(6.0), 2)
     runs = block_runs(np.random.default_rng(2), coded, true, 3)
@@ -125,7 +122,7 @@ def test_incomplete_blocks_are_left_out_or_refused() -> None:
         fit_quadratic(some_runs(runs, np.isin(np.arange(27), np.arange(1, 17))))
 
 
-def test_best_point_on_the_boundary() -> None:
+def test_best_point_on_the_boundary():
     coded = face_centred(2)
     response = 1.0 + 2.0 * coded[:, 0] - (coded[:, 1] - 0.5) ** 2
     found = analysis_of(fit_quadratic(unit_runs(coded, response)))
@@ -134,7 +131,7 @@ def test_best_point_on_the_boundary() -> None:
     assert found.largest.value == pytest.approx(3.0, abs=1e-8)
 
 
-def test_coding_and_bad_input() -> None:
+def test_coding_and_bad_input():
     factor = NumericFactor("time", 1.0, 100.0, log=True)
     assert factor.coded(np.array([1.0, 10.0, 100.0])) == pytest.approx([-1.0, 0.0, 1.0])
     assert factor.setting(0.5) == pytest.approx(10**1.5)
@@ -156,7 +153,7 @@ def test_coding_and_bad_input() -> None:
             runs.points(at)
 
 
-def share_in_interval(rng: np.random.Generator, designs: int) -> float:
+def share_in_interval(rng, designs):
     """Share of the box within 2 LOO rms of smooth surfaces that are no quadratics."""
     coded = face_centred(3)
     points = box_points(3, 512)
@@ -164,7 +161,7 @@ def share_in_interval(rng: np.random.Generator, designs: int) -> float:
     for _ in range(designs):
         a, b = rng.normal(0, 0.8, 3), rng.normal(0, 0.8, 3)
 
-        def truth(x: Array, a: Array = a, b: Array = b) -> Array:
+        def truth(x, a=a, b=b):
             return np.asarray(np.exp(0.5 * x @ a) + np.sin(x @ b))
 
         values, half = fit_quadratic(unit_runs(coded, truth(coded))).predict(points)
@@ -172,7 +169,7 @@ def share_in_interval(rng: np.random.Generator, designs: int) -> float:
     return float(np.mean(shares))
 
 
-def region_coverage(rng: np.random.Generator, n: int) -> float:
+def region_coverage(rng, n):
     """Share of regions that hold the true stationary point, 6 blocks, 2 factors."""
     terms = second_order((3, 3))
     true = np.array([5.0, 0.3, -0.2, 0.1, -2.0, -1.5])
@@ -187,7 +184,7 @@ def region_coverage(rng: np.random.Generator, n: int) -> float:
     return hits / n
 
 
-def lack_of_fit_size(rng: np.random.Generator, n: int, blocks: int) -> float:
+def lack_of_fit_size(rng, n, blocks):
     """Share of false alarms of lack of fit where every block is a quadratic with noise."""
     columns = factorize(second_order((3, 3, 3)), face_centred(3))
     open_columns = columns.complement()
@@ -207,9 +204,7 @@ def lack_of_fit_size(rng: np.random.Generator, n: int, blocks: int) -> float:
         ),
     ],
 )
-def test_intervals_regions_and_lack_of_fit_hold_their_rates(
-    designs: int, n: int, blocks: tuple[int, ...], least: float, apart: float, most: float
-) -> None:
+def test_intervals_regions_and_lack_of_fit_hold_their_rates(designs, n, blocks, least, apart, most):
     rng = np.random.default_rng(10)
     share, coverage = share_in_interval(rng, designs), region_coverage(rng, n)
     sizes = {b: lack_of_fit_size(rng, n, b) for b in blocks}
@@ -228,7 +223,7 @@ STAR = [(85, 175, 79.7), (85, 175, 79.8), (85, 175, 79.5), (92.07, 175, 78.4),
         (77.93, 175, 75.6), (85, 182.07, 78.5), (85, 167.93, 77.0)]  # fmt: skip
 
 
-def test_blocks_of_a_composite_design_shift_the_response() -> None:
+def test_blocks_of_a_composite_design_shift_the_response():
     rows = np.array(CUBE + STAR)
     factors = (NumericFactor("time", 80, 90), NumericFactor("temp", 170, 180))
     coded = np.column_stack([f.coded(rows[:, j]) for j, f in enumerate(factors)])
@@ -256,7 +251,7 @@ def test_blocks_of_a_composite_design_shift_the_response() -> None:
 
 
 @pytest.mark.parametrize("copies", [1, 2])
-def test_noise_establishes_no_stationary_point(copies: int) -> None:
+def test_noise_establishes_no_stationary_point(copies):
     random = np.random.default_rng(copies)
     coded = np.vstack([face_centred(2)] * copies)
     points = [
@@ -267,7 +262,7 @@ def test_noise_establishes_no_stationary_point(copies: int) -> None:
     assert sum(point is not None and point.established for point in points) <= 2
 
 
-def test_one_run_to_spare_carries_nothing() -> None:
+def test_one_run_to_spare_carries_nothing():
     """Of 200 tables of noise at four settings 7.5 % had a Q2 of .8 and a factor that matters."""
     x = np.linspace(-1.0, 1.0, 4)[:, None]
     found = fit_quadratic(unit_runs(x, x[:, 0] + 1e-3 * x[:, 0] ** 3))
@@ -280,7 +275,7 @@ def test_one_run_to_spare_carries_nothing() -> None:
     check_carries(fit_quadratic(unit_runs(more, more[:, 0] + 1e-3 * more[:, 0] ** 3)))
 
 
-def test_quarters_of_the_box_without_a_run_are_named() -> None:
+def test_quarters_of_the_box_without_a_run_are_named():
     coded = face_centred(2)
     factors = (NumericFactor("x1", 0, 10), NumericFactor("x2", 0, 4))
     assert not never_run(Runs("y", factors, coded, np.arange(9.0)))
@@ -289,7 +284,7 @@ def test_quarters_of_the_box_without_a_run_are_named() -> None:
     assert "x1 above 5 with x2 above 2" in said
 
 
-def test_a_surface_that_judges_no_factor_ranks_them_by_what_they_change() -> None:
+def test_a_surface_that_judges_no_factor_ranks_them_by_what_they_change():
     """As many runs as terms leave no error; the second factor changes three times as much."""
     coded = np.array([[-1.0, -1], [1, -1], [-1, 1], [1, 1], [0, 0], [0, 1]])
     analysis = analysis_of(fit_quadratic(unit_runs(coded, coded @ [1.0, 3.0])), 0.5)
@@ -299,7 +294,7 @@ def test_a_surface_that_judges_no_factor_ranks_them_by_what_they_change() -> Non
     ]  # fmt: skip
 
 
-def test_repeated_runs_confirm_by_their_mean_in_any_order() -> None:
+def test_repeated_runs_confirm_by_their_mean_in_any_order():
     coded = np.array([[-1.0, 0], [1, 0], [1, 0], [1, 0], [1, 1]])
     response = np.array([0.0, 0.2, 0.1, 3.0, 0.0])
     for last in range(1, 4):
@@ -309,7 +304,7 @@ def test_repeated_runs_confirm_by_their_mean_in_any_order() -> None:
 
 
 @pytest.mark.parametrize("blocks", [False, True])
-def test_copies_of_runs_and_of_blocks_count_once(blocks: bool) -> None:
+def test_copies_of_runs_and_of_blocks_count_once(blocks):
     random = np.random.default_rng(4)
     coded = np.vstack([face_centred(2), np.zeros((3, 2))])
     once = random.normal(10.0, 1.0, len(coded))
@@ -331,7 +326,7 @@ def test_copies_of_runs_and_of_blocks_count_once(blocks: bool) -> None:
     assert copied.notes[0] == "blocks that are equal but for a shift count once: b is a, c is a"
 
 
-def test_a_copied_block_narrows_nothing() -> None:
+def test_a_copied_block_narrows_nothing():
     random = np.random.default_rng(4)
     coded = face_centred(2)
     three = random.normal(10.0, 1.0, (3, len(coded)))
@@ -341,7 +336,7 @@ def test_a_copied_block_narrows_nothing() -> None:
     assert fit_quadratic(copied).terms == fit_quadratic(single).terms
 
 
-def test_a_constant_response_has_no_surface() -> None:
+def test_a_constant_response_has_no_surface():
     coded = face_centred(2)
     with pytest.raises(RefusedError, match="the response 'y' is the same in every run"):
         fit_quadratic(unit_runs(coded, np.full(len(coded), 3.0)))

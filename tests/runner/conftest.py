@@ -1,18 +1,10 @@
 """A small study with a fake solver: seconds, not minutes."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
 from study.harness.design.load import loads
-from study.harness.design.spec import Design
-from study.harness.execution.supervisor import Answer, Done, Inline
-from study.harness.execution.task import Executor
+from study.harness.execution.supervisor import Answer, Inline
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
@@ -26,14 +18,14 @@ class Mortal(Inline):
     Real processes that die: ``tests/execution/test_loky.py``. Each takes a second or more to start.
     """
 
-    def start(self, payloads: Sequence[object], done: Done, ticket: object) -> None:
+    def start(self, payloads, done, ticket):
         try:
             super().start(payloads, done, ticket)
         except fake_worker.Killed:
             done.put((ticket, Answer(death="crashed (signal 9) (out of memory?)")))
 
 
-def fake() -> Executor:
+def fake():
     """The fake solver."""
     return Mortal(fake_worker.perform)
 
@@ -42,9 +34,9 @@ SPECIMEN = Cylinder(25.0, 30.0)
 
 
 def compressed(
-    model: str, interface: str, order: int | None = None, *, poisson_ratio: float = 0.4995,
-    steps: int = 10, **mesh: str,
-) -> dict[str, Any]:  # fmt: skip
+    model, interface, order = None, *, poisson_ratio = 0.4995,
+    steps = 10, **mesh
+):  # fmt: skip
     """Document of a cell whose constants are calibrated."""
     return {
         "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
@@ -108,27 +100,27 @@ practical = "10 % of mean"
 TRUTH = {specimen: (1e-3 * c10, 1e-3 * c01) for specimen, (c10, c01) in TRUTH_KPA.items()}
 
 
-def material(c10: float, c01: float) -> Material:
+def material(c10, c01):
     return Material("mooney-rivlin", {"C10": c10, "C01": c01}, poisson_ratio=0.4995)
 
 
 @pytest.fixture
-def design() -> Design:
+def design():
     return loads(DESIGN, "small.toml")
 
 
 @pytest.fixture
-def data(tmp_path: Path) -> Path:
+def data(tmp_path):
     return make_data(tmp_path)
 
 
 @pytest.fixture
-def one_mix(tmp_path: Path) -> Path:
+def one_mix(tmp_path):
     """Data of a single mix."""
     return make_data(tmp_path, ("M1",))
 
 
-def make_data(home: Path, mixes: tuple[str, ...] = ("M1", "M2", "M3")) -> Path:
+def make_data(home, mixes=("M1", "M2", "M3")):
     """Exact Mooney-Rivlin tests between frictionless plates, two equal repeats each."""
     folder = home / "data"
     folder.mkdir()

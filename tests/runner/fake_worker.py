@@ -3,12 +3,9 @@
 The study around it is the real one. A file named in the environment makes it misbehave.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,6 @@ from study.harness.runner import tasks
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Cylinder
-from study.mechanics.setup.setup import Problem
 from study.mechanics.solver.equilibrium import Equilibria
 from study.mechanics.solver.solution import EnergyBalance
 
@@ -29,7 +25,7 @@ class Killed(BaseException):
     """The machine ended the process: nothing in it catches that."""
 
 
-def solve(problem: Problem, **options: Any) -> SimpleNamespace:
+def solve(problem, **options):
     """Closed form times a factor for bonded plates and an error that falls with the mesh."""
     wish = Path(os.environ.get("FAKE_WISH", "/nonexistent"))
     if wish.exists() and problem.material.model in wish.read_text():
@@ -52,7 +48,7 @@ def solve(problem: Problem, **options: Any) -> SimpleNamespace:
     return outcome(problem, "converged", "every step converged")
 
 
-def outcome(problem: Problem, status: str, message: str) -> SimpleNamespace:
+def outcome(problem, status, message):
     assert isinstance(problem.specimen, Cylinder)
     size, test = mesh_size(problem.setup), problem.test
     d = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
@@ -72,7 +68,7 @@ def outcome(problem: Problem, status: str, message: str) -> SimpleNamespace:
     )  # fmt: skip
 
 
-def perform(task: dict[str, Any]) -> dict[str, Any]:
+def perform(task):
     """Do a task of a study with the fake solver."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(finite_element, "solve", solve)

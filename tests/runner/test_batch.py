@@ -1,7 +1,5 @@
 """Many cases with a fake solver: sharing, resuming, failing, and F01, F08, F13, F34, F37."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path
@@ -12,13 +10,11 @@ import pytest
 import study
 from study.ground.errors import StoreError
 from study.harness.design.load import loads
-from study.harness.design.spec import Design
 from study.harness.execution.local import Loky
-from study.harness.execution.task import Executor
 from study.harness.record.record import Record, table
 from study.harness.record.store import Store
 from study.harness.runner import batch, provenance
-from study.harness.runner.batch import Progress, run_batch
+from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.mechanics.forward.closed_form import compression
@@ -27,14 +23,14 @@ from . import fake_worker
 from .conftest import DESIGN, SPECIMEN, TRUTH, fake, make_data, material
 
 
-def run(work: Work, folder: Path, executor: Executor | None = None) -> tuple[int, list[Record]]:
+def run(work, folder, executor=None):
     store = Store(folder)
     computed = run_batch(work, store, executor or fake())
     return computed, store.records(work.input_hashes)
 
 
 @pytest.fixture(scope="module")
-def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Work, Path, int, list[Record]]:
+def clean(tmp_path_factory):
     """One undisturbed run, for the tests that only read it."""
     home = tmp_path_factory.mktemp("clean")
     work = expand(loads(DESIGN, "small.toml"), make_data(home))
@@ -45,7 +41,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Work, Path, int, li
 Clean = tuple[Work, Path, int, list[Record]]
 
 
-def value(records: list[Record], name: str, **levels: str) -> dict[str, float]:
+def value(records, name, **levels):
     """Response of a cell by block."""
     return {
         str(r.block): r.response(name)
@@ -54,7 +50,7 @@ def value(records: list[Record], name: str, **levels: str) -> dict[str, float]:
     }
 
 
-def test_every_case_becomes_a_record_and_fits_are_shared(clean: Clean) -> None:
+def test_every_case_becomes_a_record_and_fits_are_shared(clean):
     work, folder, computed, records = clean
     # 2 materials x 2 plates x 3 mixes; a fit for each with each of two specimens
     assert len(work.jobs) == 12
@@ -63,7 +59,7 @@ def test_every_case_becomes_a_record_and_fits_are_shared(clean: Clean) -> None:
     assert {r.status for r in records} == {"converged"}
 
 
-def test_constants_and_scores_are_those_of_the_data(clean: Clean) -> None:
+def test_constants_and_scores_are_those_of_the_data(clean):
     records = clean[-1]
     found = value(records, "mu0", material="mooney-rivlin", plates="frictionless")
     for mix, mu0 in found.items():
@@ -79,14 +75,14 @@ def test_constants_and_scores_are_those_of_the_data(clean: Clean) -> None:
         assert error == pytest.approx(_cross_error(mix), rel=1e-4)
 
 
-def _cross_error(mix: str) -> float:
+def _cross_error(mix):
     d = np.linspace(0.3, 6.0, 50)
     a, b = (compression(SPECIMEN, material(*TRUTH[mix, s]), d).force_N for s in "AB")
     difference = np.sqrt(np.mean((a - b) ** 2))
     return float(50 * (difference / np.sqrt(np.mean(a**2)) + difference / np.sqrt(np.mean(b**2))))
 
 
-def test_bonded_constants_are_softer_by_the_factor_of_the_fake_solver(clean: Clean) -> None:
+def test_bonded_constants_are_softer_by_the_factor_of_the_fake_solver(clean):
     records = clean[-1]
     free = value(records, "mu0", material="neo-hookean", plates="frictionless")
     bonded = value(records, "mu0", material="neo-hookean", plates="bonded")
@@ -95,12 +91,12 @@ def test_bonded_constants_are_softer_by_the_factor_of_the_fake_solver(clean: Cle
         assert free[mix] / bonded[mix] == pytest.approx(1.4 * 1.00417, rel=1e-3)
 
 
-def test_table_does_not_depend_on_the_number_of_workers(clean: Clean, tmp_path: Path) -> None:
+def test_table_does_not_depend_on_the_number_of_workers(clean, tmp_path):
     two = run(clean[0], tmp_path / "results", Loky(fake_worker.perform, 2))[1]
     assert comparable(two) == comparable(clean[-1])
 
 
-def comparable(records: list[Record]) -> str:
+def comparable(records):
     frame = table(records).drop(columns=["seconds"])
     return str(frame.to_json(double_precision=15))
 
@@ -114,13 +110,8 @@ def comparable(records: list[Record]) -> str:
     ],
 )
 def test_a_failure_is_a_record_and_stops_nothing_else(
-    one_mix: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    wish: str,
-    status: str,
-    words: str,
-) -> None:
+    one_mix, tmp_path, monkeypatch, wish, status, words
+):
     (tmp_path / "wish").write_text(wish)
     monkeypatch.setenv("FAKE_WISH", str(tmp_path / "wish"))
     # one direction, and death between bonded plates alone
@@ -143,7 +134,7 @@ def test_a_failure_is_a_record_and_stops_nothing_else(
     assert sum(r.converged for r in records) == 2 + again
 
 
-def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_records_of_other_code_are_not_used(clean, monkeypatch):
     for module in ("expansion", "fit_problem"):
         monkeypatch.setattr(f"study.harness.runner.{module}.code_version", lambda: "another")
     other = expand(clean[0].design, clean[0].data.root)
@@ -152,9 +143,7 @@ def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.Mo
     assert "another version" in store.warnings[0]
 
 
-def test_the_kept_code_version_follows_the_sources(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_kept_code_version_follows_the_sources(tmp_path, monkeypatch):
     """A version kept on the disk is that of the sources, or it is made anew."""
     root = tmp_path / "study"
     shutil.copytree(Path(study.__file__).parent, root, ignore=shutil.ignore_patterns("__pycache__"))
@@ -175,16 +164,14 @@ def test_the_kept_code_version_follows_the_sources(
     assert version() != first
 
 
-def test_a_second_runner_is_refused(design: Design, data: Path, tmp_path: Path) -> None:
+def test_a_second_runner_is_refused(design, data, tmp_path):
     store = Store(tmp_path / "results")
     with store.lock(), pytest.raises(StoreError, match="pid"):
         run(expand(design, data), tmp_path / "results")
 
 
-def test_progress_ends_at_the_total_and_time_left_at_zero(
-    design: Design, one_mix: Path, tmp_path: Path
-) -> None:
-    seen: list[Progress] = []
+def test_progress_ends_at_the_total_and_time_left_at_zero(design, one_mix, tmp_path):
+    seen = []
     store = Store(tmp_path / "results")
     run_batch(expand(design, one_mix), store, fake(), seen.append)
     assert [p.done for p in seen] == list(range(1, 13))
@@ -192,7 +179,7 @@ def test_progress_ends_at_the_total_and_time_left_at_zero(
     assert seen[-1].seconds_left == pytest.approx(0.0, abs=1e-6)
 
 
-def test_code_version_follows_what_the_tasks_import() -> None:
+def test_code_version_follows_what_the_tasks_import():
     """A list of names would miss the next file; reports must not send a study back to work."""
     root = Path(study.__file__).parent
     files = {str(path.relative_to(root)) for path, _ in provenance._numeric_files(root)}

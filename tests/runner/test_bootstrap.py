@@ -1,10 +1,5 @@
 """``study calibrate --bootstrap``: standard errors known in closed form, and coverage."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -19,7 +14,7 @@ C10_KPA = 10.0
 HEAD = gauge('model = "neo-hookean"\nincompressible = true') + "[calibration]\nseed = 2011\n"
 
 
-def errors(rows: int, phi: list[float], rng: np.random.Generator) -> np.ndarray:
+def errors(rows, phi, rng):
     """Stationary autoregression of unit variance."""
     long = lfilter([1.0], [1.0, *(-np.array(phi))], rng.normal(size=rows + 500))[500:]
     rho = phi[0] if len(phi) == 1 else phi[0] / (1 - phi[1])
@@ -27,7 +22,7 @@ def errors(rows: int, phi: list[float], rng: np.random.Generator) -> np.ndarray:
     return np.asarray(long * np.sqrt(1 - explained))
 
 
-def written(folder: Path, specimens: list[np.ndarray], shear: np.ndarray) -> Path:
+def written(folder, specimens, shear):
     """Simple shear of a neo-Hookean solid, stress 2 C10 g; one column numbers the specimens."""
     count = len(specimens)
     columns = {
@@ -41,16 +36,14 @@ def written(folder: Path, specimens: list[np.ndarray], shear: np.ndarray) -> Pat
     )
 
 
-def drawn(path: Path, count: int = 250) -> Any:
+def drawn(path, count=250):
     more = ("--results", path.parent / "r", "--bootstrap", str(count), "--json")
     found = success("calibrate", path, "--data", path.parent, *more)
     return found.json["bootstrap"]
 
 
 @pytest.mark.parametrize(("rho", "rows", "off"), [(0.0, 100, 0.12), (0.8, 600, 0.3)])
-def test_the_standard_error_is_that_of_least_squares(
-    tmp_path: Path, rho: float, rows: int, off: float
-) -> None:
+def test_the_standard_error_is_that_of_least_squares(tmp_path, rho, rows, off):
     shear = np.linspace(0.01, 0.5, rows)
     noise = 0.3 * errors(rows, [rho], np.random.default_rng(2011))
     path = written(tmp_path, [2 * C10_KPA * shear + noise], shear)
@@ -68,7 +61,7 @@ def test_the_standard_error_is_that_of_least_squares(
         assert drawn(path) == found  # a seed draws the same again
 
 
-def test_specimens_are_drawn_whole(tmp_path: Path) -> None:
+def test_specimens_are_drawn_whole(tmp_path):
     """Of eight specimens: the scatter of means of draws, sqrt(sum of squares) / 8."""
     shear, rng = np.linspace(0.05, 0.5, 12), np.random.default_rng(7)
     own = C10_KPA * (1 + 0.15 * rng.normal(size=8))
@@ -79,14 +72,14 @@ def test_specimens_are_drawn_whole(tmp_path: Path) -> None:
     assert found["standard_error"]["C10"] == pytest.approx(exact, rel=3 / np.sqrt(2 * 250))
 
 
-def test_too_few_resamples_are_refused(tmp_path: Path) -> None:
+def test_too_few_resamples_are_refused(tmp_path):
     shear = np.linspace(0.05, 0.5, 12)
     path = written(tmp_path, [2 * C10_KPA * shear + 0.1 * np.sin(shear * 90)], shear)
     refused = refusal("calibrate", path, "--data", tmp_path, "--bootstrap", "50")
     assert "at least 200 resamples" in refused.err
 
 
-def coverage(phi: list[float], rows: int, tests: int, seed: int = 3) -> float:
+def coverage(phi, rows, tests, seed=3):
     """Share of percentile intervals of 400 resamples that hold the slope of a straight line."""
     rng, hits = np.random.default_rng(seed), 0
     d = np.linspace(1.0, 9.0, rows)
@@ -103,6 +96,6 @@ def coverage(phi: list[float], rows: int, tests: int, seed: int = 3) -> float:
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize("phi", [[0.9], [1.2, -0.4]])
-def test_blocks_cover_where_the_recording_is_long(phi: list[float]) -> None:
+def test_blocks_cover_where_the_recording_is_long(phi):
     # one binomial standard deviation of 800 tests is 0.8 points
     assert 0.92 <= coverage(phi, 4000, 800) <= 0.98

@@ -1,24 +1,17 @@
 """`study calibrate`: several tests and specimens at once, verdicts, resuming, bad input."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from study import api
-from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.harness.calibration import calibrate_tests, model_comparison
-from study.harness.calibration.calibration_result import CalibrationResult
 from study.harness.design.load import load_calibration
 from study.harness.runner import fit_task, staged_fit
 from study.harness.runner.fit_problem import FitProblem, fitted_test
-from study.harness.runner.fit_summary import FitResult
 from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.forward import closed_form
@@ -52,17 +45,17 @@ weight = {weight}
 
 
 def write(
-    path: Path,
-    model: str,
-    constants: dict[str, float],
+    path,
+    model,
+    constants,
     *,
-    noise: float = 0.0,
-    depth: float = 9.0,
-    specimens: dict[str, float] | None = None,
-    repeats: int = 1,
-    factor: float = 1.0,
-    seed: int = 2011,
-) -> None:
+    noise=0.0,
+    depth=9.0,
+    specimens=None,
+    repeats=1,
+    factor=1.0,
+    seed=2011,
+):
     """Write closed-form compression tests; ``specimens`` maps labels to stiffness factors."""
     d = np.linspace(0.0, depth, 181)
     material = Material(model, constants, poisson_ratio=0.4995)
@@ -78,9 +71,9 @@ def write(
 
 
 def case(
-    tmp_path: Path, tests: list[dict[str, Any]], model: str = "reduced-polynomial",
-    order: str = "order = 2", more: str = "",
-) -> Path:  # fmt: skip
+    tmp_path, tests, model = "reduced-polynomial",
+    order = "order = 2", more = ""
+):  # fmt: skip
     usual = {"role": "fit", "file": "a.csv", "points": 40, "range": '["1 %", "30 %"]',
              "more": ', average = ["r"]', "weight": '"equal"'}  # fmt: skip
     text = HEAD.format(model=model, order=order)
@@ -90,11 +83,11 @@ def case(
     return path
 
 
-def calibrated(path: Path, **options: Any) -> CalibrationResult:
+def calibrated(path, **options):
     return api.calibrate(path, data=path.parent, **options)
 
 
-def test_constants_come_back_and_are_judged(tmp_path: Path) -> None:
+def test_constants_come_back_and_are_judged(tmp_path):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, repeats=3)
     found = calibrated(case(tmp_path, [{}]), profiles=True)
     assert found.status == "converged"
@@ -110,12 +103,10 @@ def test_constants_come_back_and_are_judged(tmp_path: Path) -> None:
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert document["parameters"]["C10"]["unit"] == "kPa"
     assert document["mu0"] == pytest.approx(14.0, abs=0.05)
-    assert found.converted("abaqus").constants["D1"] == pytest.approx(
-        2 / found.material.bulk  # type: ignore[union-attr]
-    )
+    assert found.converted("abaqus").constants["D1"] == pytest.approx(2 / found.material.bulk)
 
 
-def test_mooney_rivlin_at_14_percent_is_not_identifiable(tmp_path: Path) -> None:
+def test_mooney_rivlin_at_14_percent_is_not_identifiable(tmp_path):
     """The thesis's range, by the command that prints it and writes its files."""
     write(tmp_path / "a.csv", "mooney-rivlin", {"C10": 7e-3, "C01": 1e-3}, noise=0.01)
     path = case(tmp_path, [{"range": '["1 %", "14 %"]'}], "mooney-rivlin", "")
@@ -149,9 +140,7 @@ def test_mooney_rivlin_at_14_percent_is_not_identifiable(tmp_path: Path) -> None
     ],
     ids=["all", "some"],
 )
-def test_energies_are_weighed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
-) -> None:
+def test_energies_are_weighed(tmp_path, monkeypatch, names):
     some = [one for one in model_comparison.CANDIDATES if not names or one[2] in names]
     monkeypatch.setattr(model_comparison, "CANDIDATES", tuple(some))
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
@@ -177,7 +166,7 @@ def test_energies_are_weighed(
     assert "AICc prefers reduced-polynomial-2" in said
 
 
-def test_specimens_pooled_each_left_out_and_equal(tmp_path: Path) -> None:
+def test_specimens_pooled_each_left_out_and_equal(tmp_path):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, repeats=2,
           specimens={"A": 1.0, "B": 1.1, "C": 0.9})  # fmt: skip
     tests = [{"more": ', average = ["r"], block = "s"'}]
@@ -203,7 +192,7 @@ def test_specimens_pooled_each_left_out_and_equal(tmp_path: Path) -> None:
     assert equal.same_constants_p > 0.01
 
 
-def test_tests_are_fitted_together_held_out_and_left_out(tmp_path: Path) -> None:
+def test_tests_are_fitted_together_held_out_and_left_out(tmp_path):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, seed=1)
     write(tmp_path / "b.csv", "reduced-polynomial", RP2, noise=0.02, seed=2)
     write(tmp_path / "c.csv", "reduced-polynomial", RP2, factor=1.1, seed=3)
@@ -231,16 +220,14 @@ def test_tests_are_fitted_together_held_out_and_left_out(tmp_path: Path) -> None
         ("relative", 0.05, 1, '"raw"', 0.5, 2.0),
     ],
 )
-def test_weights_are_one_over_the_noise(
-    tmp_path: Path, weight: str, noise: float, repeats: int, points: str, low: float, high: float
-) -> None:
+def test_weights_are_one_over_the_noise(tmp_path, weight, noise, repeats, points, low, high):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=noise, repeats=repeats)
     found = calibrated(case(tmp_path, [{"weight": f'"{weight}"', "points": points}]))
     assert low < found.fit.rss / found.fit.degrees_of_freedom < high
     assert found.fit.values[0] == pytest.approx(RP2["C10"], rel=0.05)
 
 
-def test_doubled_weights_change_nothing(tmp_path: Path) -> None:
+def test_doubled_weights_change_nothing(tmp_path):
     """P22 through the file: only ratios of weights count."""
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.05)
     one, two = (calibrated(case(tmp_path, [{"weight": w}])) for w in ("1.0", "2.0"))
@@ -248,7 +235,7 @@ def test_doubled_weights_change_nothing(tmp_path: Path) -> None:
     assert two.fit.ci95 == pytest.approx(one.fit.ci95, rel=1e-8)
 
 
-def test_misfit_is_told_from_noise(tmp_path: Path) -> None:
+def test_misfit_is_told_from_noise(tmp_path):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.005, repeats=4)
     found = calibrated(case(tmp_path, [{}], "neo-hookean", ""))
     assert found.lack_of_fit is not None
@@ -259,7 +246,7 @@ def test_misfit_is_told_from_noise(tmp_path: Path) -> None:
     assert found.to_json()["fit"]["verdict"] == found.adequacy.verdict
 
 
-def test_uneven_tests_with_equal_weights_are_told(tmp_path: Path) -> None:
+def test_uneven_tests_with_equal_weights_are_told(tmp_path):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
     write(tmp_path / "b.csv", "reduced-polynomial", RP2, noise=0.002)
     tests = [{}, {"file": "b.csv", "range": '["1 %", "3 %"]'}]
@@ -267,14 +254,14 @@ def test_uneven_tests_with_equal_weights_are_told(tmp_path: Path) -> None:
     assert any("hardly count at these weights" in warning for warning in found.warnings)
 
 
-def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_an_interrupted_fit_goes_on_where_it_was(tmp_path):
     write(tmp_path / "a.csv", "ogden", {"mu1": 12e-3, "alpha1": 5.0}, noise=0.02)
     path = case(tmp_path, [{}], "ogden", "order = 1")
-    whole: list[Any] = []
+    whole = []
     through = calibrated(path, progress=whole.append)
     assert len(whole) > 4
 
-    def stop(step: Any) -> None:
+    def stop(step):
         if step.iteration.iteration == 3:
             raise KeyboardInterrupt
 
@@ -283,7 +270,7 @@ def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
         calibrated(path, results=results, progress=stop)
     kept = results / "calibration" / "calibration.checkpoint.json"
     assert kept.is_file()
-    rest: list[Any] = []
+    rest = []
     resumed = calibrated(path, results=results, progress=rest.append)
     assert rest[0].iteration.x.tolist() == whole[3].iteration.x.tolist()
     assert resumed.fit.values == pytest.approx(through.fit.values, rel=1e-10)
@@ -291,7 +278,7 @@ def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
     assert not kept.exists()
 
 
-def test_an_interrupted_simulation_ends_where_the_whole_one_does(tmp_path: Path) -> None:
+def test_an_interrupted_simulation_ends_where_the_whole_one_does(tmp_path):
     """Curves are interpolated relative to the first one, which resuming must find again."""
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, factor=1.3)
     path = case(tmp_path, [{"points": 25, "range": '["1 %", "20 %"]'}])
@@ -299,7 +286,7 @@ def test_an_interrupted_simulation_ends_where_the_whole_one_does(tmp_path: Path)
     through = calibrated(path)
     assert through.converged
 
-    def stop(step: Any) -> None:
+    def stop(step):
         if step.stage == "wanted mesh" and step.iteration.iteration == 1:
             raise KeyboardInterrupt
 
@@ -312,7 +299,7 @@ def test_an_interrupted_simulation_ends_where_the_whole_one_does(tmp_path: Path)
     assert resumed.fit.rss == pytest.approx(through.fit.rss, rel=1e-5)
 
 
-def test_a_checkpoint_of_another_fit_or_a_damaged_one_is_not_read(tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_fit_or_a_damaged_one_is_not_read(tmp_path):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
     path, results = case(tmp_path, [{}]), tmp_path / "results"
     kept = results / "calibration" / "calibration.checkpoint.json"
@@ -332,8 +319,8 @@ def test_a_checkpoint_of_another_fit_or_a_damaged_one_is_not_read(tmp_path: Path
     ],
 )
 def test_a_fault_of_the_data_is_exit_code_2_and_writes_nothing(
-    tmp_path: Path, factor: float, order: int, test: dict[str, Any], words: str
-) -> None:
+    tmp_path, factor, order, test, words
+):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, factor=factor)
     path, results = case(tmp_path, [test], order=f"order = {order}"), tmp_path / "results"
     said = refusal("calibrate", path, "--data", tmp_path, "--results", results).err
@@ -343,7 +330,7 @@ def test_a_fault_of_the_data_is_exit_code_2_and_writes_nothing(
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("factor", [1e4, 1e-4])
-def test_units_that_make_the_modulus_implausible(tmp_path: Path, factor: float) -> None:
+def test_units_that_make_the_modulus_implausible(tmp_path, factor):
     """140 MPa or 1.4 Pa is no soft solid: a status, and exit code 1."""
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, factor=factor)
     path = case(tmp_path, [{}])
@@ -353,7 +340,7 @@ def test_units_that_make_the_modulus_implausible(tmp_path: Path, factor: float) 
     assert "check the units" in answer.out
 
 
-def test_bounds_win_over_the_start(tmp_path: Path) -> None:
+def test_bounds_win_over_the_start(tmp_path):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
     held = calibrated(
         case(tmp_path, [{}], more='[calibration.bounds]\nC20 = ["-1 kPa", "0.5 kPa"]\n')
@@ -378,13 +365,13 @@ def test_bounds_win_over_the_start(tmp_path: Path) -> None:
         ("bounds = { C10 = 1 }", "two values"),
     ],
 )
-def test_what_cannot_be_split_is_told(tmp_path: Path, more: str, words: str) -> None:
+def test_what_cannot_be_split_is_told(tmp_path, more, words):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2)
     with pytest.raises(InputError, match=words):
         calibrated(case(tmp_path, [{}], more=f"[calibration]\n{more}\n"))
 
 
-def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> None:
+def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path):
     """Constants that soften until no load is carried: a status with the reason, no number."""
     write(tmp_path / "a.csv", "reduced-polynomial", {"C10": 7e-3, "C20": 0.0}, depth=15.0)
     path = case(
@@ -401,14 +388,14 @@ def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> Non
     assert found.curves[0].as_dict()["rms_force_error"] is None
 
 
-def fit_of_a_study(path: Path, measured: Curve) -> FitResult:
+def fit_of_a_study(path, measured):
     """Fit the curve of the first test as a study does, from a worker's plain data."""
     way = fitted_test("auto", load_calibration(path).tests[0].problem)
     return fit_task.fitted(fit_task.FitJob(FitProblem(way.method, (way,)), (measured,)))
 
 
 @pytest.mark.parametrize("points", [60, 1000])
-def test_a_fit_of_a_study_and_the_verb_give_one_interval(tmp_path: Path, points: int) -> None:
+def test_a_fit_of_a_study_and_the_verb_give_one_interval(tmp_path, points):
     """Both follow the recorded rows, at any grid."""
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.1)
     path = case(tmp_path, [{"points": points, "more": ""}])
@@ -419,14 +406,12 @@ def test_a_fit_of_a_study_and_the_verb_give_one_interval(tmp_path: Path, points:
     assert other["aicc"] == pytest.approx(verb.to_json()["aicc"], rel=1e-9)
 
 
-def test_a_kink_is_called_alike_in_every_verb(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kink_is_called_alike_in_every_verb(tmp_path, monkeypatch):
     """One search that ends at a kink, asked by `calibrate` and by the fit of a study."""
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
     path = case(tmp_path, [{}])
 
-    def ended(*given: Any, **more: Any) -> Any:
+    def ended(*given, **more):
         done = staged_fit.staged_fit(*given, **more)
         none = np.full_like(done.fit.covariance, np.nan)
         kink = replace(done.fit, status=Status.at_kink, covariance=none, standard_error=none[0])
@@ -445,7 +430,7 @@ def test_a_kink_is_called_alike_in_every_verb(
     assert other.fit["values"]["C10"] == pytest.approx(7e-3, rel=0.01)
 
 
-def test_limits_of_evaluations_and_of_time_are_told(tmp_path: Path) -> None:
+def test_limits_of_evaluations_and_of_time_are_told(tmp_path):
     write(tmp_path / "a.csv", "ogden", {"mu1": 14e-3, "alpha1": 5.0}, noise=0.02)
     short = case(tmp_path, [{}], "ogden", more="[calibration]\nmax_evaluations = 2\n")
     short.write_text(short.read_text().replace("order = 2", "order = 1"), encoding="utf-8")

@@ -1,9 +1,5 @@
 """From a file to a force for every energy: what `study solve` reads, refuses and reports."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -49,7 +45,7 @@ COMPRESSIBILITY = {
 }
 
 
-def write(folder: Path, material: str, compressibility: str, space: str = "axisymmetric") -> Path:
+def write(folder, material, compressibility, space="axisymmetric"):
     path = folder / "problem.toml"
     path.write_text(PROBLEM.format(material=material, compressibility=compressibility, space=space))
     return path
@@ -66,7 +62,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("energy", "kept", "space"), CASES)
-def test_solve_from_a_file(energy: str, kept: str, space: str, tmp_path: Path) -> None:
+def test_solve_from_a_file(energy, kept, space, tmp_path):
     """Force of the closed form, one gradient for every constant, and plain JSON."""
     path = write(tmp_path, ENERGIES[energy], COMPRESSIBILITY[kept], space)
     solution = solve(path)
@@ -91,13 +87,13 @@ def test_solve_from_a_file(energy: str, kept: str, space: str, tmp_path: Path) -
         ('model = "linear-elastic"\nyoungs_modulus = "-3 kPa"', "youngs_modulus"),
     ],
 )
-def test_refused_before_meshing(material: str, said: str, tmp_path: Path) -> None:
+def test_refused_before_meshing(material, said, tmp_path):
     """F26: the message names the key or the stretch."""
     with pytest.raises(InputError, match=said):
         solve(write(tmp_path, material, COMPRESSIBILITY["nearly"]))
 
 
-def test_a_problem_made_in_python_is_judged_too() -> None:
+def test_a_problem_made_in_python_is_judged_too():
     unstable = Material("ogden", {"mu1": 12.0, "alpha1": 2.0, "mu2": -2.0, "alpha2": 9.0},
                         incompressible=True)  # fmt: skip
     test = Test("compression", 3.0)

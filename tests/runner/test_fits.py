@@ -1,11 +1,7 @@
 """Calibration of one material: recovery, start values, sharing, and what may not enter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +9,7 @@ import pytest
 from study.ground.curve import Curve
 from study.harness.design.cell import Cell, CellProblem
 from study.harness.runner import fit_task
-from study.harness.runner.fit_problem import FitProblem, fit_key, fit_problem
+from study.harness.runner.fit_problem import fit_key, fit_problem
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import fitted
 from study.harness.runner.job import FitJob
@@ -32,11 +28,11 @@ DEPTHS = np.linspace(0.3, 6.0, 60)
 config = partial(compressed, space="3d", element_order="linear", mesh="coarse")
 
 
-def calibration_of(document: dict[str, Any]) -> FitProblem:
+def calibration_of(document):
     return fit_problem(Cell(CellProblem.of(document), "auto"))
 
 
-def curve(model: str, constants: dict[str, float]) -> Curve:
+def curve(model, constants):
     return closed_form.compression(
         SPECIMEN,
         Material(model, constants, poisson_ratio=0.4995),
@@ -44,7 +40,7 @@ def curve(model: str, constants: dict[str, float]) -> Curve:
     )
 
 
-def bonded(free: Curve, share: float = 1.0) -> Curve:
+def bonded(free, share=1.0):
     """Force that the fake solver gives between bonded plates."""
     size = mesh_size(CellProblem.of(config("neo-hookean", "bonded")).at({"C10": 1.0}).setup)
     return Curve(free.displacement_mm, share * BONDED * (1 + 1e-3 * size) * free.force_N)
@@ -61,9 +57,7 @@ def bonded(free: Curve, share: float = 1.0) -> Curve:
         ("linear-elastic", None, {"youngs_modulus": 40e-3}),
     ],
 )
-def test_closed_form_recovers_the_constants_of_exact_data(
-    model: str, order: int | None, truth: dict[str, float]
-) -> None:
+def test_closed_form_recovers_the_constants_of_exact_data(model, order, truth):
     problem = calibration_of(config(model, "frictionless", order=order))
     assert problem.method == "closed-form"
     found = fitted(FitJob(problem, (curve(model, truth),)))
@@ -73,16 +67,16 @@ def test_closed_form_recovers_the_constants_of_exact_data(
     assert found.fit["rss"] == pytest.approx(0.0, abs=1e-12)
 
 
-def of_two_constants() -> dict[str, Any]:
+def of_two_constants():
     """A second-order solid on a mesh that no cheaper problem goes before."""
     coarse = {"space": "axisymmetric", "element_order": "linear", "mesh": "coarse"}
     return {**config("reduced-polynomial", "bonded", order=2), "model": coarse}
 
 
-def test_equal_problems_of_one_constant_are_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    problems: list[Any] = []
+def test_equal_problems_of_one_constant_are_solved_once(monkeypatch):
+    problems = []
 
-    def counted(problem: Any, **options: Any) -> SimpleNamespace:
+    def counted(problem, **options):
         problems.append(problem)
         return solve(problem, **options)
 
@@ -99,12 +93,10 @@ def test_equal_problems_of_one_constant_are_solved_once(monkeypatch: pytest.Monk
     assert len(problems) == 2
 
 
-def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    calls: list[float] = []
+def test_a_solver_that_stops_is_a_rejected_step_and_a_status(monkeypatch):
+    calls = []
 
-    def stops(problem: Any, **options: Any) -> SimpleNamespace:
+    def stops(problem, **options):
         calls.append(1.0)
         found = solve(problem)
         if len(calls) > 1:
@@ -118,12 +110,10 @@ def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
     assert len(calls) > 2  # it tried shorter steps before it gave up
 
 
-def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_solver_that_stops_from_a_warm_start_is_asked_again(monkeypatch):
     warm = []
 
-    def lost(problem: Any, **options: Any) -> SimpleNamespace:
+    def lost(problem, **options):
         found = solve(problem)
         warm.append(options["warm"] is not None)
         if warm[-1]:
@@ -142,7 +132,7 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
     assert len(warm) == found.fit["solves"] > 2
 
 
-def test_a_failed_start_is_told_and_not_replaced_by_another() -> None:
+def test_a_failed_start_is_told_and_not_replaced_by_another():
     problem = calibration_of(config("mooney-rivlin", "bonded"))
     start = FitResult.from_json({"status": "crashed", "message": "crashed (signal 9), twice"})
     task = FitJob(problem, (curve("neo-hookean", {"C10": 8e-3}),), start)
@@ -151,7 +141,7 @@ def test_a_failed_start_is_told_and_not_replaced_by_another() -> None:
     assert "the fit that starts it" in found.message
 
 
-def test_space_and_elements_do_not_enter_a_closed_form() -> None:
+def test_space_and_elements_do_not_enter_a_closed_form():
     one, other = config("neo-hookean", "frictionless"), config("neo-hookean", "frictionless")
     other["model"] = {"space": "axisymmetric", "element_order": "quadratic", "mesh": "fine"}
     other["test"]["steps"] = 20
@@ -170,9 +160,7 @@ def test_space_and_elements_do_not_enter_a_closed_form() -> None:
         ("ogden", 2, {"C10": 6e-3}, {"mu1": 6e-3}),  # mu0 = 12 kPa in two terms
     ],
 )
-def test_higher_constants_start_at_zero(
-    model: str, order: int, given: dict[str, float], expected: dict[str, float]
-) -> None:
+def test_higher_constants_start_at_zero(model, order, given, expected):
     problem = CellProblem.of(config(model, "bonded", order=order))
     names, start = fit_task.start_values(problem, [], given)
     values = dict(zip(names, start, strict=True))

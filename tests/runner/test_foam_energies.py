@@ -1,9 +1,5 @@
 """``study calibrate --energies`` weighs foams where Poisson's ratio lets sides be free."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +9,7 @@ from study.mechanics.material.material import Material
 from tests.cli.small import case_file, gauge, recorded
 
 
-def written(folder: Path, compressibility: str) -> Path:
+def written(folder, compressibility):
     """Tension and compression of a foam with 1 % of noise; mu = 20 kPa, alpha = 8."""
     foam = Material("ogden-hill", {"mu1": 0.02, "alpha1": 8.0}, poisson_ratio=0.2)
     rng, tests = np.random.default_rng(3), ""
@@ -28,7 +24,7 @@ def written(folder: Path, compressibility: str) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
-def test_a_foam_is_known_among_all_energies(tmp_path: Path) -> None:
+def test_a_foam_is_known_among_all_energies(tmp_path):
     found = choose_energy(written(tmp_path, "poisson_ratio = 0.2"), data=tmp_path)
     assert found.best == "ogden-hill-1"
     # 1 % of noise in 50 rows
@@ -36,6 +32,6 @@ def test_a_foam_is_known_among_all_energies(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_incompressible_solid_is_no_foam(tmp_path: Path) -> None:
+def test_an_incompressible_solid_is_no_foam(tmp_path):
     found = choose_energy(written(tmp_path, "incompressible = true"), data=tmp_path)
     assert not [k for k in (*found.fits, *found.failures) if k.startswith("ogden-hill")]

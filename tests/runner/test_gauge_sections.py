@@ -1,14 +1,11 @@
 """Constants from tests of material: virtual ones of every kind, Treloar's rubber, human brain."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from study import api
-from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.harness.design.load import template
 from study.mechanics.forward import closed_form
@@ -31,26 +28,26 @@ RANGES = {
 }
 
 
-def written(folder: Path, kind: str, material: Material) -> str:
+def written(folder, kind, material):
     """Table of a virtual test; shortened specimens record tension positive, so sign = negative."""
     measure = RANGES[kind]
     stress = LOADINGS[TEST_KINDS[kind].mode].nominal(material, measure).stress
     return of_material(folder, kind, measure, ("kPa", 1e3 * stress))
 
 
-def of_material(folder: Path, kind: str, measure: Array, stress: tuple[str, Array]) -> str:
+def of_material(folder, kind, measure, stress):
     column = "strain" if kind == "simple-shear" else "stretch"
     columns = {column: ("1", measure), "stress": stress}
     sign = ', sign = "negative"' if TEST_KINDS[kind].sense < 0 else ""
     return recorded(folder, kind, f'kind = "{kind}"', columns, sign)
 
 
-def case(folder: Path, tests: str, material: str, more: str = "") -> Path:
+def case(folder, tests, material, more=""):
     return case_file(folder, gauge(material), more, tests)
 
 
 @pytest.mark.parametrize("kind", [k for k in RANGES if k not in ("volumetric",)])
-def test_the_modulus_comes_back_from_every_kind_of_test(tmp_path: Path, kind: str) -> None:
+def test_the_modulus_comes_back_from_every_kind_of_test(tmp_path, kind):
     solid = Material("neo-hookean", {"C10": 0.02}, poisson_ratio=0.49)
     path = case(tmp_path, written(tmp_path, kind, solid),
                 'model = "neo-hookean"\npoisson_ratio = 0.49')  # fmt: skip
@@ -61,7 +58,7 @@ def test_the_modulus_comes_back_from_every_kind_of_test(tmp_path: Path, kind: st
     )  # rows of +g and -g are averaged
 
 
-def test_all_kinds_share_one_set_of_constants(tmp_path: Path) -> None:
+def test_all_kinds_share_one_set_of_constants(tmp_path):
     """Through the command, with --json: two constants of Gent's from seven tests."""
     tests = "".join(written(tmp_path, kind, GENT) for kind in RANGES)
     path = case(tmp_path, tests, 'model = "gent"\npoisson_ratio = 0.495')
@@ -73,7 +70,7 @@ def test_all_kinds_share_one_set_of_constants(tmp_path: Path) -> None:
     assert len(found["curves"]) == 7
 
 
-def test_a_gauge_section_beside_a_bonded_specimen_of_elements(tmp_path: Path) -> None:
+def test_a_gauge_section_beside_a_bonded_specimen_of_elements(tmp_path):
     """Tension in closed form and bonded compression by finite elements, one set of constants."""
     truth = Material("fung", {"mu": 0.02, "b": 1.0}, poisson_ratio=0.49)
     pulled = written(tmp_path, "tension", truth)
@@ -101,7 +98,7 @@ def test_a_gauge_section_beside_a_bonded_specimen_of_elements(tmp_path: Path) ->
     assert found.fit.values == pytest.approx([0.02, 1.0], rel=2e-3)
 
 
-def test_a_gauge_section_is_solved_in_closed_form(tmp_path: Path) -> None:
+def test_a_gauge_section_is_solved_in_closed_form(tmp_path):
     path = tmp_path / "pull.toml"
     path.write_text(
         'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "4 mm^2"\nlength = "20 mm"\n'
@@ -127,9 +124,7 @@ def test_a_gauge_section_is_solved_in_closed_form(tmp_path: Path) -> None:
         (("stretch =", "displacement ="), "units.displacement"),
     ],
 )
-def test_what_does_not_go_together_is_told(
-    tmp_path: Path, change: tuple[str, str], words: str
-) -> None:
+def test_what_does_not_go_together_is_told(tmp_path, change, words):
     path = case(
         tmp_path, written(tmp_path, "tension", GENT), 'model = "gent"\npoisson_ratio = 0.49'
     )
@@ -138,7 +133,7 @@ def test_what_does_not_go_together_is_told(
         api.calibrate(path, data=tmp_path)
 
 
-def test_stress_of_a_cylinder_is_force_over_its_area(tmp_path: Path) -> None:
+def test_stress_of_a_cylinder_is_force_over_its_area(tmp_path):
     """Columns of strain also serve specimens with a shape, where nothing holds their ends."""
     truth = Material("neo-hookean", {"C10": 0.02}, poisson_ratio=0.49)
     d = np.linspace(0.5, 6, 12)
@@ -156,7 +151,7 @@ def test_stress_of_a_cylinder_is_force_over_its_area(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def classic(data_dir: Path) -> Path:
+def classic(data_dir):
     folder = data_dir / "rubber_and_brain"
     if not folder.is_dir():
         pytest.skip(f"no measurements of rubber and brain in {data_dir}")
@@ -165,7 +160,7 @@ def classic(data_dir: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_treloar(classic: Path, tmp_path: Path) -> None:
+def test_treloar(classic, tmp_path):
     """Three terms of Ogden's, 53 points of three tests: sum of squares 0.2085 MPa^2, 25 starts."""
     tests = ""
     for kind, folder in (("tension", "UT"), ("equibiaxial", "ET"), ("planar", "PS")):
@@ -182,7 +177,7 @@ def test_treloar(classic: Path, tmp_path: Path) -> None:
     assert found.starts.at_best >= 20
 
 
-def test_human_brain(classic: Path, tmp_path: Path) -> None:
+def test_human_brain(classic, tmp_path):
     """One term of Ogden's for compression, tension and shear (Budday et al. 2017): alpha < 0."""
     folder = classic / "elastic-brain-tissue-data"
     tests = ""
@@ -202,7 +197,7 @@ def test_human_brain(classic: Path, tmp_path: Path) -> None:
     assert all(isinstance(e, float) and e < 35 for e in errors.values()), errors
 
 
-def test_new_calibration_writes_one_that_runs(tmp_path: Path) -> None:
+def test_new_calibration_writes_one_that_runs(tmp_path):
     """The truth is mu = 30 kPa and Jm = 8; noise is 0.5 kPa."""
     path = tmp_path / "mine.toml"
     success("new", str(path), "--calibration")
@@ -220,6 +215,6 @@ def test_new_calibration_writes_one_that_runs(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-def test_the_shipped_calibration_is_the_template() -> None:
+def test_the_shipped_calibration_is_the_template():
     shipped = Path(__file__).resolve().parents[2] / "designs" / "tests-of-material.toml"
     assert shipped.read_text() == template("calibration")

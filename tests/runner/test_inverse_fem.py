@@ -1,9 +1,5 @@
 """Inverse FEM: recovery of known constants (V40), its cost, bias of another mesh, coverage."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -13,7 +9,7 @@ from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
 from study.harness.runner.staged_fit import TOLERANCES, StagedSearch, staged_fit
 from study.harness.runner.staged_fit import FitPart as Part
-from study.mechanics.calibration.fit import Fit, fit
+from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.forward import finite_element
 
@@ -31,12 +27,12 @@ ENERGIES = [NEO_HOOKEAN, LINEAR, MOONEY_RIVLIN, RP2, SOFTENING, RP3, OGDEN]
 Energy = tuple[str, int | None, dict[str, float]]
 
 
-def config(energy: Energy, mesh: str = "coarse", steps: int = 10) -> dict[str, Any]:
+def config(energy, mesh="coarse", steps=10):
     return compressed(energy[0], "bonded", energy[1], steps=steps, space="axisymmetric",
                       element_order="quadratic", mesh=mesh)  # fmt: skip
 
 
-def curve(setting: dict[str, Any], constants: dict[str, float]) -> Curve:
+def curve(setting, constants):
     """Forces at the load steps that are asked for: others depend on what is interpolated."""
     solution = finite_element.solve(CellProblem.of(setting).at(constants), gradients=False)
     assert solution.status == "converged", solution.message
@@ -45,9 +41,7 @@ def curve(setting: dict[str, Any], constants: dict[str, float]) -> Curve:
     return Curve(asked, solution.curve.force_at(asked))
 
 
-def fitted(
-    setting: dict[str, Any], measured: Curve, start: Any
-) -> tuple[Fit, fit_task.InverseFem, Any]:
+def fitted(setting, measured, start):
     names = CellProblem.of(setting).material.calibrated_names
     model = fit_task.InverseFem(CellProblem.of(setting), [measured], names)
     data = [MeasuredCurve("virtual", measured)]
@@ -65,7 +59,7 @@ STARTS = [
 
 
 @pytest.mark.parametrize(("energy", "factors"), STARTS, ids=str)
-def test_recovery_from_three_times_off(energy: Energy, factors: tuple[float, ...]) -> None:
+def test_recovery_from_three_times_off(energy, factors):
     """V40: 1e-6 of the largest constant on the same mesh; exponents count for themselves."""
     setting, true = config(energy), energy[2]
     start = [f * v for f, v in zip(factors, true.values(), strict=False)]
@@ -82,9 +76,7 @@ def test_recovery_from_three_times_off(energy: Energy, factors: tuple[float, ...
 
 
 @pytest.mark.parametrize("energy", [MOONEY_RIVLIN, RP2], ids=lambda energy: energy[0])
-def test_a_curve_whose_change_gradients_tell_is_not_solved_again(
-    energy: Energy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_curve_whose_change_gradients_tell_is_not_solved_again(energy, monkeypatch):
     """The constants are those of a fit that solves at every evaluation, to 1e-6 of their error."""
     setting, random = config(energy), np.random.default_rng(5)
     true = curve(setting, energy[2])
@@ -112,9 +104,7 @@ def test_a_curve_whose_change_gradients_tell_is_not_solved_again(
     np.testing.assert_allclose(*forces, rtol=1e-6)
 
 
-def test_searches_that_begin_at_the_same_constants_share_their_first_solution(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_searches_that_begin_at_the_same_constants_share_their_first_solution(monkeypatch):
     """The answers are those of searches alone, in whichever order they come, to the last bit."""
     setting, random = config(MOONEY_RIVLIN), np.random.default_rng(7)
     true = curve(setting, MOONEY_RIVLIN[2])
@@ -138,12 +128,12 @@ def test_searches_that_begin_at_the_same_constants_share_their_first_solution(
     assert len(cold) == 1  # other constants are solved for
 
 
-def _cold_solutions(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+def _cold_solutions(monkeypatch):
     """Problems that are solved from the unloaded state from now on."""
-    cold: list[Any] = []
+    cold = []
     solve = finite_element.solve
 
-    def counted(problem: Any, **options: Any) -> Any:
+    def counted(problem, **options):
         if options.get("warm") is None:
             cold.append(problem)
         return solve(problem, **options)
@@ -152,7 +142,7 @@ def _cold_solutions(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return cold
 
 
-INDENTERS: dict[str, dict[str, Any]] = {
+INDENTERS = {
     "flat": {"shape": "flat", "radius_mm": 8.0, "edge_radius_mm": 1.0},
     "cone": {"shape": "cone", "half_angle_deg": 45.0, "tip_radius_mm": 2.0},
     "sphere": {"shape": "sphere", "radius_mm": 8.0},
@@ -175,7 +165,7 @@ INDENTERS: dict[str, dict[str, Any]] = {
     ],
     ids=lambda v: f"{v[0]}-{v[1] or 1}" if isinstance(v, tuple) else str(v),
 )
-def test_recovery_from_indentation(indenter: str, energy: Energy, identifiable: bool) -> None:
+def test_recovery_from_indentation(indenter, energy, identifiable):
     """V40 through contact, and the verdict of V39 on what such a test can tell."""
     setting, true = config(energy), energy[2]
     setting["test"] = {"kind": "indentation", "interface": "frictionless", "base": "bonded",
@@ -192,7 +182,7 @@ def test_recovery_from_indentation(indenter: str, energy: Energy, identifiable: 
     assert found.identifiable is identifiable, found.reason
 
 
-def test_whole_calibration_of_three_constants_in_ten_solves() -> None:
+def test_whole_calibration_of_three_constants_in_ten_solves():
     """All stages counted, on the medium mesh: the coarse one gives the start."""
     setting, true = config(RP3, "medium", steps=20), RP3[2]
     problem = CellProblem.of(setting)
@@ -207,7 +197,7 @@ def test_whole_calibration_of_three_constants_in_ten_solves() -> None:
     assert found.rough is not None
 
 
-def test_bias_of_a_coarser_mesh_is_that_of_its_force() -> None:
+def test_bias_of_a_coarser_mesh_is_that_of_its_force():
     """No inverse crime: data of the fine mesh; the bias is what the coarse mesh errs in force."""
     true = NEO_HOOKEAN[2]
     fine = curve(config(NEO_HOOKEAN, "fine"), true)
@@ -223,7 +213,7 @@ def test_bias_of_a_coarser_mesh_is_that_of_its_force() -> None:
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize("energy", [RP2, RP3], ids=["RP2", "RP3"])
-def test_bias_of_finer_data_by_mesh(energy: Energy) -> None:
+def test_bias_of_finer_data_by_mesh(energy):
     true = energy[2]
     fine = curve(config(energy, "fine"), true)
     for mesh in ("coarse", "medium"):
@@ -241,7 +231,7 @@ def test_bias_of_finer_data_by_mesh(energy: Energy) -> None:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_coverage_of_intervals_over_300_fem_fits() -> None:
+def test_coverage_of_intervals_over_300_fem_fits():
     """V42 through the FEM: 95 % intervals hold the truth in at least 91 % of 300 fits."""
     setting, true = config(RP2), np.array(list(RP2[2].values()))
     names = CellProblem.of(setting).material.calibrated_names
@@ -264,7 +254,7 @@ def test_coverage_of_intervals_over_300_fem_fits() -> None:
     assert chi / 300 == pytest.approx(1, abs=0.09)
 
 
-def test_mesh_bound_does_not_depend_on_where_the_search_began() -> None:
+def test_mesh_bound_does_not_depend_on_where_the_search_began():
     """Load steps chosen at the constants of the start differ from those chosen at the fit's own."""
     setting, true = config(SOFTENING, steps=3), SOFTENING[2]
     measured = curve(config(SOFTENING, steps=12), true)

@@ -1,9 +1,5 @@
 """A study is expanded without side effects, and what is equal is computed once."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from study.harness.design.cell import Cell, CellProblem
@@ -24,7 +20,7 @@ PROBLEM = CellProblem.of({
 })  # fmt: skip
 
 
-def test_a_mesh_is_changed_in_the_problem_of_the_calibration_too() -> None:
+def test_a_mesh_is_changed_in_the_problem_of_the_calibration_too():
     cell = Cell(PROBLEM, "auto", fitted_elsewhere=PROBLEM.loaded(steps=7))
     found = cell.sized(2.0)
     both = found.problem.model, found.fitted_elsewhere.model
@@ -33,7 +29,7 @@ def test_a_mesh_is_changed_in_the_problem_of_the_calibration_too() -> None:
     assert cell.problem.model.mesh_size_mm is None
 
 
-def test_where_a_prediction_comes_from_is_said_once(one_mix: Path) -> None:
+def test_where_a_prediction_comes_from_is_said_once(one_mix):
     for method, expected in (
         ("auto", {"frictionless": "simulation", "bonded": "fit"}),
         ("inverse-fem", {"frictionless": "fit", "bonded": "fit"}),
@@ -44,7 +40,7 @@ def test_where_a_prediction_comes_from_is_said_once(one_mix: Path) -> None:
 
 
 @pytest.mark.parametrize(("depth", "stable"), [(3.0, True), (7.0, False)])
-def test_a_record_judges_its_fit_over_the_simulated_test(depth: float, stable: bool) -> None:
+def test_a_record_judges_its_fit_over_the_simulated_test(depth, stable):
     gauge = CellProblem.of({
         "specimen": {"shape": "homogeneous", "area_mm2": 20.0, "height_mm": 10.0},
         "test": {"kind": "compression"},

@@ -1,9 +1,5 @@
 """`calibration.leave_out`: constants from everything but what is scored."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from study.ground.errors import InputError
@@ -11,9 +7,8 @@ from study.harness.design import load
 from study.harness.design.cell import Cell, CellProblem
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import fit_problem, together
-from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import fitted
-from study.harness.runner.job import FitJob, Work
+from study.harness.runner.job import FitJob
 from study.harness.runner.tasks import Costs
 from tests.cli.small import measured, pressed, responses
 from tests.runner.test_calibrate import write as write_tests
@@ -31,14 +26,12 @@ HEIGHTS = """height = ["low", "high", "higher"]
 """
 
 
-def write(path: Path, stiffness: dict[str, float]) -> None:
+def write(path, stiffness):
     constants = {"C10": 7e-3, "C20": 1e-3}
     write_tests(path, "reduced-polynomial", constants, depth=12.0, specimens=stiffness)
 
 
-def expanded(
-    folder: Path, leave_out: str, *, block: str = BLOCK, heights: str = "", asked: str = "mu0"
-) -> Work:
+def expanded(folder, leave_out, *, block=BLOCK, heights="", asked="mu0"):
     """Expand the study of two energies; ``asked`` are its responses."""
     text = pressed(
         '[material]\npoisson_ratio = 0.4995\n[model]\nmesh = "coarse"\n'
@@ -55,13 +48,13 @@ def expanded(
     return expand(load.loads(text), folder)
 
 
-def constants(work: Work, key: str) -> FitResult:
+def constants(work, key):
     job = work.fits[key]
     start = None if job.start is None else constants(work, job.start.key)
     return fitted(FitJob(job.problem, job.measured, start))
 
 
-def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -> None:
+def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path):
     write(tmp_path / "a.csv", {"A": 1.0, "B": 1.2, "C": 0.9})
     work = expanded(tmp_path, SPECIMEN)
     job = next(j for j in work.jobs if j.case.block == "B" and j.case.levels["material"] == "rp2")
@@ -87,7 +80,7 @@ def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -
     assert len({d.fit_key for j in work.jobs for d in j.directions}) == 12
 
 
-def test_a_test_is_scored_with_the_constants_of_the_other_tests(tmp_path: Path) -> None:
+def test_a_test_is_scored_with_the_constants_of_the_other_tests(tmp_path):
     write(tmp_path / "a.csv", {"A": 1.0, "B": 1.2})
     work = expanded(tmp_path, TEST, heights=HEIGHTS)
     levels = {"material": "rp2", "height": "high"}
@@ -104,11 +97,11 @@ def test_a_test_is_scored_with_the_constants_of_the_other_tests(tmp_path: Path) 
     assert 7e-3 < found.constants["C10"] < 7e-3 * 5 / 3
 
 
-def test_a_fit_to_several_tests_costs_what_its_tests_do() -> None:
+def test_a_fit_to_several_tests_costs_what_its_tests_do():
     """It was expected to take no time and no memory, so that as many ran at once as would fit."""
     cylinder = {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 10.0}
     test = {"kind": "compression", "interface": "bonded", "displacement_mm": 2.0, "steps": 5}
-    shared: dict[str, object] = {
+    shared = {
         "material": {"model": "neo-hookean", "poisson_ratio": 0.49},
         "model": {"space": "axisymmetric", "mesh_size_mm": 0.5},
     }
@@ -128,7 +121,7 @@ def test_a_fit_to_several_tests_costs_what_its_tests_do() -> None:
 
 
 @pytest.mark.parametrize(("leave_out", "block"), [(SPECIMEN, ""), (SPECIMEN, BLOCK), (TEST, "")])
-def test_nothing_else_to_fit_is_told(tmp_path: Path, leave_out: str, block: str) -> None:
+def test_nothing_else_to_fit_is_told(tmp_path, leave_out, block):
     write(tmp_path / "a.csv", {"A": 1.0})
     with pytest.raises(InputError, match="calibration.leave_out"):
         expanded(tmp_path, leave_out, block=block)
@@ -138,7 +131,7 @@ def test_nothing_else_to_fit_is_told(tmp_path: Path, leave_out: str, block: str)
 SCALES = {"A": 1.0, "B": 1.2, "C": 0.9, "D": 1.1}
 
 
-def roles(work: Work) -> set[tuple[str, ...]]:
+def roles(work):
     return {tuple(pair.role for pair in job.directions) for job in work.jobs}
 
 
@@ -154,9 +147,7 @@ def roles(work: Work) -> set[tuple[str, ...]]:
         ({"A": 1.0, "B": 1.2}, "work_error", "", ("fit",)),
     ],
 )
-def test_scores_are_held_out_by_default(
-    tmp_path: Path, scales: dict[str, float], asked: str, leave_out: str, expected: tuple[str, ...]
-) -> None:
+def test_scores_are_held_out_by_default(tmp_path, scales, asked, leave_out, expected):
     write(tmp_path / "a.csv", scales)
     work = expanded(tmp_path, leave_out, asked=asked)
     assert roles(work) == {expected}

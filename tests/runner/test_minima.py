@@ -1,7 +1,6 @@
 """Energies with exponents: the right minimum is found on either side of zero, or named as open."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ poisson_ratio = 0.4995
 OGDEN = 'model = "ogden"\norder = 1\n'
 
 
-def true_curve(tmp_path: Path, interface: str, mu: float, alpha: float) -> tuple:
+def true_curve(tmp_path, interface, mu, alpha):
     """Force of the energy itself, N, at 60 displacements, mm."""
     d = np.linspace(0.15, 9.0, 60)
     if interface == "frictionless":
@@ -36,18 +35,18 @@ def true_curve(tmp_path: Path, interface: str, mu: float, alpha: float) -> tuple
     return d, study.solve(case_file(tmp_path, HEAD, solid, test)).curve.force_at(d)
 
 
-def pressed(tmp_path: Path, interface: str, d: np.ndarray, force: np.ndarray) -> str:
+def pressed(tmp_path, interface, d, force):
     test = f'kind = "compression", interface = "{interface}", displacement = "9 mm", steps = 8'
     columns = {"displacement": ("mm", d), "force": ("N", force)}
     return recorded(tmp_path, "data", test, columns, ', points = "raw"')
 
 
-def calibrated(tmp_path: Path, interface: str, d: np.ndarray, force: np.ndarray):
+def calibrated(tmp_path, interface, d, force):
     test = pressed(tmp_path, interface, d, force)
     return study.calibrate(case_file(tmp_path, HEAD, OGDEN, test), data=tmp_path)
 
 
-def is_right(found, mu: float, alpha: float) -> bool:
+def is_right(found, mu, alpha):
     """Whether the truth is within four standard errors of the answer, or of a minimum named."""
     return any(
         np.all(np.abs(one.values - [1e-3 * mu, alpha]) < 4 * one.standard_error)
@@ -56,7 +55,7 @@ def is_right(found, mu: float, alpha: float) -> bool:
     )
 
 
-def draws(tmp_path: Path, interface: str, alpha: float, count: int, noise: float = 0.01) -> int:
+def draws(tmp_path, interface, alpha, count, noise=0.01):
     """How many of some noise draws end at the truth or name it."""
     d, force = true_curve(tmp_path, interface, 14.0, alpha)
     rng, right = np.random.default_rng(21), 0
@@ -67,11 +66,11 @@ def draws(tmp_path: Path, interface: str, alpha: float, count: int, noise: float
 
 
 @pytest.mark.parametrize("alpha", [-6.0, 4.0, -15.0, 10.6])
-def test_closed_form(tmp_path: Path, alpha: float) -> None:
+def test_closed_form(tmp_path, alpha):
     assert draws(tmp_path, "frictionless", alpha, 1) == 1
 
 
-def test_bonded_compression_with_elements(tmp_path: Path) -> None:
+def test_bonded_compression_with_elements(tmp_path):
     d, force = true_curve(tmp_path, "bonded", 14.0, -6.0)
     rng = np.random.default_rng(5)
     found = calibrated(tmp_path, "bonded", d, force + 0.01 * force.max() * rng.normal(size=60))
@@ -83,7 +82,7 @@ def test_bonded_compression_with_elements(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("draw", [3, 44])
-def test_minima_are_compared_by_the_interpolation_of_their_ends(tmp_path: Path, draw: int) -> None:
+def test_minima_are_compared_by_the_interpolation_of_their_ends(tmp_path, draw):
     """Of draw 3 the true minimum was too far by interpolation, of draw 44 it ended at a kink."""
     d, force = true_curve(tmp_path, "bonded", 14.0, -15.0)
     noise = np.random.default_rng(21).normal(size=(draw + 1, d.size))[draw]
@@ -96,11 +95,11 @@ def test_minima_are_compared_by_the_interpolation_of_their_ends(tmp_path: Path, 
 @pytest.mark.verify
 @pytest.mark.parametrize("interface", ["frictionless", "bonded"])
 @pytest.mark.parametrize("alpha", [-6.0, 4.0, -15.0, 10.6])
-def test_all_of_fifty_draws(tmp_path: Path, interface: str, alpha: float) -> None:
+def test_all_of_fifty_draws(tmp_path, interface, alpha):
     assert draws(tmp_path, interface, alpha, 50) == 50
 
 
-def test_minima_that_cannot_be_told_apart_are_named(tmp_path: Path) -> None:
+def test_minima_that_cannot_be_told_apart_are_named(tmp_path):
     """Much noise in a short test: either sign of the exponent is as good, and both are said."""
     d, force = true_curve(tmp_path, "frictionless", 14.0, -6.0)
     rng = np.random.default_rng(3)
@@ -137,7 +136,7 @@ material = ["neo-hookean", "ogden"]
 )
 
 
-def test_a_study_looks_at_both_signs_too(tmp_path: Path) -> None:
+def test_a_study_looks_at_both_signs_too(tmp_path):
     d, force = true_curve(tmp_path, "frictionless", 14.0, -6.0)
     rng = np.random.default_rng(5)
     pressed(tmp_path, "frictionless", d, force + 0.01 * force.max() * rng.normal(size=d.size))

@@ -1,10 +1,5 @@
 """``study calibrate --numerics``: data of a far finer mesh, whose constants the bounds hold."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -18,7 +13,7 @@ MATERIAL = '[material]\nmodel = "reduced-polynomial"\norder = 2\npoisson_ratio =
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Bonded compression by elements of 0.45 mm, a quarter of the coarse ones, in 40 steps."""
     made = tmp_path_factory.mktemp("fine")
     constants = 'C10 = "5 kPa"\nC20 = "1 kPa"\n'
@@ -36,26 +31,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def written(folder: Path, mesh: str) -> Path:
+def written(folder, mesh):
     tests = (folder / "tests.toml").read_text()
     return case_file(folder, SPECIMEN, MATERIAL, f'[model]\nmesh = "{mesh}"\n', tests)
 
 
-def answer(folder: Path, path: Path, *more: str) -> Any:
+def answer(folder, path, *more):
     return study("calibrate", path, "--data", folder, "--results", folder / "r", *more)
 
 
 @pytest.mark.parametrize(
     "mesh", ["coarse", pytest.param("medium", marks=(pytest.mark.slow, pytest.mark.verify))]
 )
-def test_the_truth_lies_within_the_bounds(folder: Path, mesh: str) -> None:
+def test_the_truth_lies_within_the_bounds(folder, mesh):
     found = api.calibrate(written(folder, mesh), data=folder, numerics=True)
     document, bound = found.to_json(), found.numerics
     assert bound is not None
     # bounds by fits on more meshes stand in place of the estimate, not beside it
     assert document["numerics"] == found.numerical == bound
     half, of_rows = (0.5 * np.diff(fit.ci95)[:, 0] for fit in (found.fit, found.minima[0]))
-    u_kPa = np.array([bound["u"][name] for name in found.fit.names])  # type: ignore[index]  # noqa: N806
+    u_kPa = np.array([bound["u"][name] for name in found.fit.names])  # noqa: N806
     np.testing.assert_allclose(half, np.hypot(of_rows, 1e-3 * u_kPa), rtol=1e-9)
     for name, truth in TRUTH.items():
         value, u = document["parameters"][name]["value"], bound["u"][name]
@@ -71,7 +66,7 @@ def test_the_truth_lies_within_the_bounds(folder: Path, mesh: str) -> None:
             assert bound["mesh"][name] == pytest.approx(thrice, rel=1e-9)
 
 
-def test_the_terminal_shows_it_beside_the_interval(folder: Path) -> None:
+def test_the_terminal_shows_it_beside_the_interval(folder):
     said = answer(folder, written(folder, "coarse"), "--numerics")
     assert said.code == 0, said.err
     assert "95 % interval" in said.out.splitlines()[1]
@@ -80,7 +75,7 @@ def test_the_terminal_shows_it_beside_the_interval(folder: Path) -> None:
     assert "numerics: from fits on meshes of 1, 0.667, 0.444 times the element size" in said.out
 
 
-def test_a_closed_form_has_no_numerical_error(tmp_path: Path) -> None:
+def test_a_closed_form_has_no_numerical_error(tmp_path):
     g = np.arange(1, 11)
     columns = {"strain": ("1", g / 10), "stress": ("kPa", 0.7 * g + 0.01 * (-1) ** g)}
     test = recorded(tmp_path, "shear", 'kind = "simple-shear"', columns)

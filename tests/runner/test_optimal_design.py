@@ -1,10 +1,5 @@
 """The best next test of ``study calibrate``: its promise is kept by the test when it is made."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -21,7 +16,7 @@ HEAD = gauge(
 )
 
 
-def slopes(kind: str, strain: float) -> np.ndarray:
+def slopes(kind, strain):
     """Force over C10 and C01 of Mooney and Rivlin's incompressible solid, by the textbook."""
     share = strain * np.arange(1, ROWS + 1) / ROWS
     if kind == "simple-shear":
@@ -36,7 +31,7 @@ def slopes(kind: str, strain: float) -> np.ndarray:
     return np.column_stack([one, one * weight])
 
 
-def written(folder: Path, tests: list[tuple[str, float]], rng: np.random.Generator) -> Path:
+def written(folder, tests, rng):
     """Calibration of tests with noise."""
     text = HEAD
     for number, (kind, strain) in enumerate(tests):
@@ -47,20 +42,20 @@ def written(folder: Path, tests: list[tuple[str, float]], rng: np.random.Generat
     return case_file(folder, text)
 
 
-def calibrated(path: Path) -> Any:
+def calibrated(path):
     answer = success(
         "calibrate", path, "--data", path.parent, "--results", path.parent / "r", "--json"
     )
     return answer.json
 
 
-def errors(found: Any) -> np.ndarray:
+def errors(found):
     return np.array([found["parameters"][name]["standard_error"] for name in ("C10", "C01")])
 
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_the_best_test_leaves_the_errors_that_were_foretold(tmp_path: Path) -> None:
+def test_the_best_test_leaves_the_errors_that_were_foretold(tmp_path):
     """Compression to 14 % hardly tells C10 from C01: the test it asks for is made, and told."""
     rng, ratios, promised = np.random.default_rng(2011), [], []
     for _ in range(8):
@@ -87,7 +82,7 @@ def test_the_best_test_leaves_the_errors_that_were_foretold(tmp_path: Path) -> N
     assert np.mean(promised, axis=0) == pytest.approx(scatter, rel=0.05)
 
 
-def test_the_strain_that_must_be_reached_suffices_and_less_does_not(tmp_path: Path) -> None:
+def test_the_strain_that_must_be_reached_suffices_and_less_does_not(tmp_path):
     rng = np.random.default_rng(7)
     before = calibrated(written(tmp_path, [("compression", 0.14)], rng))
     known = np.array([before["parameters"][n]["value"] for n in ("C10", "C01")])
@@ -103,7 +98,7 @@ def test_the_strain_that_must_be_reached_suffices_and_less_does_not(tmp_path: Pa
     assert worst[1] < 0.105
 
 
-def test_the_terminal_says_it_and_is_silent_where_all_is_known(tmp_path: Path) -> None:
+def test_the_terminal_says_it_and_is_silent_where_all_is_known(tmp_path):
     rng = np.random.default_rng(2011)
     path = written(tmp_path, [("compression", 0.14)], rng)
     arguments = ("calibrate", path, "--data", tmp_path, "--results", tmp_path / "r")

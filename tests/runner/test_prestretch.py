@@ -1,9 +1,5 @@
 """Shear of specimens that were stretched before, read from files that are but two columns."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +9,7 @@ from tests.cli.small import case_file, gauge, refusal, success
 SIZE = 'area = "25 mm^2"\nlength = "5 mm"\n'
 
 
-def sheared(file: str, prestretch: float) -> str:
+def sheared(file, prestretch):
     return f"""[[tests]]
 test = {{ kind = "simple-shear", prestretch = {prestretch} }}
 [tests.measurements]
@@ -24,7 +20,7 @@ units = {{ strain = "1", stress = "kPa" }}
 """
 
 
-def test_two_pre_stretches_tell_two_constants(tmp_path: Path) -> None:
+def test_two_pre_stretches_tell_two_constants(tmp_path):
     """C10 = 3 and C01 = 2 kPa, whose plain shear knows their sum alone: P = 2 g (C10 + C01 / l)."""
     shear, tests = np.linspace(-0.3, 0.3, 13), ""
     for prestretch in (0.75, 1.25):
@@ -37,7 +33,7 @@ def test_two_pre_stretches_tell_two_constants(tmp_path: Path) -> None:
     assert found == pytest.approx({"C10": 3.0, "C01": 2.0}, rel=1e-7)
 
 
-def test_only_a_simple_shear_has_a_pre_stretch(tmp_path: Path) -> None:
+def test_only_a_simple_shear_has_a_pre_stretch(tmp_path):
     text = sheared("a.txt", 0.75).replace("simple-shear", "tension")
     path = case_file(tmp_path, gauge('model = "neo-hookean"\nincompressible = true', SIZE), text)
     answer = refusal("calibrate", str(path), "--data", str(tmp_path))
@@ -49,7 +45,7 @@ def test_only_a_simple_shear_has_a_pre_stretch(tmp_path: Path) -> None:
     assert "test.prestretch: has a free stretch of its own" in answer.err
 
 
-def test_human_brain_sheared_at_ten_pre_stretches(data_dir: Path, tmp_path: Path) -> None:
+def test_human_brain_sheared_at_ten_pre_stretches(data_dir, tmp_path):
     """One term of Ogden's for compression, tension and shear of corona radiata together.
 
     Budday and others (2017) give mu = 0.66 kPa and alpha = -24.3 for compression, tension and plain
@@ -81,11 +77,11 @@ def test_human_brain_sheared_at_ten_pre_stretches(data_dir: Path, tmp_path: Path
     assert 40 < errors[0] < 60  # the compression alone is met within 5 %
 
 
-def fitted(folder: Path, tests: str, data: Path) -> tuple[float, float, list[float]]:
+def fitted(folder, tests, data):
     """Two constants, and the relative RMS error of every test, %."""
     material = 'model = "ogden"\norder = 1\nincompressible = true'
     path = case_file(folder, gauge(material, SIZE), tests)
     found = api.calibrate(path, data=data)
     assert found.converged, found.message
-    errors = [float(one.as_dict()["relative_rms_force_error"]) for one in found.curves]  # type: ignore[arg-type]
-    return (*map(float, found.fit.values), errors)  # type: ignore[return-value]
+    errors = [float(one.as_dict()["relative_rms_force_error"]) for one in found.curves]
+    return (*map(float, found.fit.values), errors)

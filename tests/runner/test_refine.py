@@ -1,13 +1,10 @@
 """Refinement under a study: what is refined, and how the uncertainty is made."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
 from study.harness.design.load import load
-from study.harness.design.spec import Design
 from study.harness.runner import refinement, study_refinement
 from study.harness.runner.expansion import expand
 from study.harness.runner.tasks import Costs
@@ -15,9 +12,7 @@ from study.harness.runner.tasks import Costs
 DESIGNS = Path(__file__).resolve().parents[2] / "designs"
 
 
-def test_the_bonded_cells_of_the_first_block_are_refined(
-    design: Design, data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_bonded_cells_of_the_first_block_are_refined(design, data, monkeypatch):
     """All of them where that is cheap; else those of fewest and of most constants."""
     work = expand(design, data)
     chosen = study_refinement.chosen(work)
@@ -36,7 +31,7 @@ def test_the_bonded_cells_of_the_first_block_are_refined(
     assert not set(finer.input_hashes) & set(work.input_hashes)
 
 
-def test_the_price_of_all_cells_is_not_that_of_the_first(tmp_path: Path) -> None:
+def test_the_price_of_all_cells_is_not_that_of_the_first(tmp_path):
     """Where the indenter sticks in every second case, a solution takes ten times as long."""
     work = expand(load(DESIGNS / "needle-geometry.toml"), tmp_path)
     cells, costs = study_refinement.meshed_cells(work), Costs()

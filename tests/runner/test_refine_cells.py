@@ -1,12 +1,7 @@
 """Every cell of a study refined, and its comparison with the data (fake solver)."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
 from operator import attrgetter
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,14 +11,12 @@ from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
 from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
-from study.harness.design.spec import Design
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner import record_analysis, refinement, study_refinement
 from study.harness.runner.batch import manifest_of, run_batch
 from study.harness.runner.case_series import refine_within
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import CaseJob
 from study.statistics.convergence.grid_convergence import compare
 
 from .conftest import DESIGN, fake
@@ -32,11 +25,9 @@ from .conftest import DESIGN, fake
 ERROR = 1e-3
 
 
-def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Path) -> None:
+def test_every_cell_gets_its_series(design, one_mix, tmp_path):
     results = tmp_path / "results"
-    found: dict[str, Any] = measured_cells(
-        design, one_mix, 2, results, lambda _: None, executor=fake()
-    )
+    found = measured_cells(design, one_mix, 2, results, lambda _: None, executor=fake())
     cells = {tuple(c["levels"].values()): c for c in found["cells"]}
     assert len(cells) == 4
     bonded = cells["neo-hookean", "bonded"]
@@ -60,19 +51,19 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
     assert record_analysis.stored_numerical(store, {"other": "hash"}) == ()
 
 
-def test_a_time_budget_leaves_cells_out(one_mix: Path, tmp_path: Path) -> None:
+def test_a_time_budget_leaves_cells_out(one_mix, tmp_path):
     design = loads(DESIGN + '[converge]\nbudget = "1 ms"\n', "small.toml")
     found = measured_cells(design, one_mix, 1, tmp_path, lambda _: None, executor=fake())
     assert (found["cells"], len(found["left_out"])) == ([], 4)
 
 
-def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) -> None:
+def test_a_time_budget_believes_what_a_mesh_took(design, one_mix):
     """A cell whose first mesh took an hour is not refined, whatever was predicted of it."""
     work = expand(design, one_mix)
     series = study_refinement.every_series(work)
     slow, computed = series[0].base.case.case_id, []
 
-    def compute(cases: Sequence[CaseJob]) -> list[Record]:
+    def compute(cases):
         computed.extend(case.case.case_id for case in cases)
         names = [one.case.case_id for one in cases]
         seconds = {name: 3600.0 if name == slow else 0.01 for name in names}
@@ -108,16 +99,14 @@ CONE = replace(CellProblem.of({
         ("parameters.h", 0.5, "parameters", {"h": 1.5}),
     ],
 )
-def test_inputs_are_moved_by_the_names_of_the_file(
-    key: str, value: float, place: str, expected: object
-) -> None:
+def test_inputs_are_moved_by_the_names_of_the_file(key, value, place, expected):
     assert attrgetter(place)(study_refinement.shifted(CONE, key, value)) == expected
     assert CONE.height_mm == 30.0
     with pytest.raises(InputError, match="no value in the design"):
         study_refinement.shifted(CONE, "specimen.width", 1)
 
 
-def test_an_indenter_is_moved_where_the_constants_come_from_a_compression() -> None:
+def test_an_indenter_is_moved_where_the_constants_come_from_a_compression():
     """It was refused: the test of the constants has no indenter that could be uncertain."""
     pressed = CONE.loaded(kind="compression", indenter=None)
     cell = Cell(CONE, "auto", fitted_elsewhere=pressed)
@@ -137,7 +126,7 @@ GIVEN = (
 )
 
 
-def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path) -> None:
+def test_validation_adds_numerics_inputs_and_data(one_mix, tmp_path):
     """The radius enters the force of given constants as its square: u_input = 2 u(R) / R."""
     text = GIVEN + '"measurements.force" = "0.02 N"\n'
     work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / "results")
@@ -163,9 +152,7 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     assert "the model is off by E" in row["verdict"]
 
 
-def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
-    one_mix: Path, tmp_path: Path
-) -> None:
+def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(one_mix, tmp_path):
     """Forces of given constants are too large by 1 + 1e-3 h: the share of every mesh is known."""
     text = GIVEN.replace('mesh = "coarse"\n', "").replace(
         "[factors]\n", '[factors]\nmodel.mesh = ["medium", "fine", "coarse"]\n'
@@ -195,7 +182,7 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     assert sum(len(one.shares()) for one in series) == 3 * (len(series) - 1)
 
 
-def test_comparison_says_what_is_unknown() -> None:
+def test_comparison_says_what_is_unknown():
     d, known = np.array([1.0, 2.0]), np.full(2, 0.05)
     unknown = dict.fromkeys(("numerics", "inputs", "data"))
     found = compare(d, d, np.array([1.0, 1.99]), {**unknown, "inputs": known})

@@ -1,9 +1,5 @@
 """Where meshes are a factor, the study's own cases are its refinement series."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,12 +7,9 @@ from study.api.analyzing import analyze
 from study.api.opened_study import load as open_study
 from study.api.study import report
 from study.harness.design.load import loads
-from study.harness.design.spec import Design
-from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.batch import manifest_of
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import Work
 from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.study_refinement import own_series, refine
 from study.harness.runner.tasks import processes
@@ -29,29 +22,29 @@ MESHES = 'material = ["neo-hookean", "reduced-polynomial-2"]\nmodel.mesh = ["fin
 RESPONSE = ("relative_rms_force_error", "%")
 
 
-def design_with(meshes: str) -> Design:
+def design_with(meshes):
     return loads(DESIGN.replace(MESHES.split("\n")[0], MESHES.format(meshes)), "cone.toml")
 
 
 @pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Work:
+def work(tmp_path_factory):
     design, home = design_with(', "medium"'), tmp_path_factory.mktemp("data")
     write_virtual(design, home, usual_generator(design, blocks=2))
     return expand(design, home)
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def results(tmp_path_factory):
     return tmp_path_factory.mktemp("results")
 
 
 @pytest.fixture(scope="module")
-def records(work: Work, results: Path) -> dict[str, Record]:
+def records(work, results):
     found = finished(work, results)
     return {record.case_id: record for record in found}
 
 
-def test_columns_go_from_coarse_to_fine_under_one_block(work: Work) -> None:
+def test_columns_go_from_coarse_to_fine_under_one_block(work):
     series = own_series(work)
     assert [len(one.jobs) for one in series] == [3, 3]
     for jobs in (one.jobs for one in series):
@@ -61,9 +54,7 @@ def test_columns_go_from_coarse_to_fine_under_one_block(work: Work) -> None:
         assert sizes == sorted(sizes, reverse=True)
 
 
-def test_uncertainty_is_that_of_the_finest_mesh_of_the_column(
-    work: Work, records: dict[str, Record]
-) -> None:
+def test_uncertainty_is_that_of_the_finest_mesh_of_the_column(work, records):
     series = [one.taking(records) for one in own_series(work)]
     assert len(series) == 2
     for one in series:
@@ -76,9 +67,7 @@ def test_uncertainty_is_that_of_the_finest_mesh_of_the_column(
         assert row.u_num > 0
 
 
-def test_a_column_without_all_its_meshes_has_no_uncertainty(
-    work: Work, records: dict[str, Record]
-) -> None:
+def test_a_column_without_all_its_meshes_has_no_uncertainty(work, records):
     gone = own_series(work)[0].jobs[1].case.case_id
     kept = {k: r for k, r in records.items() if k != gone}
     first, second = (
@@ -89,8 +78,8 @@ def test_a_column_without_all_its_meshes_has_no_uncertainty(
 
 
 def test_each_effect_of_the_study_is_held_against_its_own_contrast(
-    work: Work, records: dict[str, Record], results: Path, tmp_path: Path
-) -> None:
+    work, records, results, tmp_path
+):
     store = Store(results)
     refine(work, store, processes(1), lambda _: None)
     store.write_manifest(manifest_of(work))
@@ -104,7 +93,7 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
     assert (mesh.u_num, both.u_num) == (0.0, 0.0)
 
     # by hand: the materials' difference of the means over both blocks, from coarse to fine
-    def mean(name: str, level: str) -> float:
+    def mean(name, level):
         found = [
             r.response(response.name)
             for r in records.values()
@@ -120,10 +109,10 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
     row = next(r for r in study.numerical if r.levels == {"material": first})
     sizes = row.mesh_size[::-1]
 
-    def finest_first(values: list[float]) -> np.ndarray:
+    def finest_first(values):
         return np.array(values[::-1])
 
-    def bound(name: str) -> float:
+    def bound(name):
         values = finest_first([mean(name, level) for level in meshes])
         noise = 0.01 * abs(float(values[0]))
         return float(response_bounds(values, sizes, row.formal_order, noise))
@@ -144,5 +133,5 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
     assert [e.u_num for e in again.effects] == [e.u_num for e in response.result.effects]
 
 
-def test_two_meshes_are_no_column(work: Work) -> None:
+def test_two_meshes_are_no_column(work):
     assert own_series(expand(design_with(""), work.data.root)) == []

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -46,15 +44,15 @@ ratio = 1.5
 class Fake:
     """Force 10 (1 + error h^order) d: a solver whose error is known; counts its solutions."""
 
-    def __init__(self, order: float = 1.2, error: float = 1e-3, **wish: Any) -> None:
+    def __init__(self, order=1.2, error=1e-3, **wish):
         self.order, self.error, self.wish = order, error, wish
         self.sizes: list[float] = []
 
-    def __call__(self, tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
+    def __call__(self, tasks):
         for task in tasks:
             yield task.key, self.one(task)
 
-    def one(self, task: SolveTask) -> SolveResult:
+    def one(self, task):
         h, steps = task.problem.model.mesh_size_mm, task.problem.test.steps
         if steps == 5 and task.looser == 1.0:
             self.sizes.append(h)
@@ -73,12 +71,12 @@ class Fake:
         )  # fmt: skip
 
 
-def converged(fake: Fake, text: str = "", **options: Any) -> dict[str, Any]:
+def converged(fake, text="", **options):
     found = refined(loads_problem(PROBLEM + text, "p.toml"), "p", solve=fake, **options)
     return dict(found)
 
 
-def test_three_meshes_give_order_limit_and_interval() -> None:
+def test_three_meshes_give_order_limit_and_interval():
     fake = Fake()
     found = converged(fake)
     # the studies of steps and tolerance begin with the first mesh again
@@ -104,7 +102,7 @@ def test_three_meshes_give_order_limit_and_interval() -> None:
     assert finest["predicted_unknowns"] == pytest.approx(finest["unknowns"], rel=0.01)
 
 
-def test_refines_until_the_wanted_accuracy() -> None:
+def test_refines_until_the_wanted_accuracy():
     fake = Fake()
     found = converged(fake, 'tolerance = "0.1 %"')
     assert found["stopped"] == "every quantity has the wanted accuracy"
@@ -117,7 +115,7 @@ def test_refines_until_the_wanted_accuracy() -> None:
     assert len(coarser["mesh_size"]) == 3
 
 
-def test_the_needed_size_follows_from_the_order() -> None:
+def test_the_needed_size_follows_from_the_order():
     found = converged(Fake(), 'tolerance = "0.1 %"\nbudget = "5 s"')
     assert "which the budget does not have" in found["stopped"]
     assert not found["settled"]
@@ -127,7 +125,7 @@ def test_the_needed_size_follows_from_the_order() -> None:
     assert u == pytest.approx(1e-3 * found["extrapolated"], rel=1e-9)
 
 
-def test_a_hopeless_accuracy_is_said_early() -> None:
+def test_a_hopeless_accuracy_is_said_early():
     """Half an order: the mesh for 0.1 % would take a thousand times the budget."""
     fake = Fake(order=0.6, error=5e-2)
     found = converged(fake, 'tolerance = "0.1 %"\nbudget = "30 s"')
@@ -135,14 +133,14 @@ def test_a_hopeless_accuracy_is_said_early() -> None:
     assert len(found["mesh_size"]) == 3
 
 
-def test_stops_before_the_memory_runs_out() -> None:
+def test_stops_before_the_memory_runs_out():
     found = converged(Fake(), memory_MB=120.0)
     assert "MB of 120 MB" in found["stopped"]
     assert found["behaviour"] == "two meshes"
     assert "there are 2" in found["verdict"]
 
 
-def test_a_failed_level_is_said_and_replaced_by_a_finer_one() -> None:
+def test_a_failed_level_is_said_and_replaced_by_a_finer_one():
     found = converged(Fake(fails=(4.0,)))
     assert any("4 mm gave no answer: stopped at 1 mm" in w for w in found["warnings"])
     assert len(found["mesh_size"]) == 3
@@ -156,14 +154,14 @@ def test_a_failed_level_is_said_and_replaced_by_a_finer_one() -> None:
         ({"elements": 120}, "the same 120 elements"),
     ],
 )
-def test_a_series_without_three_meshes_has_no_order(wish: dict[str, Any], words: str) -> None:
+def test_a_series_without_three_meshes_has_no_order(wish, words):
     found = converged(Fake(**wish))
     assert found["behaviour"] == "inconclusive"
     assert found["observed_order"] is None
     assert words in " ".join([found["verdict"], *found["warnings"]])
 
 
-def test_divergence_is_an_answer() -> None:
+def test_divergence_is_an_answer():
     found = converged(Fake(order=-1.0, error=0.5))
     assert found["behaviour"] == "divergent"
     assert found["gci_fine"] is None
@@ -172,7 +170,7 @@ def test_divergence_is_an_answer() -> None:
     assert not found["settled"]
 
 
-def test_one_table_of_mesh_steps_and_tolerance() -> None:
+def test_one_table_of_mesh_steps_and_tolerance():
     found = converged(Fake(stepping=0.05, loose=1e-6))
     rows = {(r["source"], r["quantity"]): r for r in found["sources"]}
     assert len(rows) == 9
@@ -186,7 +184,7 @@ def test_one_table_of_mesh_steps_and_tolerance() -> None:
     assert not any("tolerance" in w for w in found["warnings"])
 
 
-def test_a_surface_knows_how_far_two_meshes_of_one_size_differ(tmp_path: Path) -> None:
+def test_a_surface_knows_how_far_two_meshes_of_one_size_differ(tmp_path):
     write(tmp_path / "box.stl", box(10, 8, 6))
     cylinder = 'shape = "cylinder"\nradius = "25 mm"\nheight = "30 mm"'
     text = PROBLEM.replace(cylinder, 'shape = "surface"\nfile = "box.stl"\nunit = "mm"')
@@ -205,7 +203,7 @@ def test_a_surface_knows_how_far_two_meshes_of_one_size_differ(tmp_path: Path) -
     assert not any("another mesh" in w for w in alike["warnings"])
 
 
-def test_stored_solutions_are_not_solved_again(tmp_path: Path) -> None:
+def test_stored_solutions_are_not_solved_again(tmp_path):
     first, second = Fake(), Fake()
     config = loads_problem(PROBLEM, "p.toml")
     one = refined(config, "p", solve=kept(first, Store(tmp_path)))
@@ -218,12 +216,12 @@ def test_stored_solutions_are_not_solved_again(tmp_path: Path) -> None:
     assert second.sizes == pytest.approx([4 / 1.5**3])
 
 
-def test_a_quantity_that_needs_measurements_is_refused() -> None:
+def test_a_quantity_that_needs_measurements_is_refused():
     with pytest.raises(InputError, match="needs measured curves"):
         converged(Fake(), 'qoi = "relative_rms_force_error"')
 
 
-def punched(edge_mm: float = 0.0, **more: str) -> dict[str, Any]:
+def punched(edge_mm=0.0, **more):
     """Test with a flat punch."""
     rounded = {"edge_radius_mm": edge_mm} if edge_mm else {}
     return {
@@ -233,7 +231,7 @@ def punched(edge_mm: float = 0.0, **more: str) -> dict[str, Any]:
     }
 
 
-def test_one_real_solution_and_a_budget_that_counts_from_its_start() -> None:
+def test_one_real_solution_and_a_budget_that_counts_from_its_start():
     result = solved(SolveTask.of(loads_problem(PROBLEM, "p.toml").problem, 6.0))
     assert result.converged
     assert result.elements > 10
@@ -281,7 +279,7 @@ def test_one_real_solution_and_a_budget_that_counts_from_its_start() -> None:
         ),
     ],
 )  # fmt: skip
-def test_formal_orders(change: dict[str, dict[str, Any]], order: float, why: str) -> None:
+def test_formal_orders(change, order, why):
     config = loads_problem(PROBLEM, "p.toml").problem.document()
     for name, section in change.items():
         config = {**config, name: {**config[name], "base": None, **section}}
@@ -290,7 +288,7 @@ def test_formal_orders(change: dict[str, dict[str, Any]], order: float, why: str
     assert why in found.why
 
 
-def test_williams_exponents() -> None:
+def test_williams_exponents():
     """Published: 0.7112 for nu = 0.3 (butt joint); 0.5946 for nu = 0.5; none for nu = 0."""
     assert clamped_corner(0.3) == pytest.approx(0.7112, abs=1e-4)
     assert clamped_corner(0.5) == pytest.approx(0.5946, abs=1e-4)
@@ -312,16 +310,16 @@ model.element_order = ["linear", "quadratic"]
 class TwoElements(Fake):
     """Quadratic elements: a twentieth of the error, three times the seconds."""
 
-    def one(self, task: SolveTask) -> SolveResult:
+    def one(self, task):
         quadratic = task.problem.model.element_order == "quadratic"
         self.error = 5e-4 if quadratic else 1e-2
         result = super().one(task)
         return replace(result, seconds=result.seconds * (3 if quadratic else 1))
 
 
-def test_which_element_is_cheapest_for_an_accuracy(tmp_path: Path) -> None:
+def test_which_element_is_cheapest_for_an_accuracy(tmp_path):
     fake = TwoElements()
-    found: dict[str, Any] = problem_cells(
+    found = problem_cells(
         loads(CELLS, "elements.toml"), 1, tmp_path, lambda _: None, solve=fake,
         reports=tmp_path / "reports",
     )  # fmt: skip
@@ -341,14 +339,14 @@ def test_which_element_is_cheapest_for_an_accuracy(tmp_path: Path) -> None:
     assert page.count("<svg") == 4
 
 
-def test_a_design_without_measurements_needs_no_response() -> None:
+def test_a_design_without_measurements_needs_no_response():
     design = loads(CELLS, "elements.toml")
     assert design.responses == ()
     with pytest.raises(InputError, match="response"):
         loads(CELLS[: CELLS.index("[converge]")] + CELLS[CELLS.index("[study]") :], "x.toml")
 
 
-def test_noise_below_the_accuracy_settles_without_an_order() -> None:
+def test_noise_below_the_accuracy_settles_without_an_order():
     """Changes that grow, but thrice the range of the finest three is below what is wanted."""
     small = grid_convergence([1, 2, 4], [1.0, 1.001, 1.0015])
     assert small.behaviour == "noise-floor"

@@ -4,11 +4,8 @@ The solver's own graded meshes, whole numbers of cells, contact at a sharp edge:
 must hold the truth (bar: 95 %, at most 10 % refused, half-width over error at most 10).
 """
 
-from __future__ import annotations
-
 import math
 import warnings
-from typing import Any
 
 import numpy as np
 import pytest
@@ -52,11 +49,11 @@ mesh_size = "0.06 mm"
 """
 
 
-def volume_law(nu: float) -> str:
+def volume_law(nu):
     return "incompressible = true" if nu == 0.5 else f"poisson_ratio = {nu:g}"
 
 
-def series(text: str) -> dict[str, Any]:
+def series(text):
     loaded = loads_problem(text, "known.toml")
     formal = formal_order(loaded.problem.at())
     one = refinement.RefinementSeries(loaded.problem, loaded.converge, formal)
@@ -66,7 +63,7 @@ def series(text: str) -> dict[str, Any]:
     return refinement.judge(one).to_json()
 
 
-def judged(name: str, text: str, truth: float, digits: float, unit: float) -> tuple[Any, float]:
+def judged(name, text, truth, digits, unit):
     """Whether the interval holds the truth (None: refused), and half-width over error."""
     found = series(text)
     value = found["value"][0] / unit
@@ -81,7 +78,7 @@ def judged(name: str, text: str, truth: float, digits: float, unit: float) -> tu
     return holds, math.nan if u is None else u / error
 
 
-def discs(order: str) -> list[tuple[Any, float]]:
+def discs(order):
     rows = []
     for ratio, nu, truth, digits in layers("bonded disc"):
         unit = 2 * (1 + nu) * math.pi * ratio**2 * 1e-6  # mu0 = 1 MPa, strain 1e-6
@@ -90,7 +87,7 @@ def discs(order: str) -> list[tuple[Any, float]]:
     return rows
 
 
-def punches(order: str) -> list[tuple[Any, float]]:
+def punches(order):
     rows = []
     for ratio, nu, truth, digits in layers("punch on layer"):
         height = 1 / ratio
@@ -102,7 +99,7 @@ def punches(order: str) -> list[tuple[Any, float]]:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_intervals_of_converge_hold_the_truth() -> None:
+def test_intervals_of_converge_hold_the_truth():
     print()
     rows = [
         row
@@ -121,7 +118,7 @@ def test_intervals_of_converge_hold_the_truth() -> None:
     assert ratio <= 10
 
 
-def test_one_disc_as_converge_does_it() -> None:
+def test_one_disc_as_converge_does_it():
     ratio, nu, truth, digits = next(layers("bonded disc"))
     unit = 2 * (1 + nu) * math.pi * ratio**2 * 1e-6
     text = DISC % (ratio, volume_law(nu), "quadratic")

@@ -1,10 +1,7 @@
 """Repeats of every cell: their names, their sharing, their noise, and that they resume."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,15 +10,14 @@ from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
-from study.harness.record.document import FitDocument
-from study.harness.record.record import Record, table
+from study.harness.record.record import table
 from study.harness.record.store import Store
 from study.harness.runner import fit_task
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
-from study.harness.runner.fit_problem import FitProblem, fit_problem
+from study.harness.runner.fit_problem import fit_problem
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.job import FitJob, Work
+from study.harness.runner.job import FitJob
 from study.harness.runner.study_refinement import refinement_work
 from study.harness.runner.tasks import Costs
 from study.mechanics.forward import closed_form
@@ -35,21 +31,21 @@ TRUTH = Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995)
 EXACT = closed_form.compression(SPECIMEN, TRUTH, DEPTHS).force_N
 
 
-def run(work: Work, folder: Path) -> list[Record]:
+def run(work, folder):
     store = Store(folder)
     run_batch(work, store, fake())
     return store.records(work.input_hashes)
 
 
 @pytest.fixture(scope="module")
-def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Work, list[Record]]:
+def noisy(tmp_path_factory):
     home = tmp_path_factory.mktemp("noise")
     data = make_data(home, ("M1",))
     work = expand(loads(DESIGN + NOISE), data)
     return home, work, run(work, home / "results")
 
 
-def test_noise_adds_refits_to_the_study_and_changes_no_name_of_it(noisy) -> None:  # type: ignore[no-untyped-def]
+def test_noise_adds_refits_to_the_study_and_changes_no_name_of_it(noisy):
     home, work, records = noisy
     alone = expand(loads(DESIGN), home / "data")
     # 4 cells in one block, each with 20 more; 8 fits (two specimens), each with 20 more
@@ -69,7 +65,7 @@ def test_noise_adds_refits_to_the_study_and_changes_no_name_of_it(noisy) -> None
     assert one.fit["A"]["resampling"][0]["block"] >= 1
 
 
-def test_exact_data_have_next_to_no_noise_and_misfit_counts_as_noise(noisy) -> None:  # type: ignore[no-untyped-def]
+def test_exact_data_have_next_to_no_noise_and_misfit_counts_as_noise(noisy):
     frame = table(noisy[2])
     again = frame[(frame["noise_seed"] > 0) & (frame["plates"] == "frictionless")]
     spread = again.groupby("material")["mu0"].agg(lambda v: v.std() / v.mean())
@@ -78,7 +74,7 @@ def test_exact_data_have_next_to_no_noise_and_misfit_counts_as_noise(noisy) -> N
     assert 1e-4 < spread["neo-hookean"] < 0.1
 
 
-def test_replicates_resume(noisy) -> None:  # type: ignore[no-untyped-def]
+def test_replicates_resume(noisy):
     home, work, records = noisy
     shutil.copytree(home / "results", home / "resumed")
     store = Store(home / "resumed")
@@ -93,7 +89,7 @@ def test_replicates_resume(noisy) -> None:  # type: ignore[no-untyped-def]
     assert again == {r.case_id: r.responses for r in records}
 
 
-def test_another_seed_of_the_study_is_another_noise(noisy) -> None:  # type: ignore[no-untyped-def]
+def test_another_seed_of_the_study_is_another_noise(noisy):
     home, work, _ = noisy
     text = DESIGN.replace('name = "small"', 'name = "small"\nseed = 1') + NOISE
     other = expand(loads(text), home / "data")
@@ -101,7 +97,7 @@ def test_another_seed_of_the_study_is_another_noise(noisy) -> None:  # type: ign
     assert same == set(work.plain().input_hashes.values())
 
 
-def test_mesh_seeds_make_cases_whose_meshes_differ(one_mix: Path) -> None:
+def test_mesh_seeds_make_cases_whose_meshes_differ(one_mix):
     work = expand(loads(DESIGN + MESHES), one_mix)
     assert len(work.jobs) == len(work.input_hashes) == 4 * 5
     assert [job.origin.mesh_seed for job in work.jobs] == 4 * [1, 2, 3, 4, 5]
@@ -117,7 +113,7 @@ def test_mesh_seeds_make_cases_whose_meshes_differ(one_mix: Path) -> None:
     assert again.input_hashes == work.input_hashes
 
 
-def test_the_refined_mesh_keeps_its_seed_and_one_cell_of_a_kind_is_refined(one_mix: Path) -> None:
+def test_the_refined_mesh_keeps_its_seed_and_one_cell_of_a_kind_is_refined(one_mix):
     work = expand(loads(DESIGN + MESHES), one_mix)
     finer = refinement_work(work.plain())
     bases = {job.origin.of for job in finer.jobs}
@@ -129,21 +125,19 @@ def test_the_refined_mesh_keeps_its_seed_and_one_cell_of_a_kind_is_refined(one_m
         assert job.case.tested.model.mesh_seed == base.mesh_seed
 
 
-def test_too_many_replicates_are_refused(one_mix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_replicates_are_refused(one_mix, monkeypatch):
     monkeypatch.setattr("study.harness.runner.expansion.MAX_CASES", 50)
     with pytest.raises(InputError, match="84 cases with their replicates are more than 50"):
         expand(loads(DESIGN + NOISE), one_mix)
 
 
-def test_a_refit_is_cheap_in_a_plan(one_mix: Path) -> None:
+def test_a_refit_is_cheap_in_a_plan(one_mix):
     work, costs = expand(loads(DESIGN + NOISE), one_mix), Costs()
     again = [costs.case_seconds(job) for job in work.jobs if job.origin.noise_seed]
     assert max(again) < 0.1
 
 
-def fitted(
-    model: str, order: int | None, seed: int, poisson_ratio: float = 0.4995
-) -> tuple[FitProblem, Curve, FitResult]:
+def fitted(model, order, seed, poisson_ratio=0.4995):
     config = compressed(model, "frictionless", order, poisson_ratio=poisson_ratio)
     noise_N = 0.02 * np.random.default_rng(seed).standard_normal(DEPTHS.size)  # noqa: N806
     problem = fit_problem(Cell(CellProblem.of(config), "auto"))
@@ -151,22 +145,20 @@ def fitted(
     return problem, measured, fit_task.fitted(FitJob(problem, (measured,)))
 
 
-def refit(task: FitJob) -> FitDocument:
+def refit(task):
     found = fit_task.refitted(task)
     assert found.converged
     return found.fit
 
 
-def standard_error(found: FitResult, name: str) -> float:
+def standard_error(found, name):
     error = found.fit["standard_error"][name]
     assert error is not None
     return error
 
 
 @pytest.mark.parametrize(("model", "order"), [("neo-hookean", None), ("reduced-polynomial", 2)])
-def test_the_scatter_of_refits_is_the_standard_error_of_the_fit(
-    model: str, order: int | None
-) -> None:
+def test_the_scatter_of_refits_is_the_standard_error_of_the_fit(model, order):
     problem, measured, base = fitted(model, order, seed=1)
     found = [refit(FitJob(problem, (measured,), base, (2011, k))) for k in range(1, 121)]
     assert all(f["resampling"][0]["block"] == 1 for f in found)  # independent noise is seen so
@@ -179,7 +171,7 @@ def test_the_scatter_of_refits_is_the_standard_error_of_the_fit(
         assert abs(values.mean() - base.constants[name]) < 0.27 * standard_error(base, name)
 
 
-def test_cells_fitted_to_one_curve_see_the_same_noise() -> None:
+def test_cells_fitted_to_one_curve_see_the_same_noise():
     tasks = []
     for poisson_ratio in (0.4995, 0.49):
         problem, measured, base = fitted("neo-hookean", None, 1, poisson_ratio)
@@ -194,7 +186,7 @@ def test_cells_fitted_to_one_curve_see_the_same_noise() -> None:
     assert np.corrcoef(both)[0, 1] > 0.9
 
 
-def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
+def test_correlated_noise_is_drawn_in_blocks_and_scatters_more():
     problem, measured, _ = fitted("neo-hookean", None, seed=1)
     random = np.random.default_rng(5)
     drift = np.zeros(DEPTHS.size)
@@ -216,7 +208,7 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
     assert standard_error(base, "C10") > scatter
 
 
-def test_a_fit_that_failed_is_not_resampled() -> None:
+def test_a_fit_that_failed_is_not_resampled():
     problem, measured, _ = fitted("neo-hookean", None, seed=1)
     failed = FitResult.without_answer("not-converged", "too stiff")
     task = FitJob(problem, (measured,), failed, (2011, 1))
@@ -225,7 +217,7 @@ def test_a_fit_that_failed_is_not_resampled() -> None:
     assert "too stiff" in found.message
 
 
-def test_block_length_follows_the_correlation() -> None:
+def test_block_length_follows_the_correlation():
     assert fit_task.block_length(-0.5, 100) == fit_task.block_length(0.19, 100) == 1
     lengths = [fit_task.block_length(rho, 200) for rho in (0.3, 0.5, 0.7, 0.9, 0.999)]
     # by hand at 0.5: cbrt(6 * 0.25 / 0.5625 * 200) = 8.11

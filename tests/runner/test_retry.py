@@ -1,11 +1,7 @@
 """[execution] retry: what is tried of a failed case, its record, and that nothing is silent."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,14 +17,14 @@ from study.harness.record.store import Store
 from study.harness.runner.batch import computed, run_batch
 from study.harness.runner.case_series import refine_cases
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import CaseJob, Work
+from study.harness.runner.job import Work
 from study.harness.runner.study_refinement import study_series
 from tests.pages import both_pages
 
 from .conftest import DESIGN, fake, make_data
 
 
-def design(policy: str) -> str:
+def design(policy):
     return f"{DESIGN}\n[execution]\nretry = {{ {policy} }}\n"
 
 
@@ -36,10 +32,10 @@ Ran = Callable[..., tuple[Work, int, dict[str, Record]]]
 
 
 @pytest.fixture
-def ran(one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ran:
+def ran(one_mix, tmp_path, monkeypatch):
     """Run a study whose solver misbehaves; how many cases were computed, and the records."""
 
-    def run(wish: str, text: str, results: str = "results") -> tuple[Work, int, dict[str, Record]]:
+    def run(wish, text, results="results"):
         (tmp_path / "wish").write_text(wish)
         monkeypatch.setenv("FAKE_WISH", str(tmp_path / "wish"))
         work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / results)
@@ -49,18 +45,18 @@ def ran(one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ran:
     return run
 
 
-def failed(records: Mapping[str, Record]) -> int:
+def failed(records):
     return sum(not record.converged for record in records.values())
 
 
-def bonded_mooney(records: Mapping[str, Record]) -> Record:
+def bonded_mooney(records):
     (found,) = [
         r for r in records.values() if r.levels == {"material": "mooney-rivlin", "plates": "bonded"}
     ]
     return found
 
 
-def test_smaller_steps_mend_a_case_and_its_record_says_so(ran: Ran) -> None:
+def test_smaller_steps_mend_a_case_and_its_record_says_so(ran):
     wish = "mooney-rivlin needs 40 steps"
     text = design('not-converged = ["smaller-steps", "finer-mesh"]')
     _, count, records = ran(wish, text)
@@ -81,7 +77,7 @@ def test_smaller_steps_mend_a_case_and_its_record_says_so(ran: Ran) -> None:
         assert found.response(name) == expected.response(name)
 
 
-def test_changes_are_tried_one_after_the_other_and_add_up(ran: Ran) -> None:
+def test_changes_are_tried_one_after_the_other_and_add_up(ran):
     text = design('not-converged = ["smaller-steps", "finer-mesh"]')
     sized = text.replace('mesh = "coarse"', 'mesh_size = "8 mm"')
     _, _, records = ran("mooney-rivlin needs 6 mm", sized)
@@ -92,9 +88,7 @@ def test_changes_are_tried_one_after_the_other_and_add_up(ran: Ran) -> None:
     assert found.mesh["mesh_size_mm"] == pytest.approx(8 / 1.5)
 
 
-def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(
-    ran: Ran, tmp_path: Path
-) -> None:
+def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(ran, tmp_path):
     """Taken for the coarse mesh, it would hide the error that refinement has to show."""
     text = design('not-converged = "finer-mesh"').replace('mesh = "coarse"', 'mesh_size = "8 mm"')
     work, store = ran("mooney-rivlin needs 6 mm", text)[0], Store(tmp_path / "results")
@@ -110,7 +104,7 @@ def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(
     assert "only a finer one did" in str(judged)
 
 
-def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(ran: Ran) -> None:
+def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(ran):
     text = design('not-converged = "smaller-steps"')
     _, _, records = ran("mooney-rivlin", text)
     assert failed(records) == 2
@@ -120,7 +114,7 @@ def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(ran: Ran) 
     assert ran("mooney-rivlin", text)[1] == 0
 
 
-def test_without_a_policy_nothing_is_tried(ran: Ran) -> None:
+def test_without_a_policy_nothing_is_tried(ran):
     work, _, records = ran("mooney-rivlin needs 40 steps", DESIGN)
     assert failed(records) == 2
     assert all(not record.retries for record in records.values())
@@ -132,7 +126,7 @@ def test_without_a_policy_nothing_is_tried(ran: Ran) -> None:
     assert all(record.converged for record in records.values())
 
 
-def test_a_task_that_lacked_memory_is_computed_alone(ran: Ran) -> None:
+def test_a_task_that_lacked_memory_is_computed_alone(ran):
     """A fit and a case that the machine killed twice each, then with nothing else beside them."""
     text = design('crashed = "more-memory"').replace("swap = true", "")
     _, _, records = ran("mooney-rivlin needs memory", text)
@@ -142,23 +136,21 @@ def test_a_task_that_lacked_memory_is_computed_alone(ran: Ran) -> None:
     assert note["what"] == "computed with nothing else beside it"
 
 
-def late_between_bonded_plates(place: Loky, tasks: Any, finished: Any = None) -> Any:
+def late_between_bonded_plates(place, tasks, finished=None):
     """Do tasks here, of which those between bonded plates take more than 15 s."""
 
-    def perform(task: CaseJob) -> Any:
+    def perform(task):
         late = place.limit_s == 15.0 and "bonded" in task.case.levels.values()
         return stopped_late(15.0) if late else place.perform(task)
 
     return Inline(perform).run(tasks, finished)
 
 
-def doubled(problem: Mapping[str, object]) -> object:
+def doubled(problem):
     return 2.0 * np.asarray(problem["displacement_mm"])
 
 
-def test_a_longer_limit_from_the_design_to_the_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_longer_limit_from_the_design_to_the_report(tmp_path, monkeypatch):
     monkeypatch.setattr(Loky, "run", late_between_bonded_plates)
     text = design('timeout = "longer-limit"').replace(
         'model = "mooney-rivlin"', 'model = "mooney-rivlin"\nC10 = "4 kPa"\nC01 = "1 kPa"'
@@ -192,7 +184,7 @@ def test_a_longer_limit_from_the_design_to_the_report(
         ("timeout = 4", "must be a text, got 4"),
     ],
 )
-def test_a_policy_that_means_nothing_is_refused(policy: str, said: str) -> None:
+def test_a_policy_that_means_nothing_is_refused(policy, said):
     with pytest.raises(InputError) as refused:
         loads(design(policy), "small.toml")
     assert said in str(refused.value)

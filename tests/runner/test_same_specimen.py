@@ -1,9 +1,6 @@
 """The thesis's central claim: three tests of one specimen give the same constants."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +8,9 @@ import pytest
 from study.harness.design import load
 from study.harness.runner import fit_task
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import FitJob, Work
 from study.harness.runner.staged_fit import FitPart as Part
 from study.harness.runner.staged_fit import StagedSearch, staged_fit
 from study.harness.runner.virtual_specimens import TRUTHS, Generator, write_virtual
-from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.lack_of_fit import agreement
 from study.mechanics.calibration.residual_function import MeasuredCurve
 
@@ -23,14 +18,12 @@ DESIGN = Path(__file__).parents[2] / "designs" / "same-specimen.toml"
 WAYS = ["lubricated-compression", "bonded-compression", "flat-indentation"]
 
 
-def test_the_design_plans_three_tests_of_every_specimen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_design_plans_three_tests_of_every_specimen(tmp_path, monkeypatch):
     """One file a test, the same factors of every specimen in each, and no shared fit."""
     from study.ground.curve import Curve
     from study.harness.runner import virtual_specimens
 
-    def line(setup: Any, *truth: Any, as_designed: bool, **_: Any) -> Curve:
+    def line(setup, *truth, as_designed, **_):
         assert as_designed
         d = np.linspace(0.3, 6.3, 21)
         stiff = 2.0 if setup.test.kind == "compression" else 0.5
@@ -54,19 +47,19 @@ def test_the_design_plans_three_tests_of_every_specimen(
     assert slopes["1", WAYS[0]] != pytest.approx(slopes["2", WAYS[0]], rel=1e-3)
 
 
-def test_the_calibration_reads_the_same_files() -> None:
+def test_the_calibration_reads_the_same_files():
     found = load.load_calibration(DESIGN.with_name("one-material.toml"))
     assert found.asked.leave_out == "test"
     files = [test.file for test in found.tests]
     assert files == [f"same-specimen/{way}.csv" for way in WAYS]
 
 
-def _fit(work: Work, way: str, block: str) -> Fit:
+def _fit(work, way, block):
     job = next(j for j in work.jobs if j.case.block == block and j.case.levels["way"] == way)
     return _done(work, work.fits[job.directions[0].fit_key or ""])
 
 
-def _done(work: Work, job: FitJob) -> Fit:
+def _done(work, job):
     start = None if job.start is None else _done(work, job.start).constants()
     (way,) = job.problem.tests
     names, first = fit_task.start_values(way.problem, job.measured, start)
@@ -79,7 +72,7 @@ def _done(work: Work, job: FitJob) -> Fit:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_three_tests_agree_within_their_joint_intervals(tmp_path: Path) -> None:
+def test_three_tests_agree_within_their_joint_intervals(tmp_path):
     """Data of a mesh finer than the fit's; what the mesh moves counts as uncertainty."""
     loaded = load.load(DESIGN)
     write_virtual(loaded, tmp_path, Generator(seed=loaded.seed, batches=1))

@@ -1,7 +1,5 @@
 """Responses of known curves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ MEASURED = Curve(D, 10 * D)
 
 
 @pytest.mark.parametrize("factor", [1.1, 0.9])
-def test_a_curve_ten_percent_off_is_ten_percent_off_in_every_measure(factor: float) -> None:
+def test_a_curve_ten_percent_off_is_ten_percent_off_in_every_measure(factor):
     predicted = Curve(D, factor * MEASURED.force_N)
     found = response.score(predicted, MEASURED)
     assert found["relative_rms_force_error"] == {"value": pytest.approx(10.0), "unit": "%"}

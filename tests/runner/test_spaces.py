@@ -1,9 +1,6 @@
 """A block's space effect beside that of a cylinder, which is the discretization's alone."""
 
-from __future__ import annotations
-
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +9,9 @@ from study.api.assemble import checks_of_spaces
 from study.api.planning import plan
 from study.ground.curve import Curve
 from study.harness.design.load import loads
-from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.batch import Progress
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import Work
 from study.harness.runner.solve_task import SolveResult, in_process, kept, solutions
 from study.harness.runner.study_refinement import (
     compare_spaces,
@@ -70,36 +65,34 @@ name = "relative_rms_force_error"
 """
 
 
-def work_of(text: str, home: Path) -> Work:
+def work_of(text, home):
     design = loads(text, "slab.toml")
     write_virtual(design, home, usual_generator(design, blocks=2))
     return expand(design, home)
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def home(tmp_path_factory):
     return tmp_path_factory.mktemp("data")
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def results(tmp_path_factory):
     return tmp_path_factory.mktemp("results")
 
 
 @pytest.fixture(scope="module")
-def work(home: Path) -> Work:
+def work(home):
     return work_of(DESIGN, home)
 
 
 @pytest.fixture(scope="module")
-def records(work: Work, results: Path) -> dict[str, Record]:
+def records(work, results):
     found = finished(work, results / work.design.name)
     return {record.case_id: record for record in found}
 
 
-def test_the_cylinder_has_the_blocks_section_and_the_cells_constants(
-    work: Work, records: dict[str, Record]
-) -> None:
+def test_the_cylinder_has_the_blocks_section_and_the_cells_constants(work, records):
     (pair,) = pairs(work, records)
     assert pair[0] == {}
     for task, space in zip(pair[1], ("axisymmetric", "3d"), strict=True):
@@ -110,9 +103,7 @@ def test_the_cylinder_has_the_blocks_section_and_the_cells_constants(
         assert set(config["material"]["constants"]) == {"C10"}
 
 
-def test_the_control_says_how_far_it_is_and_is_solved_once(
-    work: Work, records: dict[str, Record], results: Path, tmp_path: Path
-) -> None:
+def test_the_control_says_how_far_it_is_and_is_solved_once(work, records, results, tmp_path):
     assert records
     shutil.copytree(results / "slab", tmp_path / "slab", ignore=lambda *_: {"solves"})
     store, said = Store(tmp_path / "slab"), list[Progress]()
@@ -123,12 +114,12 @@ def test_the_control_says_how_far_it_is_and_is_solved_once(
     left = [state.seconds_left for state in said]
     assert left[0] > left[1] == 0
     assert store.read_json("spaces")
-    again: list[Progress] = []
+    again = []
     compare_spaces(work, store, processes(1), again.append)
     assert not again
 
 
-def test_both_spaces_are_solved_and_compared(work: Work, records: dict[str, Record]) -> None:
+def test_both_spaces_are_solved_and_compared(work, records):
     (pair,) = pairs(work, records)
     row = compared_spaces(pair, *solutions(in_process, pair[1]))
     assert row["unknowns"][1] > row["unknowns"][0]
@@ -140,13 +131,11 @@ def test_both_spaces_are_solved_and_compared(work: Work, records: dict[str, Reco
     assert check.outcome in ("pass", "caution")
 
 
-def test_each_space_may_have_load_steps_of_its_own_or_fail(
-    work: Work, records: dict[str, Record]
-) -> None:
+def test_each_space_may_have_load_steps_of_its_own_or_fail(work, records):
     """Steps are added where a curve bends, and two spaces bend at different places."""
     (pair,) = pairs(work, records)
 
-    def solution(d: list[float], stiffer: float) -> SolveResult:
+    def solution(d, stiffer):
         return SolveResult("converged", curve=Curve(np.array(d), stiffer * np.array(d)), dofs=9)
 
     row = compared_spaces(pair, solution([0.5, 1.0], 1.0), solution([0.5, 0.75, 1.0], 1.02))
@@ -154,7 +143,7 @@ def test_each_space_may_have_load_steps_of_its_own_or_fail(
     assert row["largest"] == pytest.approx(0.02)
 
 
-def test_a_solution_that_failed_is_said(work: Work, records: dict[str, Record]) -> None:
+def test_a_solution_that_failed_is_said(work, records):
     (pair,) = pairs(work, records)
     bad = SolveResult("not-converged", "stopped at 0.4 mm", dofs=7)
     (check,) = checks_of_spaces((compared_spaces(pair, bad, bad),))
@@ -162,7 +151,7 @@ def test_a_solution_that_failed_is_said(work: Work, records: dict[str, Record]) 
     assert "stopped at 0.4 mm" in check.finding
 
 
-def test_the_outcome_follows_the_tolerance() -> None:
+def test_the_outcome_follows_the_tolerance():
     row = {"levels": {}, "unknowns": [10, 99], "depth_mm": 4.0, "message": ""}
     near, far = checks_of_spaces(
         (row | {"at_end": 0.004, "largest": 0.004}, row | {"at_end": 0.004, "largest": -0.006})
@@ -170,9 +159,7 @@ def test_the_outcome_follows_the_tolerance() -> None:
     assert (near.outcome, far.outcome) == ("pass", "caution")
 
 
-def test_a_plan_counts_what_is_still_to_be_solved(
-    work: Work, home: Path, records: dict[str, Record], results: Path, tmp_path: Path
-) -> None:
+def test_a_plan_counts_what_is_still_to_be_solved(work, home, records, results, tmp_path):
     before = plan(work.design, data=home, results=tmp_path, jobs=2)
     assert (before.controls, before.to_json()["controls"]) == (2, 2)
     # the longer of the two, the solid, runs beside the other
@@ -192,7 +179,7 @@ def test_a_plan_counts_what_is_still_to_be_solved(
     assert plan(work.design, data=home, results=results).controls == 1
 
 
-def test_a_cylinder_needs_no_such_look(tmp_path: Path, records: dict[str, Record]) -> None:
+def test_a_cylinder_needs_no_such_look(tmp_path, records):
     text = DESIGN.replace('width = "24 mm"\ndepth = "24 mm"', 'radius = "12 mm"')
     work = work_of(text.replace('"block"', '"cylinder"', 1), tmp_path)
     assert pairs(work, records) == []

@@ -1,10 +1,6 @@
 """Starts that have no answer: what is tried instead, that it is told, counted and resumed."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +9,7 @@ from study.ground.curve import Curve
 from study.harness.design.cell import CellProblem
 from study.harness.design.load import load
 from study.harness.runner import expansion, fit_task
-from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.job import Work
-from study.harness.runner.staged_fit import Checkpoint, Staged, StagedSearch, gentler, staged_fit
+from study.harness.runner.staged_fit import Checkpoint, StagedSearch, gentler, staged_fit
 from study.harness.runner.staged_fit import FitPart as Part
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
@@ -36,7 +30,7 @@ COARSE = CellProblem.of({
 SOLID = COARSE.on_mesh(space="3d")
 
 
-def response(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def response(values):
     """Force, and its slope by a linear one; curved, so that a fit takes several steps."""
     linear = values @ BASIS
     return linear * (1 + 0.02 * linear), 1 + 0.04 * linear
@@ -50,10 +44,10 @@ class Softening:
 
     calls = 0
 
-    def __init__(self, limit: float) -> None:
+    def __init__(self, limit):
         self.limit, self.warm = limit, False
 
-    def __call__(self, values: np.ndarray) -> list[Curve]:
+    def __call__(self, values):
         Softening.calls += 1
         if not self.warm and values[1] < self.limit and values[2] < 0.1:
             raise EvaluationFailed("no longer elliptic")
@@ -63,14 +57,12 @@ class Softening:
         return [Curve(D, force, force_gradient=dict(zip(NAMES, slopes, strict=True)))]
 
 
-def fitted(problem: CellProblem, start: np.ndarray, limit: float = -0.3, **options: Any) -> Staged:
+def fitted(problem, start, limit=-0.3, **options):
     measured = MeasuredCurve("virtual", Curve(D, response(TRUTH)[0] + 0.01 * np.sin(9 * D)))
     parts = [Part("inverse-fem", problem, (measured,))]
     Softening.calls = 0
 
-    def make(
-        method: str, own: CellProblem, curves: Any, names: Sequence[str]
-    ) -> Callable[..., list[Curve]]:
+    def make(method, own, curves, names):
         if tuple(names) != NAMES:
             raise EvaluationFailed("no forces of a solid of one constant")
         return Softening(limit)
@@ -87,9 +79,7 @@ def fitted(problem: CellProblem, start: np.ndarray, limit: float = -0.3, **optio
         (-0.05, [3.17, 0.0, 0.0], ["the neo-Hookean constant alone"] * 3),
     ],
 )
-def test_a_start_without_answer_gives_way_to_gentler_ones(
-    limit: float, first: list[float], words: list[str]
-) -> None:
+def test_a_start_without_answer_gives_way_to_gentler_ones(limit, first, words):
     found = fitted(COARSE, HANDED_ON, limit)
     assert found.fit.converged
     assert found.fit.values == pytest.approx(TRUTH, rel=1e-2)
@@ -101,7 +91,7 @@ def test_a_start_without_answer_gives_way_to_gentler_ones(
     )
 
 
-def test_where_nothing_has_an_answer_every_start_is_told() -> None:
+def test_where_nothing_has_an_answer_every_start_is_told():
     found = fitted(COARSE, HANDED_ON, 1.0)
     assert found.fit.status is Status.start_failed
     assert found.evaluations == Softening.calls == 4
@@ -109,7 +99,7 @@ def test_where_nothing_has_an_answer_every_start_is_told() -> None:
     assert found.message.endswith("nor from the neo-Hookean constant alone")
 
 
-def test_the_cheaper_model_falls_back_too_and_every_call_counts() -> None:
+def test_the_cheaper_model_falls_back_too_and_every_call_counts():
     found = fitted(SOLID, HANDED_ON)
     assert found.fit.converged
     assert found.rough is not None
@@ -118,12 +108,10 @@ def test_the_cheaper_model_falls_back_too_and_every_call_counts() -> None:
     assert "the cheaper model led nowhere" in found.message
 
 
-def test_an_interrupted_fit_goes_on_from_the_start_that_it_had_fallen_back_to(
-    tmp_path: Path,
-) -> None:
+def test_an_interrupted_fit_goes_on_from_the_start_that_it_had_fallen_back_to(tmp_path):
     through = fitted(COARSE, HANDED_ON)
 
-    def stop(step: Any) -> None:
+    def stop(step):
         if step.iteration.iteration == 2:
             raise KeyboardInterrupt
 
@@ -151,15 +139,15 @@ def test_an_interrupted_fit_goes_on_from_the_start_that_it_had_fallen_back_to(
     ],
 )  # fmt: skip
 def test_gentler_starts_keep_the_initial_shear_modulus_and_the_bounds(
-    names: str, start: list[float], bounds: Any, expected: list[list[float]]
-) -> None:
+    names, start, bounds, expected
+):
     gentle = gentler(names.split(), np.array(start), bounds)
     assert [one.values.tolist() for one in gentle] == expected
 
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir: Path) -> None:
+def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir):
     """The one of its 288 cases whose start, the fit of one order less, softens too much.
 
     C20 = -0.42 kPa had no answer beyond 4.2 of 6 mm on the solid's mesh, without C30: the higher
@@ -177,7 +165,7 @@ def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir: Path) ->
     assert solid.fit["rss"] == pytest.approx(round_.fit["rss"], rel=0.05)
 
 
-def _third_order_fit(work: Work, space: str) -> FitResult:
+def _third_order_fit(work, space):
     wanted = {"material": "reduced-polynomial-3", "plates": "bonded", "model.space": space,
               "model.element_order": "quadratic"}  # fmt: skip
     (job,) = (j for j in work.jobs
@@ -187,7 +175,7 @@ def _third_order_fit(work: Work, space: str) -> FitResult:
     return _performed(work, key)
 
 
-def _performed(work: Work, key: str) -> FitResult:
+def _performed(work, key):
     job = work.fits[key]
     start = None if job.start is None else _performed(work, job.start.key)
     return fit_task.fitted(fit_task.FitJob(job.problem, job.measured, start))

@@ -1,9 +1,6 @@
 """Files of surfaces: where they are looked for, what names a case, what a plan says of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +9,9 @@ from study import api
 from study.ground.errors import InputError
 from study.harness.calibration import model_comparison
 from study.harness.design.load import load, load_problem
-from study.harness.record.document import ResponseDocument
 from study.harness.record.record import Record
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import find, fit_problem, folders
-from study.harness.runner.job import CaseJob
 from study.harness.runner.staged_fit import FitPart as Part
 from study.harness.runner.staged_fit import cheaper
 from study.harness.runner.study_refinement import chosen_series, refinement_work
@@ -54,7 +49,7 @@ DESIGN = (
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> Path:
+def home(tmp_path):
     """Folder of a design, its measurements beside it, the surface with the design."""
     designs, data = tmp_path / "designs", tmp_path / "measurements"
     designs.mkdir()
@@ -67,18 +62,18 @@ def home(tmp_path: Path) -> Path:
     return designs
 
 
-def places(home: Path) -> tuple[Path, ...]:
+def places(home):
     return folders(home / "design.toml", home.parent / "measurements")
 
 
-def test_solve_reads_a_problem_with_a_surface(home: Path) -> None:
+def test_solve_reads_a_problem_with_a_surface(home):
     solution = api.solve(home / "problem.toml", gradients=False)
     assert solution.status == "converged"
     # the closed form of 10 % compression: 2 C10 (l - l^-2), next to incompressible
     assert solution.curve.force_N[-1] == pytest.approx(-80 * 0.01 * (0.9 - 0.9**-2), rel=2e-3)
 
 
-def test_the_data_root_comes_first(home: Path) -> None:
+def test_the_data_root_comes_first(home):
     assert find("box.stl", places(home)).parent == home.resolve()
     write(home.parent / "measurements" / "box.stl", box(10, 8, 7))
     found = find("box.stl", places(home))
@@ -94,7 +89,7 @@ def test_the_data_root_comes_first(home: Path) -> None:
         ("link.stl", "through a link"),
     ],
 )
-def test_files_elsewhere_are_refused(home: Path, name: str, said: str) -> None:
+def test_files_elsewhere_are_refused(home, name, said):
     outside = home.parent / "outside.stl"
     write(outside, box(10, 8, 6))
     (home / "link.stl").symlink_to(outside)
@@ -113,23 +108,23 @@ def test_files_elsewhere_are_refused(home: Path, name: str, said: str) -> None:
         ("box.stl", "../box.stl", "must not climb"),
     ],
 )
-def test_faults_of_the_table(home: Path, old: str, new: str, said: str) -> None:
+def test_faults_of_the_table(home, old, new, said):
     path = home / "problem.toml"
     path.write_text(PROBLEM.replace(old, new))
     with pytest.raises(InputError, match=said):
         load_problem(path)
 
 
-def test_the_table_arrives(home: Path) -> None:
+def test_the_table_arrives(home):
     path = home / "problem.toml"
     more = 'unit = "cm"\naxis = "-x"\nclamp_below = "-3 mm"\npress_x = "1 mm"\n'
     path.write_text(PROBLEM.replace('unit = "mm"\n', more))
     made = load_problem(path).problem.specimen
-    assert (made.unit, made.axis, made.clamp_below_mm) == ("cm", "-x", -3)  # type: ignore[union-attr]
-    assert (made.press_x_mm, made.press_y_mm) == (1, None)  # type: ignore[union-attr]
+    assert (made.unit, made.axis, made.clamp_below_mm) == ("cm", "-x", -3)
+    assert (made.press_x_mm, made.press_y_mm) == (1, None)
 
 
-def test_a_plan_checks_the_surface_and_says_what_was_mended(home: Path) -> None:
+def test_a_plan_checks_the_surface_and_says_what_was_mended(home):
     plan = api.plan(home / "design.toml", results=home / "results")
     assert (plan.cases["total"], plan.cases["missing"]) == (4, 4)
     assert plan.memory_MB is not None
@@ -145,8 +140,8 @@ def test_a_plan_checks_the_surface_and_says_what_was_mended(home: Path) -> None:
         api.plan(home / "design.toml", results=home / "results")
 
 
-def test_content_names_a_case_and_its_place_does_not(home: Path, tmp_path: Path) -> None:
-    def hashes(folder: Path) -> dict[str, str]:
+def test_content_names_a_case_and_its_place_does_not(home, tmp_path):
+    def hashes(folder):
         data = home.parent / "measurements"
         return expand(load(folder / "design.toml"), data).input_hashes
 
@@ -160,7 +155,7 @@ def test_content_names_a_case_and_its_place_does_not(home: Path, tmp_path: Path)
     assert not set(after.values()) & set(before.values())
 
 
-def test_a_fit_of_a_surface_starts_from_no_cylinder(home: Path) -> None:
+def test_a_fit_of_a_surface_starts_from_no_cylinder(home):
     work = expand(load(home / "design.toml"), home.parent / "measurements")
     problem = fit_problem(work.jobs[0].case.cell).tests[0].problem
     # whatever the plates: only the file knows the shape
@@ -173,7 +168,7 @@ def test_a_fit_of_a_surface_starts_from_no_cylinder(home: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_energies_are_weighed_on_a_surface(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_energies_are_weighed_on_a_surface(home, monkeypatch):
     """The surface is found for the choice of an energy as it is for a calibration."""
     data, d = home.parent / "measurements", np.linspace(0, 0.7, 15)
     columns = {"displacement": ("mm", d), "force": ("N", 0.45 * d)}
@@ -190,7 +185,7 @@ def test_energies_are_weighed_on_a_surface(home: Path, monkeypatch: pytest.Monke
     assert chosen.fits["neo-hookean"].fit.values == pytest.approx(alone.fit.values, rel=1e-9)
 
 
-def test_numerical_uncertainty_knows_how_far_two_meshes_of_a_size_differ(home: Path) -> None:
+def test_numerical_uncertainty_knows_how_far_two_meshes_of_a_size_differ(home):
     """One value on the study's mesh, its refinements, and the other mesh: by the closed rules."""
     work = expand(load(home / "design.toml"), home.parent / "measurements")
     series = chosen_series(work)[0]
@@ -199,8 +194,8 @@ def test_numerical_uncertainty_knows_how_far_two_meshes_of_a_size_differ(home: P
     assert again == replace(base, mesh_seed=1)
     assert series.other in refinement_work(work).jobs
 
-    def record(job: CaseJob, mu0: float) -> Record:
-        responses: dict[str, ResponseDocument] = {"mu0": {"value": mu0, "unit": "kPa"}}
+    def record(job, mu0):
+        responses = {"mu0": {"value": mu0, "unit": "kPa"}}
         return Record(job.case.case_id, "surface", responses=responses)
 
     for number, job in enumerate(series.jobs):

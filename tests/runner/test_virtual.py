@@ -1,7 +1,5 @@
 """The generator of virtual specimens: its scatter is what it says, and its seed decides it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from study.ground.curve import Curve
 from study.harness.design.cell import CellProblem
 from study.harness.runner.virtual_specimens import (
     Generator,
-    VirtualTest,
     _csv,
     _files,
     generate,
@@ -27,11 +24,11 @@ SPEC = MeasurementSpec(
 )  # fmt: skip
 
 
-def drawn(**changes: float) -> list[VirtualTest]:
-    return list(generate(REFERENCE, Generator(**changes), SPEC))  # type: ignore[arg-type]
+def drawn(**changes):
+    return list(generate(REFERENCE, Generator(**changes), SPEC))
 
 
-def test_groups_are_those_that_the_design_reads_and_the_seed_decides_everything() -> None:
+def test_groups_are_those_that_the_design_reads_and_the_seed_decides_everything():
     found = drawn(batches=2, repeats=3, seed=1)
     assert len(found) == 2 * 2 * 3
     assert found[0].groups == {"batch": "1", "specimen": "A", "repeat": "1"}
@@ -40,7 +37,7 @@ def test_groups_are_those_that_the_design_reads_and_the_seed_decides_everything(
     assert not np.array_equal(found[0].force_N, drawn(batches=2, repeats=3, seed=2)[0].force_N)
 
 
-def test_stiffness_scatters_as_declared() -> None:
+def test_stiffness_scatters_as_declared():
     found = drawn(batches=400, repeats=1, specimen_sd=0.0, shape_sd=0.0, noise_N=0.0)
     factors = np.log([t.force_N[-1] / (4 * t.displacement_mm[-1]) for t in found[::2]])
     # standard error of a standard deviation of 400 values: 3.5 %
@@ -48,7 +45,7 @@ def test_stiffness_scatters_as_declared() -> None:
     assert factors.mean() == pytest.approx(0.0, abs=0.01)
 
 
-def test_shape_scatter_follows_the_gradient() -> None:
+def test_shape_scatter_follows_the_gradient():
     found = drawn(batches=1, repeats=1, batch_sd=0.0, specimen_sd=0.0, noise_N=0.0)
     d, extra = found[0].displacement_mm, found[0].force_N - 4 * found[0].displacement_mm
     columns = np.column_stack([d**3, d**5])
@@ -56,7 +53,7 @@ def test_shape_scatter_follows_the_gradient() -> None:
     assert np.abs(rest).max() < 1e-6 * np.abs(extra).max()  # spline through 62 points
 
 
-def test_files_follow_a_pattern_and_units_and_sign() -> None:
+def test_files_follow_a_pattern_and_units_and_sign():
     spec = MeasurementSpec(
         files="c-{batch}-{specimen}.csv", columns=SPEC.columns, block="batch", fit=SPEC.fit,
         score=SPEC.score, units={"displacement": "m", "force": "kN"}, sign="negative",
@@ -71,7 +68,7 @@ def test_files_follow_a_pattern_and_units_and_sign() -> None:
     assert _csv(SPEC, drawn(batches=1), ["batch"]).startswith("batch,x,f\n1,0.00000,")
 
 
-def sagging(stiffer: float) -> Curve:
+def sagging(stiffer):
     """Solve a heavy cylinder under a flat tip, its moduli multiplied."""
     constants = {name: stiffer * value for name, value in truth("yeoh").constants.items()}
     heavy = {"density_kg_m3": 4000.0, "direction": "down"}
@@ -87,7 +84,7 @@ def sagging(stiffer: float) -> Curve:
     return finite_element.solve(CellProblem.of(tables).at(), gradients=True).curve
 
 
-def test_a_stiffer_specimen_sags_less() -> None:
+def test_a_stiffer_specimen_sags_less():
     """The weight does not grow with the moduli: the reference says by how much, to first order."""
     # moduli 1.1 times as large, at load steps that were solved
     quiet = Generator(batches=1, repeats=1, batch_sd=0.068, specimen_sd=0, shape_sd=0, noise_N=0,

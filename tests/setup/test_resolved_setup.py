@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from study.ground.declaration import Length, section
@@ -13,7 +11,7 @@ from study.harness.design.cell import CellProblem
 from study.laboratory.sensors.force_model import force_model
 from study.mechanics.setup.geometry import Flat
 
-CONFIG: dict[str, Any] = {
+CONFIG = {
     "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
     "test": {"kind": "compression", "interface": "bonded", "displacement_mm": 6.0, "steps": 10},
     "material": {"model": "neo-hookean", "constants": {"C10": 5e-3}, "poisson_ratio": 0.4995},
@@ -21,11 +19,11 @@ CONFIG: dict[str, Any] = {
 }
 
 
-def problem(**tables: Any) -> CellProblem:
+def problem(**tables):
     return CellProblem.of({**CONFIG, **tables})
 
 
-def test_base_follows_interface_in_compression_and_holds_in_indentation() -> None:
+def test_base_follows_interface_in_compression_and_holds_in_indentation():
     test = {"kind": "indentation", "displacement_mm": 2.0, "indenter": {"shape": "flat",
             "radius_mm": 3.0}}  # fmt: skip
     made = problem(test=test).at().test
@@ -33,12 +31,12 @@ def test_base_follows_interface_in_compression_and_holds_in_indentation() -> Non
     assert problem(test={"kind": "compression"}).at(depth_mm=1.0).test.base == "frictionless"
 
 
-def test_the_model_of_a_force_reaches_beyond_the_end_of_its_test() -> None:
+def test_the_model_of_a_force_reaches_beyond_the_end_of_its_test():
     """As far as a tracker with errors may tell."""
     assert force_model(problem().at(), 9.0).problem.test.depth_mm == 9.0
 
 
-def test_what_is_missing_is_named() -> None:
+def test_what_is_missing_is_named():
     with pytest.raises(InputError, match="displacement"):
         problem(test={"kind": "compression"}).at()
     with pytest.raises(InputError, match="constants"):
@@ -56,9 +54,7 @@ def test_what_is_missing_is_named() -> None:
         ({"kind": "indentation", "indenter": {"shape": "sphere", "radius_mm": 1.0}}, False),
     ],
 )
-def test_homogeneous_is_compression_with_both_faces_free(
-    changes: dict[str, Any], expected: bool
-) -> None:
+def test_homogeneous_is_compression_with_both_faces_free(changes, expected):
     test = {"kind": "compression", "displacement_mm": 1.0, **changes}
     assert problem(test=test).setup.is_homogeneous is expected
 
@@ -70,7 +66,7 @@ class Shaft:
     length_mm: Length = 1.0
 
 
-def test_names_of_the_caller_do_not_decide_how_a_section_is_read() -> None:
+def test_names_of_the_caller_do_not_decide_how_a_section_is_read():
     """Pydantic builds a validator at the first use, and looks names up in the frame of the user."""
     Length = Annotated = Reads = "mine"  # noqa: F841, N806
     assert Shaft(length_mm=2.0).length_mm == 2.0

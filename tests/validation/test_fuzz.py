@@ -1,9 +1,5 @@
 """The fuzz campaign draws every verb, repeats its examples, and sees what it looks for."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +9,7 @@ from validation.fuzz_inputs import Place
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Place:
+def place(tmp_path):
     """A campaign whose project has its inputs, and stored files in place of runs."""
     folder = tmp_path / "verbs"
     fuzz_verbs.write_project(folder)
@@ -24,13 +20,13 @@ def place(tmp_path: Path) -> Place:
     return Place(str(tmp_path), str(tmp_path))
 
 
-def words_of(place: Place, number: int, folder: Path) -> list[str]:
+def words_of(place, number, folder):
     folder.mkdir()
     (words,), _ = fuzz_verbs.every_verb(np.random.default_rng(number), folder, place)
     return words
 
 
-def test_every_verb_of_the_program_is_drawn(place: Place, tmp_path: Path) -> None:
+def test_every_verb_of_the_program_is_drawn(place, tmp_path):
     names = {verb.__name__ for verb in VERBS}
     assert set(fuzz_verbs.MAKERS) == names
     rng = np.random.default_rng(1)
@@ -43,7 +39,7 @@ def test_every_verb_of_the_program_is_drawn(place: Place, tmp_path: Path) -> Non
         assert all(option.startswith("--") for option in fuzz_verbs.options_of(verb))
 
 
-def test_an_example_is_the_same_when_it_is_repeated(place: Place, tmp_path: Path) -> None:
+def test_an_example_is_the_same_when_it_is_repeated(place, tmp_path):
     for number in range(12):
         first = words_of(place, number, tmp_path / f"a{number}")
         assert first == words_of(place, number, tmp_path / f"b{number}")
@@ -54,14 +50,14 @@ def test_an_example_is_the_same_when_it_is_repeated(place: Place, tmp_path: Path
         assert contents[0] == contents[1]
 
 
-def test_kinds_are_drawn_in_their_shares() -> None:
+def test_kinds_are_drawn_in_their_shares():
     drawn = [fuzz.drawn("all", 7, number) for number in range(1000)]
     assert set(drawn) == set(fuzz.KINDS)
     assert drawn.count("verbs") == pytest.approx(700, abs=60)
     assert fuzz.drawn("tables", 7, 3) == "tables"
 
 
-def test_what_is_wrong_with_an_answer() -> None:
+def test_what_is_wrong_with_an_answer():
     assert list(fuzz.wrong(0, "done", "")) == []
     assert list(fuzz.wrong(2, "", "error:\n  the design has no factors\n")) == []
     assert list(fuzz.wrong(130, "", "interrupted: nothing was written", True)) == []
@@ -70,7 +66,7 @@ def test_what_is_wrong_with_an_answer() -> None:
     assert any("Traceback" in fault for fault in fuzz.wrong(1, "", "Traceback (most recent call"))
 
 
-def test_the_table_counts_by_verb() -> None:
+def test_the_table_counts_by_verb():
     outcomes = [
         fuzz.Outcome(0, ["solve problem.toml"], [0], seconds=1.5, megabytes=40.0),
         fuzz.Outcome(1, ["solve no.toml"], [2], seconds=0.5),

@@ -1,13 +1,10 @@
 """Records computed once more: an honest study agrees, and a falsified record is found."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +12,7 @@ import pytest
 from study.ground.curve import Curve
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from tests.cli.small import DESIGN, Answer, answer_of, study, write_files
+from tests.cli.small import DESIGN, answer_of, study, write_files
 from tests.cli.test_closed_form_studies import ALONE
 from validation import recompute, recompute_forward, recompute_records
 
@@ -57,7 +54,7 @@ SEEDS = (
 )  # fmt: skip
 
 
-def run(home: Path, text: str) -> Path:
+def run(home, text):
     """Results of a design that was run in a folder."""
     name = text.split('name = "')[1].split('"')[0]
     (home / f"{name}.toml").write_text(text)
@@ -69,28 +66,28 @@ def run(home: Path, text: str) -> Path:
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def home(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recompute")
     write_files(folder)
     return folder
 
 
 @pytest.fixture(scope="module")
-def finished(home: Path) -> Path:
+def finished(home):
     return run(home, TINY)
 
 
 @pytest.fixture
-def results(finished: Path, tmp_path: Path) -> Path:
+def results(finished, tmp_path):
     """Copy of the results, to falsify."""
     return Path(shutil.copytree(finished, tmp_path / "tiny"))
 
 
-def recomputed(*arguments: object) -> Answer:
+def recomputed(*arguments):
     return answer_of(recompute.main, *arguments)
 
 
-def records(results: Path, plates: str) -> list[Record]:
+def records(results, plates):
     stored = (Store(results).read(path.name) for path in sorted((results / "cases").iterdir()))
     return [r for r in stored if r is not None and r.levels["plates"] == plates]
 
@@ -98,7 +95,7 @@ def records(results: Path, plates: str) -> list[Record]:
 Change = Callable[[Record], Record]
 
 
-def falsify(results: Path, plates: str, *changes: Change) -> list[str]:
+def falsify(results, plates, *changes):
     """Change records as the program itself would write them, their checksums with them.
 
     Those of these plates that have no change of theirs are honest.
@@ -111,17 +108,17 @@ def falsify(results: Path, plates: str, *changes: Change) -> list[str]:
     return [record.case_id for record, _ in changed]
 
 
-def moved(name: str, by: float) -> Change:
-    def change(record: Record) -> Record:
-        entry: dict[str, Any] = dict(record.responses[name])
+def moved(name, by):
+    def change(record):
+        entry = dict(record.responses[name])
         entry["value"] += by
         return replace(record, responses={**record.responses, name: entry})
 
     return change
 
 
-def constants(times: float) -> Change:
-    def change(record: Record) -> Record:
+def constants(times):
+    def change(record):
         assert record.fit is not None
         fits = {
             k: {**v, "values": {"C10": times * v["values"]["C10"]}} for k, v in record.fit.items()
@@ -131,7 +128,7 @@ def constants(times: float) -> Change:
     return change
 
 
-def test_an_honest_study_agrees(finished: Path, home: Path, tmp_path: Path) -> None:
+def test_an_honest_study_agrees(finished, home, tmp_path):
     file = tmp_path / "found.json"
     found = recomputed(finished, "--sample", 4, "--data", home / "data", "--json", file)
     assert found.code == 0, found.out + found.err
@@ -149,15 +146,15 @@ def test_an_honest_study_agrees(finished: Path, home: Path, tmp_path: Path) -> N
     assert written["notes"] == []
 
 
-def test_the_sample_is_a_matter_of_its_seed() -> None:
+def test_the_sample_is_a_matter_of_its_seed():
     jobs = list(range(50))
-    first, again, other = (recompute.sampled(jobs, 5, seed) for seed in (1, 1, 2))  # type: ignore[type-var]
+    first, again, other = (recompute.sampled(jobs, 5, seed) for seed in (1, 1, 2))
     assert first == again
     assert first != other
-    assert recompute.sampled(jobs, 99, 1) == jobs  # type: ignore[type-var, comparison-overlap]
+    assert recompute.sampled(jobs, 99, 1) == jobs
 
 
-def test_falsified_records_are_found(results: Path) -> None:
+def test_falsified_records_are_found(results):
     """0.06 pp where 0.05 are allowed; 1 N of 70 N and more; constants 1 % off, or below zero."""
     (peak,) = falsify(results, "closed", moved("peak_force_error", 1.0))
     percent, other, none = falsify(
@@ -175,7 +172,7 @@ def test_falsified_records_are_found(results: Path) -> None:
     assert f"no answer: {none}" in found.out
 
 
-def test_other_measurements_are_found(finished: Path, home: Path, tmp_path: Path) -> None:
+def test_other_measurements_are_found(finished, home, tmp_path):
     rows = (home / "data" / "tests.csv").read_text().splitlines()
     cut = [row.rsplit(",", 1) for row in rows[1:]]
     raised = [f"{left},{1.02 * float(force):.10f}" for left, force in cut]
@@ -183,7 +180,7 @@ def test_other_measurements_are_found(finished: Path, home: Path, tmp_path: Path
     assert recomputed(finished, "--sample", 1, "--data", tmp_path).code == 1
 
 
-def test_records_without_a_curve_are_left_out_and_counted(results: Path) -> None:
+def test_records_without_a_curve_are_left_out_and_counted(results):
     falsify(
         results, "closed", lambda r: replace(r, status="timeout", message="too late"),
         lambda r: replace(r, curves={}, extra={"noise_seed": 3}),
@@ -200,7 +197,7 @@ def test_records_without_a_curve_are_left_out_and_counted(results: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_a_mesh_seed_is_solved_on_its_own_mesh(home: Path) -> None:
+def test_a_mesh_seed_is_solved_on_its_own_mesh(home):
     found = recomputed(run(home, SEEDS), "--sample", 4)
     assert found.code == 0, found.out + found.err
     assert "4 of 30 records" in found.out
@@ -217,7 +214,7 @@ def test_a_mesh_seed_is_solved_on_its_own_mesh(home: Path) -> None:
         (["RESULTS", "--data", "EMPTY"], "no file 'tests.csv' below"),
     ],
 )
-def test_bad_input(finished: Path, tmp_path: Path, arguments: list[str], message: str) -> None:
+def test_bad_input(finished, tmp_path, arguments, message):
     names = {"RESULTS": str(finished), "EMPTY": str(tmp_path)}
     found = recomputed(*(names.get(word, word) for word in arguments))
     assert found.code == 2
@@ -230,7 +227,7 @@ def test_bad_input(finished: Path, tmp_path: Path, arguments: list[str], message
     ("shape", "interface", "sticks"),
     [("sphere", "bonded", True), ("sphere", "frictionless", False), ("flat", "bonded", False)],
 )
-def test_which_indenters_make_load_steps_matter(shape: str, interface: str, sticks: bool) -> None:
+def test_which_indenters_make_load_steps_matter(shape, interface, sticks):
     # a flat end takes hold of its whole face at once, whatever the steps
     test = {"kind": "indentation", "interface": interface,
             "indenter": {"shape": shape, "radius_mm": 2.0}}  # fmt: skip
@@ -240,7 +237,7 @@ def test_which_indenters_make_load_steps_matter(shape: str, interface: str, stic
     assert not recompute_records._sticks({"specimen": cylinder, "test": compressed})
 
 
-def test_its_scores_are_those_of_the_definitions() -> None:
+def test_its_scores_are_those_of_the_definitions():
     from study.harness.runner.response import CURVE_RESPONSES
 
     rng = np.random.default_rng(2011)
@@ -252,7 +249,7 @@ def test_its_scores_are_those_of_the_definitions() -> None:
 
 
 @pytest.mark.parametrize("monotone", [False, True])
-def test_its_interpolation_of_a_hertz_curve(monotone: bool) -> None:
+def test_its_interpolation_of_a_hertz_curve(monotone):
     knots = np.linspace(0, 2, 21)[1:]
     at = np.linspace(0.25, 2, 50)
     found = recompute_forward.between(np.array([knots, knots**1.5]), at, monotone=monotone)
@@ -262,9 +259,7 @@ def test_its_interpolation_of_a_hertz_curve(monotone: bool) -> None:
 
 @pytest.mark.slow
 @pytest.mark.verify
-def test_a_study_without_measurements_is_computed_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_without_measurements_is_computed_again(tmp_path, monkeypatch):
     """The peak force, the force at a displacement and the work of a simulation alone."""
     monkeypatch.chdir(tmp_path)
     design = tmp_path / "alone.toml"

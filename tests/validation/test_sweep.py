@@ -1,21 +1,15 @@
 """The sweep of random problems: what it draws, what it calls a silent miss, how it resumes."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
-from study.mechanics.setup.setup import Problem
 from study.mechanics.solver.solution_cost import expected_unknowns
-from tests.cli.small import Answer, answer_of
+from tests.cli.small import answer_of
 from validation import sweep
 from validation.sweep_problems import (
     ELEMENTS,
@@ -28,12 +22,12 @@ from validation.sweep_problems import (
 DRAWN = [drawn(2011, number) for number in range(80)]
 
 
-def test_a_problem_is_a_matter_of_its_seed_and_number() -> None:
+def test_a_problem_is_a_matter_of_its_seed_and_number():
     assert drawn(2011, 7) == DRAWN[7]
     assert drawn(2012, 7) != DRAWN[7]
 
 
-def test_every_kind_of_problem_is_drawn() -> None:
+def test_every_kind_of_problem_is_drawn():
     models = Counter((p.model.space, p.model.element_order, p.model.element_shape) for p in DRAWN)
     assert models == dict.fromkeys(
         ((m.space, m.element_order, m.element_shape) for m in ELEMENTS), 10
@@ -47,7 +41,7 @@ def test_every_kind_of_problem_is_drawn() -> None:
     assert {p.model.mesh_size_mm is None for p in DRAWN} == {True, False}
 
 
-def test_problems_are_wide_and_within_their_ranges() -> None:
+def test_problems_are_wide_and_within_their_ranges():
     ratio = np.array([_half(p) / p.specimen.height_mm for p in DRAWN])
     depth = np.array([p.test.displacement_mm / p.specimen.height_mm for p in DRAWN])
     nu = np.array([p.material.poisson_ratio for p in DRAWN])
@@ -58,12 +52,12 @@ def test_problems_are_wide_and_within_their_ranges() -> None:
         assert np.ptp(values) > 0.7 * (high - low)
 
 
-def _half(problem: Problem) -> float:
+def _half(problem):
     body = problem.specimen
-    return body.radius_mm if isinstance(body, Cylinder) else body.width_mm / 2  # type: ignore[union-attr]
+    return body.radius_mm if isinstance(body, Cylinder) else body.width_mm / 2
 
 
-def test_references_are_finer_quadratic_and_affordable() -> None:
+def test_references_are_finer_quadratic_and_affordable():
     for problem in DRAWN[:24]:
         assert expected_unknowns(problem.setup) < MOST_UNKNOWNS[problem.model.space]
         for one in references(problem):
@@ -84,12 +78,10 @@ def test_references_are_finer_quadratic_and_affordable() -> None:
 PROBLEM = DRAWN[0]  # a cylinder in the plane: its references are in the plane too
 
 
-def solver(
-    error: Callable[[Problem], float], message: str = sweep.NOTHING, status: str = "converged"
-) -> sweep.Ask:
+def solver(error, message=sweep.NOTHING, status="converged"):
     """Solver with a relative error of the last force; its meshes have 1 / h^2 elements."""
 
-    def ask(problem: Problem) -> sweep.Found:
+    def ask(problem):
         size, own = mesh_size(problem.setup), problem.model.element_order == "linear"
         force = np.linspace(0.2, 1, 6)
         force[-1] *= 1 + error(problem)
@@ -103,19 +95,19 @@ def solver(
     return ask
 
 
-def of_mesh(problem: Problem) -> float:
+def of_mesh(problem):
     """10 % on the problem's own mesh, of second order, and right on the reference."""
     if problem.model.element_order == "quadratic":
         return 0.0
     return 0.1 * (mesh_size(problem.setup) / mesh_size(PROBLEM.setup)) ** 2
 
 
-def hidden(problem: Problem) -> float:
+def hidden(problem):
     """10 % that no mesh of the series shows."""
     return 0.0 if problem.model.element_order == "quadratic" else 0.1
 
 
-def test_an_error_that_the_meshes_show_is_covered() -> None:
+def test_an_error_that_the_meshes_show_is_covered():
     found = sweep.outcome(PROBLEM, solver(of_mesh))
     assert found["verdict"] == "off, covered"
     assert found["last"] == pytest.approx(0.1, rel=1e-9)
@@ -123,7 +115,7 @@ def test_an_error_that_the_meshes_show_is_covered() -> None:
     assert found["claimed"][-1] == pytest.approx(1.25 * 0.1 / 1.1, rel=0.02)
 
 
-def of_one_reference(problem: Problem) -> float:
+def of_one_reference(problem):
     """The first reference has simplices, and is wrong itself."""
     wrong = problem.model.element_order == "quadratic" and problem == references(PROBLEM)[0]
     return -0.2 if wrong else 0.0
@@ -139,13 +131,11 @@ def of_one_reference(problem: Problem) -> float:
         (solver(of_one_reference), "references differ"),
     ],
 )
-def test_an_error_is_silent_where_neither_mesh_nor_message_tells(
-    ask: sweep.Ask, verdict: str
-) -> None:
+def test_an_error_is_silent_where_neither_mesh_nor_message_tells(ask, verdict):
     assert sweep.outcome(PROBLEM, ask)["verdict"] == verdict
 
 
-def test_the_first_touch_does_not_count() -> None:
+def test_the_first_touch_does_not_count():
     own = {"force_N": [0.09, 0.5, 1.0]}
     found = sweep._errors(own, {"force_N": [0.03, 0.5, 1.0]})
     assert found["worst"] == 0.0
@@ -154,7 +144,7 @@ def test_the_first_touch_does_not_count() -> None:
 # The file and the program
 
 
-def program(*arguments: object) -> Answer:
+def program(*arguments):
     return answer_of(sweep.main, *arguments)
 
 
@@ -169,9 +159,9 @@ def program(*arguments: object) -> Answer:
     ],
 )
 def test_a_file_is_gone_on_with_unless_it_is_of_another_seed(
-    tmp_path: Path, error: Callable[[Problem], float], asked: tuple[object, ...], code: int,
-    line: str,
-) -> None:  # fmt: skip
+    tmp_path, error, asked, code,
+    line
+):  # fmt: skip
     file = tmp_path / "sweep.jsonl"
     row = {"seed": 2011, "number": 0, "problem": repr(PROBLEM)}
     file.write_text(json.dumps(row | sweep.outcome(PROBLEM, solver(error))) + "\n")
@@ -181,17 +171,17 @@ def test_a_file_is_gone_on_with_unless_it_is_of_another_seed(
     assert (found.err == "") == (code < 2)
 
 
-def test_a_problem_is_written_as_python() -> None:
+def test_a_problem_is_written_as_python():
     found = program("--show", 3)
     assert found.code == 0
-    names: dict[str, Any] = {}
+    names = {}
     exec(found.out.split("for one in")[0], names)  # its own output, of this very test
     assert names["problem"] == DRAWN[3]
     assert names["reference"] == references(DRAWN[3])[0]
 
 
 @pytest.mark.slow
-def test_one_problem_from_end_to_end(tmp_path: Path) -> None:
+def test_one_problem_from_end_to_end(tmp_path):
     found = program("--count", 1, "--file", tmp_path / "one.jsonl")
     assert found.code == 0, found.out + found.err
     assert "1 of 1 problems" in found.out

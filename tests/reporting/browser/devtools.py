@@ -8,14 +8,10 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Self
 
 import pytest
 
-from study.api.serving import StudyServer
 from study.reporting.output.write import BROWSERS, browser
 from tests.pages import served
 
@@ -37,7 +33,7 @@ PATIENCE = 600
 class Browser:
     """One tab: commands are answered in order, events are kept."""
 
-    def __init__(self, to_browser: int, from_browser: int) -> None:
+    def __init__(self, to_browser, from_browser):
         self._out = to_browser
         self._in = from_browser
         self._buffer = b""
@@ -45,7 +41,7 @@ class Browser:
         self._session = ""
         self.events: list[Message] = []
 
-    def attach(self) -> Self:
+    def attach(self):
         """Open an empty tab and listen to its console, its faults and its network."""
         target = self.send("Target.createTarget", url="about:blank")["targetId"]
         made = self.send("Target.attachToTarget", targetId=target, flatten=True)
@@ -54,7 +50,7 @@ class Browser:
             self.send(f"{domain}.enable")
         return self
 
-    def send(self, method: str, **parameters: object) -> Message:
+    def send(self, method, **parameters):
         """Result of one command."""
         self._count += 1
         message = {"id": self._count, "method": method, "params": parameters}
@@ -68,7 +64,7 @@ class Browser:
                 return answer["result"]
             self.events.append(answer)
 
-    def _read(self) -> Message:
+    def _read(self):
         while b"\0" not in self._buffer:
             read = os.read(self._in, 1 << 16)
             assert read, "the browser ended"
@@ -76,7 +72,7 @@ class Browser:
         first, self._buffer = self._buffer.split(b"\0", 1)
         return json.loads(first)
 
-    def open(self, page: Path | str, width: int, scheme: str) -> None:
+    def open(self, page, width, scheme):
         """Load a file or an address at a width in CSS pixels, in the light or the dark scheme."""
         url = page if isinstance(page, str) else page.resolve().as_uri()
         self.events.clear()
@@ -95,7 +91,7 @@ class Browser:
             assert time.monotonic() < end, f"{page} was not loaded within {PATIENCE} s"
             time.sleep(0.05)
 
-    def ask(self, expression: str) -> object:
+    def ask(self, expression):
         """Value of a JavaScript expression in the page."""
         found = self.send(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
@@ -103,12 +99,12 @@ class Browser:
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
-    def complaints(self) -> list[Message]:
+    def complaints(self):
         """What the page wrote to the console, and what it could not do."""
         kinds = ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded")
         return [event for event in self.events if event.get("method") in kinds]
 
-    def requests(self) -> list[str]:
+    def requests(self):
         """Addresses asked for, but for the page itself and what is written inside it."""
         sent = [e["params"] for e in self.events if e.get("method") == "Network.requestWillBeSent"]
         found = [str(one["request"]["url"]) for one in sent if one.get("type") != "Document"]
@@ -116,7 +112,7 @@ class Browser:
 
 
 @contextmanager
-def running(profile: Path) -> Iterator[Browser]:
+def running(profile):
     """Start a browser, and end it."""
     command = [browser(), "--headless", "--disable-gpu", "--no-first-run", "--disable-sync"]
     command += ["--disable-background-networking", "--disable-component-update"]
@@ -126,7 +122,7 @@ def running(profile: Path) -> Iterator[Browser]:
     inlet, to_browser = os.pipe()
     from_browser, outlet = os.pipe()
 
-    def connect() -> None:
+    def connect():
         # Chromium reads commands from descriptor 3 and answers on descriptor 4; copies above 9
         # keep the one from being overwritten while the other is set
         copies = [fcntl.fcntl(one, fcntl.F_DUPFD, 10) for one in (inlet, outlet)]
@@ -148,6 +144,6 @@ def running(profile: Path) -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def server(home: Path) -> Iterator[StudyServer]:
+def server(home):
     with served(home) as made:
         yield made

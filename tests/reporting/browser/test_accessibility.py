@@ -4,8 +4,6 @@ axe-core is a package of npm, not of Python: it is used where `npm install --glo
 it, or where AXE_CORE names its `axe.min.js`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -17,7 +15,6 @@ import pandas as pd
 import pytest
 
 from study import api
-from study.api.serving import StudyServer
 from study.harness.record.store import Store
 from study.reporting.output import write
 from study.reporting.output.analysis_page import AnalysisSource as Source
@@ -25,12 +22,12 @@ from study.reporting.output.analysis_page import surface_data
 from tests.cli.small import PROBLEM
 from tests.cli.test_labels_and_numbers import table as mixed_table
 from tests.cli.test_require import PLATES
-from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
+from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW
 from tests.tracker_accuracy.test_tracking import distance_study
 
 
 @cache
-def axe() -> Path | None:
+def axe():
     """Return the file of axe-core on this machine."""
     named = os.environ.get("AXE_CORE", "")
     npm = shutil.which("npm")
@@ -55,7 +52,7 @@ axe.run(document, {resultTypes: ["violations"]}).then((found) => found.violation
 """
 
 
-def violations(tab: Browser) -> object:
+def violations(tab):
     """What axe-core finds in the page, run beside its policy as a developer's tools are."""
     path = axe()
     assert path is not None
@@ -65,7 +62,7 @@ def violations(tab: Browser) -> object:
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def home(tmp_path_factory):
     """Folder in which the demo ran."""
     folder = tmp_path_factory.mktemp("demo")
     made = api.demo(results=folder / "results", reports=folder / "reports")
@@ -74,9 +71,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def pages(
-    home: Path, both: tuple[str, str], tmp_path_factory: pytest.TempPathFactory
-) -> list[Path]:
+def pages(home, both, tmp_path_factory):
     """Every kind of page: studies, a table, a series, surfaces and instruments."""
     folder = tmp_path_factory.mktemp("pages")
     for name, text in zip(("report", "report-details"), both, strict=True):
@@ -101,7 +96,7 @@ def pages(
 
 
 @pytest.mark.parametrize(("width", "scheme"), VIEWS)
-def test_every_kind_of_page(tab: Browser, pages: list[Path], width: int, scheme: str) -> None:
+def test_every_kind_of_page(tab, pages, width, scheme):
     for page in pages:
         tab.open(page, width, scheme)
         assert violations(tab) == [], page
@@ -109,9 +104,7 @@ def test_every_kind_of_page(tab: Browser, pages: list[Path], width: int, scheme:
 
 
 @pytest.mark.parametrize(("width", "scheme"), VIEWS)
-def test_the_page_that_watches(
-    tab: Browser, home: Path, server: StudyServer, width: int, scheme: str
-) -> None:
+def test_the_page_that_watches(tab, home, server, width, scheme):
     tab.open(server.address, width, scheme)
     assert violations(tab) == []
     (results,) = (home / "results").iterdir()
@@ -122,7 +115,7 @@ def test_the_page_that_watches(
         assert violations(tab) == []
 
 
-def test_violations_are_found(tab: Browser, tmp_path: Path) -> None:
+def test_violations_are_found(tab, tmp_path):
     page = tmp_path / "bad.html"
     page.write_text("<title>x</title><p style='color:#ccc'>pale</p><img src='data:,'>")
     tab.open(page, 1400, "light")

@@ -1,17 +1,13 @@
 """The report in a real browser: quiet, whole, within the screen, and deaf to hostile names."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
 
 from study.reporting.output import write
-from study.reporting.results.study_result import ReportData
-from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
+from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW
 from tests.reporting.example import build
 from tests.reporting.test_page import hostile
 
@@ -51,7 +47,7 @@ HOSTILE = (
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, both: tuple[str, str]) -> Path:
+def folder(tmp_path_factory, both):
     """Folder with both pages under the names by which they lead to each other."""
     made = tmp_path_factory.mktemp("report")
     for name, text in zip(write.page_names("ecoflex-compression"), both, strict=True):
@@ -60,15 +56,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory, both: tuple[str, str]) -> P
 
 
 @pytest.fixture(scope="module")
-def page(folder: Path) -> Path:
+def page(folder):
     return folder / "ecoflex-compression-details.html"
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 1280, 390])
-def test_pages_are_quiet_whole_and_within_the_screen(
-    tab: Browser, folder: Path, width: int, scheme: str
-):
+def test_pages_are_quiet_whole_and_within_the_screen(tab, folder, width, scheme):
     for page in sorted(folder.glob("*.html")):
         tab.open(page, width, scheme)
         assert tab.ask("innerWidth") == width
@@ -80,7 +74,7 @@ def test_pages_are_quiet_whole_and_within_the_screen(
         assert tab.ask(EMPTY_FIGURES) == 0
 
 
-def test_the_first_page_has_three_screens_at_most(tab: Browser, folder: Path):
+def test_the_first_page_has_three_screens_at_most(tab, folder):
     tab.open(folder / "ecoflex-compression.html", 1280, "light")
     assert tab.ask("document.documentElement.scrollHeight") <= 3 * 800
     words = "document.body.innerText.split(/\\s+/).filter((one) => /[\\p{L}\\p{N}]/u.test(one))"
@@ -90,12 +84,12 @@ def test_the_first_page_has_three_screens_at_most(tab: Browser, folder: Path):
 
 
 @pytest.mark.parametrize("width", [1400, 390])
-def test_words_written_above_leave_the_parts_that_hold_them(tab: Browser, page: Path, width: int):
+def test_words_written_above_leave_the_parts_that_hold_them(tab, page, width):
     tab.open(page, width, "light")
     shown = "[...document.querySelectorAll('main > section')].filter((one) => !one.hidden).length"
     tab.ask("const box = document.querySelector('.filter input');0")
 
-    def write_words(words: str) -> object:
+    def write_words(words):
         tab.ask(f"box.value = {json.dumps(words)}; box.dispatchEvent(new Event('input'));0")
         return tab.ask(shown)
 
@@ -106,7 +100,7 @@ def test_words_written_above_leave_the_parts_that_hold_them(tab: Browser, page: 
     assert write_words("") == every
 
 
-def test_pressed_head_sorts_its_table(tab: Browser, page: Path):
+def test_pressed_head_sorts_its_table(tab, page):
     tab.open(page, 1400, "light")
     before, (up, first), (down, second) = tab.ask(SORT)
     assert (first, second) == ("ascending", "descending")
@@ -115,7 +109,7 @@ def test_pressed_head_sorts_its_table(tab: Browser, page: Path):
     assert up != down
 
 
-def test_faults_of_a_page_are_seen(tab: Browser, tmp_path: Path):
+def test_faults_of_a_page_are_seen(tab, tmp_path):
     path = tmp_path / "bad.html"
     path.write_text(
         "<title>x</title><div style='width:3000px'>x</div><img src='http://127.0.0.1:9/x.png'>"
@@ -129,7 +123,7 @@ def test_faults_of_a_page_are_seen(tab: Browser, tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", HOSTILE, ids=range(len(HOSTILE)))
-def test_hostile_names_run_nothing(tab: Browser, tmp_path: Path, data: ReportData, name: str):
+def test_hostile_names_run_nothing(tab, tmp_path, data, name):
     path = tmp_path / "hostile.html"
     path.write_text(build(hostile(data, name)), "utf-8")
     tab.open(path, 1400, "light")
@@ -139,13 +133,13 @@ def test_hostile_names_run_nothing(tab: Browser, tmp_path: Path, data: ReportDat
     assert tab.ask(f"document.body.textContent.includes({json.dumps(name)})")
 
 
-def test_printed_page_has_an_outline(tmp_path: Path, page: Path):
+def test_printed_page_has_an_outline(tmp_path, page):
     write.print_page(page, tmp_path / "r.pdf")
     assert b"/Outlines" in (tmp_path / "r.pdf").read_bytes()
 
 
 @pytest.mark.skipif(not shutil.which("pdftotext"), reason="pdftotext (poppler) is not installed")
-def test_printed_page_holds_the_answer(tmp_path: Path, tab: Browser, page: Path):
+def test_printed_page_holds_the_answer(tmp_path, tab, page):
     tab.open(page, 1400, "light")
     answer = str(tab.ask('document.querySelector("#answer p").textContent')).split()
     write.print_page(page, tmp_path / "r.pdf")

@@ -1,19 +1,15 @@
 """The page of `study serve` in a real browser: quiet, alive, and deaf to hostile names."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import time
-from pathlib import Path
 
 import pytest
 
 from study import api
-from study.api.serving import StudyServer
 from study.harness.record.store import Store
 from tests.cli.small import DESIGN, write_files
-from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW, Browser
+from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW
 from tests.waiting import CAP_S
 
 pytestmark = IN_A_BROWSER
@@ -21,7 +17,7 @@ HOSTILE = "<script>document.title='run'</script><img src=x onerror=document.titl
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def home(tmp_path_factory):
     folder = tmp_path_factory.mktemp("served")
     write_files(folder)
     hostile = DESIGN.replace('"small"', '"hostile"', 1).replace("Does the energy", HOSTILE)
@@ -32,7 +28,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def until(tab: Browser, expression: str) -> None:
+def until(tab, expression):
     """Wait until an expression is true in the page."""
     end = time.monotonic() + CAP_S
     while not tab.ask(expression):
@@ -42,9 +38,7 @@ def until(tab: Browser, expression: str) -> None:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 390])
-def test_the_page_is_quiet_and_within_the_screen(
-    tab: Browser, server: StudyServer, width: int, scheme: str
-) -> None:
+def test_the_page_is_quiet_and_within_the_screen(tab, server, width, scheme):
     tab.open(server.address, width, scheme)
     assert tab.complaints() == []
     assert [url for url in tab.requests() if not url.startswith(server.address)] == []
@@ -57,7 +51,7 @@ def test_the_page_is_quiet_and_within_the_screen(
     )
 
 
-def test_a_report_opens_from_the_page(tab: Browser, server: StudyServer) -> None:
+def test_a_report_opens_from_the_page(tab, server):
     tab.open(server.address, 1400, "light")
     tab.ask("document.querySelector('a[href=\"/reports/small/small.html\"]').click();0")
     until(tab, "location.pathname === '/reports/small/small.html'")
@@ -71,7 +65,7 @@ def test_a_report_opens_from_the_page(tab: Browser, server: StudyServer) -> None
     assert tab.complaints() == []
 
 
-def test_progress_moves_without_loading_anew(tab: Browser, server: StudyServer, home: Path) -> None:
+def test_progress_moves_without_loading_anew(tab, server, home):
     store = Store(home / "results" / "small")
     with store.lock():
         store.note({"done": 5, "total": 24, "counted": "2/12 cases, 3/12 calibrations"})
