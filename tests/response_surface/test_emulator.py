@@ -1,6 +1,7 @@
 """The emulator against other codes, closed forms and functions with known indices."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from study.ground.errors import RefusedError
 from study.statistics.surfaces import gaussian_process
 from study.statistics.surfaces.emulator import (
     fit_emulator,
+    fit_own,
     fit_together,
     jansen,
     verdict_of,
@@ -239,6 +241,21 @@ def test_known_numerical_uncertainty_widens_deviations():
     exact = fit_process(x, y, np.zeros(y.size), "Gaussian")
     noisy = condition(x, y, np.full(y.size, 0.05), exact.found)
     assert (noisy.deviation(x) > exact.deviation(x)).all()
+
+
+def test_emulators_of_blocks_know_the_numerical_uncertainty_of_their_runs():
+    x = functions.hypercube(2, 16, 4)
+    blocks = tuple(f"s{i}" for i in range(3))
+    runs = functions.unit_runs(np.tile(x, (3, 1)), np.tile(np.sin(3 * x[:, 0]) + x[:, 1], 3))
+    runs = replace(runs, blocks=tuple(np.repeat(blocks, 16)), u_num=np.full(48, 0.1))
+    at = functions.hypercube(2, 20, 5)
+    _, half = fit_own(runs).predict(at)
+    _, alone = fit_emulator(
+        replace(functions.unit_runs(x, runs.response[:16]), u_num=np.full(16, 0.1))
+    ).predict(at)
+    np.testing.assert_allclose(half, alone, rtol=1e-9)
+    _, exact = fit_own(replace(runs, u_num=None)).predict(at)
+    assert (half > exact).all()
 
 
 def test_what_no_emulator_can_be_made_of_is_refused():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Literal
@@ -22,7 +22,7 @@ from study.statistics.surfaces.gaussian_process import (
     draw_paths,
     fit_process,
 )
-from study.statistics.surfaces.surface_factors import Runs, change_together
+from study.statistics.surfaces.surface_factors import Runs, change_together, some_runs
 
 # How far a factor moves the response, in the response's unit, and whether that matters.
 
@@ -568,8 +568,7 @@ def _blocks(runs: Runs) -> tuple[str, ...]:
 
 
 def _of_block(runs: Runs, name: str) -> Runs:
-    rows = np.array(runs.blocks) == name
-    return Runs(runs.name, runs.factors, runs.coded[rows], runs.response[rows])
+    return replace(some_runs(runs, np.array(runs.blocks) == name), blocks=())
 
 
 # Where further runs make an emulator surest (Cohn, Ghahramani and Jordan 1996; Gramacy 2020).
