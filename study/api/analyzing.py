@@ -11,6 +11,7 @@ from study import api
 from study.api.folders import is_table
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import NUMBER, TYPED_COMMA, names_of, read_csv, read_tidy_csv
+from study.ground.units import unit_of_column
 from study.harness.design.study_file import SCORED, ResponseSpec, response_unit
 from study.harness.runner.job import held_out
 from study.harness.runner.record_analysis import analyze_records
@@ -206,7 +207,7 @@ def analyze_summary(
         faults.append(Fault(str(source), "needs two groups or more, each on one row"))
     if faults:
         raise InputError(faults)
-    limit = threshold(practical)
+    limit = threshold(practical, unit_of_column(columns[0]))
     groups = GroupMoments(tuple(" ".join(row) for row in labels), n, mean, sd**2)
     return SummaryAnalysis(
         groups, groups.one_way(equal=True), groups.one_way(equal=False),

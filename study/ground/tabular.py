@@ -440,7 +440,10 @@ def _number_mend(cell: str, decimal: str, declared_by: str) -> str:
 # Tidy tables of responses, read strictly: one row a case, one column a factor.
 
 #: Cells that stand for a missing response, in small letters.
-MISSING = frozenset({"", "na", "n/a", "nan", "null", "*", "."})
+MISSING = frozenset(
+    {"", "na", "n/a", "#n/a", "nan", "null", "none", "*", ".", "-", "--"}
+    | {"\N{EN DASH}", "\N{EM DASH}"}
+)
 
 
 def names_of(block: str | Sequence[str] | None) -> tuple[str, ...]:

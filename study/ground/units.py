@@ -71,6 +71,7 @@ _QUANTITY = re.compile(rf"({_NUMBER.pattern})(?:[ \t]+|(?![0-9.,]))(\S(?:.*\S)?)
 _WORD = r"[A-Za-z]+(?:(?:\*\*|\^)?-?[1-9])?"
 _UNIT = re.compile(rf"{_WORD}(?:[ ]?[*/ ][ ]?{_WORD}){{0,3}}")
 MAX_LENGTH = 80
+_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]$")
 
 
 @contextmanager
@@ -183,6 +184,18 @@ def agree(shown: str, declared: str) -> bool | None:
         return math.isclose(converted(1.0, shown, declared), 1.0, rel_tol=1e-9)
     except UnitError:
         return None
+
+
+def unit_of_column(name: str) -> str:
+    """Find the unit in the brackets that end the name of a column; "" without.
+
+    Examples
+    --------
+    >>> unit_of_column("Kraft [mN]"), unit_of_column("stress (kPa)"), unit_of_column("y (mean)")
+    ('mN', 'kPa', '')
+    """
+    match = _IN_BRACKETS.search(name)
+    return match[1] if match is not None and is_known(match[1]) else ""
 
 
 @lru_cache(maxsize=256)

@@ -138,3 +138,20 @@ def test_an_effect_that_an_empty_cell_leaves_in_part_has_no_p(block):
     found = anova(table, "y", ["A", "B"], block=block, type="III", exact=False)
     assert found.anova.row("A").p_deciding is None
     assert any("A: 1 of 2 degrees of freedom are not estimable" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("column", "size"),
+    [
+        ("Kraft [mN]", "0.0005 N"),
+        ("force (N)", "500 mN"),
+        ("force", "0.5 N"),
+        ("y (mean)", "0.5 N"),
+    ],
+)
+def test_a_practical_difference_is_read_in_the_unit_that_the_column_names(column, size):
+    table = pd.DataFrame({"a": list("xxyyzz"), column: [1.0, 1.2, 1.9, 2.2, 3.0, 3.1]})
+    (effect,) = anova(table, column, ["a"], practical=size, exact=False).effects
+    assert effect.practical == 0.5
+    with pytest.raises(InputError, match=r"practical: is in mm, which is not of the kind of mN"):
+        anova(table.rename(columns={column: "F [mN]"}), "F [mN]", ["a"], practical="1 mm")

@@ -24,6 +24,12 @@ def test_reads_common_shapes(tmp_path, text):
     assert table["y"].isna().sum() == 1
 
 
+@pytest.mark.parametrize("mark", ["-", "\u2013", "--", "#N/A", "None", "NA", "*"])
+def test_marks_of_a_missing_response(tmp_path, mark):
+    table = read_csv(write(tmp_path, GOOD.replace("z,1,", f"z,1,{mark}")), "y", ["a"], "b")
+    assert table["y"].isna().tolist() == [False, False, True, False]
+
+
 @pytest.mark.parametrize(
     ("text", "match"),
     [

@@ -167,7 +167,7 @@ def _fit(
             if np.ptp(runs.response) <= 1e-12 * float(np.abs(runs.response).max()):
                 continue  # the same in every run: known
             model = models[response.name] = fit_own(runs)
-            practical = difference_of(response.practical, runs.response)
+            practical = difference_of(response.practical, runs)
             is_good = _is_known(model, practical, rule)
         except StudyError:  # without a surface it is not known
             is_good = False

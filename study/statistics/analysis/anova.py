@@ -13,6 +13,7 @@ import numpy as np
 from study.ground.arrays import one_thread
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.tabular import names_of
+from study.ground.units import unit_of_column
 from study.statistics.analysis import error_ledger, failures, repeats
 from study.statistics.analysis.analysis_request import (
     _NO_ERROR,
@@ -401,7 +402,7 @@ def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that 
         model,
         type,
         error,
-        ResponseScale(transform, threshold(practical), u_num, tolerance),
+        ResponseScale(transform, threshold(practical, unit_of_column(response)), u_num, tolerance),
         records,
         specimens,
         alpha,

@@ -22,6 +22,7 @@ from study.ground.arrays import Array, one_thread
 from study.ground.contrast import Setting
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
+from study.ground.units import unit_of_column
 from study.statistics.analysis.analysis_request import Practical, alpha_faults, threshold
 from study.statistics.analysis.comparisons import pooled_multiplier, t_quantile
 from study.statistics.analysis.data import Data, prepare
@@ -194,7 +195,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     fit = fit_sources(data, fixed, sources)
     cells = MixedCells(fit, fixed, bare, data.layout, shift, alpha, seed)
     tests = {s.term: fit.test(s.basis) for s in term_sums(fixed, "III") if s.df}
-    limit = threshold(practical)
+    limit = threshold(practical, unit_of_column(response))
     difference = None if limit is None else limit.on_scale(shift, "none")
     specimens = len(data.layout.levels[blocks[0]]) if blocks else None
     scale = Scale("none", difference, None, deterministic=False, specimens=specimens)

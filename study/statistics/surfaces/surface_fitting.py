@@ -15,6 +15,7 @@ import numpy as np
 from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
 from study.ground.tabular import MISSING, CsvTable
+from study.ground.units import unit_of_column
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.surfaces.emulator import (
     FEWEST_SETTINGS,
@@ -81,10 +82,10 @@ def fitted_together(
     return common if worst[0] >= worst[1] else tuple(apart)
 
 
-def difference_of(practical: Practical, response: Array) -> float | None:
-    """Read the smallest difference that matters, in the unit of a response (n,)."""
-    limit = threshold(practical)
-    return None if limit is None else limit.on_scale(float(response.mean()), "none")
+def difference_of(practical: Practical, runs: Runs) -> float | None:
+    """Read the smallest difference that matters, in the unit of the response of some runs."""
+    limit = threshold(practical, unit_of_column(runs.name))
+    return None if limit is None else limit.on_scale(float(runs.response.mean()), "none")
 
 
 def remarks(runs: Runs, surface: str) -> list[str]:
@@ -240,7 +241,7 @@ def surfaces_at(
         try:
             if not isinstance(runs, Runs):
                 raise runs
-            fitted_here = replace(fitted_here, practical=difference_of(practical, runs.response))
+            fitted_here = replace(fitted_here, practical=difference_of(practical, runs))
             if surface == "morris":
                 screened = elementary_effects(runs)
                 each.append(replace(fitted_here, refused=SCREENS, screened=screened))
