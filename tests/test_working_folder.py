@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 from study.ground import working_folder
+from study.laboratory.tracker.tracker_recording import Errors
 from tests.cli.small import CSV, pressed, responses, write_files
 from tests.cli.test_numeric_factors import CENTRE
 from tests.cli.test_numeric_factors import DESIGN as RANGES
@@ -249,7 +250,7 @@ def test_every_other_verb_a_users_function_and_programs(hostile, tmp_path):
     (folder / "bowl.csv").write_text("\n".join(["x,y,f", *rows]))
     (folder / "plates.toml").write_text(PLATES)
     (folder / "tracker.toml").write_text(DISTANCE)
-    virtual.write(folder / "markers.csv", MARKERS, virtual.rows_of(virtual.Errors(1), 50.0))
+    virtual.write(folder / "markers.csv", MARKERS, virtual.rows_of(Errors(1), 50.0))
     write_csv(folder / "scan.csv", cylinder(11.2, 9.0, 400, 1))
     (folder / "m.csv").write_text("displacement_mm,force_N\n1,.2\n2,.5\n3,.9\n")
     small = ("small.toml", "--data", "data")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -110,32 +110,43 @@ STANDARD_ERRORS = 2.0
 LARGEST_SHARE = 0.5
 
 
-def _source(
-    name: str,
-    problem: CellProblem,
-    values: Mapping[str, float] | None = None,
-    errors: Mapping[str, float] | None = None,
-    correlation: Array | None = None,
-) -> haptic_export.ForceLawSource:
-    """Problem with constants that were fitted; none is moved so far that the material is another.
+@dataclass(frozen=True)
+class _Source:
+    """A problem from whatever holds it, and what is known of its constants.
 
-    Values and standard errors in MPa (exponents plain); none where the problem states its own.
+    Its material is exported without a displacement, which the problem of a force law needs.
     """
-    values, errors = values or {}, errors or {}
-    half_ranges = {
-        constant: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs(values[constant]))
-        for constant, error in errors.items()
-        if np.isfinite(error) and error > 0
-    }
-    covariance = None
-    if correlation is not None and np.isfinite(correlation).all():
-        size = np.array(list(errors.values()))
-        covariance = np.outer(size, size) * correlation
-    solved = problem.at(values or None)
-    return haptic_export.ForceLawSource(name, solved, half_ranges, covariance)
+
+    #: Of the file, the calibration, or the study and its case.
+    name: str
+    problem: CellProblem
+    #: Constants that were fitted and their standard errors, MPa (exponents plain); none where the
+    #: problem states its own.
+    values: Mapping[str, float] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
+    correlation: Array | None = None
+
+    @property
+    def material(self) -> Material:
+        """Material with the constants."""
+        return self.problem.material.material(self.values or None)
+
+    def of_law(self) -> haptic_export.ForceLawSource:
+        """Problem of a force law: constants are not moved so far that the material is another."""
+        half_ranges = {
+            name: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs(self.values[name]))
+            for name, error in self.errors.items()
+            if np.isfinite(error) and error > 0
+        }
+        covariance = None
+        if self.correlation is not None and np.isfinite(self.correlation).all():
+            size = np.array(list(self.errors.values()))
+            covariance = np.outer(size, size) * self.correlation
+        problem = self.problem.at(self.values or None)
+        return haptic_export.ForceLawSource(self.name, problem, half_ranges, covariance)
 
 
-def _written(path: Path, overrides: Sequence[str]) -> haptic_export.ForceLawSource:
+def _written(path: Path, overrides: Sequence[str]) -> _Source:
     """Problem of a file."""
     kind = load.file_kind(path)
     if kind == "calibration":
@@ -145,10 +156,10 @@ def _written(path: Path, overrides: Sequence[str]) -> haptic_export.ForceLawSour
     if kind == "design":
         mend = "run it and name one: study export results/NAME --case ID"
         raise InputError(Fault(str(path), "is a design of many cases", mend))
-    return _source(load.default_name(str(path)), loaded_problem(path, overrides).problem)
+    return _Source(load.default_name(str(path)), loaded_problem(path, overrides).problem)
 
 
-def _calibrated(path: Path, number: int) -> haptic_export.ForceLawSource:
+def _calibrated(path: Path, number: int) -> _Source:
     """Test of a calibration that converged, with the constants and their correlation."""
     mend = "name the calibration.json that `study calibrate` wrote"
     try:
@@ -165,7 +176,7 @@ def _calibrated(path: Path, number: int) -> haptic_export.ForceLawSource:
     if not 1 <= number <= len(tests):
         rule = f"there is no test {number} in {path}, which has {len(tests)}"
         raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
-    return _source(
+    return _Source(
         f"{name}-test-{number}" if len(tests) > 1 else name, CellProblem.of(tests[number - 1]),
         *_constants(contents["parameters"]),
         # null, where a correlation is not known, becomes NaN
@@ -173,7 +184,7 @@ def _calibrated(path: Path, number: int) -> haptic_export.ForceLawSource:
     )  # fmt: skip
 
 
-def _recorded(path: Path, case: str) -> haptic_export.ForceLawSource:
+def _recorded(path: Path, case: str) -> _Source:
     """Case of a study that was run, with the constants of its fit."""
     folder = results_folder(path)
     if not case:
@@ -188,7 +199,7 @@ def _recorded(path: Path, case: str) -> haptic_export.ForceLawSource:
     cell = _problem_of(record, design, manifest["blocks"])
     values, errors = _constants({n: p for n, p in record.parameters.items() if n != "mu0"})
     cell = located(cell, folders(design.source, folder))
-    return _source(f"{design.name}-{record.case_id[:8]}", cell, values, errors)
+    return _Source(f"{design.name}-{record.case_id[:8]}", cell, values, errors)
 
 
 def _problem_of(record: Record, design: Design, blocks: Sequence[str]) -> CellProblem:
@@ -281,9 +292,9 @@ def export(
     else:
         read = _recorded(path, case)
     if form in PROGRAMS:
-        return export_material(read.name, read.problem.material, form, Path(out))
-    check(read.problem.material, None)
-    law = haptic_export.solved_force_law(read, tolerance, progress)
+        return export_material(read.name, read.material, form, Path(out))
+    check(read.material, None)
+    law = haptic_export.solved_force_law(read.of_law(), tolerance, progress)
     warnings = []
     if law.relative_error > tolerance:
         warnings.append(

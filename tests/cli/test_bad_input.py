@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from study.laboratory.tracker.tracker_recording import Errors
 from tests.cli import test_analytic, test_confirming_runs, test_layouts, test_single
 from tests.cli import test_numeric_factors as ranges
 from tests.cli.small import DESIGN, pressed, refusal, study, success
@@ -406,7 +407,7 @@ def in_metres(folder):
 
 
 def two_stops(folder):
-    rows = [row for row in virtual.rows_of(virtual.Errors(1)) if row[2] in (0.0, 50.0)]
+    rows = [row for row in virtual.rows_of(Errors(1)) if row[2] in (0.0, 50.0)]
     virtual.write(folder / "stage.csv", "time,stop,commanded,x,y,z", rows)
     (folder / "stage.toml").write_text(DISPLACEMENT)
     return tracked(folder, folder / "stage.toml")
