@@ -171,8 +171,11 @@ def snapshot(sandbox: Path) -> dict[str, object]:
 
 def children() -> Iterator[str]:
     """Command lines of processes that this one left running, but for the trackers of a pool."""
-    tasks = Path("/proc/self/task").glob("*/children")
-    for pid in " ".join(task.read_text() for task in tasks).split():
+    started: list[str] = []
+    for thread in Path("/proc/self/task").glob("*/children"):
+        with contextlib.suppress(OSError):  # of a thread that has just ended
+            started += thread.read_text().split()
+    for pid in started:
         with contextlib.suppress(OSError):
             line = Path("/proc", pid, "cmdline").read_text().replace("\0", " ")
             if line and "resource_tracker" not in line:  # of a zombie it is empty
