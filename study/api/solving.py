@@ -13,7 +13,7 @@ from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
 from study.harness.design import plausibility
 from study.harness.design.load import load_problem
-from study.harness.record.atomic_files import replaced, write_atomic
+from study.harness.record.atomic_files import is_special, replaced, write_atomic
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.stability import check
 from study.mechanics.setup.setup import Problem, Tables
@@ -194,6 +194,8 @@ def writable(*paths: Path | None) -> None:
             faults.append(Fault(str(path), f"there is no folder {path.parent}", "make it first"))
         elif path is not None and path.is_dir():
             faults.append(Fault(str(path), "is a folder", "name a file"))
+        elif path is not None and is_special(path):
+            faults.append(Fault(str(path), "is a device or a pipe", "name a file"))
     if faults:
         raise InputError(faults)
 

@@ -1,6 +1,7 @@
 """The verbs about one thing: new, solve, calibrate, converge, virtual, doctor, analyze a CSV."""
 
 import csv
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 
 from study import api
 from study.ground.curve import Curve
+from study.ground.errors import WriteError
+from study.harness.record.atomic_files import write_atomic
 from tests.cli.small import (
     CSV,
     incompressible_force,
@@ -177,6 +180,15 @@ def test_solve_refuses_a_file_that_cannot_be_written_before_it_solves(home, monk
     answer = refusal("solve", "problem.toml", "--vtu", "nowhere/out.vtu", "--picture", ".")
     assert "there is no folder nowhere" in answer.err
     assert "is a folder" in answer.err
+    # as root a file took the place of the device
+    os.mkfifo(home / "pipe")
+    (home / "link").symlink_to("pipe")
+    for name in ("pipe", "link"):
+        assert "is a device or a pipe" in refusal("solve", "problem.toml", "--vtu", name).err
+        with pytest.raises(WriteError, match="is a device or a pipe, which stays as it is"):
+            write_atomic(home / name, b"")
+    assert (home / "pipe").is_fifo()
+    assert (home / "link").is_symlink()
 
 
 BONDED = (

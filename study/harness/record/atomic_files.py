@@ -89,6 +89,22 @@ def _sync_all_of(path: Path) -> bool:
     return True
 
 
+def is_special(path: Path) -> bool:
+    """Whether a device, a pipe or a socket stands there, which a new file would destroy."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def _part_of(path: Path) -> Path:
+    """Name beside a file under which its new content is written."""
+    if is_special(path):
+        raise WriteError(f"{path}: is a device or a pipe, which stays as it is. Name a file")
+    return path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+
+
 class Batch:
     """Files that become those of their names together, once all of them lie on the disk."""
 
@@ -100,7 +116,7 @@ class Batch:
 
     def add(self, path: Path, data: bytes, then: Callable[[], None] | None = None) -> None:
         """Write a file beside its place; ``then`` is called once it is there."""
-        part = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+        part = _part_of(path)
         with self._discarding([path]):  # the others are whole, and stay
             self._parts[path] = part
             for folder in _make_folder(path.parent, self._system):
@@ -154,7 +170,7 @@ def write_atomic(
 @contextlib.contextmanager
 def replaced(path: Path) -> Iterator[Path]:
     """Name beside ``path`` for a writer that takes names alone; renamed when all is well."""
-    part = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+    part = _part_of(path)
     try:
         yield part
         os.replace(part, path)
