@@ -217,3 +217,24 @@ def test_rows_that_are_fitted_exactly_have_a_page(tmp_path):
     answer = success("analyze", tmp_path / "t.csv", "y ~ a * b", "--report", tmp_path / "page")
     page = Path(answer.out.rpartition("report: ")[2].strip())
     assert "Figure missing" not in page.with_stem(f"{page.stem}-details").read_text("utf-8")
+
+
+@pytest.mark.parametrize(("copies", "hangs"), [(4, True), (16, False)])
+def test_a_claim_that_hangs_on_missing_responses_says_so_in_the_answer(tmp_path, copies, hangs):
+    """Beside a claim that another answer of two missing rows takes away, every check passed."""
+    rng = np.random.default_rng(11)
+    rows = [
+        f"{t},{gel},{5 + 2 * (t == 37) + (gel == 'B') + rng.normal(0, 0.3):.3f}"
+        for t in (20, 37) for gel in "ABC" for _ in range(copies)
+    ]  # fmt: skip
+    rows[0], rows[-3] = rows[0].rsplit(",", 1)[0] + ",", rows[-3].rsplit(",", 1)[0] + ",-"
+    (tmp_path / "t.csv").write_text("\n".join(["t,gel,y", *rows]) + "\n")
+    answer = success("analyze", tmp_path / "t.csv", "y ~ t * gel", "--practical", 0.5,
+                     "--report", tmp_path, "--json")  # fmt: skip
+    page = Path(answer.json["report"]).read_text("utf-8")
+    bounds = {bound["term"]: bound["verdicts"] for bound in answer.json["failure_bounds"]}
+    assert (len(bounds["gel"]) > 1) == hangs
+    assert {e["verdict"] for e in answer.json["effects"] if e["term"] == "gel"} == {"matters"}
+    assert ("only if the missing responses are like the others" in page) == hangs
+    assert ("It stands only if they are like the others." in page) == hangs
+    assert ("No claim hangs on them." in page) != hangs

@@ -576,6 +576,7 @@ def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
     """Make the checks of one analysis; the last asks whether claims hang on a single block."""
     yield _normality(facts, data.alpha)
     yield _spread(facts, data.alpha)
+    yield from _missing(facts, data)
     if (least := effect_words.least_sphericity(facts)) is not None:
         finding = f"smallest epsilon {least[1]:.2f}, of {term_name(least[0], data.labels)}"
         changed = [
@@ -614,6 +615,18 @@ def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
     elif judged:
         finding = {1: "the claim does", 2: "both claims do"}.get(claims, f"all {claims} claims do")
         yield Check(name, "pass", finding, f"No claim hangs on a single {facts.block}.")
+
+
+def _missing(facts: Facts, data: ReportData) -> Iterator[Check]:
+    """Make the check whether the missing responses decide a verdict."""
+    if facts.result is None or not facts.has_size or not facts.result.data.bounds:
+        return
+    name, filled = "Missing responses", "between the worst and the best observed value they change"
+    if hanging := sorted(facts.hang_on_missing):
+        finding = f"{filled} the verdict on {listing([term_name(t, data.labels) for t in hanging])}"
+        yield Check(name, "caution", finding, "It stands only if they are like the others.")
+    else:
+        yield Check(name, "pass", f"{filled} no claim", "No claim hangs on them.")
 
 
 def _normality(facts: Facts, alpha: float) -> Check:

@@ -16,6 +16,7 @@ from study.reporting.content.text import clean, name_of
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.analysis.anova_table import Effect, Row, SimpleEffect
 from study.statistics.analysis.assumptions import Assumptions
+from study.statistics.analysis.simple_effects import CLAIMS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,6 +89,13 @@ class Facts(ResponseAnalysis):
     def effects(self) -> tuple[Effect, ...]:
         """The main effects."""
         return tuple(effect for effect in self.terms if effect.is_main)
+
+    @property
+    def hang_on_missing(self) -> frozenset[str]:
+        """Main effects whose claim another answer of the missing runs could take away."""
+        claimed = {effect.term for effect in self.effects if effect.verdict in CLAIMS}
+        bounds = () if self.result is None else self.result.data.bounds
+        return frozenset(b.term for b in bounds if len(b.verdicts) > 1 and b.term in claimed)
 
     @property
     def has_size(self) -> bool:

@@ -197,6 +197,7 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
             _label(e, data)
             + " (where all its levels were measured)" * e.is_partial
             + (f" (not shown if {blocks_needed(e, facts)} is left out)" if e.lost_without else "")
+            + f" ({_LIKE_THE_OTHERS})" * (e.term in facts.hang_on_missing)
             for e in small
         ]
         choice = "that of" if parts else "the choice of"
@@ -213,6 +214,9 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
     return sentence(f"for {facts.noun}{sample}, " + "; ".join(parts))
 
 
+_LIKE_THE_OTHERS = "only if the missing responses are like the others"
+
+
 def _label(effect: Effect, data: ReportData) -> str:
     return term_name(effect.term, data.labels)
 
@@ -222,6 +226,8 @@ def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
     fragile = ""
     if effect.lost_without:
         fragile = f"; not so if {blocks_needed(effect, facts)} is left out"
+    if effect.term in facts.hang_on_missing:
+        fragile += f"; {_LIKE_THE_OTHERS}"
     if simple := sole_setting(effect):
         number = shown_difference(effect_words.apart(simple.difference, effect), effect, facts)
         at = setting(simple, data.labels)
