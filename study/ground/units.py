@@ -187,15 +187,15 @@ def agree(shown: str, declared: str) -> bool | None:
 
 
 def unit_of_column(name: str) -> str:
-    """Find the unit in the brackets that end the name of a column; "" without.
+    """Find what stands in the brackets that end the name of a column, a unit or not; "" without.
 
     Examples
     --------
-    >>> unit_of_column("Kraft [mN]"), unit_of_column("stress (kPa)"), unit_of_column("y (mean)")
+    >>> unit_of_column("Kraft [mN]"), unit_of_column("stress (kPa)"), unit_of_column("y")
     ('mN', 'kPa', '')
     """
     match = _IN_BRACKETS.search(name)
-    return match[1] if match is not None and is_known(match[1]) else ""
+    return "" if match is None else match[1]
 
 
 @lru_cache(maxsize=256)
