@@ -41,7 +41,11 @@ from study.reporting.results.study_answers import (
     Recommendation,
 )
 from study.statistics.surfaces.surface_factors import Runs, never_run
-from study.statistics.surfaces.surface_inversion import InversionAgreement, agreeing
+from study.statistics.surfaces.surface_inversion import (
+    InversionAgreement,
+    NearestCurves,
+    agreeing,
+)
 from study.statistics.surfaces.surface_optimum import (
     Goal,
     ResponseLimit,
@@ -437,12 +441,9 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     curve, notes = _covered(whole, records, Path(to))
     question = _Inversion(study, numbers, labels, curve, _share(within))
     if not confirming:
-        return question.told(question.checked(question.fitted(records)), (), notes)
+        nearest = question.nearest(records)
+        return question.told(nearest.model, question.agreeing(nearest), (), notes)
     return _checked_by_runs(question, records, permission or Permission(), notes)
-
-
-#: the emulator of the curves, and the set that it says
-_Answer = tuple[CurveEmulator, InversionAgreement]
 
 
 def _share(within: str | None) -> float | None:
@@ -543,33 +544,31 @@ class _Inversion:
         """Root mean square of the measured force in N."""
         return float(np.sqrt(np.mean(self.curve.force_N**2)))
 
-    def fitted(self, records: Sequence[Record]) -> _Answer:
-        """Emulate the curves, and find the set."""
+    def nearest(self, records: Sequence[Record]) -> NearestCurves:
+        """Emulate the curves, and search those that are nearest to the measured one."""
         runs, curve = self.runs(records), self.curve
         curves = np.array([c.force_at(curve.displacement_mm) for r in records
                            if (c := r.first_prediction())])  # fmt: skip
         model = fit_curves(runs, curves, self.study.design.seed)
         held = np.array([runs.coded_inside(n, self.numbers[n]) if n in self.numbers else np.nan
                          for n in runs.names])  # fmt: skip
-        largest = None if self.share is None else self.share * self.size
-        solutions = agreeing(model, curve.force_N, held, largest=largest)
-        residual = np.asarray(curve.force_N - model.value(solutions.at[None, :])[0])
-        if self.share is None and residual.size >= _TOO_FEW:
-            square = float(residual @ residual)
-            worth = effective_rows(
-                residual.size, float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
-            )
-            solutions = agreeing(model, curve.force_N, held, rows_worth=worth)
-        return model, solutions
+        return NearestCurves.of(model, curve.force_N, held)
 
-    def checked(self, answer: _Answer) -> _Answer:
-        """Refuse an answer whose best curve misses more than it may."""
-        agreeing_set = answer[1]
-        if self.share is None or agreeing_set.rms <= agreeing_set.limit:
-            return answer
+    def agreeing(self, nearest: NearestCurves) -> InversionAgreement:
+        """Find the set of agreeing settings; refuse where the best curve misses more than asked."""
+        if self.share is None:
+            residual, worth = nearest.residual, None
+            if residual.size >= _TOO_FEW:
+                square = float(residual @ residual)
+                lagged = float(residual[1:] @ residual[:-1])
+                worth = effective_rows(residual.size, lagged / square if square > 0 else 0.0)
+            return agreeing(nearest, rows_worth=worth)
+        missed = nearest.rms(nearest.minima[0])
+        if missed <= self.share * self.size:
+            return agreeing(nearest, largest=self.share * self.size)
         rule = (
             f"no curve inside of what was run agrees within {100 * self.share:.3g} %: the best "
-            f"misses {100 * agreeing_set.rms / self.size:.3g} %"
+            f"misses {100 * missed / self.size:.3g} %"
         )
         mend = "widen the ranges, ask for less, or look for what the model lacks"
         raise RefusedError(str(Fault("invert", rule, mend)))
@@ -585,9 +584,14 @@ class _Inversion:
         missed = _force(records[0], self.curve) - self.curve.force_N
         return Checked(levels, float(np.sqrt(np.mean(missed**2))), False), records[0]
 
-    def told(self, answer: _Answer, runs: Sequence[Checked], notes: Sequence[str]) -> Inverted:
+    def told(
+        self,
+        model: CurveEmulator,
+        result: InversionAgreement,
+        runs: Sequence[Checked],
+        notes: Sequence[str],
+    ) -> Inverted:
         """Say the answer in the units of the inputs."""
-        model, result = answer
         coded = model.runs
         units_of = {n: span.unit for n, span in self.study.design.ranges.items()}
         best, low, high = (coded.settings(point) for point in (result.at, result.low, result.high))
@@ -611,33 +615,33 @@ def _checked_by_runs(
     question: _Inversion, records: list[Record], permission: Permission, notes: Sequence[str]
 ) -> Inverted:
     """Let the true model run at the best setting until the emulator says the same there."""
-    (model, agreed), run, notes = question.fitted(records), None, [*notes]
+    nearest, run, notes = question.nearest(records), None, [*notes]
     for _ in range(ROUNDS):
-        run, record = question.run(model.runs.settings(agreed.at), permission)
+        model = nearest.model
+        run, record = question.run(model.runs.settings(nearest.minima[0]), permission)
         if record is None:
             break
         emulated = model.value(question.runs([*records, record]).coded[-1:])[0]
         missed = _force(record, question.curve) - emulated
         if record.case_id not in {earlier.case_id for earlier in records}:
             records.append(record)
-            model, agreed = question.fitted(records)
-        if (apart := float(np.sqrt(np.mean(missed**2)))) <= model.loo_rms:
+            nearest = question.nearest(records)
+        if (apart := float(np.sqrt(np.mean(missed**2)))) <= nearest.model.loo_rms:
             break
     else:
         notes.append(
             f"after {ROUNDS} runs at the best setting the emulator still misses the true model "
-            f"there by {apart:.3g} N, more than its own error of {model.loo_rms:.3g} N: add "
-            "runs near that setting to the study"
+            f"there by {apart:.3g} N, more than its own error of {nearest.model.loo_rms:.3g} N: "
+            "add runs near that setting to the study"
         )
-    answer = question.checked((model, agreed))
-    ends = []
+    agreed, ends = question.agreeing(nearest), []
     if agreed.combinations or agreed.open_low.any() or agreed.open_high.any():
-        ends = [question.run(model.runs.settings(at), permission)[0] for at in agreed.ends]
+        ends = [question.run(nearest.model.runs.settings(at), permission)[0] for at in agreed.ends]
     # settings of a run are rounded to a ten-thousandth of their range
     runs = [] if run is None else [
         replace(one, agrees=bool(one.rms <= 1.02 * agreed.limit)) for one in (run, *ends)
     ]  # fmt: skip
-    return question.told(answer, runs, notes)
+    return question.told(nearest.model, agreed, runs, notes)
 
 
 def _force(record: Record, curve: Curve) -> Array:

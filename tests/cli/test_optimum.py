@@ -10,7 +10,7 @@ from scipy.stats import qmc
 from study.api import optimizing
 from study.statistics.surfaces import surface_inversion, surface_optimum
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
-from study.statistics.surfaces.surface_inversion import agreeing
+from study.statistics.surfaces.surface_inversion import NearestCurves, agreeing
 from study.statistics.surfaces.surface_profile import fit_curves
 from tests.cli.small import refusal, study, success
 from tests.cli.test_numeric_factors import DESIGN, _force
@@ -257,7 +257,7 @@ def test_every_branch_of_a_set_is_traced():
 
     model = fit_curves(Runs("force", factors, 2 * cube - 1, np.zeros(60)), curve(a, b))
     measured = curve(np.array([7.0]), np.array([2.0]))[0]
-    found = agreeing(model, measured, np.full(2, np.nan), largest=0.02)
+    found = agreeing(NearestCurves.of(model, measured, np.full(2, np.nan)), largest=0.02)
     settings = np.array([factors[0].setting(float(x)) for x in found.points[:, 0]])
     assert np.abs(settings - 7).min() < 0.2
     assert np.abs(settings - 13).min() < 0.2
@@ -294,7 +294,7 @@ def test_an_input_is_determined_where_others_make_up_for_each_other():
     center = np.array([3.3, 3.3 * 1.2]) / 1.4
     measured = basis @ center
     largest = 0.01 * float(np.sqrt((measured**2).mean()))
-    found = agreeing(model, measured, np.full(3, np.nan), largest=largest)
+    found = agreeing(NearestCurves.of(model, measured, np.full(3, np.nan)), largest=largest)
     np.testing.assert_array_equal(found.open_low, [True, False, True])
     np.testing.assert_array_equal(found.open_high, [True, False, True])
     turns = np.linspace(0, 2 * np.pi, 2001)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -90,12 +91,7 @@ class InversionAgreement:
 
 
 def agreeing(
-    model: CurveEmulator,
-    measured: Array,
-    held: Array,
-    *,
-    rows_worth: float | None = None,
-    largest: float | None = None,
+    nearest: NearestCurves, *, rows_worth: float | None = None, largest: float | None = None
 ) -> InversionAgreement:
     """Find the set of settings whose curves agree with a measured one.
 
@@ -103,28 +99,30 @@ def agreeing(
     and Watts 1988, eq. 2.12: S <= S_min + s^2 p F), widened by the emulator's own error; or where
     it misses no more than ``largest``. The ends of an input are those of its profile: the other
     inputs are always at their best, so that a narrow, bent set is followed to its ends.
-
-    Shapes: measured (m,); held (k,).
     """
-    space = FreeSettings.of([model.runs], held)
-    search = _Search(model, measured, space)
-    least = search.minima()
-    at = least[0]
-    rms, p, m = search.rms(at), space.free.size, measured.size
+    model, space, at = nearest.model, nearest.space, nearest.minima[0]
+    rms, p, m = nearest.rms(at), space.free.size, nearest.measured.size
     if largest is None:
         worth = min(max(rows_worth or float(m), p + 1.0), float(m))
         f = float(fdtri(p, max(m - p, 1), LEVEL))
         share = p * f / max(m - p, 1) * m / worth
         largest = float(np.sqrt(rms**2 * (1.0 + share) + (1.96 * model.loo_rms) ** 2))
     is_open = np.zeros((2, at.size), dtype=bool)
-    branches = [at, *(one for one in least[1:] if search.rms(one) <= largest)]
+    branches = [at, *(one for one in nearest.minima[1:] if nearest.rms(one) <= largest)]
     members = list(branches)
     for j in space.free:
-        for side, end in enumerate((space.low[j], space.high[j])):
+        for side, end in enumerate((float(space.low[j]), float(space.high[j]))):
+            reached = further = float(at[j])
             for branch in branches:
-                found = search.profile_end(int(j), float(end), branch, largest)
-                is_open[side, j] |= search.ends_with_the_runs(int(j), found[-1], rms, largest)
-                members += found[1:]
+                if abs(end - reached) < NEAR_END:
+                    is_open[side, j] = True
+                    break
+                path = nearest.profile_end(int(j), end, branch, largest, further)
+                is_open[side, j] |= nearest.ends_with_the_runs(int(j), path[-1], rms, largest)
+                members += path[1:]
+                # the minima of one set mostly end at one place
+                reached = min((float(one[j]) for one in members), key=lambda x: abs(end - x))
+                further = reached + float(np.copysign(NEAR_END, end - reached))
     points = np.array(members)
     low, high = points.min(axis=0), points.max(axis=0)
     width = (high - low)[space.free] / (space.high - space.low)[space.free]
@@ -132,34 +130,33 @@ def agreeing(
     whole = points[[int(np.argmin(points[:, loose])), int(np.argmax(points[:, loose]))]]
     alone = ~(is_open[0] | is_open[1])
     loose_ones = np.array([j for j in space.free if not alone[j]], dtype=np.int64)
-    told = search.combinations(at, rms, largest, loose_ones)
+    told = nearest.combinations(at, rms, largest, loose_ones)
     # a profile follows the best settings; others agree as well, and a rule is for all of them
     around = space.sample(SAMPLE)
-    agree = np.vstack([points, around[search.each_rms(around) <= largest]])
-    rules = tuple(rule for one in told if (rule := search.holding(one, agree)) is not None)
+    agree = np.vstack([points, around[nearest.each_rms(around) <= largest]])
+    rules = tuple(rule for one in told if (rule := nearest.holding(one, agree)) is not None)
     return InversionAgreement(
         at, rms, largest, low, high, is_open[0], is_open[1], points, whole, rules
     )
 
 
 @dataclass(frozen=True)
-class _Search:
-    """A measured curve beside an emulator of curves."""
+class NearestCurves:
+    """An emulator of curves, and the settings whose curves are nearest to a measured one."""
 
     model: CurveEmulator
+    #: shape (m,); the measured curve, in the curves' unit.
     measured: Array
     space: FreeSettings
 
-    def rms(self, at: Array) -> float:
-        """Root mean square of what the curve at a point misses."""
-        return float(self.each_rms(at[None, :])[0])
+    @classmethod
+    def of(cls, model: CurveEmulator, measured: Array, held: Array) -> NearestCurves:
+        """Search all that is not held: coded settings of shape (k,), NaN where free."""
+        return cls(model, measured, FreeSettings.of([model.runs], held))
 
-    def each_rms(self, points: Array) -> Array:
-        """Give the same, shape (n,), for points of shape (n, k)."""
-        return np.asarray(np.sqrt(((self.model.value(points) - self.measured) ** 2).mean(axis=1)))
-
+    @cached_property
     def minima(self) -> list[Array]:
-        """Points (k,) at which the sum of squares is least about them, the best one first."""
+        """Settings (k,) at which the sum of squares is least about them, the best one first."""
         points = self.space.sample(SAMPLE)
         rest = points[np.argsort(self.each_rms(points))]
         found: list[Array] = []
@@ -177,6 +174,19 @@ class _Search:
             for i, one in enumerate(found)
             if all(np.abs(one - other).max() > NEAR_END for other in found[:i])
         ]
+
+    @property
+    def residual(self) -> Array:
+        """What the nearest curve misses, shape (m,)."""
+        return np.asarray(self.measured - self.model.value(self.minima[0][None, :])[0])
+
+    def rms(self, at: Array) -> float:
+        """Root mean square of what the curve at a point misses."""
+        return float(self.each_rms(at[None, :])[0])
+
+    def each_rms(self, points: Array) -> Array:
+        """Give the same, shape (n,), for points of shape (n, k)."""
+        return np.asarray(np.sqrt(((self.model.value(points) - self.measured) ** 2).mean(axis=1)))
 
     def fitted(self, start: Array, free: Ints) -> Array:
         """Least squares over some coordinates from a start; shape (k,)."""
@@ -221,8 +231,14 @@ class _Search:
         values = self.model.value(np.vstack([at + steps, at - steps]))
         return np.asarray((values[: free.size] - values[free.size :]).T / (2.0 * STEP))
 
-    def profile_end(self, j: int, end: float, best: Array, largest: float) -> list[Array]:
-        """Members of the set on the way from the best one to an end of an input."""
+    def profile_end(
+        self, j: int, end: float, best: Array, largest: float, further: float
+    ) -> list[Array]:
+        """Members of the set on the way from a minimum to an end of an input.
+
+        Where the way ends before a value of the input that other members have reached already,
+        ``further`` being the next one, the exact place is not searched.
+        """
         others = self.space.free[self.space.free != j]
 
         def at(value: float, near: Array) -> Array:
@@ -242,7 +258,10 @@ class _Search:
             return found
         inner, outer = float(found[-1][j]), float(one[j])
         for _ in range(HALVINGS):
-            middle = at(0.5 * (inner + outer), found[-1])
+            if abs(end - outer) >= abs(end - further):
+                break
+            between = min(inner, outer) < further < max(inner, outer)
+            middle = at(further if between else 0.5 * (inner + outer), found[-1])
             if self.rms(middle) <= largest:
                 inner = float(middle[j])
                 found.append(middle)
