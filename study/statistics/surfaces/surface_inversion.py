@@ -112,17 +112,15 @@ def agreeing(
     members = list(branches)
     for j in space.free:
         for side, end in enumerate((float(space.low[j]), float(space.high[j]))):
-            reached = further = float(at[j])
+            reached = float("nan")
             for branch in branches:
+                path = nearest.profile_end(int(j), end, branch, largest, reached)
+                is_open[side, j] |= nearest.ends_with_the_runs(int(j), path[-1], rms, largest)
+                members += path[1:]
+                reached = min((float(one[j]) for one in members), key=lambda x: abs(end - x))
                 if abs(end - reached) < NEAR_END:
                     is_open[side, j] = True
                     break
-                path = nearest.profile_end(int(j), end, branch, largest, further)
-                is_open[side, j] |= nearest.ends_with_the_runs(int(j), path[-1], rms, largest)
-                members += path[1:]
-                # the minima of one set mostly end at one place
-                reached = min((float(one[j]) for one in members), key=lambda x: abs(end - x))
-                further = reached + float(np.copysign(NEAR_END, end - reached))
     points = np.array(members)
     low, high = points.min(axis=0), points.max(axis=0)
     width = (high - low)[space.free] / (space.high - space.low)[space.free]
@@ -232,12 +230,12 @@ class NearestCurves:
         return np.asarray((values[: free.size] - values[free.size :]).T / (2.0 * STEP))
 
     def profile_end(
-        self, j: int, end: float, best: Array, largest: float, further: float
+        self, j: int, end: float, best: Array, largest: float, reached: float
     ) -> list[Array]:
         """Members of the set on the way from a minimum to an end of an input.
 
-        Where the way ends before a value of the input that other members have reached already,
-        ``further`` being the next one, the exact place is not searched.
+        The minima of one set mostly end at one place: an end beside the value of the input that
+        other members have ``reached`` is not searched again.
         """
         others = self.space.free[self.space.free != j]
 
@@ -257,11 +255,12 @@ class NearestCurves:
         else:
             return found
         inner, outer = float(found[-1][j]), float(one[j])
+        guesses = (reached - NEAR_END, reached + NEAR_END)
         for _ in range(HALVINGS):
-            if abs(end - outer) >= abs(end - further):
+            if max(abs(inner - reached), abs(outer - reached)) < 1.01 * NEAR_END:
                 break
-            between = min(inner, outer) < further < max(inner, outer)
-            middle = at(further if between else 0.5 * (inner + outer), found[-1])
+            between = (one for one in guesses if min(inner, outer) < one < max(inner, outer))
+            middle = at(next(between, 0.5 * (inner + outer)), found[-1])
             if self.rms(middle) <= largest:
                 inner = float(middle[j])
                 found.append(middle)
