@@ -246,6 +246,29 @@ def test_what_cannot_be_inverted_is_refused(here):
         assert said in answer.err
 
 
+@pytest.mark.parametrize("seed", [6, 10])
+def test_a_bent_set_ends_where_a_grid_says(seed):
+    rng = np.random.default_rng(seed)
+    cube = qmc.LatinHypercube(2, rng=rng).random(60)
+    powers = rng.normal(size=5) * [1, 1, 1.5, 1.5, 1]
+    depth = np.linspace(0.1, 1, 8)
+
+    def curve(coded):
+        x, y = coded.T
+        return 5 + np.outer(np.array([x, y, x * x, y * y, x * y]).T @ powers, depth)
+
+    factors = (NumericFactor("a", 0, 1), NumericFactor("b", 0, 1))
+    model = fit_curves(Runs("force", factors, 2 * cube - 1, np.zeros(60)), curve(2 * cube - 1))
+    measured = curve(2 * rng.random((1, 2)) - 1)[0]
+    nearest = NearestCurves.of(model, measured, np.full(2, np.nan))
+    answer = agreeing(nearest, largest=0.03)
+    axes = np.linspace(nearest.space.low, nearest.space.high, 301).T
+    grid = np.array(np.meshgrid(*axes)).reshape(2, -1).T
+    agree = grid[nearest.each_rms(grid) <= 0.03]
+    np.testing.assert_allclose(answer.low, agree.min(axis=0), atol=0.015)
+    np.testing.assert_allclose(answer.high, agree.max(axis=0), atol=0.015)
+
+
 def test_every_branch_of_a_set_is_traced():
     factors = (NumericFactor("a", 5, 15), NumericFactor("b", 1, 3))
     cube = qmc.LatinHypercube(2, rng=np.random.default_rng(4), optimization="random-cd").random(60)
