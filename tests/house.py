@@ -383,6 +383,27 @@ def shared_class_names(root: Path) -> dict[str, list[str]]:
     )
 
 
+#: words that do not say which quantity or thing a name holds
+VAGUE = {"asked", "beside", "found", "kept", "known", "one", "own", "said", "told", "wanted"}
+
+
+def vague_names(root: Path) -> list[str]:
+    """Variables, arguments, fields and functions whose name says nothing of what they hold."""
+    out: set[str] = set()
+    for path, tree in trees(root):
+        for node in walked(tree):
+            match node:
+                case ast.Name(id=name, ctx=ast.Store()) | ast.arg(arg=name):
+                    pass
+                case ast.FunctionDef(name=name):
+                    pass
+                case _:
+                    continue
+            if name in VAGUE:
+                out.add(f"{path}:{node.lineno}: {name}")
+    return sorted(out)
+
+
 def _shared(places: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     by_name: dict[str, list[str]] = {}
     for name, place in places:
@@ -460,6 +481,7 @@ def counted(root: Path) -> dict[str, int | list[str] | dict[str, int]]:
         "empty_packages": len(empty_packages(root)),
         "shared_module_names": len(shared_module_names(root)),
         "shared_class_names": len(shared_class_names(root)),
+        "vague_names": len(vague_names(root)),
         "tests_below_a_door": len(tests_below_a_door(root)),
         "untyped_aliases": untyped_aliases(root),
         "unused": unused(root),
