@@ -11,11 +11,11 @@ from study.ground.errors import InputError
 from study.harness.design import load as load_module
 from study.harness.design import plausibility
 from study.harness.design.load import (
+    CALIBRATION,
     file_kind,
     load_calibration,
     load_problem,
     loads,
-    loads_calibration,
     loads_problem,
 )
 
@@ -156,7 +156,7 @@ def test_files_that_cannot_be_read(tmp_path):
 
 
 def test_files_of_another_kind_are_named():
-    assert "use `study solve`" in faults(loads_calibration, PROBLEM)["x.toml"]
+    assert "use `study solve`" in faults(CALIBRATION.loads, PROBLEM)["x.toml"]
     assert "is a design" in faults(loads_problem, DESIGN)["x.toml"]
     assert "use `study solve`" in faults(loads, PROBLEM)["x.toml"]
     assert "factors" in faults(loads, PROBLEM + '[report]\nformat = ["csv"]\n')
