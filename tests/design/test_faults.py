@@ -93,6 +93,16 @@ def test_uncertainty_is_in_internal_units():
     assert study.uncertainty == {"specimen.height": 10.0, "material.poisson_ratio": 0.001}
 
 
+@pytest.mark.parametrize("size", [-0.1, 0])
+def test_an_uncertainty_of_a_parameter_is_above_zero(size):
+    text = (
+        'schema = 1\n[forward]\nmodel = "python"\n[[response]]\nname = "y"\n[factors]\n'
+        "parameters.k = { low = 1, high = 2 }\n[uncertainty]\nparameters.k = "
+    )
+    assert loads(f"{text}0.1").inputs["parameters.k"].numbers == (1.5, 0.1)
+    assert "must be above 0" in faults(loads, f"{text}{size}")["uncertainty.parameters.k"]
+
+
 @pytest.mark.parametrize(
     ("text", "place"),
     [
