@@ -54,10 +54,10 @@ def panels_of(found: CalibrationResult) -> list[FitPanel]:
 
     panels = []
     for curve in found.curves:
-        test, measured, predicted = curve.measured, curve.measured.curve, curve.predicted
+        test, measured, predicted = curve.measured, curve.curve, curve.predicted
         recordings = [one.specimen.recording for one in test.tests]
         panels.append(FitPanel(
-            curve.file if curve.specimen is None else f"{curve.file}, {curve.specimen}",
+            curve.label,
             curve.role == "fit", measured.places, measured.force_N,
             None if predicted is None else predicted.force_at(measured.displacement_mm),
             test.scatter_N, measured.time_s is not None,
@@ -79,7 +79,7 @@ def recording_points(found: CalibrationResult) -> pd.DataFrame:
             branch = np.empty(rows.fate.size, dtype=object)
             for phase in rows.phases:
                 branch[phase.rows] = phase.words
-            title = f"{number}: {curve.file}" + (f", {curve.specimen}" if curve.specimen else "")
+            title = f"{number}: {curve.label}"
             shown = {
                 "test": title if len(curve.measured.tests) == 1 else f"{title}, {k}",
                 "line": rows.recording.lines or np.arange(1, rows.fate.size + 1),

@@ -55,8 +55,8 @@ def test_intervals_cover_the_constants(model, points, rho, tests, least, most):
     rng, hits = np.random.default_rng(2011), np.zeros(truth.size)
     for _ in range(tests):
         rows = Curve(d, exact + 0.1 * autoregression(rho, rng))
-        curve = Curve(places, np.interp(places, d, rows.force_N))
-        measured = [MeasuredCurve("virtual", curve, recordings=(rows,))]
+        curve = Curve(places, np.interp(places, d, rows.force_N), recorded=(rows,))
+        measured = [MeasuredCurve("virtual", curve)]
         found = with_serial_correlation(fit(predict, measured, names, truth), measured)
         hits += (found.ci95[:, 0] <= truth) & (truth <= found.ci95[:, 1])
     assert np.all((hits / tests >= least) & (hits / tests <= most)), hits / tests
@@ -189,8 +189,8 @@ def test_choice_between_energies_does_not_depend_on_the_grid():
     found, independent = [], []
     for points in (60, 200, 1000):
         places = np.linspace(0.3, DEPTH, points)
-        curve = Curve(places, np.interp(places, d, rows.force_N))
-        measured = [MeasuredCurve("virtual", curve, recordings=(rows,))]
+        curve = Curve(places, np.interp(places, d, rows.force_N), recorded=(rows,))
+        measured = [MeasuredCurve("virtual", curve)]
         two = predictor("reduced-polynomial", names, DEPTH, places=places)[0]
         one = predictor("neo-hookean", names[:1], DEPTH, places=places)[0]
         fits = fit(one, measured, names[:1], truth[:1]), fit(two, measured, names, truth)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from study.ground.diagnostics import dump_toml, parse_toml
 from study.ground.errors import InputError
-from study.harness.design.load import loads, loads_calibration, loads_problem
+from study.harness.design.load import CALIBRATION, loads, loads_problem
 
 FOLDER = Path(__file__).parent / "faulty_files"
 LOADERS = {
@@ -30,7 +30,7 @@ LOADERS = {
     "adaptive": loads,
     "nested": loads,
     "markers": loads,
-    "calibration": loads_calibration,
+    "calibration": CALIBRATION.loads,
 }
 #: a small design to which tests add factors
 BASE = """

@@ -34,7 +34,7 @@ CONICAL = (Path(__file__).parents[2] / "designs" / "conical-indentation.toml").r
 
 
 def test_tests_inherit_specimen_and_model():
-    found = load.loads_calibration(TEXT)
+    found = load.CALIBRATION.loads(TEXT)
     fit, held_out = found.tests
     assert found.material.order == 2
     assert fit.setup.model.mesh == held_out.setup.model.mesh == "medium"

@@ -11,11 +11,11 @@ from study.ground.errors import InputError
 from study.harness.design import load as load_module
 from study.harness.design import plausibility
 from study.harness.design.load import (
+    CALIBRATION,
     file_kind,
     load_calibration,
     load_problem,
     loads,
-    loads_calibration,
     loads_problem,
 )
 
@@ -93,6 +93,16 @@ def test_uncertainty_is_in_internal_units():
     assert study.uncertainty == {"specimen.height": 10.0, "material.poisson_ratio": 0.001}
 
 
+@pytest.mark.parametrize("size", [-0.1, 0])
+def test_an_uncertainty_of_a_parameter_is_above_zero(size):
+    text = (
+        'schema = 1\n[forward]\nmodel = "python"\n[[response]]\nname = "y"\n[factors]\n'
+        "parameters.k = { low = 1, high = 2 }\n[uncertainty]\nparameters.k = "
+    )
+    assert loads(f"{text}0.1").inputs["parameters.k"].numbers == (1.5, 0.1)
+    assert "must be above 0" in faults(loads, f"{text}{size}")["uncertainty.parameters.k"]
+
+
 @pytest.mark.parametrize(
     ("text", "place"),
     [
@@ -156,7 +166,7 @@ def test_files_that_cannot_be_read(tmp_path):
 
 
 def test_files_of_another_kind_are_named():
-    assert "use `study solve`" in faults(loads_calibration, PROBLEM)["x.toml"]
+    assert "use `study solve`" in faults(CALIBRATION.loads, PROBLEM)["x.toml"]
     assert "is a design" in faults(loads_problem, DESIGN)["x.toml"]
     assert "use `study solve`" in faults(loads, PROBLEM)["x.toml"]
     assert "factors" in faults(loads, PROBLEM + '[report]\nformat = ["csv"]\n')

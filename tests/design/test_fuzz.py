@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from study.ground.diagnostics import dump_toml, parse_toml
 from study.ground.errors import InputError
 from study.harness.design import spec
-from study.harness.design.load import dump, loads, loads_calibration, loads_problem
+from study.harness.design.load import CALIBRATION, dump, loads, loads_problem
 
 DESIGN = (Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml").read_text()
 SMALL = """
@@ -19,7 +19,7 @@ specimen = { shape = "cylinder", radius = "25 mm", height = "30 mm" }
 test = { kind = "compression", interface = "bonded", displacement = "3 mm" }
 material = { model = "neo-hookean", C10 = "5 kPa", poisson_ratio = 0.45 }
 """
-LOADERS = (loads, loads_problem, loads_calibration)
+LOADERS = (loads, loads_problem, CALIBRATION.loads)
 quick = settings(suppress_health_check=[HealthCheck.too_slow])
 
 

@@ -210,6 +210,18 @@ def test_tests_are_fitted_together_held_out_and_left_out(tmp_path):
     )
 
 
+def test_a_short_held_out_test_is_predicted_beside_a_robust_loss(tmp_path):
+    """Five rows say nothing of their noise, which the loss needs of the fitted rows alone."""
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
+    write(tmp_path / "b.csv", "reduced-polynomial", RP2)
+    header, *rows = (tmp_path / "b.csv").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "b.csv").write_text("\n".join([header, *rows[::40]]) + "\n", encoding="utf-8")
+    tests = [{}, {"file": "b.csv", "role": "held-out", "points": '"raw"'}]
+    found = calibrated(case(tmp_path, tests, more='[calibration]\nloss = "huber"\n'))
+    assert found.fit.constants() == pytest.approx(RP2, abs=5e-5)
+    assert found.curves[1].as_dict()["relative_rms_force_error"] < 0.5
+
+
 @pytest.mark.parametrize(
     ("weight", "noise", "repeats", "points", "low", "high"),
     [

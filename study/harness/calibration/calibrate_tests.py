@@ -17,7 +17,7 @@ from study.ground.curve import Curve
 from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibration_bound import estimated_bound, with_numerical
-from study.harness.calibration.calibration_result import CalibrationResult, CurveFit, PartialFit
+from study.harness.calibration.calibration_result import CalibrationResult, PartialFit
 from study.harness.calibration.measured_tests import (
     FitCurve,
     in_order,
@@ -35,6 +35,7 @@ from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import FitProblem, fitted_test, start_problem
 from study.harness.runner.fit_summary import stability_over, status_of
 from study.harness.runner.provenance import code_version
+from study.harness.runner.response import residual_N
 from study.harness.runner.staged_fit import (
     NO_LIMITS,
     Checkpoint,
@@ -110,12 +111,10 @@ class Setting:
 
     def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
         """Fit to the curves whose role is ``fit``."""
-        parts = parts_of(self.tests, in_order(curves))
-        done = staged_fit(parts, self.start, self.search(checkpoint))
-        measured = [curve for part in parts for curve in part.measured]
-        corrected = with_serial_correlation(done.fit, measured)
         ordered = in_order(curves)
-        return replace(done, fit=with_nuisance(corrected, parts, self.tests, ordered, self.bounds))
+        done = staged_fit(parts_of(self.tests, ordered), self.start, self.search(checkpoint))
+        corrected = with_serial_correlation(done.fit, ordered)
+        return replace(done, fit=with_nuisance(corrected, self.tests, ordered, self.bounds))
 
 
 def setting_of(
@@ -267,7 +266,7 @@ def _checkpoint(
 ) -> Checkpoint:
     if folder is None:
         return Checkpoint(limits=limits)
-    data = [[c.label, c.role, c.weight, c.measured.curve.as_dict()] for c in curves]
+    data = [[c.label, c.role, c.weight, c.curve.as_dict()] for c in curves]
     problems = [fitted_test("auto", test.problem).name for test in config.tests]
     key = digest([problems, config.document, data, code_version()], 32)
     return Checkpoint(folder / "calibration.checkpoint.json", key, limits)
@@ -290,7 +289,7 @@ def _partial(setting: Setting, label: str, curves: Sequence[FitCurve]) -> Partia
     return PartialFit(label, done.fit, _predictions(setting, curves, done.fit))
 
 
-def _predictions(setting: Setting, curves: Sequence[FitCurve], fit: Fit) -> tuple[CurveFit, ...]:
+def _predictions(setting: Setting, curves: Sequence[FitCurve], fit: Fit) -> tuple[FitCurve, ...]:
     """Every curve beside its prediction; those of held-out tests are made now."""
     fitted = dict(zip(map(id, in_order(curves)), fit.curves, strict=False))
     out = []
@@ -302,7 +301,7 @@ def _predictions(setting: Setting, curves: Sequence[FitCurve], fit: Fit) -> tupl
                 predicted = model(fit.values)[0]
             except EvaluationFailed as error:
                 message = str(error)
-        out.append(CurveFit(**vars(curve), predicted=predicted, message=message))
+        out.append(replace(curve, predicted=predicted, message=message))
     return tuple(out)
 
 
@@ -321,22 +320,20 @@ def _profiles(
     setting: Setting, curves: Sequence[FitCurve], fit: Fit
 ) -> dict[str, LikelihoodProfile]:
     ordered = in_order(curves)
-    parts = parts_of(setting.tests, ordered)
-    models = fit_task.models_of(parts, setting.names)
+    models = fit_task.models_of(parts_of(setting.tests, ordered), setting.names)
 
     def predict(values: Array) -> list[Curve]:
         if fit.joint is not None:
-            model = NuisancePredictions(parts, setting.tests, ordered, setting.names)
+            model = NuisancePredictions(setting.tests, ordered, setting.names)
             return model(values, [param for param in model.parameters if param.is_fitted])
         return [curve for model in models for curve in model(values)]
 
     whole = fit.joint or fit
     free = [(-np.inf, np.inf)] * (len(whole.names) - len(setting.names))
     bounds = None if setting.bounds is None else [*setting.bounds, *free]
-    measured = [m for part in parts for m in part.measured]
     estimated = {n for n, e in zip(whole.names, whole.standard_error, strict=True) if e > 0}
     return {
-        name: profile(predict, measured, whole, name, bounds=bounds)
+        name: profile(predict, ordered, whole, name, bounds=bounds)
         for name in whole.names
         if name in estimated
     }
@@ -348,7 +345,7 @@ def _implausible_stretches(
     """Stretches that no soft material reaches: a unit is wrong."""
     out: list[tuple[Verdict, str]] = []
     for curve in in_order(curves):
-        setup, places = tests[curve.test].setup, curve.measured.curve.displacement_mm
+        setup, places = tests[curve.test].setup, curve.curve.displacement_mm
         if setup.height_mm is None or setup.kind.compresses or setup.test.indenter is not None:
             continue
         stretch = 1 + float(np.abs(places).max()) / setup.height_mm
@@ -372,20 +369,27 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         material = section.material(fit.constants())
         judged_as, message = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
-        measured = [(setting.tests[c.test].setup, c.measured.curve.displacement_mm) for c in curves]
-        judged_stable = stability_over(material, measured)
+        reached = [(setting.tests[c.test].setup, c.curve.displacement_mm) for c in curves]
+        judged_stable = stability_over(material, reached)
         stable, stability = judged_stable.stable, judged_stable.sentence
-    judged = list(zip(in_order(curves), fit.curves, strict=False))
-    repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
+    ordered = in_order(predictions)
+    weighted = [
+        (curve, curve.weight * residual_N(curve.predicted, curve.curve))
+        for curve in ordered
+        if curve.predicted is not None
+    ]
+    repeated = [
+        (left, c.weight * c.measured.scatter_N, c.measured.n_repeats)
+        for c, left in weighted
+        if c.measured.scatter_N is not None
+    ]
     lack = lack_of_fit(repeated, len(fit.names)) if fit.converged else None
-    parts = parts_of(setting.tests, in_order(curves))
-    fitted_curves = [curve for part in parts for curve in part.measured]
     judgement = adequacy(
-        fit, fitted_curves, tests=[c.test for c in in_order(curves)], lack=lack,
+        fit, ordered, tests=[c.test for c in ordered], lack=lack,
         more=_implausible_stretches(setting.tests, curves),
     )  # fmt: skip
-    gauges = {setting.tests[c.test].setup.has_no_elements for c in in_order(curves)}
-    if len(gauges) > 1 and all(isinstance(c.weight, float) for c in in_order(curves)):
+    gauges = {setting.tests[c.test].setup.has_no_elements for c in ordered}
+    if len(gauges) > 1 and all(isinstance(c.weight, float) for c in ordered):
         cautions.append(
             "forces of gauge sections and of simulated specimens are weighed in N, so that the "
             'cross-sections decide which counts: write weight = "scatter", "relative" or a number'
@@ -409,8 +413,8 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         seconds=0.0,
         adequacy=judgement,
         lack_of_fit=lack,
-        pattern=pattern([c.residual(p) for c, p in judged]),
-        identified=identify(fit, fitted_curves) if fit.converged else None,
+        pattern=pattern([left for _, left in weighted]),
+        identified=identify(fit, ordered) if fit.converged else None,
         warnings=(*warnings_of(curves), *cautions),
         tests=tuple(
             {

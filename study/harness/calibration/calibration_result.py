@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.canonical import Json, Keyed, plain
-from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve
 from study.harness.calibration.resampling import Starts
 from study.harness.record.document import WITH_CONSTANTS, ParameterDocument
 from study.harness.runner.fit_summary import status_of
-from study.harness.runner.response import CURVE_RESPONSES, in_shown_units, scale_of
+from study.harness.runner.response import in_shown_units, scale_of
 from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.material.input_file import Converted, convert
 from study.mechanics.material.material import Material, unit_shown
@@ -33,36 +32,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class CurveFit(FitCurve):
-    """One measured curve and its prediction."""
-
-    #: None where the model has no answer.
-    predicted: Curve | None = None
-    message: str = ""
-
-    def as_dict(self) -> dict[str, object]:
-        """Errors of the prediction in N, in % of the RMS force and as R2; rows."""
-        names = ("rms_force_error", "relative_rms_force_error", "r_squared")
-        errors: dict[str, float | None] = dict.fromkeys(names)
-        if self.predicted is not None:
-            for name in names[:2]:
-                errors[name] = CURVE_RESPONSES[name](self.predicted, self.measured.curve)
-            force = self.measured.curve.force_N
-            left = self.predicted.force_at(self.measured.curve.displacement_mm) - force
-            total = float(((force - force.mean()) ** 2).sum())
-            errors["r_squared"] = 1 - float(left @ left) / total if total > 0 else None
-        return {
-            "file": self.file,
-            "specimen": self.specimen,
-            "role": self.role,
-            "repeats": self.measured.n_repeats,
-            **errors,
-            "rows": self.measured.rows.as_dict(),
-            "message": self.message,
-        }
-
-
-@dataclass(frozen=True)
 class PartialFit:
     """Fit to a part of the data, and what it predicts of the rest."""
 
@@ -71,7 +40,7 @@ class PartialFit:
     #: In MPa.
     fit: Fit
     #: Its curves, those left out as ``held-out``.
-    curves: tuple[CurveFit, ...]
+    curves: tuple[FitCurve, ...]
 
     def as_dict(self) -> dict[str, object]:
         """Constants in kPa, and the errors of the curves."""
@@ -116,7 +85,7 @@ class CalibrationResult(Keyed):
     #: Drucker's criterion over the range of the measured tests, those held out too.
     stable: bool
     stability: str
-    curves: tuple[CurveFit, ...]
+    curves: tuple[FitCurve, ...]
     #: Calls of the model, those of the cheaper stage included.
     evaluations: int
     seconds: float

@@ -15,6 +15,7 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.calibration_section import OFFSET, CalibratedTest, Role
 from study.harness.runner.fit_problem import fitted_test
 from study.harness.runner.job import gauge_of
+from study.harness.runner.response import CURVE_RESPONSES, residual_N
 from study.harness.runner.staged_fit import FitPart
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
@@ -29,10 +30,11 @@ from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 _UNEVEN = 5.0
 
 
-@dataclass(frozen=True)
-class FitCurve:
-    """One measured curve of a calibration."""
+@dataclass(frozen=True, kw_only=True)
+class FitCurve(MeasuredCurve):
+    """One measured curve of a calibration, with its prediction where there is a fit."""
 
+    #: Place of its test among those of the calibration.
     test: int
     file: str
     #: Label of the specimen, where the file has several.
@@ -40,25 +42,29 @@ class FitCurve:
     #: Mean and scatter of its repeats.
     measured: MeasuredTest
     role: Role
-    weight: float | Array
-    loss: Loss = "linear"
+    #: None where the model has no answer.
+    predicted: Curve | None = None
+    message: str = ""
 
-    @property
-    def label(self) -> str:
-        """How messages call it."""
-        return f"{self.file}, {self.specimen}" if self.specimen is not None else self.file
-
-    def residual(self, predicted: Curve) -> Array:
-        """Weighted residual, shape (n,)."""
-        d, force = self.measured.curve.displacement_mm, self.measured.curve.force_N
-        return np.asarray(self.weight * (predicted.force_at(d) - force))
-
-    def repeated(self, predicted: Curve) -> tuple[Array, Array, int] | None:
-        """Residual, scatter and number of the repeats; None for a single test."""
-        if self.measured.scatter_N is None:
-            return None
-        scatter = np.asarray(self.weight * self.measured.scatter_N)
-        return self.residual(predicted), scatter, self.measured.n_repeats
+    def as_dict(self) -> dict[str, object]:
+        """Errors of the prediction in N, in % of the RMS force and as R2; rows."""
+        names = ("rms_force_error", "relative_rms_force_error", "r_squared")
+        errors: dict[str, float | None] = dict.fromkeys(names)
+        if self.predicted is not None:
+            for name in names[:2]:
+                errors[name] = CURVE_RESPONSES[name](self.predicted, self.curve)
+            force, left = self.curve.force_N, residual_N(self.predicted, self.curve)
+            total = float(((force - force.mean()) ** 2).sum())
+            errors["r_squared"] = 1 - float(left @ left) / total if total > 0 else None
+        return {
+            "file": self.file,
+            "specimen": self.specimen,
+            "role": self.role,
+            "repeats": self.measured.n_repeats,
+            **errors,
+            "rows": self.measured.rows.as_dict(),
+            "message": self.message,
+        }
 
 
 def read_tests(
@@ -77,7 +83,12 @@ def read_tests(
         for specimen in data.blocks or (None,):
             mean = data.curve(specimen, **dict(data.fit or {}))
             weight = _weight(test.weight, mean, f"tests[{number}]")
-            curves.append(FitCurve(number, test.file, specimen, mean, test.role, weight, loss))
+            label = test.file if specimen is None else f"{test.file}, {specimen}"
+            curve = FitCurve(
+                label, mean.curve, weight,
+                test=number, file=test.file, specimen=specimen, measured=mean, role=test.role,
+            )  # fmt: skip
+            curves.append(_with_loss(curve, loss))
     return curves, tuple(dict.fromkeys(notes))
 
 
@@ -98,40 +109,38 @@ def _weight(weight: float | str, measured: MeasuredTest, where: str) -> float | 
     return np.asarray(1 / noise)
 
 
+def _with_loss(curve: FitCurve, loss: Loss) -> FitCurve:
+    """Fitted curve whose residuals count by a loss, in units of the noise of its points."""
+    if loss == "linear" or curve.role == "held-out":
+        return curve
+    noise = noise_of(curve.measured)
+    if noise is None:
+        rule = f"{curve.label}: fewer than 8 rows, or rows without noise, give the loss no limit"
+        raise InputError(Fault("calibration.loss", rule, 'write loss = "linear"'))
+    return replace(curve, loss=loss, limit_N=LOSS_LIMIT * noise)
+
+
 def noise_of(measured: MeasuredTest, grows: float = math.inf) -> Array | None:
     """Noise of the points of a curve from differences of neighboring rows, N, shape (n,).
 
     It grows with a power of the force that is estimated, where that is ``grows`` standard errors
     above zero. Mean of all repeats; None where they say nothing.
     """
-    recordings = measured.recordings or (measured.curve,)
-    deviations = []
-    for rows in recordings:
+    recorded, deviations = measured.curve.recorded, []
+    for rows in recorded:
         noise = row_noise(rows.force_N, rows.places, rows.force_N, grows=grows)
         if noise is not None:
             deviations.append(np.interp(measured.curve.places, rows.places, noise.deviation))
-    return np.sqrt(np.mean(np.square(deviations), axis=0) / len(recordings)) if deviations else None
+    return np.sqrt(np.mean(np.square(deviations), axis=0) / len(recorded)) if deviations else None
 
 
 def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[FitPart]:
     """Parts of a fit to the given curves, one for each test that has any."""
-    parts = []
-    for number, measured in sorted(gathered((c.test, _measured_curve(c)) for c in curves).items()):
-        fitted = fitted_test("auto", tests[number].problem)
-        parts.append(FitPart(fitted.method, fitted.problem, tuple(measured)))
-    return parts
-
-
-def _measured_curve(curve: FitCurve) -> MeasuredCurve:
-    """Curve as the fit sees it; a loss other than squares is counted in units of the noise."""
-    seen = MeasuredCurve(curve.label, curve.measured.curve, curve.weight, curve.measured.recordings)
-    if curve.loss == "linear":
-        return seen
-    noise = noise_of(curve.measured)
-    if noise is None:
-        rule = f"{curve.label}: fewer than 8 rows, or rows without noise, give the loss no limit"
-        raise InputError(Fault("calibration.loss", rule, 'write loss = "linear"'))
-    return replace(seen, loss=curve.loss, limit_N=LOSS_LIMIT * noise)
+    of_tests = sorted(gathered((curve.test, curve) for curve in curves).items())
+    return [
+        replace(fitted_test("auto", tests[number].problem), measured=tuple(measured))
+        for number, measured in of_tests
+    ]
 
 
 def in_order(curves: Sequence[FitCurve]) -> list[FitCurve]:
@@ -167,7 +176,7 @@ def of_specimens(curves: Sequence[FitCurve]) -> dict[str, list[FitCurve]]:
 def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
     """Say where equal weights hide a test."""
     peaks = {
-        c.label: float(np.max(np.abs(c.weight * c.measured.curve.force_N)))
+        c.label: float(np.max(np.abs(c.weight * c.curve.force_N)))
         for c in curves
         if c.role == "fit"
     }

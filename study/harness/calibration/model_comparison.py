@@ -44,8 +44,8 @@ from study.mechanics.material.material import is_dimensionless, unit_shown
 def linearized_fit(config: CalibrationDesign, root: Path, common: Mapping[str, float]) -> Fit:
     """Fit one test with the slopes at the constants that all tests share. Units: common MPa."""
     names, center = tuple(common), np.array(list(common.values()), float)
-    parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))
-    measured = [curve for part in parts for curve in part.measured]
+    measured = in_order(read_tests(config.tests, root)[0])
+    parts = parts_of(config.tests, measured)
     # force and gradient at the measured points, where a line is all that is needed
     base = [
         Curve(
@@ -80,7 +80,7 @@ def zero_error(config: CalibrationDesign, root: Path, fit: Fit, zero: float) -> 
     curves = in_order(read_tests(config.tests, root)[0])
     rows, shifts = [], []
     for measured, predicted in zip(curves, fit.curves, strict=True):
-        curve, weight = measured.measured.curve, np.asarray(measured.weight)
+        curve, weight = measured.curve, np.asarray(measured.weight)
         slopes = predicted.gradients_at(fit.names, curve.displacement_mm)
         rows.append((weight * slopes.T).T)
         shifts.append(weight * np.full(len(curve), zero * np.abs(curve.force_N).max()))

@@ -10,7 +10,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.harness.calibration.measured_tests import FitCurve
+from study.harness.calibration.measured_tests import FitCurve, parts_of
 from study.harness.design.calibration_section import FRICTION, OFFSET, ZERO, CalibratedTest
 from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
@@ -152,13 +152,12 @@ class NuisancePredictions:
 
     def __init__(
         self,
-        parts: Sequence[FitPart],
         tests: Sequence[CalibratedTest],
         curves: Sequence[FitCurve],
         names: Sequence[str],
     ) -> None:
         self.parameters = parameters_of(tests, curves)
-        self._parts, self._names = parts, tuple(names)
+        self.parts, self._names = parts_of(tests, curves), tuple(names)
         self._tests = [tests[number] for number in sorted({c.test for c in curves})]
         self._made: dict[tuple[int, _Variant], _Homogeneous | _Simulated] = {}
 
@@ -168,7 +167,7 @@ class NuisancePredictions:
         constants, others = np.split(values, [len(self._names)])
         given = {param.name: value for param, value in zip(free, others, strict=True)}
         out: list[Curve] = []
-        for number, part in enumerate(self._parts):
+        for number, part in enumerate(self.parts):
             for m in part.measured:
                 movers = [param for param in self.parameters if len(out) in param.curves]
                 out.append(self._curve(number, m.curve.displacement_mm, movers, constants, given))
@@ -186,7 +185,7 @@ class NuisancePredictions:
         value = {**{param.name: param.expected for param in self.parameters}, **given}
         # the unloaded point takes part: an unknown zero is no zero there
         points = np.r_[0.0, measured] if measured[0] > 0 else measured
-        n, part = points.size, self._parts[number]
+        n, part = points.size, self.parts[number]
         small = _SMALL * max(float(m.curve.displacement_mm[-1]) for m in part.measured)
         offset = sum(value[param.name] for param in movers if param.key == OFFSET)
         zero = sum(value[param.name] for param in movers if param.key == ZERO)
@@ -218,7 +217,7 @@ class NuisancePredictions:
     ) -> _Homogeneous | _Simulated:
         plate, key, sign = variant
         if (number, variant) not in self._made:
-            problem, depth = self._tests[number].problem, self._depth(self._parts[number])
+            problem, depth = self._tests[number].problem, self._depth(self.parts[number])
             if moved is not None:
                 problem = problem.with_value(key, _input(problem, key) + sign * moved.step)
             if plate:
@@ -436,20 +435,18 @@ class _NuisanceFit:
 
 def with_nuisance(
     first_fit: Fit,
-    parts: Sequence[FitPart],
     tests: Sequence[CalibratedTest],
     curves: Sequence[FitCurve],
     bounds: Sequence[tuple[float, float]] | None = None,
 ) -> Fit:
     """Fit of the constants with what is not known exactly."""
-    predictions = NuisancePredictions(parts, tests, curves, first_fit.names)
+    predictions = NuisancePredictions(tests, curves, first_fit.names)
     parameters = predictions.parameters
     if not parameters or not first_fit.converged:
         return first_fit
-    measured = [curve for part in parts for curve in part.measured]
-    simulated = any(part.method == "inverse-fem" for part in parts)
+    simulated = any(part.method == "inverse-fem" for part in predictions.parts)
     made = _NuisanceFit(
-        predictions, measured, first_fit.names, bounds,
+        predictions, curves, first_fit.names, bounds,
         simulated or any(param.key == FRICTION for param in parameters),
         [param for param in parameters if param.is_fitted],
         [param for param in parameters if not param.is_fitted],
@@ -458,7 +455,7 @@ def with_nuisance(
     if not joint.converged:
         return replace(_part(joint, first_fit.names), joint=joint)
     moved = made.moved(joint)
-    joint = with_serial_correlation(plain, measured, moved @ moved.T)
+    joint = with_serial_correlation(plain, curves, moved @ moved.T)
     estimates = tuple(made.estimate(param, plain, joint, moved) for param in parameters)
     return replace(_part(joint, first_fit.names), joint=joint, nuisance=estimates)
 

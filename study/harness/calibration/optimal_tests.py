@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
-from study.harness.calibration.measured_tests import FitCurve, in_order, parts_of
+from study.harness.calibration.measured_tests import FitCurve, in_order
 from study.harness.design.calibration_section import CalibratedTest
 from study.harness.runner.response import in_shown_units
 from study.mechanics.calibration.identifiability import KNOWN, fitted_rows
@@ -113,13 +113,13 @@ class Conditions:
         rows = fit.n if serial is None else serial.rows
         # mean strains of the specimens that are not indented
         strains = [
-            float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm
+            float(np.abs(curve.curve.displacement_mm).max()) / setup.height_mm
             for curve in curves
             if (setup := tests[curve.test].setup).height_mm is not None
             and setup.test.indenter is None
         ]
         stresses = [
-            float(np.abs(curve.measured.curve.force_N).max()) / height_and_area(specimen)[1]
+            float(np.abs(curve.curve.force_N).max()) / height_and_area(specimen)[1]
             for curve in curves
             if (specimen := tests[curve.test].setup.specimen) is not None
         ]
@@ -217,8 +217,7 @@ def next_tests(
     if material.relaxation or not fit.curves or not set(fit.names) <= set(material.names):
         return None
     ordered = in_order(curves)
-    measured = [curve for part in parts_of(tests, ordered) for curve in part.measured]
-    slopes, weights, left = fitted_rows(fit, measured)
+    slopes, weights, left = fitted_rows(fit, ordered)
     freedom = left.size - len(fit.names)
     noise = float(np.sqrt(left @ left / freedom)) if freedom > 0 else 0.0
     if not noise > 0:

@@ -107,10 +107,9 @@ def bootstrap(
     several = len(specimens) > 1
     parts = parts_of(tests, ordered)
     share = fit.n / max(1, fit.n - len(fit.names))
-    recorded = [curve.curve for part in parts for curve in part.measured]
     blocks = () if several else tuple(
-        residuals_of(curve, predicted.force_at(curve.displacement_mm), share)
-        for curve, predicted in zip(recorded, fit.curves, strict=True)
+        residuals_of(m.curve, predicted.force_at(m.curve.displacement_mm), share)
+        for m, predicted in zip(ordered, fit.curves, strict=True)
     )  # fmt: skip
     values = []
     for _ in range(resamples):
@@ -148,9 +147,7 @@ def _of_rows(
         replace(
             part,
             measured=tuple(
-                replace(
-                    m, curve=replace(m.curve, force_N=resampled(next(left), rng)), recordings=()
-                )
+                replace(m, curve=replace(m.curve, force_N=resampled(next(left), rng), recorded=()))
                 for m in part.measured
             ),
         )

@@ -7,11 +7,12 @@ and how to mend it; a file without faults gives frozen values.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from study.ground import diagnostics
 from study.ground.contrast import sides_of
@@ -266,13 +267,6 @@ def is_constant(response: str) -> bool:
     return response not in _NO_CONSTANT and not is_simulated(response)
 
 
-File = TypeVar("File", ProblemFile, DesignFile, CalibrationFile)
-
-_KINDS: Mapping[type, str] = {
-    ProblemFile: "problem",
-    DesignFile: "design",
-    CalibrationFile: "calibration",
-}
 #: verbs of every kind of file, which its tables tell apart
 _VERBS = {
     "design": "use `study plan` and `study run` with it",
@@ -288,19 +282,6 @@ _DECLARED = {"study": "design", "problem": "problem", "calibration": "calibratio
 _SIMULATED = frozenset({"schema", "study", "specimen", "test", "material", "model", "converge"})
 
 
-def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
-    """Load a design."""
-    return loads(diagnostics.read_text(path), str(path), overrides)
-
-
-def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()) -> Design:
-    """Load a design from a text, or from the bytes of a file; see :func:`load`."""
-    text, tables, file, faults = _opened(DesignFile, text, source, overrides)
-    design = _design(file, tables, faults, source, text)
-    faults.refuse(source)
-    return design
-
-
 def from_tables(tables: Mapping[str, object]) -> str:
     """Text of a file that holds some tables: its own keys, texts with units or bare numbers."""
     return diagnostics.dump_toml({"schema": 1, **overlay.with_units(tables)})
@@ -309,45 +290,6 @@ def from_tables(tables: Mapping[str, object]) -> str:
 def dump(design: Design) -> str:
     """Canonical TOML of a design, overrides included; :func:`loads` reads the same from it."""
     return diagnostics.dump_toml(design.config)
-
-
-def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> LoadedProblem:
-    """Load a problem for one forward simulation."""
-    return loads_problem(diagnostics.read_text(path), str(path), overrides)
-
-
-def loads_problem(
-    text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
-) -> LoadedProblem:
-    """Load a problem from a text; see :func:`load_problem`."""
-    _, tables, file, faults = _opened(ProblemFile, text, source, overrides)
-    uncertainty_from(file.uncertainty, (), tables, faults)
-    problem = resolve_problem(tables, faults, file.converge.ratio)
-    material = problem.material
-    if (
-        material.model
-        and not material.constants
-        and not any(is_about(f, "material") for f in faults)
-    ):
-        faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
-    plausibility.check_stability(problem, faults)
-    faults.refuse(source)
-    return LoadedProblem(problem, file.converge)
-
-
-def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> CalibrationDesign:
-    """Load a calibration."""
-    return loads_calibration(diagnostics.read_text(path), str(path), overrides)
-
-
-def loads_calibration(
-    text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
-) -> CalibrationDesign:
-    """Load a calibration from a text; see :func:`load_calibration`."""
-    _, tables, file, faults = _opened(CalibrationFile, text, source, overrides)
-    calibration = resolve_calibration(file, tables, file.study.name or default_name(source), faults)
-    faults.refuse(source)
-    return calibration
 
 
 def file_kind(path: str | Path) -> str:
@@ -379,25 +321,6 @@ def _shape(tables: Table) -> str:
     if "recording" in tables or "requirement" in tables:
         return "tracker study" if "recording" in tables else "question to sensors"
     return "single measured test" if {"test", "measurements"} <= tables.keys() else "problem"
-
-
-def _opened(
-    kind: type[File], raw: str | bytes, source: str, overrides: Sequence[str]
-) -> tuple[str, Tables, File, Faults]:
-    """Text and tables of a file, and those of its tables that are the same for all its cells."""
-    text = diagnostics.decode(raw, source) if isinstance(raw, bytes) else raw
-    tables = _tables(text, source, overrides)
-    expected, actual, faults = _KINDS[kind], _kind(tables), Faults()
-    # of a design that is begun all faults are listed; a whole problem is none
-    is_whole = {"test", "material"} <= tables.keys() <= _SIMULATED
-    declared = tables.pop("kind", None)
-    begun = expected == "design" and actual == "problem" and not is_whole and declared is None
-    if actual != expected and not begun:
-        raise InputError(Fault(source, f"is a {actual}, not a {expected}", _VERBS[actual]))
-    if declared is not None and (looks := _shape(tables)) not in (actual, "problem"):
-        rule = f"is {declared!r}, and the tables are those of a {looks}"
-        raise InputError(Fault(f"{source}: kind", rule, _VERBS[looks]))
-    return text, tables, read_table(kind, tables, "", faults), faults
 
 
 def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
@@ -556,6 +479,74 @@ def _check_asked(tables: Table, faults: Faults) -> None:
         faults.add("replicates.key", "is missing beside n", 'for example key = "parameters.seed"')
     elif tables.get("replicates") == {}:
         faults.add("replicates", "is empty", "write mesh_seeds = 5 or noise = 200")
+
+
+def _problem(file: ProblemFile, tables: Tables, faults: Faults, *_: str) -> LoadedProblem:
+    uncertainty_from(file.uncertainty, (), tables, faults)
+    problem = resolve_problem(tables, faults, file.converge.ratio)
+    material = problem.material
+    if (
+        material.model
+        and not material.constants
+        and not any(is_about(f, "material") for f in faults)
+    ):
+        faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
+    plausibility.check_stability(problem, faults)
+    return LoadedProblem(problem, file.converge)
+
+
+def _calibration(
+    file: CalibrationFile, tables: Tables, faults: Faults, source: str, _: str
+) -> CalibrationDesign:
+    return resolve_calibration(file, tables, file.study.name or default_name(source), faults)
+
+
+File = TypeVar("File")
+Loaded = TypeVar("Loaded")
+
+
+@dataclass(frozen=True)
+class FileKind(Generic[File, Loaded]):
+    """One kind of file: its tables, and what is made of them."""
+
+    name: str
+    section: type[File]
+    #: From the tables read and as written, the faults so far, and the source and text of the file.
+    make: Callable[[File, Tables, Faults, str, str], Loaded]
+
+    def load(self, path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
+        """Load a file; an override is ``"key=value"``."""
+        return self.loads(diagnostics.read_text(path), str(path), overrides)
+
+    def loads(
+        self, raw: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
+    ) -> Loaded:
+        """Load a text, or the bytes of a file; see :meth:`load`."""
+        text = diagnostics.decode(raw, source) if isinstance(raw, bytes) else raw
+        tables = _tables(text, source, overrides)
+        actual, faults = _kind(tables), Faults()
+        # of a design that is begun all faults are listed; a whole problem is none
+        is_whole = {"test", "material"} <= tables.keys() <= _SIMULATED
+        declared = tables.pop("kind", None)
+        begun = self.name == "design" and actual == "problem" and not is_whole and declared is None
+        if actual != self.name and not begun:
+            raise InputError(Fault(source, f"is a {actual}, not a {self.name}", _VERBS[actual]))
+        if declared is not None and (looks := _shape(tables)) not in (actual, "problem"):
+            rule = f"is {declared!r}, and the tables are those of a {looks}"
+            raise InputError(Fault(f"{source}: kind", rule, _VERBS[looks]))
+        file = read_table(self.section, tables, "", faults)
+        value = self.make(file, tables, faults, source, text)
+        faults.refuse(source)
+        return value
+
+
+_DESIGN = FileKind("design", DesignFile, _design)
+_PROBLEM = FileKind("problem", ProblemFile, _problem)
+CALIBRATION = FileKind("calibration", CalibrationFile, _calibration)
+
+load, loads = _DESIGN.load, _DESIGN.loads
+load_problem, loads_problem = _PROBLEM.load, _PROBLEM.loads
+load_calibration = CALIBRATION.load
 
 
 def template(name: str = "template") -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Annotated
@@ -190,13 +191,14 @@ def uncertainty_from(
         if isinstance(raw, Mapping):
             read = _distribution(key, raw, kind, span, list(spans), faults)
         else:
-            read_size = number(0) if kind == "number" else quantity(kind)
-            if kind == overlay.ANY:
-                read_size = partial(number_in, unit="" if span is None else span.unit)
-            size = noted(read_size, raw, where, faults)
+            in_range = _number_of("sd", kind, "" if span is None else span.unit)
+            read_size = in_range if kind in ("number", overlay.ANY) else quantity(kind)
+            size, read = noted(read_size, raw, where, faults), None
             if size is not None:
                 plain[key] = size
-            read = None if size is None or span is None else _about(key, size, kind, span, config)
+            if size is not None and span is not None:
+                about = usual_value(key, kind, span, config), in_range(raw)
+                read = InputDistribution("normal", about, span.low, span.high)
         if read is not None and read.outside > MOST_OUTSIDE:
             rule = (
                 f"{100 * read.outside:.0f} % of it lies outside the range that is run, "
@@ -228,7 +230,10 @@ def _distribution(
         faults.add(f"{where}.{name}", rule, nearest(name, needed))
     if set(raw) != {"distribution", *needed}:
         return None
-    values = [_value(raw[name], name, kind, span, f"{where}.{name}", faults) for name in needed]
+    values = [
+        noted(_number_of(name, kind, span.unit), raw[name], f"{where}.{name}", faults)
+        for name in needed
+    ]
     nums = tuple(value for value in values if value is not None)
     if len(nums) < len(needed):
         return None
@@ -239,38 +244,24 @@ def _distribution(
     return InputDistribution(word, nums, span.low, span.high)
 
 
-def _in_unit(kind: str, unit: str) -> Callable[[object], float]:
-    """Reader of a value of some dimension in a unit of it."""
-    if kind == overlay.ANY:
-        return partial(number_in, unit=unit)
-    if kind == "number":
-        return number()
-    return lambda value: units.parse(value, kind) / units.parse(f"1 {unit}", kind)
-
-
-def _value(
-    raw: object, name: str, kind: str, span: Span, where: str, faults: Faults
-) -> float | None:
-    """One number of a distribution, in the unit of the range."""
+def _number_of(name: str, kind: str, unit: str) -> Callable[[object], float]:
+    """Reader of a number of a distribution over a range of some dimension, in the range's unit."""
     if name == "factor":
-        return noted(number(1.0), raw, where, faults)
-    positive = name in ("sd", "median")
+        return number(1.0)
+    low = 0.0 if name in ("sd", "median") else -math.inf
     if kind == "number":
-        return noted(number(0.0) if positive else number(), raw, where, faults)
-    size = noted(_in_unit(kind, span.unit), raw, where, faults)
-    if size is not None and positive and size <= 0:
-        faults.add(where, f"must be above 0, got {shown(raw)}")
-        return None
-    return size
+        return number(low)
 
+    def read(value: object) -> float:
+        if kind == overlay.ANY:
+            size = number_in(value, unit)
+        else:
+            size = units.parse(value, kind) / units.parse(f"1 {unit}", kind)
+        if size <= low:
+            raise Bad(f"must be above 0, got {shown(value)}")
+        return size
 
-def _about(key: str, size: float, kind: str, span: Span, config: Table) -> InputDistribution:
-    """Make a normal distribution about the value of the file, or the middle of the range."""
-    plain = kind in ("number", overlay.ANY)  # of a parameter it was read in the range's unit
-    scale = 1.0 if plain else units.parse(f"1 {span.unit}", kind)
-    return InputDistribution(
-        "normal", (usual_value(key, kind, span, config), size / scale), span.low, span.high
-    )
+    return read
 
 
 def usual_value(key: str, kind: str, span: Span, config: Table) -> float:
@@ -280,7 +271,7 @@ def usual_value(key: str, kind: str, span: Span, config: Table) -> float:
     if isinstance(node, bool) or not isinstance(node, str | int | float):
         return middle
     try:
-        value = _in_unit(kind, span.unit)(node)
+        value = _number_of("mean", kind, span.unit)(node)
     except (UnitError, ValueError):  # told where the value stands
         return middle
     return value if span.low <= value <= span.high else middle

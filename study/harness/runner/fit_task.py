@@ -106,10 +106,7 @@ def fitted(job: FitJob) -> FitResult:
 
 def parts_of(job: FitJob) -> list[FitPart]:
     """Parts of a fit, each with the measured curves that belong to it."""
-    data = tuple(
-        MeasuredCurve(f"curve {k}", curve, recordings=curve.recorded)
-        for k, curve in enumerate(job.measured, 1)
-    )
+    data = tuple(MeasuredCurve(f"curve {k}", c) for k, c in enumerate(job.measured, 1))
     tests = job.problem.tests
     groups = [data] if len(tests) == 1 else [(curve,) for curve in data]
     return [replace(test, measured=group) for test, group in zip(tests, groups, strict=True)]

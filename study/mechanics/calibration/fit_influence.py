@@ -120,7 +120,7 @@ def _series(
             # rows count in units of a common deviation, in which noise that grows is even
             even = np.ones_like(residual) if noise is None else noise.relative
             by_row = interpolation_transposed(by_point, places, rows_used.places)
-            by_row /= len(test.recordings) or 1
+            by_row /= len(test.curve.recorded) or 1
             scaled = (weight / even)[:, None] * slopes
             out.append(Series(residual / even, scaled, by_row / weight * even))
     errors = np.array([prior.weight * prior.uncertainty for prior in priors])
@@ -133,7 +133,7 @@ def recorded_rows(
 ) -> list[tuple[Array, Curve, Array, Array]]:
     """Weight, rows in the fitted range, predicted force and slopes of each recording with any."""
     fitted = measured.weights > 0
-    recordings = measured.recordings or (measured.curve.at_points(np.flatnonzero(fitted)),)
+    recordings = measured.curve.recorded or (measured.curve.at_points(np.flatnonzero(fitted)),)
     places = measured.curve.places[fitted]
     weighted_rows = []
     for recording in recordings:

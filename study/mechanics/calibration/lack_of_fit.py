@@ -298,7 +298,7 @@ def _of_strays(fit: Fit, measured: Sequence[MeasuredCurve], tests: Sequence[int]
             f"{test.label}, repeat {number}": float(
                 share @ np.interp(test.curve.places, rows.places, rows.force_N)
             )
-            for number, rows in enumerate(test.recordings, 1)
+            for number, rows in enumerate(test.curve.recorded, 1)
         }
         out += _apart(repeats, _REPEATS_APART)
         of_test = specimens.setdefault(tests[k] if tests else k, {})

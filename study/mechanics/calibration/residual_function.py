@@ -82,13 +82,11 @@ class MeasuredCurve:
 
     #: How reports and errors call it.
     label: str
+    #: With the rows as recorded, of every repeat, whose linear interpolation and mean it is.
     curve: Curve
     #: shape (n,); factor on the residual, for instance one over the scatter; zero leaves a point
     #: out.
     weight: float | Array = 1.0
-    #: Rows as recorded, of every repeat, whose linear interpolation and mean the curve is; none
-    #: where the curve's points are the rows.
-    recordings: tuple[Curve, ...] = ()
     #: How residuals count, and shape (n,): the residual in N up to which they count by squares.
     loss: Loss = "linear"
     limit_N: float | Array = math.inf  # noqa: N815

@@ -58,17 +58,19 @@ class SingleTest:
 class MeasuredTest:
     """Average of the repeats that a selection matches."""
 
-    #: Mean force at the even displacements of the range.
+    #: Mean force at the even displacements of the range, with the recorded rows of every test.
     curve: Curve
     #: shape (points,); standard deviation of the repeats at each point; None for a single test.
     scatter_N: Array | None
-    n_repeats: int
-    #: Rows as recorded, of every test averaged.
-    recordings: tuple[Curve, ...] = ()
     #: Every test averaged, in both of its stages.
-    tests: tuple[SingleTest, ...] = ()
+    tests: tuple[SingleTest, ...]
     #: What became of the rows of its block, those of tests that were not chosen too.
-    rows: RowCount = field(default_factory=RowCount)
+    rows: RowCount
+
+    @property
+    def n_repeats(self) -> int:
+        """Number of tests averaged."""
+        return len(self.tests)
 
 
 @dataclass(frozen=True)
@@ -126,10 +128,9 @@ class Measurements:
             raise InputError(Fault("measurements", rule, f"{mend}repeats on one specimen"))
         places, forces, time = self._rows_of(chosen)
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
-        recordings = tuple(test.recorded for test in chosen)
-        curve = Curve(places, forces.mean(axis=0), time_s=time, recorded=recordings)
-        rows = self._row_count(block, chosen)
-        return MeasuredTest(curve, scatter, len(chosen), recordings, tuple(chosen), rows)
+        recorded = tuple(test.recorded for test in chosen)
+        curve = Curve(places, forces.mean(axis=0), time_s=time, recorded=recorded)
+        return MeasuredTest(curve, scatter, tuple(chosen), self._row_count(block, chosen))
 
     def _rows_of(self, chosen: Sequence[SingleTest]) -> tuple[Array, Array, Array | None]:
         """Displacements, forces and times of tests that are averaged."""
