@@ -15,6 +15,7 @@ import pytest
 
 from study import api
 from study.ground import errors
+from study.reporting.content.blocks import Verbatim
 from tests.cli.small import study, success
 from tests.pages import both_pages
 
@@ -395,6 +396,24 @@ def test_a_bound_covers_the_error_of_a_solver_of_second_order(tmp_path, rows, ba
     assert sum(covered) >= bar
     effect = next(v for v in found.verdicts if v["factor"] == "parameters.i")
     assert effect["u_num"] > 0
+
+
+def test_the_series_of_a_solver_without_a_formal_order_can_be_read(tmp_path):
+    """``study converge NAME`` ended with a traceback; an order of 2 shows in 1 + 2, 8, 32 h^2."""
+    tables = {
+        "study": {"name": "no-order"}, "parameters": {"a": 1.0, "h": 0.4},
+        "factors": {"parameters.a": [1.0, 3.0]}, "converge": {"key": "parameters.h"},
+        "response": [{"name": "y", "practical": 0.5}],
+    }  # fmt: skip
+
+    def solver(case):
+        return {"y": case["parameters"]["a"] + case["parameters"]["h"] ** 2}
+
+    api.run(tables, forward=solver, version="1", jobs=1, reports=None, results=tmp_path / "results")
+    found = api.converge("no-order", results=tmp_path / "results")
+    words = " ".join(block.words for block in found.blocks() if isinstance(block, Verbatim))
+    assert "no formal order: give [converge] formal_order" in words
+    assert "observed order 2" in words
 
 
 def test_the_step_as_a_factor_is_a_series_of_its_own(tmp_path):
