@@ -15,7 +15,6 @@ import pytest
 
 from study import api
 from study.ground import errors
-from study.reporting.content.blocks import Verbatim
 from tests.cli.small import study, success
 from tests.pages import both_pages
 
@@ -227,7 +226,14 @@ def test_numbers_of_a_table_that_a_program_writes_are_read_whole(tmp_path, monke
         ('unit = "mm"\npractical', 'unit = "mmm"\npractical', "unknown unit"),
         ('name = "static"', 'name = "dofs"', "dofs is in no unit"),
         ("[[response]]", '[measurements]\nfile = "a.csv"\n[[response]]', "without a material"),
-        ("[factors]", '[converge]\nkey = "parameters.h"\n[factors]', "positive number"),
+        ("[factors]", '[converge]\nkey = "parameters.mas"\n[factors]', "did you mean 'mass'"),
+        (
+            "[factors]",
+            '[converge]\nkey = "parameters.mass"\n[factors]\nparameters.mass = ["0 kg", "1 kg"]',
+            "positive number",
+        ),
+        ('practical = "1 mm"', 'practical = "1"', 'for example, "0.05 mm" or "5 % of mean"'),
+        ('["12 N s/m", "20 N s/m"]', '{ low = "9 N s/m", high = "9 N s/m" }', "that differ"),
         ("[factors]", '[converge]\nkey = "model.h"\n[factors]', "key of \\[parameters\\]"),
         ("[factors]", '[replicates]\nkey = "parameters.seed"\n[factors]', "which no cell has"),
         ("[factors]", "[replicates]\nn = 5\n[factors]", "is missing beside n"),
@@ -411,7 +417,7 @@ def test_the_series_of_a_solver_without_a_formal_order_can_be_read(tmp_path):
 
     api.run(tables, forward=solver, version="1", jobs=1, reports=None, results=tmp_path / "results")
     found = api.converge("no-order", results=tmp_path / "results")
-    words = " ".join(block.words for block in found.blocks() if isinstance(block, Verbatim))
+    words = " ".join(getattr(block, "words", "") for block in found.blocks())
     assert "no formal order: give [converge] formal_order" in words
     assert "observed order 2" in words
 
