@@ -177,7 +177,7 @@ def series_bounds(
 
 def _noise_floor(f: Array, tolerance: float) -> Array:
     """Change of three values that tolerance or rounding alone may make; shape of f (..., 3)."""
-    return np.maximum(10 * tolerance, 4 * np.spacing(np.abs(f).max(axis=-1)))
+    return np.asarray(np.maximum(10 * tolerance, 4 * np.spacing(np.abs(f).max(axis=-1))))
 
 
 def _believed(
