@@ -148,7 +148,7 @@ def _practical(unit: str, value: object) -> Threshold:
         raise Bad(f"needs a unit, got {shown(value)}", mend)
     try:
         amount, written = units.split(value)
-    except units.UnitError as error:
+    except UnitError as error:
         raise Bad(error.faults[0].rule, mend) from error
     if amount <= 0:
         raise Bad(f"must be positive, got {shown(value)}", mend)
