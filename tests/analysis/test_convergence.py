@@ -83,6 +83,35 @@ def test_growing_changes_below_a_hundredth_of_the_value_are_noise():
     assert equal.u_num == pytest.approx(6.0)
 
 
+def test_what_is_said_of_noise_is_what_was_seen():
+    """Changes that grow below a hundredth of the value, changes of rounding, and a tolerance."""
+    grows = grid_convergence([1, 2, 4], [10.0, 10.015, 10.02])
+    assert "do not shrink" in grows.verdict
+    assert "below 1 %" in grows.verdict
+    rounded = grid_convergence([1, 2, 4], [7.0, np.nextafter(7.0, 8.0), 7.0])
+    assert "those of solver and meshes" in rounded.verdict
+    tolerant = grid_convergence([1, 2, 4], [3.0001, 3.0002, 3.0004], tolerance=2e-3)
+    assert tolerant.u_num == 2e-3
+    assert "bound 0.002, the tolerance" in tolerant.verdict
+
+
+def test_a_coarse_mesh_that_goes_the_other_way_is_said():
+    """The finest three have order 2 and the limit 3; the coarsest one spoils the fit to all."""
+    result = grid_convergence([1, 2, 4, 8], [3.01, 3.04, 3.16, 3.08], formal_order=2)
+    assert result.verdict.startswith("monotone at its fine end alone")
+    assert any(w.startswith("beyond the mesh size 4 the value ") for w in result.warnings)
+    fine = grid_convergence([1, 2, 4], [3.01, 3.04, 3.16], formal_order=2)
+    assert (fine.observed_order, fine.extrapolated) == pytest.approx((2, 3))
+
+
+@pytest.mark.parametrize("scale", [0.1, 0.3, 7.0])
+def test_a_limit_of_zero_is_said_in_words(scale):
+    """A value of 0 + c h^2 is all error; its distance from a limit of 1e-17 is no percentage."""
+    result = grid_convergence([1, 2, 4], scale * np.array([1.0, 4, 16]), formal_order=2)
+    assert any("the extrapolated value is zero" in w for w in result.warnings)
+    assert not any(" % from" in w for w in result.warnings)
+
+
 def test_the_bound_holds_the_error_of_random_series():
     """The simulation of ``validation/bounds.py``: 40 series of each of its families."""
     u, error = (np.concatenate(part) for part in zip(*(coverage(d, 40) for d in FAMILIES),

@@ -102,6 +102,12 @@ def test_solve_that_does_not_converge_exits_1_and_without_a_step_writes_no_field
         # f = 1.4 - 0.4 h: the finest of h = 1, 2, 4 is 0.4 from 1.4, 28.6 %
         ("converge --values 1.0,0.6,-0.2 --sizes 1,2,4", "28.6 % from its extrapolated", "below"),
         ("converge --values 0.97050,0.96854,0.96178 --sizes 1,2,4", "order 1.786", "warning"),
+        # the same with the finest value beside the largest size, and with numbers of elements
+        ("converge --values 0.97050,0.96854,0.96178 --sizes 4,2,1", "with order 1.79", "GCI 0."),
+        ("converge --values 3.64,3.16,3.04 --sizes 10,20,40", "numbers of elements", "GCI 0."),
+        ("converge --values 3,2,1 --sizes 1,2,4", "do not shrink", "numbers of elements"),
+        ("converge --values 5,5,5 --sizes 1,2,4", "state with --tolerance", "numbers of elements"),
+        ("converge --values 5,5,5 --sizes 1,2,4 --tolerance .05", "+- 0.05", "warning"),
     ],
 )  # fmt: skip
 @pytest.mark.usefixtures("home")

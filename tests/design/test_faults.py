@@ -179,3 +179,10 @@ def test_plausibility_warns_of_units():
     )
     assert "is the unit right?" in told[0]
     assert none == ()
+
+
+def test_the_name_of_a_mesh_is_no_size():
+    found = faults(loads_problem, PROBLEM.replace('mesh_size = "1.5 mm"', 'mesh_size = "fine"'))
+    assert found == {
+        "model.mesh_size": "is the name of a mesh, 'fine' | write mesh = \"fine\" (model.mesh)"
+    }

@@ -10,7 +10,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Sphere
 from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test
+from study.mechanics.setup.test_kind import Test, unresolved_contact
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.system import System
 from tests.fem.problems import (
@@ -231,3 +231,40 @@ def test_pressure_and_area_under_a_sphere_are_those_of_hertz(order, off):
     assert 0 <= figures.gap_mm < 1e-2 * depth
     below = found.equilibria.base[-1]
     assert found.equilibria.plate[-1].axial == pytest.approx(below.axial, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("indenter", "depth", "law", "size_mm", "is_resolved"),
+    [
+        (Sphere(4.0), 0.08, lambda e, d: 4 / 3 * e * np.sqrt(4.0 * d**3), 2.0, False),
+        (Sphere(4.0), 0.08, lambda e, d: 4 / 3 * e * np.sqrt(4.0 * d**3), 0.1, True),
+        (Cone(45.0), 0.4, lambda e, d: 2 / np.pi * e * d**2, 1.5, False),
+        (Cone(45.0), 0.4, lambda e, d: 2 / np.pi * e * d**2, 0.05, True),
+    ],
+)
+def test_a_contact_smaller_than_the_elements_is_named(indenter, depth, law, size_mm, is_resolved):
+    """Hertz and Sneddon: elements of twice the contact radius give many times their force."""
+    problem = indentation(
+        indenter, depth, material=hooke(0.3), specimen=Cylinder(12.0, 12.0), steps=1,
+        mesh_size_mm=size_mm,
+    )  # fmt: skip
+    found = solve(problem, gradients=False)
+    ratio = found.curve.force_N[-1] / law(2 * 1.3 / 0.91, depth)
+    assert (abs(ratio - 1) < 0.1) == is_resolved
+    assert ("too large for the contact" in found.message) != is_resolved
+
+
+def test_elements_are_measured_by_what_is_touched():
+    def said(indenter, size_mm, depth=0.5, interface="frictionless"):
+        test = Test("indentation", depth, interface, indenter=indenter)
+        return unresolved_contact(test, size_mm)
+
+    assert "0.5 mm at most" in said(Sphere(2.0), 1.0)  # contact radius sqrt(2 * 0.5) = 1 mm
+    assert not said(Sphere(2.0), 0.5)
+    assert not said(Sphere(2.0), None)  # a mesh by name is made for the contact
+    assert said(Flat(2.0, 0.3), 0.7)
+    assert not said(Flat(2.0, 0.3), 0.4)
+    assert not said(Flat(2.0, 0.9), 0.8)
+    assert not said(Flat(2.0), 1.5)
+    assert not said(Flat(2.0, 0.3), 3.0, interface="bonded")
+    assert not said(Sphere(2.0), 1.0, depth=None)

@@ -1,5 +1,7 @@
 """A run ends where the specimen gives way, at a limit point or by swaying, and says so."""
 
+from dataclasses import replace
+
 import meshio
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from study.harness.design import plausibility
 from study.harness.design.cell import CellProblem
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Block, Cylinder
+from study.mechanics.setup.geometry import Block, Cylinder, Gravity
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model
 from study.mechanics.setup.test_kind import Test, buckling_strain
@@ -153,6 +155,37 @@ def test_the_whole_straight_column_loses_stability_where_its_quarter_says():
     assert found.status == "unstable"
     assert found.instability.sway == ""
     assert found.instability.displacement_mm == pytest.approx(part.displacement_mm, rel=1e-3)
+
+
+@pytest.mark.parametrize(("density", "status"), [(1.0, "converged"), (6e4, "unstable")])
+def test_a_column_that_its_weight_has_buckled_does_not_stand_at_all(density, status):
+    """Hardly pressed: the lower half of the heavy one carries twice Euler's load for its length."""
+    problem = _column(0.05, 1, order="linear")
+    heavy = replace(problem, test=replace(problem.test, gravity=Gravity(density)))
+    found = solve(heavy, gradients=False)
+    assert found.status == status
+    if status == "unstable":
+        assert found.instability.stable_mm == found.instability.unstable_mm == 0
+        assert "under its weight is unstable before the test begins" in found.message
+
+
+def test_a_linear_elastic_column_is_said_never_to_buckle():
+    """Its caution does not send the user to ``--follow``, which has no instability to follow."""
+    table = {
+        "model": "linear-elastic",
+        "constants": {"youngs_modulus": 0.03},
+        "poisson_ratio": 0.45,
+    }
+    cell = CellProblem(COLUMN, Test("compression", 5.0, "bonded", steps=1),
+                       MaterialSection.of(table), Model(space="3d", element_shape="tensor",
+                       element_order="linear", mesh_size_mm=4.0))  # fmt: skip
+    caution = " ".join(plausibility.cautions_of(cell))
+    found = solve(cell.at(), gradients=False)
+    for words in (caution, found.message):
+        assert "never buckles" in words
+        assert "--follow" not in words
+    # E A d / H, a little more between bonded plates
+    assert found.curve.force_N[-1] == pytest.approx(0.03 * 96 * 5 / 90, rel=0.05)
 
 
 @long_verification

@@ -226,7 +226,14 @@ def test_numbers_of_a_table_that_a_program_writes_are_read_whole(tmp_path, monke
         ('unit = "mm"\npractical', 'unit = "mmm"\npractical', "unknown unit"),
         ('name = "static"', 'name = "dofs"', "dofs is in no unit"),
         ("[[response]]", '[measurements]\nfile = "a.csv"\n[[response]]', "without a material"),
-        ("[factors]", '[converge]\nkey = "parameters.h"\n[factors]', "positive number"),
+        ("[factors]", '[converge]\nkey = "parameters.mas"\n[factors]', "did you mean 'mass'"),
+        (
+            "[factors]",
+            '[converge]\nkey = "parameters.mass"\n[factors]\nparameters.mass = ["0 kg", "1 kg"]',
+            "positive number",
+        ),
+        ('practical = "1 mm"', 'practical = "1"', 'for example, "0.05 mm" or "5 % of mean"'),
+        ('["12 N s/m", "20 N s/m"]', '{ low = "9 N s/m", high = "9 N s/m" }', "that differ"),
         ("[factors]", '[converge]\nkey = "model.h"\n[factors]', "key of \\[parameters\\]"),
         ("[factors]", '[replicates]\nkey = "parameters.seed"\n[factors]', "which no cell has"),
         ("[factors]", "[replicates]\nn = 5\n[factors]", "is missing beside n"),
@@ -395,6 +402,24 @@ def test_a_bound_covers_the_error_of_a_solver_of_second_order(tmp_path, rows, ba
     assert sum(covered) >= bar
     effect = next(v for v in found.verdicts if v["factor"] == "parameters.i")
     assert effect["u_num"] > 0
+
+
+def test_the_series_of_a_solver_without_a_formal_order_can_be_read(tmp_path):
+    """``study converge NAME`` ended with a traceback; an order of 2 shows in 1 + 2, 8, 32 h^2."""
+    tables = {
+        "study": {"name": "no-order"}, "parameters": {"a": 1.0, "h": 0.4},
+        "factors": {"parameters.a": [1.0, 3.0]}, "converge": {"key": "parameters.h"},
+        "response": [{"name": "y", "practical": 0.5}],
+    }  # fmt: skip
+
+    def solver(case):
+        return {"y": case["parameters"]["a"] + case["parameters"]["h"] ** 2}
+
+    api.run(tables, forward=solver, version="1", jobs=1, reports=None, results=tmp_path / "results")
+    found = api.converge("no-order", results=tmp_path / "results")
+    words = " ".join(getattr(block, "words", "") for block in found.blocks())
+    assert "no formal order: give [converge] formal_order" in words
+    assert "observed order 2" in words
 
 
 def test_the_step_as_a_factor_is_a_series_of_its_own(tmp_path):

@@ -264,7 +264,8 @@ def _span(low: object, high: object, dimension: str, log: bool) -> Span:
     if unit != other:
         raise Bad(f"mixes {unit!r} and {other!r}", "write both ends in one unit")
     if not first < last:
-        raise Bad(f"must rise, got {shown(low)} to {shown(high)}", "exchange low and high")
+        mend = "exchange low and high" if last < first else "give two ends that differ"
+        raise Bad(f"must rise, got {shown(low)} to {shown(high)}", mend)
     if log and first <= 0:
         rule = f"has a logarithm of positive numbers alone, got {shown(low)}"
         raise Bad(rule, 'begin above 0, or leave scale = "log" out')

@@ -25,10 +25,12 @@ from study.mechanics.setup.geometry import (
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Setup
 from study.mechanics.setup.test_kind import (
+    NEVER_BUCKLES,
     TEST_KINDS,
     PlateMotion,
     beyond_height,
     buckling_strain,
+    unresolved_contact,
 )
 
 #: place of a fault in the tables of a problem, such as ``"test.kind"``; rule and mend
@@ -270,7 +272,13 @@ def cautions_of(problem: ForwardCell) -> tuple[str, ...]:
     if not isinstance(problem, CellProblem):
         return ()
     setup, material = problem.setup, problem.material
-    return (*_moduli(material), *_sizes(setup.specimen, setup.model), *_depth(setup, material))
+    contact = unresolved_contact(setup.test, setup.model.mesh_size_mm)
+    return (
+        *_moduli(material),
+        *_sizes(setup.specimen, setup.model),
+        *([f"model.mesh_size: {contact}"] if contact else []),
+        *_depth(setup, material),
+    )
 
 
 def _moduli(material: MaterialSection) -> Iterator[str]:
@@ -296,10 +304,13 @@ def _depth(setup: Setup, material: MaterialSection) -> Iterator[str]:
             hidden = "a model of its quarter is asked for the sway that it cannot make"
             if setup.model.space == "axisymmetric":
                 hidden = "a model with an axis of symmetry cannot sway"
+            hidden = f"{hidden}: study solve --follow goes on from there"
+            if energy.small_strain:
+                hidden = NEVER_BUCKLES
             yield (
                 f"test.displacement: a column of this slenderness buckles at about "
                 f"{critical * height:.3g} mm (Euler's load), and "
-                f"{depth:.4g} mm are asked for; {hidden}: study solve --follow goes on from there"
+                f"{depth:.4g} mm are asked for; {hidden}"
             )
 
 

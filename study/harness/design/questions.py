@@ -147,7 +147,10 @@ def _practical(unit: str, value: object) -> Threshold:
         return Threshold(number(0)(value))
     if not isinstance(value, str):
         raise Bad(f"needs a unit, got {shown(value)}", mend)
-    amount, written = units.split(value)
+    try:
+        amount, written = units.split(value)
+    except UnitError as error:
+        raise Bad(error.faults[0].rule, mend) from error
     if amount <= 0:
         raise Bad(f"must be positive, got {shown(value)}", mend)
     if written == "% of mean":

@@ -19,7 +19,7 @@ from study.ground.diagnostics import (
     read_variant,
     with_values,
 )
-from study.ground.errors import InputError
+from study.ground.errors import InputError, nearest
 from study.ground.units import INTERNAL
 from study.harness.design import plausibility
 from study.harness.design.calibration_section import (
@@ -241,7 +241,10 @@ def _of_parameters(
     size = values.get(name)
     if name and (not isinstance(size, float) or size <= 0):
         rule = f"must be a positive number in every cell, parameters.{name} is {shown(size)}"
-        faults.add("converge.key", rule, "name the mesh size, step or tolerance of your solver")
+        mend = "name the mesh size, step or tolerance of your solver"
+        if name not in values:
+            rule, mend = f"[parameters] does not have {name!r}", nearest(name, values)
+        faults.add("converge.key", rule, mend)
     refinement = Refinement(name, converge.formal_order) if name else None
     return ParameterProblem(parameters=values, units=units, forward=forward, refinement=refinement)
 

@@ -305,6 +305,10 @@ def in_mind(job: CaseJob) -> Problem:
     return job.case.tested.with_placeholder(job.depth_mm if job.directions else 1.0)
 
 
+#: reason of the formal order of a stranger's solver where the design does not give it
+_UNKNOWN = "give [converge] formal_order if the solver promises one"
+
+
 def promised(job: CaseJob) -> FormalOrder:
     """Order that the elements of a case promise, or what is said of a stranger's solver."""
     refinement = job.case.problem.refinement
@@ -312,7 +316,7 @@ def promised(job: CaseJob) -> FormalOrder:
         return formal_order(in_mind(job))
     order = refinement.formal_order
     given = f"as [converge] says of parameters.{refinement.name}"
-    return FormalOrder(order, "nobody says it" if order is None else given)
+    return FormalOrder(order, _UNKNOWN if order is None else given)
 
 
 # Meshes of a series that can be judged, and the sizes by which they are.

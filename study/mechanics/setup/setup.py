@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
-from study.ground.declaration import DERIVED, Length, section, word
+from study.ground.declaration import DERIVED, Bad, Reads, finite, quantity, section, word
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Enclosed, Specimen
 from study.mechanics.setup.test_kind import (
@@ -44,6 +44,13 @@ _ELEMENTS: Mapping[str, Shape] = {
 }
 
 
+def _size(value: object) -> float:
+    """Read an element size; the name of a mesh has a key of its own."""
+    if value in MESH_LEVELS:
+        raise Bad(f"is the name of a mesh, {value!r}", f'write mesh = "{value}" (model.mesh)')
+    return quantity("length")(value)
+
+
 @section
 class Model:
     """Discretization. Exactly one of ``mesh_size_mm`` and ``mesh`` is used (size wins)."""
@@ -58,7 +65,7 @@ class Model:
     mesh: Annotated[MeshName, word(*MESH_LEVELS)] = "medium"
     #: Size of a named mesh over that of the next finer one; ``converge.ratio`` of the file.
     mesh_ratio: Annotated[float, DERIVED] = 1.5
-    mesh_size_mm: Length | None = None
+    mesh_size_mm: Annotated[float, Reads(_size, "length", "", finite)] | None = None
     #: Moves the nodes of the mesh at random (see :mod:`study.mechanics.mesh.mesher`).
     mesh_seed: Annotated[int | None, DERIVED] = None
 

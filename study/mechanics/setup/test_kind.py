@@ -416,6 +416,18 @@ def beyond_height(test: Test, height_mm: float) -> Iterator[Fault]:
         yield Fault("test.displacement", rule, "make it smaller than specimen.height")
 
 
+#: what is said of a column of a linear-elastic material beyond Euler's load
+NEVER_BUCKLES = (
+    "a linear-elastic material, made for small strains, never buckles: its force is that of a "
+    "column that is held straight; use neo-hookean for one that is not"
+)
+
+
+def weight_strain(test: Test, height_mm: float, shear_modulus_MPa: float) -> float:  # noqa: N803
+    """Largest compression by the weight of a specimen whose plates hold both faces, about."""
+    return abs(test.weight_N_mm3) * height_mm / 2 / (3 * shear_modulus_MPa)
+
+
 def buckling_strain(test: Test, specimen: Specimen) -> float | None:
     """Compression per height at which a column sways; None where it is none, or never does.
 
@@ -505,6 +517,37 @@ class Indentation(TestKind):
 def holds_face(test: Test) -> bool:
     """Whether a flat indenter sticks: it has hold of all that it will hold at once."""
     return test.interface == "bonded" and test.indenter is not None and test.indenter.has_face
+
+
+#: elements over the contact radius (or the radius of a face) that still resolve what is touched:
+#: with more the force under a sphere, a cone and a rounded punch was 5 to 900 % too high
+_CONTACT_SHARE = 0.5
+_FACE_SHARE = 0.25
+#: so many times larger ones were off by a tenth to a half, still larger ones several times
+_NEARLY = 2.0
+
+
+def unresolved_contact(test: Test, mesh_size_mm: float | None) -> str:
+    """Say that elements are too large for what an indenter touches at the end; empty if not.
+
+    A rounded face is followed by elements of its rounding; a sharp one is met by an edge of them.
+    """
+    pressed, depth_mm = test.indenter, test.displacement_mm
+    if pressed is None or depth_mm is None or mesh_size_mm is None or holds_face(test):
+        return ""
+    radius_mm = pressed.contact_radius_mm(depth_mm)
+    most_mm = _CONTACT_SHARE * radius_mm
+    if pressed.has_face:
+        most_mm = max(pressed.rounding_mm, _FACE_SHARE * radius_mm)
+        most_mm = radius_mm if pressed.is_sharp_edged else most_mm
+    if mesh_size_mm <= most_mm * (1 + 1e-9):
+        return ""
+    error = "several times" if mesh_size_mm > _NEARLY * most_mm else "a tenth or more"
+    return (
+        f"elements of {mesh_size_mm:.3g} mm are too large for the contact, whose radius is about "
+        f"{radius_mm:.3g} mm at the end: the force may be {error} too high; use a mesh_size "
+        f'of {most_mm:.2g} mm at most, or mesh = "medium"'
+    )
 
 
 def indenter_of_test(test: Test) -> Indenter:

@@ -28,7 +28,7 @@ from study.mechanics.element.function_space import (
 )
 from study.mechanics.mesh.structured import KINDS, Mesh, mirror
 from study.mechanics.setup.setup import Problem, Setup
-from study.mechanics.setup.test_kind import buckling_strain
+from study.mechanics.setup.test_kind import buckling_strain, weight_strain
 from study.mechanics.solver.internal_force import ContactBlocks, Tangent
 from study.mechanics.solver.linear_solver import (
     KeptFactors,
@@ -92,6 +92,8 @@ class Instability:
     def sentence(self) -> str:
         """Name it, for a message."""
         how = f"the specimen buckles in {self.sway}" if self.sway else "another shape costs less"
+        if self.unstable_mm == self.stable_mm:
+            return f"the equilibrium under its weight is unstable before the test begins: {how}"
         return (
             f"the equilibrium becomes unstable at {self.displacement_mm:.3g} mm (stable at "
             f"{self.stable_mm:.4g} mm, unstable at {self.unstable_mm:.4g} mm): {how}"
@@ -207,7 +209,10 @@ def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, .
     critical = buckling_strain(setup.test, setup.specimen)
     if space.dim < 3 or mesh.is_whole or system.material.small_strain or critical is None:
         return None
-    if setup.test.depth_mm < SUSPICIOUS * critical * mesh.height_mm:
+    shortened = setup.test.depth_mm / mesh.height_mm
+    if shortened + weight_strain(setup.test, mesh.height_mm, system.material.mu0) < (
+        SUSPICIOUS * critical
+    ):
         return None
     width = getattr(setup.specimen, "width_mm", 0.0)
     axis = 1 if width > getattr(setup.specimen, "depth_mm", width) else 0

@@ -13,7 +13,11 @@ from study.mechanics.element.function_space import deformation_gradient
 from study.mechanics.material.stability import always_elliptic, ellipticity
 from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Problem
-from study.mechanics.setup.test_kind import buckling_strain
+from study.mechanics.setup.test_kind import (
+    NEVER_BUCKLES,
+    buckling_strain,
+    unresolved_contact,
+)
 from study.mechanics.solver.equilibrium import (
     Equilibria,
     Instability,
@@ -291,11 +295,13 @@ class LoadPath:
             bad = is_unstable(system, states[middle])
             stable, first = (stable, middle) if bad else (middle, first)
         before = (self.rest or self.system.start()) if stable < 0 else states[stable]
-        is_unstable(system, before)
+        sags = is_unstable(system, before) and self.system.weight is not None
         k0 = least_stiffness(system)[0]
         is_unstable(system, states[first])
         k1, mode = least_stiffness(system)
         a, b = before.displacement_mm, states[first].displacement_mm
+        if sags:  # it does not stand when the test begins
+            b = a
         share = k0 / (k0 - k1) if k1 < 0 < k0 else 1.0
         self.instability = Instability(a + share * (b - a), a, b, sway, mode, parity)
         del self.steps[int(np.searchsorted(self._reached, b * (1 - 1e-12))) :]
@@ -703,18 +709,27 @@ class LoadPath:
                 f"{100 * inside / self._whole_mm:.2g} % of the displacement: use a smaller "
                 "mesh_size, or press less deep"
             )
-        uneven = self.system.internal.uneven_volume(self.system.material, self.state.x)
-        if uneven > _UNEVEN:
-            said.append(
-                f"volumes within the elements are off by {100 * uneven:.2g} % (root mean square): "
-                "the mesh is too coarse for this deformation, and the force too high by a few "
-                "percent or more; use a smaller mesh_size, or quadratic elements"
-            )
+        said += self._too_coarse()
         said += self._cannot_sway()
         said += self._not_converged(curve)
         if isinstance(self.problem.specimen, Enclosed):
             said += body(self.problem.specimen).notes
         return "; ".join(said)
+
+    def _too_coarse(self) -> list[str]:
+        """Say that the elements are too large for the deformation, or for what is touched."""
+        model, notes = self.problem.model, []
+        uneven = self.system.internal.uneven_volume(self.system.material, self.state.x)
+        if uneven > _UNEVEN:
+            other = "" if model.element_order == "quadratic" else ", or quadratic elements"
+            notes.append(
+                f"volumes within the elements are off by {100 * uneven:.2g} % (root mean square): "
+                "the mesh is too coarse for this deformation, and the force too high by a few "
+                f"percent or more; use a smaller mesh_size{other}"
+            )
+        if contact := unresolved_contact(self.problem.test, model.mesh_size_mm):
+            notes.append(contact)
+        return notes
 
     def _apart(self) -> str:
         """Say where what moves has lost the specimen, or never met it; empty where it has not.
@@ -737,13 +752,15 @@ class LoadPath:
         """Say that a column went past Euler's load in a model whose axis holds it straight."""
         setup, height_mm = self.problem.setup, self.system.mesh.height_mm
         critical = buckling_strain(setup.test, setup.specimen)
-        if self.system.space.dim == 3 or self.system.material.small_strain or critical is None:
+        small = self.system.material.small_strain
+        if (self.system.space.dim == 3 and not small) or critical is None:
             return []
         if not self._reached or self._reached[-1] < critical * height_mm:
             return []
+        hidden = NEVER_BUCKLES if small else "a model with an axis of symmetry cannot show that"
         return [
             f"a column of this slenderness buckles at about {critical * height_mm:.3g} mm (Euler's "
-            "load), which a model with an axis of symmetry cannot show"
+            f"load); {hidden}"
         ]
 
     def _not_converged(self, curve: Curve) -> list[str]:

@@ -218,7 +218,9 @@ def _series(cell: Document) -> Iterator[Block]:
     yield Verbatim(title.strip())  # the title of a narrow table would be folded
     yield _meshes(cell)
     yield Verbatim(cell["verdict"])
-    if cell.get("formal_reason"):
+    if cell.get("formal_order") is None and cell.get("formal_reason"):
+        yield Verbatim(f"no formal order: {cell['formal_reason']}")
+    elif cell.get("formal_reason"):
         yield Verbatim(f"formal order {cell['formal_order']:.3g}: {cell['formal_reason']}")
     yield from _limit(cell)
     if len(cell.get("quantities") or {}) > 1:

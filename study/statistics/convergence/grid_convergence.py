@@ -55,6 +55,8 @@ RESOLVED_ORDER = 0.05
 NOISE_SHARE = 0.01
 #: Distance of the finest from the extrapolated value, over the latter, that is told.
 FAR = 0.05
+#: An extrapolated value below this share of the largest value is zero, but for rounding.
+_VANISHES = 1e-12
 _MIN_RATIO = 1.3
 #: Two triples of meshes that differ by less in order are in the asymptotic range.
 _SAME_ORDER = 0.3
@@ -145,7 +147,7 @@ def series_bounds(
             np.full(shape, CAUTIOUS), np.full(shape, True),
         )  # fmt: skip
     noise = NOISE_SHARE * np.abs(f[..., 0]) if noise is None else noise
-    floor = np.maximum(10 * tolerance, 4 * np.spacing(np.abs(f).max(axis=-1)))
+    floor = _noise_floor(f, tolerance)
     order = observed_order(h, f)
     kind = np.select(
         [
@@ -171,6 +173,11 @@ def series_bounds(
     u = np.where(carried & (safe | (formal is None)), u, np.maximum(u, spread))
     u = np.where(kind == "monotone", u, CAUTIOUS * spread)
     return MeshBounds(kind, np.maximum(u, tolerance), order, low, high, used, factor, limited)
+
+
+def _noise_floor(f: Array, tolerance: float) -> Array:
+    """Change of three values that tolerance or rounding alone may make; shape of f (..., 3)."""
+    return np.asarray(np.maximum(10 * tolerance, 4 * np.spacing(np.abs(f).max(axis=-1))))
 
 
 def _believed(
@@ -365,9 +372,11 @@ def grid_convergence(
     carried = (high - low) / 2 <= RESOLVED_ORDER
     ordered = limit is not None
     gci_fine, gci_coarse, ratio = _indices(h, f, used, factor, u) if ordered else (None,) * 3
-    verdict = _verdict(behaviour, f, u)
+    verdict = _verdict(behaviour, f, u, tolerance)
     if behaviour == "monotone":
         verdict = _monotone_verdict((low, order, high), formal_order, factor, limited, consistent)
+        if np.diff(f).min() < 0 < np.diff(f).max():
+            verdict = verdict.replace("monotone", "monotone at its fine end alone", 1)
         if f"{used:.3g}" not in (f"{order:.3g}", f"{formal_order or math.nan:.3g}"):
             verdict += f"; bound and GCI by order {used:.3g}"
     elif behaviour == "two meshes":
@@ -385,7 +394,7 @@ def grid_convergence(
         order_used=used if ordered else None,
         gci_coarse=gci_coarse,
         order_interval=(low, high) if math.isfinite(high) and high > low else None,
-        warnings=tuple(_warnings(h, float(f[0]), limit)),
+        warnings=tuple(_warnings(h, f, limit)),
     )  # fmt: skip
 
 
@@ -471,10 +480,17 @@ def _monotone_verdict(
     return f"{order}{promised}: {why}, factor {factor:g}"
 
 
-def _verdict(behaviour: str, f: Array, u: float) -> str:
+def _verdict(behaviour: str, f: Array, u: float, tolerance: float) -> str:
     """Sentence of a series without an order, with its bound."""
     bound = f"bound {u:.3g}, thrice the range of the finest three meshes"
+    if u == tolerance > 0:
+        bound = f"bound {u:.3g}, the tolerance"
     if behaviour == "noise-floor":
+        changes = np.abs(np.diff(f[:3]))
+        if changes.max() > _noise_floor(f[:3], tolerance):
+            share = f"below {100 * NOISE_SHARE:g} % of the value"
+            noise = f"the changes do not shrink, but the finest is {share}: taken for noise"
+            return f"noise floor: {noise}, no order; {bound}"
         return f"noise floor: the changes are those of solver and meshes, no order; {bound}"
     if behaviour == "oscillatory":
         if u == float(np.ptp(f)) / 2:
@@ -518,14 +534,26 @@ def _checked(
     return h[order], f[order]
 
 
-def _warnings(h: Array, finest: float, limit: float | None) -> Iterator[str]:
-    """Small ratios of the sizes, and a limit farther off than a study should rest on."""
+def _warnings(h: Array, f: Array, limit: float | None) -> Iterator[str]:
+    """Small ratios of the sizes, coarse meshes of no use, and a limit far off."""
+    finest = float(f[0])
     if (ratio := (h[1:] / h[:-1]).min()) < _MIN_RATIO - 1e-12:
         yield (
             f"refinement ratio {ratio:.3g} is below {_MIN_RATIO}: "
             "noise of the mesh is amplified in the order"
         )
-    if limit and abs(finest - limit) > FAR * abs(limit):
+    if limit is None:
+        return
+    turned = np.flatnonzero((f[1:] - f[:-1]) * (f[1] - f[0]) < 0)
+    if turned.size:
+        yield (
+            f"beyond the mesh size {h[turned[0]]:.4g} the value changes the other way: leave the "
+            "coarser meshes out if they are too coarse; else noise of the meshes hides the order"
+        )
+    if abs(limit) <= _VANISHES * np.abs(f).max():
+        if abs(finest) > abs(limit):
+            yield f"the extrapolated value is zero: all of the finest value, {finest:.6g}, is error"
+    elif abs(finest - limit) > FAR * abs(limit):
         yield (
             f"the finest value, {finest:.6g}, is {100 * abs(finest / limit - 1):.3g} % from its "
             f"extrapolated value, {limit:.6g}: refine further before either is used"
