@@ -27,7 +27,7 @@ for _variable in (
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-# A sixth of the time of a collection of 5,000 tests goes into looking for garbage, of which there is
+# A sixth of the time of collecting 5,000 tests goes into looking for garbage, of which there is
 # none: modules and tests stay. They are not looked at again while tests run, either.
 gc.disable()
 
