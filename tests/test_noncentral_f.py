@@ -41,3 +41,8 @@ def test_every_difference_has_a_power(n):
     assert (np.diff(powers) > -1e-9).all()
     size = detectable(1.0, n, (1, n - 1), 0.05, 0.8)
     assert power_of(n * size**2 / 2, (1, n - 1), 0.05) == pytest.approx(0.8, abs=1e-9)
+
+
+def test_the_ends_of_the_upper_tail_are_one_and_none():
+    tails = [noncentral_f_sf(3, 20, 5.0, f) for f in (-1.0, 0.0, float("inf"))]
+    assert tails == [1.0, 1.0, 0.0]

@@ -304,7 +304,7 @@ def test_every_other_verb_a_users_function_and_programs(hostile, tmp_path):
 def test_a_run_on_a_cluster_that_was_started_there(hostile, monkeypatch):
     pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
     monkeypatch.setenv("PYTHONSAFEPATH", "1")  # as docs/clusters.md starts them
-    with loopback(hostile.folder, workers=1) as cluster:
+    with loopback(hostile.folder, workers=1, is_fresh=True) as cluster:
         monkeypatch.delenv("PYTHONSAFEPATH")
         monkeypatch.setenv("DASK_CONFIG", "dask.yaml")
         done = hostile.run(

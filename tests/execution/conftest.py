@@ -14,4 +14,4 @@ def cluster(tmp_path_factory):
     with loopback(tmp_path_factory.mktemp("cluster")) as made:
         assert Cluster(perform, made.file, jobs=None).reached()
         yield made
-        assert all(worker.poll() is None for worker in made.workers)
+        assert all(worker.is_alive() for worker in made.workers)

@@ -48,7 +48,7 @@ def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path):
                         os.kill(child, signal.SIGKILL)
         assert len(seen) == 40
         nanny.terminate()
-        nanny.wait(timeout=CAP_S)
+        nanny.join(timeout=CAP_S)
 
 
 def test_what_is_lost_with_workers_and_with_the_scheduler(tmp_path):
@@ -80,9 +80,9 @@ def test_what_is_lost_with_workers_and_with_the_scheduler(tmp_path):
 
         outcomes = Cluster(perform, made.file).run([task("a"), task("b"), task("c")])
         assert sorted(next(outcomes).key for _ in range(3)) == ["a", "b", "c"]
-        made.workers[-1].send_signal(signal.SIGSTOP)
+        os.kill(made.workers[-1].pid, signal.SIGSTOP)
         assert list(outcomes) == []
-        made.workers[-1].send_signal(signal.SIGCONT)
+        os.kill(made.workers[-1].pid, signal.SIGCONT)
         outcomes = Cluster(perform, made.file).run([task("a"), task("b"), task("slow", "hang")])
         assert sorted(next(outcomes).key for _ in range(2)) == ["a", "b"]
         made.scheduler.kill()

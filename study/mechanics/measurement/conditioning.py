@@ -396,28 +396,37 @@ def slack_end(moved: Array, f: Array) -> float | None:
     if x.size < _CORNER_ROWS:
         return None
 
-    def squares(columns: list[Array]) -> tuple[float, Array]:
-        basis = np.column_stack(columns)
-        constants: Array = np.asarray(np.linalg.lstsq(basis, y, rcond=None)[0], dtype=np.float64)
-        left = y - basis @ constants
-        return float(left @ left), constants
-
-    def corner(place: float) -> tuple[float, float, Array]:
-        beyond = np.maximum(x - place, 0.0)
-        left, constants = squares([np.ones_like(x), beyond, beyond**2])
-        return left, place, constants
+    def corner(places: Array) -> tuple[float, float, float, float]:
+        """Least sum of squares over the places of the end of a level, the place, level, slope."""
+        beyond = np.maximum(x - places[:, None], 0.0)
+        left, constants = _least_squares(np.stack([np.ones_like(beyond), beyond, beyond**2], -1), y)
+        best = int(np.argmin(left))
+        return float(left[best]), float(places[best]), *constants[best, :2].tolist()
 
     places = np.linspace(x[1], _LONGEST_SLACK, _PLACES)
-    _, coarse, _ = min(map(corner, places), key=lambda fitted: fitted[0])
+    coarse = corner(places)[1]
     step = float(places[1] - places[0])
     finer = np.linspace(max(coarse - step, x[1]), coarse + step, _PLACES // 2)
-    left, place, (level, slope, _) = min(map(corner, finer), key=lambda fitted: fitted[0])
-    smooth, _ = squares([x**power for power in range(4)])
+    left, place, level, slope = corner(finer)
+    smooth = float(_least_squares(x[None, :, None] ** np.arange(4), y)[0][0])
     rounding = x.size * (1e-6 * float(f[peak])) ** 2
     is_corner = x.size * math.log((smooth + rounding) / (left + rounding)) > _CORNER
     secant = (float(f[peak]) - level) / (1 - place)
     is_late = place > _SLACK and slope > _AT_ONCE * secant
     return float(moved[0]) + place * travel if is_corner and is_late else None
+
+
+def _least_squares(bases: Array, y: Array) -> tuple[Array, Array]:
+    """Sum of squares that each basis leaves of ``y``, and its constants, as ``lstsq`` has them.
+
+    Shapes: bases (k, rows, constants), y (rows,); result (k,), (k, constants).
+    """
+    u, s, v = np.linalg.svd(bases, full_matrices=False)
+    kept = s > np.finfo(np.float64).eps * max(bases.shape[1:]) * s[:, :1]
+    shares = np.where(kept, (y @ u) / np.where(kept, s, 1.0), 0.0)
+    constants = np.asarray((shares[:, None, :] @ v)[:, 0])
+    left = y - (bases @ constants[:, :, None])[..., 0]
+    return np.asarray((left**2).sum(axis=1)), constants
 
 
 def _check_slack(d: Array, f: Array, way: float, where: str) -> None:
