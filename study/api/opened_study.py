@@ -268,7 +268,7 @@ def _analyses(
             ResponseAnalysis(
                 response.name, response.unit, result, None if limit is None else limit.value,
                 limit is not None and limit.relative, response.transform,
-                None if result is None else result.detection.u_num, better, refused=refused,
+                None if result is None else result.u_num, better, refused=refused,
                 scored_on=scored, cross_validated=cross_validated,
             )
         )  # fmt: skip

@@ -189,7 +189,7 @@ def residual_tests(all_facts: Sequence[Facts], data: ReportData) -> str:
         for name, titles in ran.items()
     ]
     copies = ""
-    if any(f.result and 0 < f.result.data.distinct < data.planned for f in analyzed):
+    if any(f.result and 0 < f.result.distinct < data.planned for f in analyzed):
         copies = ", with one of each group of cells that agree everywhere"
     return sentence(f"residuals were examined by {listing(parts)}{copies}")
 
@@ -198,7 +198,7 @@ def _numerics(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if not data.numerical:
         return ""
     how = "by mesh refinement for each kind of discretization"
-    if any(f.result and f.result.detection.u_num_by_term for f in all_facts):
+    if any(f.result and f.result.u_num_by_term for f in all_facts):
         how = "for each difference, by following the same difference over a series of meshes"
     return (
         f"Numerical uncertainty was estimated {how}; its bound U was added to both ends of an "
