@@ -179,7 +179,7 @@ def test_one_factor_alone_has_no_interaction_to_speak_of(data):
 
 def test_virtual_specimens_are_said_to_be_virtual(data):
     virtual = replace(data, virtual=True)
-    few = replace(virtual, responses=data.responses[:1], curves=(), fits=())
+    few = replace(virtual, analyses=data.analyses[:1], curves=(), fits=())
     assert "scatter of their generator" in undrawn(few)
     assert "real measurements" in would_change(virtual, facts(virtual))
 

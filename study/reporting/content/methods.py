@@ -80,7 +80,7 @@ def _cases(data: ReportData) -> str:
 def _scores(data: ReportData) -> str:
     """Say which curves gave constants and which judged them, and how constants were fitted."""
     scored_on = dict.fromkeys(
-        response.scored_on for response in data.responses if response.scored_on
+        response.scored_on for response in data.analyses if response.scored_on
     )
     if not scored_on:
         return ""
@@ -115,7 +115,7 @@ def _measurements(data: ReportData) -> str:
 
 
 def _cross_validation(data: ReportData) -> str:
-    if not any(response.cross_validated for response in data.responses):
+    if not any(response.cross_validated for response in data.analyses):
         return ""
     block = clean(data.block) or "block"
     return sentence(

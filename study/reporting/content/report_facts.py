@@ -124,7 +124,7 @@ class Facts(ResponseAnalysis):
 
 def facts(data: ReportData) -> tuple[Facts, ...]:
     """Read every analysis of a report."""
-    return tuple(_read(data, response) for response in data.responses)
+    return tuple(_read(data, response) for response in data.analyses)
 
 
 def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
@@ -198,7 +198,7 @@ def cells(data: ReportData, response: str, factors: Sequence[str] | None = None)
 
     factors = list(data.factors if factors is None else factors)
     rows = comparable(data, response)
-    log = any(r.name == response and r.transform == "log" for r in data.responses)
+    log = any(r.name == response and r.transform == "log" for r in data.analyses)
     values = rows[response].astype(float)
     rows = rows[factors].astype(str).assign(y=np.log(values) if log else values)
     grouped = rows.groupby(factors, sort=False)["y"].agg(["mean", "count"]).reset_index()

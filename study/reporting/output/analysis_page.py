@@ -330,7 +330,7 @@ def data_of_table(
         question=question,
         factors=factors,
         table=table,
-        responses=(response,),
+        analyses=(response,),
         citation="" if source.path is None else source.path.name,
         provenance=source.provenance,
         commands=source.commands(),
