@@ -66,7 +66,7 @@ def test_half_the_depth_scores_half_the_curve(outcome):
 def test_the_page_draws_it(outcome):
     from study.api.assemble import report_data
 
-    data = replace(report_data(outcome, {}), depths=depths_of(outcome))
+    data = replace(report_data(outcome), depths=depths_of(outcome))
     page = build(data)
     assert "A second look" in page
     assert "f-relative-rms-force-error-depth" in page

@@ -170,7 +170,7 @@ def analyze(
             Path(source), str(response), columns, blocks, unit, decimal, sheet=sheet
         )
     made = anova(source, str(response), columns, **options)
-    return TableAnalysis.of(made.noted(*number_levels(source, factors)))
+    return TableAnalysis.of(made.warn(*number_levels(source, factors)))
 
 
 def analyze_summary(
@@ -261,7 +261,7 @@ def _with(
     where = "all responses together" if spec.family == "study" else "this response"
     count = max((test.family for test in tests), default=0)
     note = f"p (Holm) is adjusted for {count} tests: {which} of {where}"
-    return replace(analysis, result=replace(analysis.result, effects=effects).noted(note))
+    return replace(analysis, result=replace(analysis.result, effects=effects).warn(note))
 
 
 # A mixed model of a study, a table or a file: blocks and other columns as random factors.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from study.ground.arrays import gathered
@@ -21,6 +22,7 @@ from study.reporting.results.study_result import (
     PLAUSIBLE,
     Check,
     CurvePair,
+    Findings,
     FittedConstant,
     ReportData,
     unit_of,
@@ -44,7 +46,7 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
            "expected")  # fmt: skip
 
 
-def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
+def report_data(study: StudyResult) -> ReportData:
     """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
     blocks, spec = tuple(manifest["blocks"]), design.measurements
@@ -55,7 +57,6 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         question=design.question,
         factors={factor.name: factor.labels for factor in design.factors},
         table=study.table,
-        responses=study.analyses,
         block=unit_of(design, manifest) if blocks else "",
         blocks=blocks,
         inputs=_inputs(design),
@@ -69,30 +70,26 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(record for record in study.records if record.retries),
         checks=tuple(_checks(study)),
-        numerical=study.numerical,
         convergence=_convergence(study),
-        validation=tuple(study.validation),
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=manifest["virtual"],
         seed=design.seed,
         alpha=design.analysis.alpha,
-        timings=dict(timings),
+        timings=dict(manifest.get("timings", {})),
         provenance=_provenance(study),
         commands=(f"study run {manifest['source']}", f"study report {study.folder}"),
         data_notes=tuple(manifest["notes"]),
-        warnings=study.warnings,
         design_text=manifest["text"] or manifest["design"],
         scheme=_scheme(study),
         cells=None if design.scheme.rows is None else len(design.treatments),
         roles=design.roles,
         expected=design.expected,
-        beside=study.beside,
-        surfaces=study.surfaces,
         ranges=_ranges(study),
         # a curve, a fitted test or markers stand beside the simulation
         is_measured=design.calibration.problem is not None
         or spec is not None
         or "markers" in design.config,
+        **{item.name: getattr(study, item.name) for item in fields(Findings)},
     )
 
 
@@ -122,8 +119,9 @@ def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
     rows: Sequence[dict[str, Any]] = stored_convergence(
         [row for row in study.numerical if len(row.series) >= 3]
     )
-    named = ({**row["levels"], "response": name_of(row["qoi"])} for row in rows)
-    return tuple(row | {"levels": levels} for row, levels in zip(rows, named, strict=True))
+    return tuple(
+        row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
+    )
 
 
 def _inputs(design: Design) -> dict[str, str]:

@@ -214,11 +214,11 @@ def _known(
     except StudyError:
         return None
     spread = _scatter(analysis)
-    if spread is None or analysis.data.grand_mean is None:
+    if spread is None or analysis.grand_mean is None:
         return None
     u = max((e.u_num for e in analysis.effects if e.u_num is not None), default=0.0)
     log = analysis.request.scale.transform == "log"
-    return spread, u / analysis.data.grand_mean if log else u, analysis.data.grand_mean
+    return spread, u / analysis.grand_mean if log else u, analysis.grand_mean
 
 
 def _scatter(analysis: AnalysisResult) -> float | None:
@@ -227,7 +227,7 @@ def _scatter(analysis: AnalysisResult) -> float | None:
 
     if analysis.error_term.source != "E1":
         return None
-    blocks = analysis.data.residuals["block"].nunique()
+    blocks = analysis.residuals["block"].nunique()
     t = float(stdtrit(blocks - 1, 1 - analysis.request.alpha / 2))
     change = math.log if analysis.request.scale.transform == "log" else float
     halves = [

@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,11 +55,15 @@ if TYPE_CHECKING:
 class Study(Shown, StudyResult):
     """What :func:`study.run` and :func:`study.report` return: a study that can be shown."""
 
+    @cached_property
+    def _data(self) -> ReportData:
+        return report_data(self)
+
     @property
     def answers(self) -> tuple[str, ...]:
         """Sentences that answer the question, which cases fail, and what would change them."""
-        data = report_data(self, {})
-        all_facts, pattern = facts(data), data.failure_pattern
+        data, pattern = self._data, self._data.failure_pattern
+        all_facts = facts(data)
         failures = () if pattern is None else content.tables.failure_sentences(pattern, data.labels)
         change = f"What would change this? {would_change(data, all_facts)}"
         lines = (*content.sentences.answer(data, all_facts), *failures, change)
@@ -79,38 +84,37 @@ class Study(Shown, StudyResult):
         """Draw the largest difference of every term with its interval against what matters."""
         from study.reporting.figures.effect_figures import shown_effect_sizes
 
-        data = report_data(self, {})
-        by_name = {item.name: item for item in facts(data)}
+        by_name = {item.name: item for item in facts(self._data)}
         name = response or next(iter(by_name), "")
         if name not in by_name:
             rule = f"there is no response {name!r}"
             raise InputError(Fault("response", rule, nearest(name, by_name)))
-        return shown_effect_sizes(by_name[name], data.labels)
+        return shown_effect_sizes(by_name[name], self._data.labels)
 
     def blocks(self) -> Iterator[Block | None]:
         """Answer, verdicts and differences that the design asks for, then surfaces."""
-        data = report_data(self, self.manifest.get("timings", {}))
         yield Verbatim(f"\n{self.design.name}: {case_counts(self.cases)}")
         try:
-            yield from list(self._verdicts(data))
+            yield from list(self._verdicts())
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             # the numbers are stored and the report is separate: a table must not end the run
             yield Sentence(f"The verdict table could not be printed: {error}.")
-        for fitted in data.surfaces:
-            yield from content.surface_content.surface_blocks(fitted, data)
+        for fitted in self.surfaces:
+            yield from content.surface_content.surface_blocks(fitted, self._data)
         if self.beside is not None:
             yield Verbatim("")
             yield from map(Sentence, content.comparison_content.conclusion_lines(self.beside))
         if self.report is not None:
             yield Verbatim(f"\nreport: {self.report}")
 
-    def _verdicts(self, data: ReportData) -> Iterator[Block]:
+    def _verdicts(self) -> Iterator[Block]:
         yield from map(Sentence, self.answers)
-        yield replace(content.tables.verdicts(facts(data), data), note="")
-        for item in facts(data):
+        all_facts, labels = facts(self._data), self._data.labels
+        yield replace(content.tables.verdicts(all_facts, self._data), note="")
+        for item in all_facts:
             for effect in item.effects:
                 if effect.verdict == NOT_RESOLVED or refused(effect):
-                    yield Sentence(content.effect_words.open_verdict(effect, item, data.labels))
+                    yield Sentence(content.effect_words.open_verdict(effect, item, labels))
             if (table := contrasts(item)) is not None:
                 yield replace(table, name=f"{item.title}: asked for", note="")
 
@@ -193,8 +197,8 @@ def opened(folder: Path, ended: Design | None = None, *, tell_unfinished: bool =
         store.read_rows("adaptive", document.AdaptiveStep),
     )
     return Study(
-        design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
-        tuple(dict.fromkeys(warnings)),
+        design, folder, records, len(manifest["cases"]), manifest,
+        analyses=analyses, numerical=numerical, warnings=tuple(dict.fromkeys(warnings)),
         validation=tuple(comparisons),
         spaces=tuple(spaces), surfaces=fitted, adaptive=tuple(steps),
     )  # fmt: skip
@@ -267,8 +271,7 @@ def _analyses(
         analyses.append(
             ResponseAnalysis(
                 response.name, response.unit, result, None if limit is None else limit.value,
-                limit is not None and limit.relative, response.transform,
-                None if result is None else result.detection.u_num, better, refused=refused,
+                limit is not None and limit.relative, response.transform, better, refused=refused,
                 scored_on=scored, cross_validated=cross_validated,
             )
         )  # fmt: skip

@@ -374,7 +374,7 @@ def _written(
         return main_file(folder, name, formats_checked)
     provenance.forget(folder, name)
     depths = effects_by_depth(study.design, study.records, study.numerical)
-    data = replace(report_data(study, timings), depths=depths)
+    data = replace(report_data(study), timings=timings, depths=depths)
     written = write(data, folder, formats_checked, worker)
     if study.beside is None:
         provenance.keep(folder, name, made_from)

@@ -19,8 +19,10 @@ def test_records_take_own_interactions_and_group_copies():
     asked = {"block": "mix", "records": True, "practical": "0.5 pp", "exact": False}
     result = anova(table, "y", ["material", "space"], **asked)
     assert result.error_term.source == "E1"
-    assert result.data.distinct == 4
-    assert result.data.representatives == ("A axi", "B axi", "C axi", "D axi")
+    assert result.distinct == 4
+    standing = result.cell_means[result.cell_means["representative"]]
+    assert list(standing["material"]) == list("ABCD")
+    assert set(standing["space"]) == {"axi"}
     # each contrast over the nine mixes is a sample of its own
     assert result.assumptions.normality.n == 9
     assert {row.term for row in result.assumptions.normality_rows} == {"material"}

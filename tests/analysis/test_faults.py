@@ -137,10 +137,10 @@ def test_f22_failed_cells_bound_the_conclusion():
     options = {"block": "specimen", "records": True, "practical": 0.5, "exact": False}
     table = study(3, gap=1.0)
     whole = anova(table, "y", ["model", "space"], **options)
-    assert whole.data.bounds == ()
+    assert whole.failure_bounds == ()
     table.loc[9, "y"] = np.nan
     result = anova(table, "y", ["model", "space"], **options)
-    bound = {b.term: b for b in result.data.bounds}["model"]
+    bound = {b.term: b for b in result.failure_bounds}["model"]
     truth = whole.effect("model").range
     assert bound.low <= truth <= bound.high
     assert result.effect("model").verdict == "matters"
@@ -160,7 +160,7 @@ def test_f22_many_failures_overturn_the_verdict_and_say_so():
     result = anova(table, "y", ["model", "space"], **options)
     # at the space where both models ran, nothing that is missing can change what is seen
     assert result.effect("model").verdict == "matters"
-    bounds = {b.term: b for b in result.data.bounds}
+    bounds = {b.term: b for b in result.failure_bounds}
     assert bounds["model"].holds
     bound = bounds["space"]
     assert not bound.holds
@@ -174,7 +174,7 @@ def test_f22_failures_that_cannot_overturn_anything():
     table = study(4, gap=8.0)
     table.loc[[3], "y"] = np.nan
     result = anova(table, "y", ["model", "space"], block="specimen", exact=False, practical=0.1)
-    held = {b.term: b.holds for b in result.data.bounds}
+    held = {b.term: b.holds for b in result.failure_bounds}
     assert held["model"]
     assert any("cannot overturn what is said of model" in w for w in result.notes)
 
@@ -185,7 +185,7 @@ def test_f22_a_level_that_failed_everywhere_is_bounded_too():
     table = pd.concat([table, third], ignore_index=True)
     result = anova(table, "y", ["model", "space"], block="specimen", records=True, exact=False)
     assert any("no response at level C" in w for w in result.notes)
-    bound = {b.term: b for b in result.data.bounds}["model"]
+    bound = {b.term: b for b in result.failure_bounds}["model"]
     assert bound.high > 1.2
 
 
@@ -225,9 +225,9 @@ def test_f22_a_unit_without_any_response_is_bounded_and_counted():
     result = anova(table, "y", ["a"], unit="s", exact=False, practical=1.0)
     assert any("y is missing in 4 of 36 rows" in w for w in result.notes)
     assert any("y is missing in 1 of 12 rows" in w for w in result.notes)
-    assert [b.term for b in result.data.bounds] == ["a"]
-    assert result.data.nested.rows == 32
-    assert result.data.nested.units == 11
+    assert [b.term for b in result.failure_bounds] == ["a"]
+    assert result.nested.rows == 32
+    assert result.nested.units == 11
 
 
 def test_a_fraction_with_lost_runs_says_which_smaller_model_to_ask_for():
@@ -240,7 +240,7 @@ def test_a_fraction_with_lost_runs_says_which_smaller_model_to_ask_for():
         assert any("left out" in note and f"({smaller}, or" in note for note in found.notes)
         assert any(f"(E5: model = {smaller[-1]})" in note for note in found.notes)
         # nothing is said of terms that are in no table, nor of those without an error
-        assert {b.term for b in found.data.bounds} == {e.term for e in found.effects}
+        assert {b.term for b in found.failure_bounds} == {e.term for e in found.effects}
     assert not any("cannot overturn" in note and "A:B:C" in note for note in found.notes)
     claimed = anova(table, "y", list("ABCDE"), model=1, practical=0.5, exact=False)
     assert claimed.effect("A").verdict == "matters"

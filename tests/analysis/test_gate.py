@@ -137,7 +137,7 @@ def test_copied_rows_are_refused_until_they_are_said_to_be_real(times):
     with pytest.raises(RefusedError, match=f"each row stands {times} times"):
         anova(copied, "y", ["a"], practical=0.2, exact=False)
     found = anova(copied, "y", ["a"], practical=0.2, copies="independent", exact=False)
-    assert found.data.n == 10 * times
+    assert found.data.y.size == 10 * times
     part = pd.concat([copied, groups(9, (1, 1), (0.3, 0.3))], ignore_index=True)
     with pytest.raises(RefusedError, match="repeat another of their cell"):
         anova(part, "y", ["a"], exact=False)
@@ -172,7 +172,7 @@ def test_rows_that_are_close_by_chance_are_no_copies(seed):
 def test_coarse_readings_tie_without_being_copies():
     table = groups(3, (30, 30), (0.3, 0.3))
     for y in (table["y"].round(1), np.log(table["y"].round(1)), table["y"].round(0)):
-        assert anova(table.assign(y=y), "y", ["a"], exact=False).data.n == 60
+        assert anova(table.assign(y=y), "y", ["a"], exact=False).data.y.size == 60
 
 
 def test_skewed_differences_need_an_interval_without_a_normal_distribution():

@@ -102,7 +102,7 @@ def test_numerical_uncertainty_is_a_ratio_and_no_p():
     assert effect.resolved == "resolved"
     assert effect.verdict == "matters"
     # the half-normal plot keeps its contrasts
-    assert result.variation.lenth is not None
+    assert result.lenth is not None
 
 
 def test_blocked_spread_tests_have_a_p_of_their_own_design():
@@ -139,7 +139,7 @@ def test_influence_and_robustness_are_part_of_the_result():
     table = factorial({"a": 3, "b": 2}, 4, 8)
     table.loc[7, "y"] += 60.0
     result = anova(table, "y", ["a", "b"], exact=False)
-    influence, cook = result.assumptions.influence, result.data.residuals["cook"]
+    influence, cook = result.assumptions.influence, result.residuals["cook"]
     assert influence.max_leverage == pytest.approx(0.25, rel=1e-9)
     assert influence.max_cook == pytest.approx(max(cook))
     assert int(np.argmax(cook)) == 7
@@ -170,7 +170,7 @@ def test_repeats_within_a_block_are_never_independent():
     table.loc[3, "y"] = np.nan
     lost = anova(table, "y", ["a"], block="s", exact=False)
     assert any("y is missing in 1 of 60 rows" in w for w in lost.notes)
-    assert lost.data.bounds
+    assert lost.failure_bounds
 
 
 def test_a_saturated_fraction_is_judged_by_its_own_contrasts():
@@ -181,12 +181,12 @@ def test_a_saturated_fraction_is_judged_by_its_own_contrasts():
     y = 50 + 4 * columns["D"] + np.random.default_rng(1).normal(size=8) * 0.3
     result = anova(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=1)
     assert result.error_term.source == "E6"
-    assert result.variation.lenth.names == tuple("ABCDEFG")
-    assert result.variation.lenth.active == ("D",)
-    at = result.variation.lenth.names.index("D")
+    assert result.lenth.names == tuple("ABCDEFG")
+    assert result.lenth.active == ("D",)
+    at = result.lenth.names.index("D")
     by_hand = y[columns["D"] == 1].mean() - y[columns["D"] == -1].mean()
-    assert result.variation.lenth.values[at] == pytest.approx(by_hand, rel=1e-9)
-    assert result.anova.row("D").p == result.variation.lenth.p[at]
+    assert result.lenth.values[at] == pytest.approx(by_hand, rel=1e-9)
+    assert result.anova.row("D").p == result.lenth.p[at]
     # with all interactions asked for, those that are other terms are left out, and nothing is
     # claimed; one sentence says so
     table = pd.DataFrame(columns).assign(y=y)
@@ -203,7 +203,7 @@ def test_lenth_carries_a_verdict_where_a_term_is_one_contrast():
     table["y"] += 9.0 * (table["a"] == "L1")
     result = anova(table, "y", list("abcd"), practical=2.0)
     effect = result.effect("a")
-    margin = result.variation.lenth.sme
+    margin = result.lenth.sme
     assert effect.ci95 == pytest.approx((effect.range - margin, effect.range + margin), rel=1e-9)
     assert effect.verdict == "matters"
     pair = result.effect("a:b")
@@ -223,11 +223,11 @@ def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options):
     assert result.anova.row("a").f == unit.anova.row("a").f
     assert result.anova.row("residual").df == 9
     assert "other levels of specimen" in result.error_term.question
-    assert result.data.nested is not None
+    assert result.nested is not None
     means = table.groupby(["a", "specimen"])["y"].mean().reset_index()
     single = anova(means, "y", ["a"], block="specimen", exact=False, **options)
     assert single.anova.row("a").f == pytest.approx(result.anova.row("a").f, rel=1e-9)
-    assert single.data.nested is None
+    assert single.nested is None
     assert single.assumptions.normality is not None
 
 

@@ -131,7 +131,7 @@ def test_the_naive_size_is_what_null_studies_show():
     )
     unit = np.repeat(np.arange(8), 6)
     y = 1 + rng.normal(size=8)[unit] + rng.normal(size=48)
-    nested = anova(table.assign(y=y), "y", ["a"], unit="s", exact=False).data.nested
+    nested = anova(table.assign(y=y), "y", ["a"], unit="s", exact=False).nested
     assert nested.units == 8
     from study.statistics.analysis.repeats import _naive_size
 
@@ -162,8 +162,8 @@ def test_detectable_differences_come_from_the_error_found():
     one = anova(table[table["b"] == "b1"], "y", ["a"], block="s", error="own", exact=False)
     ms = one.anova.row("s:a").ms
     assert ms is not None
-    assert [r.n for r in one.detection.power["a"]] == [4, 8, 16, 32]
-    for row in one.detection.power["a"]:
+    assert [r.n for r in one.power["a"]] == [4, 8, 16, 32]
+    for row in one.power["a"]:
         assert row.df == (2, 2 * (row.n - 1))
         expected = detectable(float(np.sqrt(ms)), row.n, row.df, 0.05, 0.8)
         assert row.detectable == pytest.approx(expected, rel=1e-9)

@@ -89,12 +89,12 @@ def test_ceramic_effects_and_lenth(data_dir):
     assert {name: effects[name] for name in printed} == pytest.approx(printed, abs=6e-4)
     result = anova(table, "Y", factors)
     assert result.error_term.source == "E6"
-    assert {"X3", "X4", "X5"} <= set(result.variation.lenth.active)
+    assert {"X3", "X4", "X5"} <= set(result.lenth.active)
     assert result.effect("X4").range == pytest.approx(198.473, abs=6e-4)
     assert result.effect("X1:X2:X4").range == pytest.approx(27.147, abs=6e-4)
     assert result.assumptions.normality is None
     assert result.anova.row("X4").f is None
-    assert sum(result.variation.shares.values()) == pytest.approx(1, rel=1e-12)
+    assert sum(result.shares.values()) == pytest.approx(1, rel=1e-12)
 
 
 def test_rounding_of_a_deterministic_function_is_no_scatter():

@@ -235,7 +235,7 @@ def test_remedies_and_summary():
     assert influence(fit).cook.max() == pytest.approx(two["max_cook"], rel=1e-8)
     summary = summary_of(fit)
     assert summary.r_sq_pred == pytest.approx(two["r_sq_pred"], rel=1e-8)
-    whole = anova(table, "y", ["a", "b", "c"], exact=False).variation.summary
+    whole = anova(table, "y", ["a", "b", "c"], exact=False).summary
     expected = terms("crossed-unbalanced", "fit")[""]
     assert whole.s == pytest.approx(expected["s"], rel=1e-10)
     assert whole.r_sq == pytest.approx(expected["r_sq"], rel=1e-10)

@@ -60,7 +60,7 @@ def test_more_resamples_narrow_no_interval(resamples):
     assert half == pytest.approx(2.0 * np.sqrt(1.35), rel=0.3)
     (own,) = [c for c in coefficient_table(result) if c.term == "energy[a]"]
     assert own.t**2 == pytest.approx(result.anova.row("energy").f)  # nor a coefficient's error
-    assert not result.detection.power  # nor does a plan promise that they would
+    assert not result.power  # nor does a plan promise that they would
 
 
 @pytest.mark.parametrize("block", ["noise_seed", None])

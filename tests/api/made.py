@@ -69,4 +69,4 @@ def made(
              "versions": {"study": "1"}}  # fmt: skip
     text = DESIGN.replace('"small"', f'"{name}"', 1).replace('"30 mm"', f'"{height}"')
     design = loads(text.replace('"0.5 pp"', f'"{practical}"'), name)
-    return StudyResult(design, folder / name, (), 36, (analysis,), (), known | manifest)
+    return StudyResult(design, folder / name, (), 36, known | manifest, analyses=(analysis,))

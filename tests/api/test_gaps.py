@@ -195,7 +195,7 @@ def test_an_error_that_the_materials_share_is_none_of_their_difference(design):
     # the mesh itself has no uncertainty
     for effect in result.effects:
         assert (effect.u_num == 0) == ("model.mesh" in effect.term)
-    assert result.detection.u_num_by_term
+    assert result.u_num_by_term
 
 
 def test_an_error_of_one_material_is_covered_but_not_tenfold(design):

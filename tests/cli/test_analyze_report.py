@@ -166,7 +166,7 @@ def test_a_result_shows_itself_in_a_notebook(tmp_path):
     assert "largest difference" in axes.get_xlabel()
     assert found.report(tmp_path).name == "table-life.html"
     assert {"analyze", "anova"} <= set(dir(package))
-    assert found.noted("said").notes[-1] == "said"
+    assert found.warn("said").notes[-1] == "said"
 
 
 #: tables in the suite, and in `make verify`

@@ -453,5 +453,5 @@ def test_good_cases_are_judged_and_no_sound_level_is_left_out(inside):
     assert verdicts["model.space"]["verdict"] == "no practical difference"
     assert "have an empty cell" in verdicts["model.space"]["why"]
     (analysis,) = matrix.analyses
-    assert analysis.result.data.n == 18
+    assert analysis.result.data.y.size == 18
     assert not [note for note in analysis.result.notes if "degrees of freedom are" in note]

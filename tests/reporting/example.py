@@ -57,8 +57,8 @@ def example():
     options |= {"transform": "log", "practical": "10 % of mean"}
     of_modulus = anova(table, "mu0", names, u_num=0.12, **options)
     kinds = (
-        ResponseAnalysis(error, "%", of_error, practical=0.5, u_num=0.04, better="lower"),
-        ResponseAnalysis("mu0", "kPa", of_modulus, 0.1, relative=True, transform="log", u_num=0.12),
+        ResponseAnalysis(error, "%", of_error, practical=0.5, better="lower"),
+        ResponseAnalysis("mu0", "kPa", of_modulus, 0.1, relative=True, transform="log"),
     )
     unstable = "Mooney-Rivlin is unstable beyond a stretch of 1.9 for 2 of 9 phantoms."
     apart = "Under bonded plates the mean error differs by 0.031 pp between the spaces."
@@ -68,7 +68,7 @@ def example():
         "predicted force, or the identified modulus?",
         factors=FACTORS,
         table=table,
-        responses=kinds,
+        analyses=kinds,
         block="phantom",
         blocks=BLOCKS,
         inputs={"specimen": "cylinder, radius 25 mm, height 30 mm", "poisson ratio": "0.4995"},
@@ -189,7 +189,7 @@ def unreplicated():
     table = pd.DataFrame(rows)
     result = anova(table, "y", list(names), practical=0.5)
     response = ResponseAnalysis("y", "N", result, 0.5, better="lower")
-    return ReportData("once", "", dict.fromkeys(names, ("lo", "hi")), table, (response,))
+    return ReportData("once", "", dict.fromkeys(names, ("lo", "hi")), table, analyses=(response,))
 
 
 def with_failures(data):

@@ -377,7 +377,7 @@ def test_profiles_of_all_responses_go_through_the_best_setting(tmp_path):
         for fitted in fit_surfaces(tmp_path / "runs.csv", name, ["a", "b"], ["m"], practical="0.1")
     )
     goal = ResponseAnalysis("y", "", better="lower")
-    report = ReportData("s", "", {}, pd.DataFrame(), responses=(goal,), surfaces=surfaces)
+    report = ReportData("s", "", {}, pd.DataFrame(), analyses=(goal,), surfaces=surfaces)
     figure, other = surface_figures.profilers(report)
     assert (figure.name, other.name) == ("profiler-m-p", "profiler-m-q")
     assert not figure.missing
@@ -394,5 +394,5 @@ def test_profiles_of_all_responses_go_through_the_best_setting(tmp_path):
         "The runs do not carry the surface of w, so its row says nothing",
     ):
         assert words in figure.caption, figure.caption
-    figure, _ = surface_figures.profilers(replace(report, responses=()))
+    figure, _ = surface_figures.profilers(replace(report, analyses=()))
     assert "in the middle of their ranges (lines: a 0.500 and b 0)" in figure.caption

@@ -79,7 +79,7 @@ def test_a_second_script_would_be_found(html):
 def test_an_unfinished_study_says_so_at_the_top(data, html):
     assert "Unfinished study" not in html
     few = data.table.iloc[: len(data.table) // 2]
-    half = replace(data, table=few, responses=(), curves=())
+    half = replace(data, table=few, analyses=(), curves=())
     page = undrawn(half)
     # 288 cases: 4 x 2 x 2 x 2 cells of 9 phantoms
     assert "144 of 288 cases have ended" in page
@@ -185,7 +185,7 @@ def test_a_broken_figure_is_named_and_the_others_are_the_same_to_the_byte(
         raise RuntimeError("the <pen> broke")
 
     monkeypatch.setattr(effect_figures, "draw_interactions", broken)
-    made = prepare(replace(data, responses=data.responses[:1], curves=()))
+    made = prepare(replace(data, analyses=data.analyses[:1], curves=()))
     page = printed(*made.html())
     assert page.count("Figure missing.") == 1
     assert "Interactions: relative RMS force error could not be drawn" in page
@@ -203,7 +203,7 @@ def test_assumed_inputs_are_labelled(html):
 
 def test_failures_are_listed_and_a_refused_response_still_makes_a_report(data):
     refused = ResponseAnalysis("mu0", "kPa", refused="copies pose as replicates")
-    page = undrawn(replace(with_failures(data), responses=(refused,), curves=()))
+    page = undrawn(replace(with_failures(data), analyses=(refused,), curves=()))
     for words in (
         "3 cases of 288", "Failure map", "the step could not be halved further",
         "Not analyzed. copies pose as replicates", "No response could be analyzed",
@@ -277,7 +277,7 @@ def test_smallest_possible_report():
     table = pd.DataFrame(
         {"case_id": ["a", "b"], "f": ["x", "y"], "status": "converged", "y": [1.0, 2.0]}
     )
-    data = ReportData("tiny", "", {"f": ("x", "y")}, table, (ResponseAnalysis("y", "N"),))
+    data = ReportData("tiny", "", {"f": ("x", "y")}, table, analyses=(ResponseAnalysis("y", "N"),))
     assert "tiny" in undrawn(data)
 
 
@@ -311,7 +311,7 @@ def hostile(data, evil):
         factors=factors,
         table=table,
         curves=curves,
-        responses=(ResponseAnalysis("mu0", evil, result, 1.0, title=evil, better="lower"),),
+        analyses=(ResponseAnalysis("mu0", evil, result, 1.0, title=evil, better="lower"),),
         exclusions=((evil, evil),),
         checks=(Check(evil, "fail", evil, evil),),
         failures=(Record(evil, evil, {"material": evil}, evil, "failed", evil),),

@@ -28,9 +28,8 @@ def study(declared=None, glue=3.0):
     table = pd.DataFrame(rows, columns=[*FACTORS, "block", "error", "seconds"])
     result = anova(table, "error", list(FACTORS), block="block", practical=1.0, exact=False)
     response = ResponseAnalysis("error", "%", result, practical=1.0, better="lower")
-    return ReportData(
-        "ranges", "", FACTORS, table, (response,), "phantom", tuple("abcdef"), roles=declared or {}
-    )
+    answered = {"roles": declared or {}, "analyses": (response,)}
+    return ReportData("ranges", "", FACTORS, table, "phantom", tuple("abcdef"), **answered)
 
 
 DECLARED = {"range": "condition", "plates": "unknown"}

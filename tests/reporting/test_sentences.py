@@ -16,14 +16,10 @@ from study.reporting.content.report_facts import Facts, facts
 from study.reporting.content.sentences import cheaper, recommendation, would_change
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.analysis_request import AnalysisRequest
-from study.statistics.analysis.analysis_result import (
-    AnalysisResult,
-    DataSummary,
-    Detection,
-    Variation,
-)
-from study.statistics.analysis.anova_table import Anova, Effect, ErrorTerm, SimpleEffect
-from study.statistics.analysis.assumptions import Assumptions
+from study.statistics.analysis.analysis_result import AnalysisResult, Assumptions
+from study.statistics.analysis.anova_table import Effect, ErrorTerm, SimpleEffect
+from study.statistics.analysis.data import prepare
+from study.statistics.analysis.effects import Scale
 from study.statistics.analysis.equal_variance import SpreadTest
 from study.statistics.analysis.normality import RyanJoinerResult
 from study.statistics.analysis.simple_effects import (
@@ -33,6 +29,7 @@ from study.statistics.analysis.simple_effects import (
     NOT_RESOLVED,
     ONE_SPECIMEN,
 )
+from study.statistics.convergence.contrast_bound import TermBounds
 from tests.reporting.example import undrawn
 
 EMPTY = ReportData("none", "", {}, pd.DataFrame())
@@ -61,17 +58,15 @@ def modulus():
 
 def with_result(facts, assumptions, *, u_num_by_term=False):
     """Facts of a response whose analysis holds these tests and nothing else."""
-    none = pd.DataFrame()
+    rows = pd.DataFrame({"plates": ["bonded", "free"] * 2, facts.name: [1.0, 2.0, 1.5, 2.5]})
     result = AnalysisResult(
         AnalysisRequest(facts.name, ("plates",)),
-        ErrorTerm("E1", "", 1.0),
-        Anova("II", ()),
-        Variation({}, None, None),
-        (),
-        Detection(None, None, u_num_by_term, {}),
-        assumptions,
-        DataSummary(0, None, 0.0, none, none, (), ()),
-        (),
+        prepare(rows, facts.name, ["plates"]),
+        (("plates",),),
+        0.0,
+        error_term=ErrorTerm("E1", "", 1.0),
+        assumptions=assumptions,
+        scale=Scale("none", None, TermBounds({"plates": 0.04}) if u_num_by_term else None, False),
     )
     return replace(facts, result=result)
 
@@ -184,7 +179,7 @@ def test_one_factor_alone_has_no_interaction_to_speak_of(data):
 
 def test_virtual_specimens_are_said_to_be_virtual(data):
     virtual = replace(data, virtual=True)
-    few = replace(virtual, responses=data.responses[:1], curves=(), fits=())
+    few = replace(virtual, analyses=data.analyses[:1], curves=(), fits=())
     assert "scatter of their generator" in undrawn(few)
     assert "real measurements" in would_change(virtual, facts(virtual))
 

@@ -51,14 +51,14 @@ def test_the_list_of_words_finds_a_breach(text):
 
 
 def all_failed(data):
-    gone = {one.name: np.nan for one in data.responses}
+    gone = {one.name: np.nan for one in data.analyses}
     table = data.table.assign(status="diverged", **gone)
     failed = tuple(
         Record(str(case), "s", {}, "b", "not-converged", "no equilibrium beyond 0.4 mm")
         for case in table["case_id"]
     )
-    refused = tuple(replace(r, result=None, refused="every case failed") for r in data.responses)
-    return replace(data, table=table, responses=refused, failures=failed, curves=(), fits=())
+    refused = tuple(replace(r, result=None, refused="every case failed") for r in data.analyses)
+    return replace(data, table=table, analyses=refused, failures=failed, curves=(), fits=())
 
 
 def test_a_study_of_which_every_case_failed_has_a_page(data):

@@ -68,7 +68,7 @@ def analyze_records(
 ) -> AnalysisResult:
     """Analyze one response of a study as its design says, but for options that are given."""
     rows, request, notes = _asked(design, records, response, numerical, factors, options or {})
-    return analyze(rows, request).noted(*notes)
+    return analyze(rows, request).warn(*notes)
 
 
 def effects_of_records(

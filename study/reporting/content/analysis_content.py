@@ -81,7 +81,7 @@ def factor_information(data: ReportData) -> Table:
 
 def model_summary(analysis: AnalysisResult) -> Table | None:
     """S, R-sq, adjusted and predicted; None where nothing was left over."""
-    summary = analysis.variation.summary
+    summary = analysis.summary
     if summary is None:
         return None
     shares = (summary.r_sq, summary.r_sq_adj, summary.r_sq_pred)
@@ -391,8 +391,8 @@ def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Bloc
         yield from _further_checks(analysis)
         yield robustness(analysis, data)
         yield _detectable(analysis)
-    if analysis.data.nested is not None:
-        yield _by_units(analysis.data.nested)
+    if analysis.nested is not None:
+        yield _by_units(analysis.nested)
         yield from (Verbatim(f"{text}.") for text in unit_sentences(analysis)[:2])
     if analysis.contrasts:
         yield replace(contrast_table(analysis.contrasts, item, analysis.request.alpha), name=ASKED)
@@ -416,7 +416,7 @@ def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
 
 def _further_checks(analysis: AnalysisResult) -> Iterator[Verbatim]:
     """Give what a page draws: contrasts beyond Lenth's margins, rows that the fit leans on."""
-    lenth, tests = analysis.variation.lenth, analysis.assumptions
+    lenth, tests = analysis.lenth, analysis.assumptions
     if lenth is not None:
         yield Verbatim(
             f"Lenth: pseudo standard error {significant(lenth.pse, 4)}, margin of error "
@@ -438,7 +438,7 @@ def _further_checks(analysis: AnalysisResult) -> Iterator[Verbatim]:
 
 def _detectable(analysis: AnalysisResult) -> Table | None:
     """Differences that would be seen with power 80 %, by the number of units."""
-    power = analysis.detection.power
+    power = analysis.power
     if not power:
         return None
     digits = ratio_digits if analysis.request.scale.is_log else lambda _: 3
@@ -453,7 +453,7 @@ def _detectable(analysis: AnalysisResult) -> Table | None:
 
 def unit_sentences(analysis: AnalysisResult) -> tuple[str, ...]:
     """Say what the analysis by units claims, and what one by rows would have; empty without."""
-    nested = analysis.data.nested
+    nested = analysis.nested
     return () if nested is None else tuple(repeats.sentences(nested, analysis.request.alpha))
 
 
@@ -619,7 +619,7 @@ def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
 
 def _missing(facts: Facts, data: ReportData) -> Iterator[Check]:
     """Make the check whether the missing responses decide a verdict."""
-    if facts.result is None or not facts.has_size or not facts.result.data.bounds:
+    if facts.result is None or not facts.has_size or not facts.result.failure_bounds:
         return
     name, filled = "Missing responses", "between the worst and the best observed value they change"
     if hanging := sorted(facts.hang_on_missing):

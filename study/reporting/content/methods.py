@@ -80,7 +80,7 @@ def _cases(data: ReportData) -> str:
 def _scores(data: ReportData) -> str:
     """Say which curves gave constants and which judged them, and how constants were fitted."""
     scored_on = dict.fromkeys(
-        response.scored_on for response in data.responses if response.scored_on
+        response.scored_on for response in data.analyses if response.scored_on
     )
     if not scored_on:
         return ""
@@ -115,7 +115,7 @@ def _measurements(data: ReportData) -> str:
 
 
 def _cross_validation(data: ReportData) -> str:
-    if not any(response.cross_validated for response in data.responses):
+    if not any(response.cross_validated for response in data.analyses):
         return ""
     block = clean(data.block) or "block"
     return sentence(
@@ -189,7 +189,7 @@ def residual_tests(all_facts: Sequence[Facts], data: ReportData) -> str:
         for name, titles in ran.items()
     ]
     copies = ""
-    if any(f.result and 0 < f.result.data.distinct < data.planned for f in analyzed):
+    if any(f.result and 0 < f.result.distinct < data.planned for f in analyzed):
         copies = ", with one of each group of cells that agree everywhere"
     return sentence(f"residuals were examined by {listing(parts)}{copies}")
 
@@ -198,7 +198,7 @@ def _numerics(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if not data.numerical:
         return ""
     how = "by mesh refinement for each kind of discretization"
-    if any(f.result and f.result.detection.u_num_by_term for f in all_facts):
+    if any(f.result and f.result.u_num_by_term for f in all_facts):
         how = "for each difference, by following the same difference over a series of meshes"
     return (
         f"Numerical uncertainty was estimated {how}; its bound U was added to both ends of an "

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from study.harness.record.record import answered_often, cell_names
 from study.reporting.content.text import clean, name_of
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
+from study.statistics.analysis.analysis_result import Assumptions
 from study.statistics.analysis.anova_table import Effect, Row, SimpleEffect
-from study.statistics.analysis.assumptions import Assumptions
 from study.statistics.analysis.simple_effects import CLAIMS
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class Facts(ResponseAnalysis):
     def hang_on_missing(self) -> frozenset[str]:
         """Main effects whose claim another answer of the missing runs could take away."""
         claimed = {effect.term for effect in self.effects if effect.verdict in CLAIMS}
-        bounds = () if self.result is None else self.result.data.bounds
+        bounds = () if self.result is None else self.result.failure_bounds
         return frozenset(b.term for b in bounds if len(b.verdicts) > 1 and b.term in claimed)
 
     @property
@@ -124,7 +124,7 @@ class Facts(ResponseAnalysis):
 
 def facts(data: ReportData) -> tuple[Facts, ...]:
     """Read every analysis of a report."""
-    return tuple(_read(data, response) for response in data.responses)
+    return tuple(_read(data, response) for response in data.analyses)
 
 
 def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
@@ -198,7 +198,7 @@ def cells(data: ReportData, response: str, factors: Sequence[str] | None = None)
 
     factors = list(data.factors if factors is None else factors)
     rows = comparable(data, response)
-    log = any(r.name == response and r.transform == "log" for r in data.responses)
+    log = any(r.name == response and r.transform == "log" for r in data.analyses)
     values = rows[response].astype(float)
     rows = rows[factors].astype(str).assign(y=np.log(values) if log else values)
     grouped = rows.groupby(factors, sort=False)["y"].agg(["mean", "count"]).reset_index()

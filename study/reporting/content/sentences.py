@@ -364,7 +364,7 @@ def numerical(all_facts: Sequence[Facts]) -> str:
     bounded = [facts for facts in all_facts if any(e.u_num is not None for e in facts.terms)]
     if not bounded:
         return ""
-    by_term = [f for f in bounded if f.result and f.result.detection.u_num_by_term]
+    by_term = [f for f in bounded if f.result and f.result.u_num_by_term]
     unknown = _NO_BOUND * any(e.u_num is None for facts in bounded for e in facts.effects)
     if not by_term:
         return _BY_COLUMN + unknown
@@ -399,7 +399,7 @@ def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> tuple[tuple[str
 def distinct(facts: Facts, data: ReportData) -> str:
     """Say how many computations were really different."""
     total = data.planned
-    if facts.result is None or (number := facts.result.data.distinct) >= total:
+    if facts.result is None or (number := facts.result.distinct) >= total:
         return ""
     differ = f"only {number} differ" if number > 1 else "none differs from another"
     return (

@@ -281,7 +281,7 @@ def anova(facts: Facts, data: ReportData, name: str = "") -> Table:
     }
     if not data.is_table and all(row.p is None for row in rows):
         del columns["F"], columns["p"]
-    elif facts.result and facts.result.variation.lenth:
+    elif facts.result and facts.result.lenth:
         columns["p (Lenth)"] = columns.pop("p")
     if any(row.p_gg is not None for row in rows):
         columns["GG epsilon"] = lambda row: "" if row.p_gg is None else _fixed(row.epsilon_gg, 3)

@@ -267,7 +267,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         ),
     }
     # nothing is left over by a saturated model
-    is_saturated = "residual" not in result.data.residuals
+    is_saturated = "residual" not in result.residuals
     timed = "seconds" in data.table and bool(data.table["seconds"].notna().any())
     has = {
         # the sentences say that nothing could be estimated
@@ -275,7 +275,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         "interactions": len(data.factors) > 1,
         "residuals": not is_saturated,
         "spread": not is_saturated,
-        "contrasts": result.variation.lenth is not None,
+        "contrasts": result.lenth is not None,
         "depth": any(row.response == facts.name for row in data.depths),
         "front": bool(facts.better) and timed,
     }

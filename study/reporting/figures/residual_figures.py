@@ -27,7 +27,7 @@ _HALF_NORMAL_SIMULATIONS = 2000
 
 def contrasts(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Every contrast with its half-normal score and limits, the largest first."""
-    lenth = None if facts.result is None else facts.result.variation.lenth
+    lenth = None if facts.result is None else facts.result.lenth
     if lenth is None:
         raise ValueError("there are no single contrasts: the design is replicated")
     frame = pd.DataFrame(
@@ -120,9 +120,9 @@ _SIMULATIONS = 1000
 
 def diagnostic_residual_points(facts: Facts) -> pd.DataFrame:
     """Residuals of one representative of each computation, with their normal scores."""
-    if facts.result is None or facts.result.data.residuals.empty:
+    if facts.result is None or facts.result.residuals.empty:
         raise ValueError("there are no residuals")
-    frame = facts.result.data.residuals
+    frame = facts.result.residuals
     if "representative" in frame:
         frame = frame[frame["representative"].astype(bool)]
     return residual_points(frame.sort_values("residual", kind="stable").reset_index(drop=True))

@@ -108,7 +108,7 @@ def _reference(rows: Rows, data: ReportData) -> tuple[Array, str]:
     low = np.max([points.min(axis=0) for points in coded], axis=0)
     high = np.min([points.max(axis=0) for points in coded], axis=0)
     at, words = np.zeros(len(low)), "in the middle of their ranges"
-    better = {item.name: item.better for item in data.responses if item.better}
+    better = {item.name: item.better for item in data.analyses if item.better}
     goals = [row for row in rows if row[0].response in better]
     if len(goals) == 1:
         fitted, best = goals[0]

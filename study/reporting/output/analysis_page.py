@@ -103,7 +103,7 @@ def prepare(
 
 def _data(analysis: AnalysisResult, data: ReportData, item: Facts) -> Iterator[Block]:
     log = ", analyzed on the log: effects are ratios" if analysis.request.scale.is_log else ""
-    cells = len(analysis.data.cell_means)
+    cells = len(analysis.cell_means)
     yield Heading("Data", 2, "data")
     yield Definitions([
         Definition("Response", [Sentence(log, item.title)]),
@@ -168,9 +168,9 @@ def _figures(
     from study.reporting.figures import registry, residual_figures
 
     without = {"residuals"}
-    if len(data.table) > MOST_ROWS_DRAWN or len(analysis.data.cell_means) > MOST_CELLS:
+    if len(data.table) > MOST_ROWS_DRAWN or len(analysis.cell_means) > MOST_CELLS:
         without |= {"cells"}
-    if len(analysis.data.cell_means) > MOST_CELLS:
+    if len(analysis.cell_means) > MOST_CELLS:
         without |= {"spread"}
     drawn = registry.of_response(data, item, without)
     if rows is None or not item.terms:
@@ -220,7 +220,7 @@ def write_page(
     pages = prepare(analysis, data, stem, rows, compared)
     files = write.write_pages(folder, stem, pages, chosen)
     write.write_numbers(files, analysis.to_json())
-    rows = analysis.data.residuals if rows is None else rows
+    rows = analysis.residuals if rows is None else rows
     replace_file(files / "rows.csv", write.of_frame(rows))
     html, latex = folder / f"{stem}.html", folder / f"{stem}.tex"
     if "tex" in chosen:
@@ -291,7 +291,7 @@ def check_taken(factors: Sequence[str]) -> None:
 def analysis_data(analysis: AnalysisResult, source: AnalysisSource | None = None) -> ReportData:
     """Gather what a report shows of one analysis: levels, rows, provenance."""
     request, limit = analysis.request, analysis.request.scale.practical
-    rows, block = analysis.data.residuals, analysis.data.block
+    rows, block = analysis.residuals, analysis.data.block
     levels = {e.term: e.levels for e in analysis.effects if e.is_main}
     texts = {n: rows[n].astype(str) for n in (*request.factors, "block") if n in rows}
     table = rows[["row"]].rename(columns={"row": "case_id"}).assign(**texts, status="converged")
@@ -310,7 +310,7 @@ def analysis_data(analysis: AnalysisResult, source: AnalysisSource | None = None
         f"How does {request.response} depend on {listing(list(request.factors))}?",
         {n: levels.get(n) or tuple(rows[n].astype(str).unique()) for n in request.factors},
         table.assign(**{request.response: rows["response"]}),
-        len(analysis.data.cell_means),
+        len(analysis.cell_means),
     )
     blocks = () if block is None else tuple(rows["block"].astype(str).unique())
     return replace(data, block=block or "", blocks=blocks, seed=request.seed, alpha=request.alpha)
@@ -330,7 +330,7 @@ def data_of_table(
         question=question,
         factors=factors,
         table=table,
-        responses=(response,),
+        analyses=(response,),
         citation="" if source.path is None else source.path.name,
         provenance=source.provenance,
         commands=source.commands(),

@@ -253,7 +253,7 @@ def write_figures(files: Path, figures: Iterable[Figure], *, drawn: bool = True)
 def _numbers(data: ReportData, files: Path) -> None:
     numbers = {
         response.name: None if response.result is None else response.result.to_json()
-        for response in data.responses
+        for response in data.analyses
     }
     write_numbers(files, {"study": data.name, "responses": numbers})
 

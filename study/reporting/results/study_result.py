@@ -61,8 +61,6 @@ class ResponseAnalysis:
     relative: bool = False
     #: ``"none"`` or ``"log"``; with ``"log"`` every effect is a ratio.
     transform: str = "none"
-    #: Largest numerical standard uncertainty of an effect, in ``unit``.
-    u_num: float | None = None
     #: ``"lower"`` (an error), ``"higher"`` or ``""`` (an identified constant: no best cell).
     better: str = ""
     #: Name in sentences; made from ``name`` when empty.
@@ -138,8 +136,25 @@ class Check:
     of: str = ""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """What was computed of a study or of a table, and what stands beside it."""
+
+    #: One a response.
+    analyses: tuple[ResponseAnalysis, ...] = ()
+    #: What responses do over the factors that are ranges; empty where there are none.
+    surfaces: tuple[FittedSurface, ...] = ()
+    #: Numerical uncertainty of every response for every discretization.
+    numerical: tuple[NumericalUncertainty, ...] = ()
+    #: E and u_val of every case along its curve, where inputs are uncertain.
+    validation: tuple[Mapping[str, Any], ...] = ()
+    warnings: tuple[str, ...] = ()
+    #: A second study that it is compared with.
+    beside: Beside | None = None
+
+
 @dataclass(frozen=True)
-class ReportData:
+class ReportData(Findings):
     """Everything a report shows."""
 
     name: str
@@ -150,7 +165,6 @@ class ReportData:
     #: per response, and ``seconds``, ``dofs`` where known. Failed rows stay, with missing
     #: responses.
     table: pd.DataFrame
-    responses: tuple[ResponseAnalysis, ...] = ()
     #: What the block is (``"phantom"``); empty without blocks.
     block: str = ""
     blocks: tuple[str, ...] = ()
@@ -170,13 +184,10 @@ class ReportData:
     #: Checks that the runner made (store, stability, ...); those of the analysis are added by the
     #: report.
     checks: tuple[Check, ...] = ()
-    numerical: tuple[NumericalUncertainty, ...] = ()
     #: Series of three meshes or more, as ``study converge --json`` gives them.
     convergence: tuple[Mapping[str, Any], ...] = ()
     #: Main effects with the test scored to less of its depth.
     depths: tuple[DepthEffect, ...] = ()
-    #: E and u_val of every case along its curve, where inputs are uncertain.
-    validation: tuple[Mapping[str, Any], ...] = ()
     controls: tuple[Check, ...] = ()
     #: Measurements were generated, so p describes the scatter of the generator.
     virtual: bool = False
@@ -188,7 +199,6 @@ class ReportData:
     commands: tuple[str, ...] = ()
     #: What was done to the measurements (rows dropped, sorted, averaged).
     data_notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
     design_text: str = ""
     #: What part of the full factorial was run; empty for all of it.
     scheme: str = ""
@@ -198,9 +208,7 @@ class ReportData:
     #: ``"choice"``, ``"condition"`` or ``"unknown"`` by factor; a choice where it is absent.
     roles: Mapping[str, str] = field(default_factory=dict)
     expected: tuple[Expected, ...] = ()
-    beside: Beside | None = None
-    surfaces: tuple[FittedSurface, ...] = ()
-    #: Ends of those factors with their unit, in place of a list of levels.
+    #: Ends of the factors of surfaces with their unit, in place of a list of levels.
     ranges: Mapping[str, str] = field(default_factory=dict)
     #: Whether the rows are those of a table: nothing was simulated.
     is_table: bool = False
@@ -228,7 +236,7 @@ def unit_of(design: Design, manifest: Mapping[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class StudyResult:
+class StudyResult(Findings):
     """A study with everything that its records tell."""
 
     design: Design
@@ -236,21 +244,12 @@ class StudyResult:
     #: One a case, in the order of the design; cases not computed yet are absent.
     records: tuple[Record, ...]
     total: int
-    analyses: tuple[ResponseAnalysis, ...]
-    #: Numerical uncertainty of every response for every discretization.
-    numerical: tuple[NumericalUncertainty, ...]
     #: What else is stored of the run: blocks, notes, timings, versions.
     manifest: Mapping[str, Any]
-    warnings: tuple[str, ...] = ()
     report: Path | None = None
     predicted_seconds: float = 0.0
-    #: E and u_val of every case along its curve, where inputs are uncertain.
-    validation: tuple[Mapping[str, Any], ...] = ()
     #: How far 3D and axisymmetric space differ on a cylinder.
     spaces: tuple[Mapping[str, Any], ...] = ()
-    beside: Beside | None = None
-    #: What responses do over the factors that are ranges; empty where there are none.
-    surfaces: tuple[FittedSurface, ...] = ()
     #: What was known with so many cells, where cells were added while it ran.
     adaptive: tuple[Mapping[str, Any], ...] = ()
 

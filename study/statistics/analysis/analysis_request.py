@@ -5,23 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import combinations
+from dataclasses import dataclass, field
 from typing import TypedDict
 
-import numpy as np
-
-from study.ground.arrays import Array, Ints
 from study.ground.contrast import Threshold
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.units import converted, is_known, naming
-from study.statistics.analysis.anova_table import Anova, Effect, ErrorTerm
-from study.statistics.analysis.data import Crossed, Data, Structure
-from study.statistics.analysis.effects import MOST_LEVELS, Scale
-from study.statistics.analysis.linear_model import Model, Term, term_name
-from study.statistics.analysis.sums_of_squares import Factored, SphericityResult, TwoWayFit
-from study.statistics.analysis.unreplicated import CopyGroups, LenthResult
-from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds, bound_of
+from study.statistics.analysis.linear_model import Model
+from study.statistics.convergence.contrast_bound import NumericalBound, bound_of
 
 _TEXT = re.compile(
     r"^\s*(?P<value>(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,+-].*?)?\s*$"
@@ -252,109 +243,3 @@ def _unusable(where: str, u: float | None) -> list[Fault]:
         return []
     mend = "leave it out where it is not known; 0 means that there is none"
     return [Fault(where, f"must be zero or a positive number, got {u!r}", mend)]
-
-
-# -------------------------------------------------------------------------------------------------
-# What an analysis has found so far, and how it becomes the frozen result.
-
-_NO_ERROR = ErrorTerm("E7", "no p: nothing varies", 0.0, "constant response")
-
-
-@dataclass(frozen=True)
-class AnalysisOutcome:
-    """Inputs and findings of one analysis; grows by ``replace``.
-
-    ``u_raw`` is the largest numerical uncertainty of an effect, in the unit of the response.
-    """
-
-    request: AnalysisRequest
-    data: Data
-    terms: tuple[Term, ...]
-    tolerance: float
-    u_raw: float | None = None
-    y: Array = field(default_factory=lambda: np.zeros(0))
-    scale: Scale = field(default_factory=lambda: Scale("none", None, None, False))
-    warnings: tuple[str, ...] = ()
-    copies: CopyGroups = field(default_factory=lambda: CopyGroups(()))
-    error: ErrorTerm = _NO_ERROR
-    anova: Anova = field(default_factory=lambda: Anova("II", ()))
-    effects: tuple[Effect, ...] = ()
-    sphericity: dict[str, SphericityResult] = field(default_factory=dict)
-    #: Whose residuals are judged; cells and blocks where strata have errors of their own.
-    fit: Factored | TwoWayFit | None = None
-    #: Of the terms by least squares: to all rows, or to what they are within whole plots.
-    model: Factored | None = None
-    lenth: LenthResult | None = None
-    crossed: Crossed | None = None
-    plots: Ints | None = None
-    replicates: str = "runs"
-    structure: Structure = field(default_factory=Structure)
-
-    def warn(self, *messages: str) -> AnalysisOutcome:
-        """Copy with more warnings."""
-        return replace(self, warnings=(*self.warnings, *messages))
-
-    def working_tolerance(self) -> float:
-        """Ten solver tolerances on the working scale."""
-        if self.request.scale.is_log:
-            return 10 * self.tolerance / float(np.abs(self.data.y).min())
-        return 10 * self.tolerance
-
-    def constant(self) -> AnalysisOutcome:
-        """Outcome of a response that does not vary."""
-        y = self.data.y
-        message = (
-            f"{self.request.response} is constant ({y[0]:.6g} in all {y.size} rows, to rounding or "
-            "solver tolerance): no ANOVA"
-        )
-        copies = CopyGroups((tuple(np.unique(self.data.cell).tolist()),))
-        return replace(self, y=y, copies=copies).warn(*self.data.warnings, message)
-
-
-def kind_of(
-    out: AnalysisOutcome, even: bool, why: str = "unbalanced"
-) -> tuple[str, AnalysisOutcome]:
-    """Type of the sums; unbalanced data take Type III with sum contrasts, and say so."""
-    kind = "auto" if out.request.any_type else out.request.sums
-    if even:
-        return ("II" if kind == "auto" else kind), out
-    if kind == "auto" and out.structure.empty_cells:
-        n = out.structure.empty_cells
-        cells = "1 cell is empty" if n == 1 else f"{n} cells are empty"
-        return "I", out.warn(f"{cells}: Type I, each term given those before it")
-    if kind == "auto":
-        return "III", out.warn(f"{why}: Type III with sum-to-zero contrasts")
-    return kind, out.warn(f"{why}: Type {kind} as asked")
-
-
-def scale_of(out: AnalysisOutcome, y: Array) -> Scale:
-    """Scale of a response y (n,): its practical difference and numerical bound as was asked."""
-    scale, block, specimens = out.request.scale, out.data.block, out.request.specimens
-    mean = float(np.exp(y.mean())) if scale.is_log else float(y.mean())
-    limit = scale.practical
-    practical = None if limit is None else limit.on_scale(mean, scale.transform)
-    unit = 1 / mean if scale.is_log else 1.0
-    bound = scale.bound(map(term_name, out.terms), unit)
-    if specimens is None and block is not None and out.replicates not in ("mesh-seeds", "noise"):
-        specimens = len(out.data.layout.levels[block])
-    deterministic = out.request.records and block is None
-    only = bound.only if isinstance(bound, SeriesBounds) else {}
-    return Scale(scale.transform, practical, bound, deterministic, unit, specimens, only)
-
-
-def range_of_bounds(out: AnalysisOutcome, scale: Scale) -> tuple[float | None, float | None]:
-    """Smallest and largest bound of a difference of two levels, in the unit of the response.
-
-    A difference without a numerical error, such as one between meshes, does not count.
-    """
-    if scale.bound is None:
-        return None, None
-    pairs = (
-        ({name: first}, {name: second})
-        for (name,) in (term for term in out.terms if len(term) == 1)
-        for first, second in combinations(out.data.layout.levels[name][:MOST_LEVELS], 2)
-    )
-    bounds = [u for pair in pairs if (u := scale.bound.of(*pair))]
-    if not bounds:
-        return None, None
-    return min(bounds) / scale.unit, max(bounds) / scale.unit

@@ -5,36 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import combinations, pairwise, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import one_thread
+from study.ground.arrays import Array, one_thread
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.tabular import names_of
 from study.ground.units import unit_of_column
 from study.statistics.analysis import error_ledger, failures, repeats
 from study.statistics.analysis.analysis_request import (
-    _NO_ERROR,
-    AnalysisOutcome,
     AnalysisRequest,
     Blocking,
     NumericalUncertainty,
     Practical,
     ResponseScale,
-    range_of_bounds,
-    scale_of,
     threshold,
 )
-from study.statistics.analysis.analysis_result import (
-    AnalysisResult,
-    DataSummary,
-    Detection,
-    Variation,
-)
+from study.statistics.analysis.analysis_result import NO_ERROR, AnalysisResult
 from study.statistics.analysis.anova_table import Effect
-from study.statistics.analysis.assumptions import assumptions_of, is_representative
+from study.statistics.analysis.assumptions import assumptions_of
 from study.statistics.analysis.data import (
     Data,
     Structure,
@@ -43,6 +34,7 @@ from study.statistics.analysis.data import (
     refuse_copied_rows,
     structure_of,
 )
+from study.statistics.analysis.effects import MOST_LEVELS, Scale
 from study.statistics.analysis.error_ledger import pooled
 from study.statistics.analysis.incomplete_blocks import incomplete_blocks
 from study.statistics.analysis.linear_contrast import with_holm
@@ -59,14 +51,12 @@ from study.statistics.analysis.linear_model import (
 from study.statistics.analysis.power import PowerRow, planned
 from study.statistics.analysis.simple_effects import partners, without_each
 from study.statistics.analysis.strata import Plots, own, split_plot, whole_plots
-from study.statistics.analysis.sums_of_squares import influence, summary_of
 from study.statistics.analysis.unreplicated import (
     copies_of,
-    functional_shares,
     refuse_fake_replicates,
     ulp_floor,
 )
-from study.statistics.convergence.contrast_bound import OneBound
+from study.statistics.convergence.contrast_bound import SeriesBounds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -76,51 +66,17 @@ if TYPE_CHECKING:
 # What an analysis found becomes its result, with every check beside it.
 
 
-def assemble(out: AnalysisOutcome) -> AnalysisResult:
-    """Check assumptions and freeze the result."""
-    assumptions, warnings = assumptions_of(out)
-    out = replace(out, warnings=warnings).warn(*_inestimable(out.effects), *_partial(out))
+def assemble(out: AnalysisResult) -> AnalysisResult:
+    """Check assumptions, adjust p, and plan other numbers of rows."""
+    out = assumptions_of(out).warn(*_inestimable(out.effects), *_partial(out))
     groups_of = out.copies.groups
-    if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
+    if len(groups_of) < sum(len(g) for g in groups_of) and out.error_term is not NO_ERROR:
         out = out.warn(
             f"{sum(map(len, groups_of))} cells hold {len(groups_of)} distinct computations (the "
             "others agree in every block); checks of the residuals use one of each"
         )
-    practical = out.scale.practical
-    summary = None if out.model is None or out.plots is not None else summary_of(out.model)
-    return AnalysisResult(
-        out.request,
-        out.error,
-        out.anova,
-        Variation(_shares(out), out.lenth, summary),
-        with_holm(out.effects),
-        Detection(
-            None if practical is None else out.scale.back(practical),
-            out.u_raw,
-            out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
-            _power(out),
-            out.scale,
-        ),
-        assumptions,
-        _summary_of_data(out),
-        tuple(dict.fromkeys(out.warnings)),
-    )
-
-
-def _summary_of_data(out: AnalysisOutcome) -> DataSummary:
-    names = out.data.cell_names()
-    return DataSummary(
-        int(out.data.y.size),
-        out.data.block,
-        out.scale.back(out.y[0] + float(np.mean(out.y - out.y[0]))),
-        _cell_means(out),
-        _residual_frame(out),
-        tuple(names[c] for c in out.copies.representatives),
-        tuple(tuple(names[c] for c in g) for g in out.copies.groups if len(g) > 1),
-        out.model,
-        crossed=out.crossed,
-        structure=out.structure,
-    )
+    notes = tuple(dict.fromkeys(out.notes))
+    return replace(out, effects=with_holm(out.effects), power=_power(out), notes=notes)
 
 
 def _inestimable(effects: Sequence[Effect]) -> list[str]:
@@ -137,7 +93,7 @@ def _inestimable(effects: Sequence[Effect]) -> list[str]:
     return [f"means are not estimable: {'; '.join(places[:5])}{more}"] if places else []
 
 
-def _partial(out: AnalysisOutcome) -> list[str]:
+def _partial(out: AnalysisResult) -> list[str]:
     """One sentence about the factors that are compared at a part of the others' settings."""
     places = []
     for name in (effect.term for effect in out.effects if effect.is_partial):
@@ -153,14 +109,14 @@ def _partial(out: AnalysisOutcome) -> list[str]:
     return [f"{what}: {'; '.join(places)}"] if places else []
 
 
-def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
+def _power(out: AnalysisResult) -> dict[str, tuple[PowerRow, ...]]:
     """Tell what other numbers of blocks or replicates would find, by factor."""
     counts = np.bincount(out.data.cell)
     cells = counts[counts > 0]
     if out.replicates == "noise":
         return {}  # more resamples show no smaller effect: the noise of the curve is what it is
     blocks = None if out.crossed is None else len(out.crossed.blocks)
-    replicated = out.error.source in ("E0", "E3") and bool(cells.min() >= 2)
+    replicated = out.error_term.source in ("E0", "E3") and bool(cells.min() >= 2)
     if blocks is None and not replicated:
         return {}
     n = round(float(cells.mean())) if blocks is None else blocks
@@ -168,58 +124,6 @@ def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
     terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
     alpha, ratio = out.request.alpha, out.request.scale.is_log
     return planned(terms, n, cells.size, blocked=blocks is not None, alpha=alpha, ratio=ratio)
-
-
-def _shares(out: AnalysisOutcome) -> dict[str, float]:
-    """Functional-ANOVA shares of the cell means, where every cell exists."""
-    data = out.data
-    if out.error is _NO_ERROR:
-        return {}
-    size = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
-    counts = np.bincount(data.cell, minlength=size)
-    if counts.min() == 0:
-        return {}
-    shift = out.y[0]
-    means = np.bincount(data.cell, weights=out.y - shift, minlength=size) / counts + shift
-    return functional_shares(data.layout, data.factors, means, terms_of(data.factors))
-
-
-def _cell_means(out: AnalysisOutcome) -> pd.DataFrame:
-    """One row a cell: levels, n, mean and sd of the response."""
-    import pandas as pd
-
-    data = out.data
-    rows = []
-    copies = {cell for group in out.copies.groups for cell in group[1:]}
-    order = np.argsort(data.cell, kind="stable")
-    cells, start = np.unique(data.cell[order], return_index=True)
-    for cell, here in zip(cells.tolist(), np.split(order, start[1:]), strict=True):
-        values, shifted = data.y[here], data.y[here] - data.y[here[0]]
-        levels = {f: data.layout.levels[f][data.layout.codes[f][here[0]]] for f in data.factors}
-        mean = values[0] + float(np.mean(shifted))
-        if out.request.scale.is_log:
-            mean = float(np.exp(np.mean(np.log(values))))
-        sd = float(np.std(shifted, ddof=1)) if values.size > 1 else None
-        size = {"n": values.size, "mean": mean, "sd": sd, "representative": cell not in copies}
-        rows.append({**levels, **size})
-    return pd.DataFrame(rows)
-
-
-def _residual_frame(out: AnalysisOutcome) -> pd.DataFrame:
-    """One row a run: fitted, residual, cell, block, and whether it represents its copies."""
-    import pandas as pd
-
-    data, names = out.data, out.data.cell_names()
-    cell, is_first = [names[c] for c in data.cell], is_representative(out)
-    frame = {"row": data.rows, "cell": cell, "representative": is_first, "response": data.y}
-    if data.block is not None:
-        frame["block"] = data.layout.labels(data.block)
-    if out.fit is not None:
-        frame["fitted"], frame["residual"] = out.fit.fitted, out.fit.residual
-        of_rows = influence(out.fit)
-        frame["leverage"], frame["cook"] = of_rows.leverage, of_rows.cook
-    of_factors = {f: data.layout.labels(f) for f in data.factors if f not in frame}
-    return pd.DataFrame({**frame, **of_factors})
 
 
 _DEFAULT_TOLERANCE = 1e-8
@@ -243,12 +147,12 @@ def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
             + f"and {chain[-1]} against the rows within, as --model "
             + ",".join(":".join(chain[: k + 1]) for k in range(len(chain)))
         )
-        return _with_nested(table, request, chain).noted(note)
+        return _with_nested(table, request, chain).warn(note)
     if request.layout.unit is not None:
         result = _with_units(table, request, request.layout.unit)
     else:
         result = _complete(table, request)
-    return result.noted(note) if note else result
+    return result.warn(note) if note else result
 
 
 @one_thread
@@ -428,7 +332,7 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
         return _found(rows, request).effects
 
     out = _found(table, request)
-    if len(request.layout.block) == 1 and out.error.source == "E1":
+    if len(request.layout.block) == 1 and out.error_term.source == "E1":
         quick = replace(request, simulated=False)
         again = (lambda rows: _found(rows, quick).effects, refound)
         out = replace(out, effects=without_each(table, *request.layout.block, out.effects, again))
@@ -438,7 +342,7 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
 
     failure_bounds = failures.bounds(table, request, out.effects, refound)
     notes = failures.sentences(failure_bounds, out.data.missing)
-    return replace(result, data=replace(result.data, bounds=failure_bounds)).noted(*notes)
+    return replace(result, failure_bounds=failure_bounds).warn(*notes)
 
 
 def _nested_chain(table: pd.DataFrame, request: AnalysisRequest) -> tuple[str, ...]:
@@ -521,10 +425,10 @@ def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> Ana
     if nested is None:
         return result
     notes = repeats.sentences(nested, request.alpha)
-    return replace(result, data=replace(result.data, nested=nested)).noted(*notes)
+    return replace(result, nested=nested).warn(*notes)
 
 
-def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
+def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     """Table and effects of one analysis, before the checks of its assumptions."""
     out = _start(table, request)
     if request.scale.is_log and out.data.y.min() <= 0:
@@ -546,11 +450,11 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     plots = whole_plots(out.data, request.layout.whole_plot)
     data = out.data
     y = np.asarray(np.log(data.y)) if request.scale.is_log else data.y
-    scale = scale_of(out, y)
-    low, high = range_of_bounds(out, scale)
+    scale = _scale_of(out, y)
+    low, high = _range_of_bounds(out, scale)
     within, computed = max(10 * out.tolerance, low or 0.0), request.records or out.tolerance > 0
     copies = copies_of(data, within, computed=computed)
-    out = replace(out, y=y, scale=scale, u_raw=high, copies=copies).warn(*data.warnings, *notes)
+    out = replace(out, y=y, scale=scale, u_num=high, copies=copies).warn(*data.warnings, *notes)
     declared = len(data.blocks) > 1 or (request.layout.whole_plot and request.error == "auto")
     # pooled over unequal variances the test of a true null rejects in up to .48 of cases
     if data.block is not None and not declared and request.error != "pooled":
@@ -566,7 +470,40 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     return error_ledger.welch(out) if request.error == "welch" else pooled(out)
 
 
-def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
+def _scale_of(out: AnalysisResult, y: Array) -> Scale:
+    """Scale of a response y (n,): its practical difference and numerical bound as was asked."""
+    scale, block, specimens = out.request.scale, out.data.block, out.request.specimens
+    mean = float(np.exp(y.mean())) if scale.is_log else float(y.mean())
+    limit = scale.practical
+    practical = None if limit is None else limit.on_scale(mean, scale.transform)
+    unit = 1 / mean if scale.is_log else 1.0
+    bound = scale.bound(map(term_name, out.terms), unit)
+    if specimens is None and block is not None and out.replicates not in ("mesh-seeds", "noise"):
+        specimens = len(out.data.layout.levels[block])
+    deterministic = out.request.records and block is None
+    only = bound.only if isinstance(bound, SeriesBounds) else {}
+    return Scale(scale.transform, practical, bound, deterministic, unit, specimens, only)
+
+
+def _range_of_bounds(out: AnalysisResult, scale: Scale) -> tuple[float | None, float | None]:
+    """Smallest and largest bound of a difference of two levels, in the unit of the response.
+
+    A difference without a numerical error, such as one between meshes, does not count.
+    """
+    if scale.bound is None:
+        return None, None
+    pairs = (
+        ({name: first}, {name: second})
+        for (name,) in (term for term in out.terms if len(term) == 1)
+        for first, second in combinations(out.data.layout.levels[name][:MOST_LEVELS], 2)
+    )
+    bounds = [u for pair in pairs if (u := scale.bound.of(*pair))]
+    if not bounds:
+        return None, None
+    return min(bounds) / scale.unit, max(bounds) / scale.unit
+
+
+def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     """Check the data and gather terms and tolerances."""
     data = prepare(table, request.response, request.factors, request.layout.block)
     terms = terms_of(data.factors, request.model)
@@ -587,7 +524,7 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
     replicates = _replicates(table, data, request)
-    return AnalysisOutcome(request, data, terms, tol, replicates=replicates, structure=structure)
+    return AnalysisResult(request, data, terms, tol, replicates, structure)
 
 
 def _with_empty_cells(
@@ -654,7 +591,7 @@ def _lacking(data: Data, plots: Plots | None) -> str:
     )
 
 
-def _averaged(out: AnalysisOutcome, table: pd.DataFrame) -> AnalysisOutcome:
+def _averaged(out: AnalysisResult, table: pd.DataFrame) -> AnalysisResult:
     """Outcome of the means of the cells in each block; missing rows stay counted."""
     first, *others = out.data.blocks
     means = repeats.average_units(table, out.request, first, others)
@@ -679,7 +616,7 @@ def _refuse_confounded(data: Data) -> None:
             )
 
 
-def _refuse_undeclared(out: AnalysisOutcome) -> None:
+def _refuse_undeclared(out: AnalysisResult) -> None:
     """Refuse several records of a cell that nobody declared to be replicates."""
     data = out.data
     counts = np.bincount(data.cell)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array, Flags, gathered
-from study.ground.canonical import Keyed
+from study.ground.arrays import Array, gathered
 from study.ground.errors import Fault, InputError, settled
 from study.statistics.analysis import error_ledger
-from study.statistics.analysis.analysis_request import AnalysisOutcome
+from study.statistics.analysis.analysis_result import AnalysisResult, Assumptions
 from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult, WaldTest
 from study.statistics.analysis.data import Crossed, Data
 from study.statistics.analysis.equal_variance import (
@@ -34,7 +33,6 @@ from study.statistics.analysis.linear_model import (
     term_name,
 )
 from study.statistics.analysis.normality import (
-    RowTest,
     RyanJoinerResult,
     anderson_darling,
     block_share,
@@ -57,52 +55,11 @@ from study.statistics.analysis.sums_of_squares import (
 from study.statistics.analysis.unreplicated import non_additivity, ulp_floor
 
 if TYPE_CHECKING:
-    from study.statistics.analysis.anova_table import Influential
-    from study.statistics.analysis.normality import NormalityResult
-    from study.statistics.analysis.sums_of_squares import SphericityResult
-    from study.statistics.analysis.unreplicated import NonAdditivityResult
+    pass
 
 
-@dataclass(frozen=True)
-class Assumptions(Keyed):
-    """Tests of what the analysis assumes; what does not apply is None."""
-
-    KEYS = (
-        "normality=normality.to_json normality_rows variance sphericity non_additivity influence "
-        "robustness box_cox"
-    )
-
-    normality: RyanJoinerResult | None = None
-    normality_rows: tuple[RowTest, ...] = ()
-    bartlett: SpreadTest | None = None
-    levene: SpreadTest | None = None
-    #: Statistic and p of Fligner and Killeen's test.
-    fligner: tuple[float, float] | None = None
-    sphericity: dict[str, SphericityResult] = field(default_factory=dict)
-    non_additivity: NonAdditivityResult | None = None
-    anderson_darling: NormalityResult | None = None
-    shapiro_wilk: NormalityResult | None = None
-    #: Rows that the fit leans on.
-    influence: Influential | None = None
-    robustness: AnalysisSensitivity | None = None
-    box_cox: BoxCoxResult | None = None
-
-    @property
-    def spread(self) -> dict[str, SpreadTest]:
-        """Tests of equal spread that were run, by name."""
-        tests = {"bartlett": self.bartlett, "levene": self.levene}
-        return {name: test for name, test in tests.items() if test is not None}
-
-    @property
-    def variance(self) -> dict[str, object]:
-        """Documents of the tests of equal spread; null where they do not apply."""
-        tests = {"bartlett": self.bartlett, "levene": self.levene}
-        documents = {name: test and test.to_json() for name, test in tests.items()}
-        return {**documents, "fligner": self.fligner}
-
-
-def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
-    """Run the tests of what an analysis assumes; its warnings come with theirs."""
+def assumptions_of(out: AnalysisResult) -> AnalysisResult:
+    """Run the tests of what an analysis assumes; their notes come after its own."""
     robustness, power = _robustness(out)
     if power is not None and not np.isfinite(power.ci95).all():
         out = out.warn(
@@ -110,12 +67,12 @@ def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
             "its mean to exclude even the largest exponents that a double can hold"
         )
     if out.crossed is not None and out.replicates != "noise":
-        tests, warnings = _by_contrast(out, out.crossed)
-        warnings = (*out.warnings, *warnings)
+        tests, notes = _by_contrast(out, out.crossed)
+        out = out.warn(*notes)
     else:
         out, tests = _of_residuals(out)
-        warnings = out.warnings
-    tests = replace(tests, sphericity=out.sphericity, robustness=robustness, box_cox=power)
+    sphericity = out.assumptions.sphericity
+    tests = replace(tests, sphericity=sphericity, robustness=robustness, box_cox=power)
     if out.fit is not None and out.fit.df_residual > 0:
         tests = replace(
             tests,
@@ -124,7 +81,7 @@ def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
             shapiro_wilk=shapiro_wilk(out.fit.residual),
             influence=influential(out.fit),
         )
-    return tests, warnings
+    return replace(out, assumptions=tests)
 
 
 # -------------------------------------------------------------------------------------------------
@@ -144,7 +101,7 @@ SHARE_P = 0.05
 _OWN = "each effect is tested against its own interaction with the blocks, whose spreads may differ"
 
 
-def _by_contrast(out: AnalysisOutcome, table: Crossed) -> tuple[Assumptions, tuple[str, ...]]:
+def _by_contrast(out: AnalysisResult, table: Crossed) -> tuple[Assumptions, tuple[str, ...]]:
     """Test each contrast over the blocks, and find the block that carries most of them."""
     none = SpreadTest(None, None, None, _OWN)
     unequal = Assumptions(bartlett=none, levene=none)
@@ -181,14 +138,6 @@ def _by_contrast(out: AnalysisOutcome, table: Crossed) -> tuple[Assumptions, tup
     return replace(unequal, normality=summary, normality_rows=tested.rows), tuple(warnings)
 
 
-def is_representative(out: AnalysisOutcome) -> Flags:
-    """Whether each row belongs to the cell that stands for its copies.
-
-    Shapes: returns (n,).
-    """
-    return np.isin(out.data.cell, out.copies.representatives)
-
-
 def _inapplicable(**tests: SpreadTest) -> list[str]:
     """One sentence for every reason for which tests are not applicable."""
     reasons = gathered((test.reason, name) for name, test in tests.items() if test.reason)
@@ -196,8 +145,8 @@ def _inapplicable(**tests: SpreadTest) -> list[str]:
 
 
 def _ryan_joiner(
-    out: AnalysisOutcome, fit: Factored | TwoWayFit
-) -> tuple[AnalysisOutcome, RyanJoinerResult]:
+    out: AnalysisResult, fit: Factored | TwoWayFit
+) -> tuple[AnalysisResult, RyanJoinerResult]:
     """Ryan-Joiner of the residuals; of many a random sample, which is said."""
     request, n = out.request, fit.residual.size
     if n <= MOST_TESTED:
@@ -219,9 +168,9 @@ def _ryan_joiner(
     return out.warn(note), result
 
 
-def _of_residuals(out: AnalysisOutcome) -> tuple[AnalysisOutcome, Assumptions]:
+def _of_residuals(out: AnalysisResult) -> tuple[AnalysisResult, Assumptions]:
     """Ryan-Joiner on one representative of each computation, and the tests of equal spread."""
-    rows = np.flatnonzero(is_representative(out))
+    rows = np.flatnonzero(out.is_representative)
     if out.fit is None or out.fit.df_residual == 0:
         return out, Assumptions()
     blocked = out.data.block is not None
@@ -376,13 +325,13 @@ def _ordinary(fit: Factored) -> dict[str, float | None]:
 _MOST_CELLS = 600
 
 
-def _robustness(out: AnalysisOutcome) -> tuple[AnalysisSensitivity | None, BoxCoxResult | None]:
+def _robustness(out: AnalysisResult) -> tuple[AnalysisSensitivity | None, BoxCoxResult | None]:
     """Table of defensible analyses and Box and Cox's exponent, where there is an error."""
     if out.fit is None or out.plots is not None or len(out.data.blocks) > 1:
         return None, None
     if out.crossed is not None:
         return _blocked(out, out.crossed), None
-    if out.data.block is not None or out.replicates != "runs" or out.error.source != "E0":
+    if out.data.block is not None or out.replicates != "runs" or out.error_term.source != "E0":
         return None, None
     many = np.unique(out.data.cell).size > _MOST_CELLS
     if many or out.fit.rss <= 0 or not isinstance(out.fit, Factored):
@@ -393,7 +342,7 @@ def _robustness(out: AnalysisOutcome) -> tuple[AnalysisSensitivity | None, BoxCo
     return table, power
 
 
-def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:
+def _blocked(out: AnalysisResult, table: Crossed) -> AnalysisSensitivity:
     """Own interactions (three corrections), interactions pooled, and the log of the response."""
     kind = out.anova.type
     model = factorize(model_matrix(table.layout, out.terms))
@@ -409,7 +358,7 @@ def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:
     return side_by_side([term_name(t) for t in out.terms], p, out.request.alpha)
 
 
-def _tests(out: AnalysisOutcome, model: Factorization, table: Crossed, kind: str) -> OwnTests:
+def _tests(out: AnalysisResult, model: Factorization, table: Crossed, kind: str) -> OwnTests:
     floor = max(out.working_tolerance(), ulp_floor(table.y))
     fit = fitted(model, table.y.mean(axis=1))
     return own_tests(table, fit, out.terms, kind, str(out.data.block), floor)

@@ -10,7 +10,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis import unreplicated
-from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
+from study.statistics.analysis.analysis_result import AnalysisResult, kind_of
 from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.effects import (
@@ -62,7 +62,7 @@ BIAS = "the bias of this mesh size is common to all seeds: read the effect over 
 
 
 def best_source(
-    out: AnalysisOutcome, fit: Factored, sums: Sequence[TermSum]
+    out: AnalysisResult, fit: Factored, sums: Sequence[TermSum]
 ) -> tuple[ErrorTerm, tuple[str, ...]]:
     """Best available error where none is an own interaction, and what to beware of."""
     records, df = out.request.records, float(fit.df_residual)
@@ -79,7 +79,7 @@ def best_source(
     if df > 0 and int(np.bincount(out.data.cell).max()) > 1:
         return _replicates(out, df)
     contrasts = sum(s.df for s in sums)
-    if records and out.u_raw is not None and out.request.model == "full":
+    if records and out.u_num is not None and out.request.model == "full":
         question = (
             "no p: is the effect resolved by the discretization? (effect over numerical "
             "uncertainty: resolved from 3, marginal from 1)"
@@ -100,7 +100,7 @@ def best_source(
 
 
 def _replicates(
-    out: AnalysisOutcome, df: float | dict[str, float]
+    out: AnalysisResult, df: float | dict[str, float]
 ) -> tuple[ErrorTerm, tuple[str, ...]]:
     """Error of the rows within cells, and what to beware of."""
     largest, cautions = int(np.bincount(out.data.cell).max()), []
@@ -123,7 +123,7 @@ def _replicates(
     return ErrorTerm(source, question, df, f"cells hold {rows}{extra}"), tuple(cautions)
 
 
-def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
+def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
     """E0, E1 pooled, E2, E3, E5 with one residual; or E4, E6, E7 without."""
     data = out.data
     extra: list[Term] = [(name,) for name in data.blocks]
@@ -195,11 +195,11 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         effects = [replace(e, why=untested) if e.is_main else e for e in effects]
     anova = Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss)
     judged_fit = fit if df else None
-    out = replace(out, error=error, anova=anova, effects=tuple(effects), lenth=lenth)
+    out = replace(out, error_term=error, anova=anova, effects=tuple(effects), lenth=lenth)
     return replace(out, fit=judged_fit, model=judged_fit)
 
 
-def welch(out: AnalysisOutcome) -> AnalysisOutcome:
+def welch(out: AnalysisResult) -> AnalysisResult:
     """E0 with a variance of its own in each cell: Welch's tests, Games and Howell's intervals."""
     data = out.data
     _, cell, counts = np.unique(data.cell, return_inverse=True, return_counts=True)
@@ -237,10 +237,10 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
     anova = Anova("III", with_shares(rows, fit.tss), out.y.size - 1, fit.tss)
     effects = tuple(size(e, out.scale, simple) for e in estimates)
     out, error = out.warn(*notes), replace(error, df=df, reason=reason)
-    return replace(out, error=error, anova=anova, effects=effects, fit=fit, model=fit)
+    return replace(out, error_term=error, anova=anova, effects=effects, fit=fit, model=fit)
 
 
-def _resamples(out: AnalysisOutcome) -> float:
+def _resamples(out: AnalysisResult) -> float:
     """Factor of the residual sum: the scatter of refits to noise is the error of the cell itself.
 
     An F of their means would grow with their number (Efron and Tibshirani 1993, chapter 6).
@@ -249,7 +249,7 @@ def _resamples(out: AnalysisOutcome) -> float:
     return 1.0 if out.replicates != "noise" else float(1 / np.mean(1 / counts[counts > 0]))
 
 
-def _sparse_ready(out: AnalysisOutcome, fit: Factored) -> bool:
+def _sparse_ready(out: AnalysisResult, fit: Factored) -> bool:
     """One row in every cell of the full grid or of a saturated orthogonal fraction, no copies."""
     data = out.data
     # copies are no separate contrasts: Lenth's limits would not hold

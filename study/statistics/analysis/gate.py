@@ -16,7 +16,7 @@ import numpy as np
 
 from study.ground.arrays import Array, Ints
 from study.ground.units import p_phrase
-from study.statistics.analysis.analysis_request import AnalysisOutcome
+from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova_table import SimpleEffect
 from study.statistics.analysis.comparisons import t_quantile
 from study.statistics.analysis.data import chance_of_tie
@@ -127,7 +127,7 @@ def refusal(why: str) -> Rival:
 
 
 def judge_factors(
-    out: AnalysisOutcome, layout: CellLayout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
+    out: AnalysisResult, layout: CellLayout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
 ) -> dict[str, SimpleEffects]:
     """Judge every factor of an analysis by its simple effects."""
     undecided = out.structure.undecided
@@ -184,7 +184,7 @@ def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -
     return replace(printed, always=always)
 
 
-def reading_error(out: AnalysisOutcome) -> float:
+def reading_error(out: AnalysisResult) -> float:
     """Return the standard deviation that rounding alone gives a reading, on the working scale."""
     step = out.structure.resolution
     if out.request.records or not step:
@@ -194,7 +194,7 @@ def reading_error(out: AnalysisOutcome) -> float:
     return step / math.sqrt(12)
 
 
-def limit_rivals(out: AnalysisOutcome, sample: Sample, means: Array) -> list[Rival]:
+def limit_rivals(out: AnalysisResult, sample: Sample, means: Array) -> list[Rival]:
     """Hold claims against both ends of a difference that is a share of the mean of ``means``."""
     limit = out.request.scale.practical
     if limit is None or not limit.relative or out.request.scale.is_log or means.size < 2:
@@ -211,14 +211,14 @@ def limit_rivals(out: AnalysisOutcome, sample: Sample, means: Array) -> list[Riv
     return [Rival(why, sample, (verdict,), practical=end) for verdict, end in ends]
 
 
-def block_means(out: AnalysisOutcome) -> Array:
+def block_means(out: AnalysisResult) -> Array:
     """Mean of the response in each block, on the working scale."""
     block, shifted = out.data.layout.codes[str(out.data.block)], out.y - out.y[0]
     return np.asarray(out.y[0] + np.bincount(block, shifted) / np.bincount(block))
 
 
 def rivals_over_groups(
-    out: AnalysisOutcome,
+    out: AnalysisResult,
     fit: Factored,
     added: Array,
     groups: Sequence[Ints],
@@ -247,7 +247,7 @@ def per_block(fit: Factored, y: Array) -> Array:
 
 
 def rivals_of_rows(
-    out: AnalysisOutcome, fit: Factored, rss: float, df: float, sample: Sample
+    out: AnalysisResult, fit: Factored, rss: float, df: float, sample: Sample
 ) -> tuple[list[Rival], list[str]]:
     """Rivals where one pooled variance serves all rows, and what was seen of the declared model."""
     alpha, seed = out.request.alpha, out.request.interval_seed
@@ -269,7 +269,7 @@ def rivals_of_rows(
     return rivals + more, notes
 
 
-def every_term(out: AnalysisOutcome, layout: CellLayout) -> tuple[Term, ...] | None:
+def every_term(out: AnalysisResult, layout: CellLayout) -> tuple[Term, ...] | None:
     """Terms of the full model, where fewer were declared and the full one is no giant."""
     full = terms_of(out.data.factors)
     if set(full) <= set(out.terms) or np.prod([len(v) for v in layout.levels.values()]) > 4096:
@@ -281,7 +281,7 @@ def every_term(out: AnalysisOutcome, layout: CellLayout) -> tuple[Term, ...] | N
 
 
 def rival_of_every_term(
-    out: AnalysisOutcome, whole: Factored, at: Callable[[float], Sample]
+    out: AnalysisResult, whole: Factored, at: Callable[[float], Sample]
 ) -> tuple[list[Rival], list[str]]:
     """Rival of the full model, where a coefficient that the declared one leaves out may not be 0.
 
@@ -331,7 +331,7 @@ def rival_over_blocks(
     return rivals, [note]
 
 
-def _rival_of_rows(out: AnalysisOutcome, fit: Factored) -> tuple[list[Rival], list[str]]:
+def _rival_of_rows(out: AnalysisResult, fit: Factored) -> tuple[list[Rival], list[str]]:
     """Rival of the full model, where the rows do not rule out what the declared one leaves out."""
     alpha, seed, data = out.request.alpha, out.request.interval_seed, out.data
     full = every_term(out, data.layout)
@@ -362,7 +362,7 @@ def _rival_of_rows(out: AnalysisOutcome, fit: Factored) -> tuple[list[Rival], li
     return rivals, [note]
 
 
-def _one_df_directions(out: AnalysisOutcome) -> tuple[Factored, list[str], Array, int]:
+def _one_df_directions(out: AnalysisResult) -> tuple[Factored, list[str], Array, int]:
     """Fit all that rows without repeats tell, with its directions of one degree of freedom each.
 
     Directions, shape (n, m), are orthonormal; those of the declared terms stand first, and the
@@ -384,7 +384,7 @@ def _one_df_directions(out: AnalysisOutcome) -> tuple[Factored, list[str], Array
 
 
 def _rivals_of_cells(
-    out: AnalysisOutcome, fit: Factored, sample: Sample, reading: float
+    out: AnalysisResult, fit: Factored, sample: Sample, reading: float
 ) -> list[Rival]:
     """Welch's intervals of each difference, and bootstrap-t where a cell is skewed."""
     _, index, counts = np.unique(out.data.cell, return_inverse=True, return_counts=True)
@@ -431,7 +431,7 @@ def _with_scatter(sample: Sample, largest: float) -> Sample:
 
 
 def any_shape(
-    out: AnalysisOutcome,
+    out: AnalysisResult,
     sample: Sample,
     values: Callable[[Array], Array],
     groups: Sequence[Ints],

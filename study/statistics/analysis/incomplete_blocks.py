@@ -19,7 +19,8 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.units import p_phrase
 from study.statistics.analysis import error_ledger
-from study.statistics.analysis.analysis_request import AnalysisOutcome, AnalysisRequest
+from study.statistics.analysis.analysis_request import AnalysisRequest
+from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
 from study.statistics.analysis.data import blocks_that_lack_cells
 from study.statistics.analysis.effects import DOUBT
@@ -52,7 +53,7 @@ from study.statistics.analysis.sums_of_squares import (
 _MOST_PRODUCTS = 20_000_000
 
 
-def incomplete_blocks(out: AnalysisOutcome, plots: Plots | None = None) -> AnalysisOutcome | None:
+def incomplete_blocks(out: AnalysisResult, plots: Plots | None = None) -> AnalysisResult | None:
     """E1 by a mixed model; None where every block has all cells, or none can be fitted.
 
     Where factors were declared to be set once for a whole plot, blocks and whole plots are random.
@@ -102,7 +103,7 @@ def incomplete_blocks(out: AnalysisOutcome, plots: Plots | None = None) -> Analy
     )
     return replace(
         out,
-        error=ErrorTerm("E1", question, df_error, reason),
+        error_term=ErrorTerm("E1", question, df_error, reason),
         anova=Anova("III", with_shares(rows, within.tss), out.y.size - 1, within.tss),
         effects=model.effects(out.terms, p, out.scale, simple),
         fit=error_ledger.within_fit(data, out.y, plots=None if plots is None else plots.code),
@@ -111,7 +112,7 @@ def incomplete_blocks(out: AnalysisOutcome, plots: Plots | None = None) -> Analy
 
 
 def _rivals(
-    out: AnalysisOutcome, model: MixedCells, sandwich: Sandwich
+    out: AnalysisResult, model: MixedCells, sandwich: Sandwich
 ) -> tuple[list[Rival], list[str]]:
     """Rivals where blocks lack cells, and what was seen of the declared model."""
     rivals = limit_rivals(out, model.sample, block_means(out))

@@ -81,11 +81,11 @@ def coefficient_table(analysis: AnalysisResult) -> tuple[Coefficient, ...] | str
     if len(names) > MOST_COEFFICIENTS:
         return f"{len(names)} coefficients are more than anyone reads"
     block = analysis.data.block
-    model = analysis.data.model
-    one_error = analysis.variation.summary is not None and all(":" not in str(e) for e in tested)
+    model = analysis.model
+    one_error = analysis.summary is not None and all(":" not in str(e) for e in tested)
     if model is not None and one_error:
         return _pooled(model, analysis.anova.row("residual"), names)
-    crossed = analysis.data.crossed
+    crossed = analysis.crossed
     if crossed is not None and all(str(error).startswith(f"{block}:") for error in tested):
         return _own(crossed, terms, names)
     return "the strata of the table have different errors"
@@ -312,7 +312,7 @@ LARGE_LEVERAGE = 3.0
 
 def diagnosed_rows(analysis: AnalysisResult) -> pd.DataFrame | None:
     """Every row with its standardized and PRESS residual; None where nothing was left over."""
-    rows = analysis.data.residuals
+    rows = analysis.residuals
     if "leverage" not in rows:
         return None
     leverage = rows["leverage"].to_numpy(float)
@@ -368,7 +368,7 @@ def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Compar
         raise InputError(Fault("--reference", f"{level_name!r} {rule}", mend))
     factor = holding[0]
     row = analysis.anova.row(factor)
-    model = analysis.data.model
+    model = analysis.model
     if row.error == "residual" and model is not None:
         error = analysis.anova.row("residual")
         compared = _of_model(model, error.ms or 0.0, error.df, analysis, factor, level_name)
@@ -380,7 +380,7 @@ def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Compar
 def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Comparisons:
     """Compare levels by their rows, or by their means in each block, on the analyzed scale."""
     alpha, seed = analysis.request.alpha, analysis.request.seed
-    rows = analysis.data.residuals
+    rows = analysis.residuals
     if analysis.request.scale.is_log:
         rows = rows.assign(response=np.log(rows["response"]))
     if analysis.data.block is not None:
@@ -392,7 +392,7 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
         blocks = [np.arange(len(means))]
         return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
     if analysis.request.error != "welch":
-        model = analysis.data.model
+        model = analysis.model
         if model is not None and model.df_residual:  # of the means of a nested factor's levels
             ms = float(model.ols.mse_resid)
             return _of_model(model, ms, model.df_residual, analysis, factor, reference)
@@ -409,12 +409,12 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
 
 def cells_of(analysis: AnalysisResult) -> Cells:
     """Rows of an analysis on its scale, with what matters."""
-    request, rows = analysis.request, analysis.data.residuals
+    request, rows = analysis.request, analysis.residuals
     values = rows["response"].to_numpy(dtype=float)
     levels = {e.term: e.levels for e in analysis.effects if e.is_main}
     table = rows.assign(y=np.log(values) if request.scale.is_log else values)
     resampled = analysis.error_term.source == "E2"
-    cells = Cells(table, levels, analysis.detection.scale, request.alpha, request.seed, resampled)
+    cells = Cells(table, levels, analysis.scale, request.alpha, request.seed, resampled)
     if all(row.error != "REML" for row in analysis.anova.rows):
         return cells
     of_all = {**levels, "block": tuple(dict.fromkeys(table["block"]))}
@@ -432,4 +432,4 @@ def with_contrasts(analysis: AnalysisResult, texts: Sequence[str]) -> AnalysisRe
         return analysis
     together, faults = possible_contrasts(cells_of(analysis), texts)
     notes = [f"{fault.where}: {fault.rule}" for fault in faults]
-    return replace(analysis, contrasts=together).noted(*notes)
+    return replace(analysis, contrasts=together).warn(*notes)

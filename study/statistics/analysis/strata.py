@@ -22,7 +22,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis import error_ledger
-from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
+from study.statistics.analysis.analysis_result import AnalysisResult, Assumptions, kind_of
 from study.statistics.analysis.anova_table import Anova, Effect, ErrorTerm, Row
 from study.statistics.analysis.data import Crossed, Data, constant_in_blocks, crossed
 from study.statistics.analysis.effects import (
@@ -141,7 +141,7 @@ def error_of_strata(block: str, plots: Plots, others: str, df: dict[str, float])
     )
 
 
-def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
+def split_plot(out: AnalysisResult, plots: Plots) -> AnalysisResult:
     """Analysis of a split plot with one pooled error in each stratum."""
     data, alpha = out.data, out.request.alpha
     whole, strata = _strata(out, out.terms, plots)
@@ -179,7 +179,7 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
     error = error_of_strata(str(data.block), plots, "the pooled scatter within whole plots", df_of)
     anova = Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss)
     judged = error_ledger.within_fit(data, out.y, plots=plots.code)
-    out = replace(out, error=error, anova=anova, effects=tuple(effects), plots=plots.code)
+    out = replace(out, error_term=error, anova=anova, effects=tuple(effects), plots=plots.code)
     return replace(out, fit=judged, model=strata[-1].fit)
 
 
@@ -210,7 +210,7 @@ def _over_strata(
 
 
 def _strata(
-    out: AnalysisOutcome, terms: Sequence[Term], plots: Plots
+    out: AnalysisResult, terms: Sequence[Term], plots: Plots
 ) -> tuple[Factored, list[Stratum]]:
     """Fit of the terms to all rows, and to the projection of these on each stratum."""
     data, n = out.data, out.y.size
@@ -359,7 +359,7 @@ def _row(
     return row_of_test(name, *sums, total, epsilon_gg(residual @ residual.T))
 
 
-def own(out: AnalysisOutcome, plots: Plots | None = None) -> AnalysisOutcome | None:
+def own(out: AnalysisResult, plots: Plots | None = None) -> AnalysisResult | None:
     """E1: every effect against its own interaction with the blocks.
 
     E2 where the blocks are resamples of the noise, which all cells have in common. Where blocks are
@@ -414,10 +414,10 @@ def own(out: AnalysisOutcome, plots: Plots | None = None) -> AnalysisOutcome | N
     listed = with_shares([*rows, *tests.errors], tests.total)
     out = replace(
         out.warn(*notes),
-        error=error,
+        error_term=error,
         anova=Anova(kind, listed, n * b - 1, tests.total),
         effects=effects,
-        sphericity=tests.sphericity,
+        assumptions=Assumptions(sphericity=tests.sphericity),
         fit=error_ledger.within_fit(data, out.y),
     )
     return replace(out, crossed=table) if plots is None else replace(out, plots=plots.code)
@@ -446,7 +446,7 @@ def _product(cells: CellLayout, blocks: CellLayout) -> CellLayout:
 
 
 def _effects(
-    out: AnalysisOutcome,
+    out: AnalysisResult,
     tests: OwnTests,
     table: Crossed,
     layout: CellLayout,
@@ -508,7 +508,7 @@ def _effects(
 
 
 def _own_error(
-    out: AnalysisOutcome, blocks: int, df: dict[str, float]
+    out: AnalysisResult, blocks: int, df: dict[str, float]
 ) -> tuple[ErrorTerm, list[str]]:
     """Error of effects against their own interaction with the blocks, and what to beware of."""
     block = str(out.data.block)
