@@ -103,6 +103,11 @@ class FailureBound:
     #: Whether the verdict is the same everywhere.
     holds: bool
 
+    @property
+    def can_change_verdict(self) -> bool:
+        """Whether the missing responses could change the verdict."""
+        return len(self.verdicts) > 1
+
 
 @dataclass(frozen=True)
 class DifferenceInterval:
