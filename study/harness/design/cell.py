@@ -9,10 +9,9 @@ from functools import cached_property
 from typing import Self, cast
 
 from study.ground.canonical import Json, canonical, hashed
-from study.ground.declaration import document_of, field_named, keys_of, section_of, table_of
+from study.ground.declaration import document_of, field_named, section_of, table_of, values_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.forward_model import ForwardCell, PlacedFile
-from study.mechanics.material.energy import Compressibility
 from study.mechanics.setup import setup
 from study.mechanics.setup.geometry import (
     INDENTERS,
@@ -60,8 +59,6 @@ def _whole(value: float) -> Json:
 Config = dict[str, object]
 #: keys of a test that few have: a body that presses, a motion besides, its course in time
 _SELDOM = ("indenter", "motion", "gravity", "speed_mm_per_s", "hold_s", "cycles", "prestretch")
-#: ways to say how volume changes, of which a material has one
-_OF_VOLUME = tuple(key.name for key in keys_of(Compressibility))
 
 
 @dataclass(frozen=True)
@@ -249,7 +246,8 @@ def _material(section: MaterialSection) -> Config:
     }
     if section.relaxation:
         document["relaxation"] = [term.document() for term in section.relaxation]
-    return {**document, **document_of(section.compressibility, _OF_VOLUME)}
+    # of the ways to say how volume changes a material has one
+    return {**document, **document_of(section.compressibility, values_of(section.compressibility))}
 
 
 def _model(model: Model) -> Config:
