@@ -42,6 +42,7 @@ from study.statistics.surfaces.surface_fitting import SEE_SURFACE
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.harness.runner.job import Work
     from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
     from study.reporting.results.study_result import ReportData
@@ -154,17 +155,18 @@ def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bo
     return opened(results_folder(path, results), tell_unfinished=tell_unfinished)
 
 
-def opened(folder: Path, ended: Design | None = None, *, tell_unfinished: bool = True) -> Study:
-    """Open a study; the design of a run that has just ended is not read and resolved again."""
+def opened(folder: Path, ended: Work | None = None, *, tell_unfinished: bool = True) -> Study:
+    """Open a study; of a run that has just ended neither design nor cases are made again."""
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
     manifest = finished_manifest(store)
-    if ended is not None and dump(ended) == manifest["design"]:
-        design = copy.copy(ended)  # with its cells, as it would be read
+    if ended is not None and dump(ended.design) == manifest["design"]:
+        design = copy.copy(ended.design)  # with its cells, as it would be read
         vars(design).update(source=manifest["source"], text=manifest["design"])
+        cases = ended.cases
     else:
         design = loads(manifest["design"], manifest["source"])
-    cases = cases_by_id(design, manifest["blocks"])
+        cases = cases_by_id(design, manifest["blocks"])
     stored = store.records(manifest["cases"])
     records = relabeled(stored, design, cases)
     if len(records) < len(stored):

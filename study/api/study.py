@@ -85,7 +85,7 @@ class _Clock:
     parts: dict[str, float] = field(default_factory=dict)
     last: float = field(default_factory=time.monotonic)
     #: What was run.
-    design: Design | None = None
+    work: Work | None = None
 
     def mark(self, name: str) -> None:
         now = time.monotonic()
@@ -208,7 +208,7 @@ def run(
                 lambda design: expand(design, root, allowed),
             )  # fmt: skip
             _finish(store, work, clock.parts, computed)
-            clock.design = work.design
+            clock.work = work
             warnings += mixed_meshes(work, store)
     if confirm:
         unconfirmed, may = load_study(store.path), Permission(data, allowed, progress)
@@ -335,7 +335,7 @@ def report(
             study = (
                 Study.of(study_before)
                 if isinstance(study_before, StudyResult)
-                else opened(study_before, clock.design)
+                else opened(study_before, clock.work)
             )
         if beside is not None:
             study = replace(study, beside=compare(study, load_study(beside, results)))

@@ -12,7 +12,7 @@ import math
 import re
 import typing
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import PurePosixPath, PureWindowsPath
@@ -195,6 +195,20 @@ def with_table(resolved: Mapping[str, object], name: str, **changes: object) -> 
 def values_of(value: object) -> dict[str, object]:
     """Values of a section by their names, in internal units; sections within it stay."""
     return {key.name: getattr(value, key.name) for key in keys_of(type(value))}
+
+
+def document_of(value: object, seldom: Container[str] = ()) -> dict[str, object]:
+    """Values of a section by their names, those of a section within it as well.
+
+    Keys that are ``seldom`` given are left out where they have their defaults: names made of
+    documents are then those of a time before these keys.
+    """
+    document: dict[str, object] = {}
+    for key in keys_of(type(value)):
+        item = getattr(value, key.name)
+        if key.name not in seldom or item != key.default:
+            document[key.name] = document_of(item) if type(item) in _DECLARED else item
+    return document
 
 
 def field_named(section: object, written: str) -> str | None:

@@ -122,6 +122,31 @@ def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_to_type_one():
     assert result.effect("a").mean[:2] != (None, None)
 
 
+def test_complete_settings_are_counted_from_what_the_model_can_estimate():
+    rng = np.random.default_rng(1)
+    table = pd.DataFrame(
+        [
+            {"a": a, "b": b, "c": c, "y": rng.normal() * 1e-6 + (a == "B") * gap}
+            for (b, c), gap in {
+                ("u", "x"): 1.0, ("u", "y"): 2.0, ("u", "z"): 4.0, ("v", "x"): 5.0, ("v", "y"): 6.0
+            }.items()
+            for a in "AB"
+            for _ in range(3)
+        ]
+    )  # fmt: skip
+    terms, what = ["a", "b", "c", "a:b", "b:c", "a:c"], "main effects are those of the settings"
+    found = anova(table, "y", ["a", "b", "c"], model=terms, replicates="runs", exact=False)
+    # without a:b:c the difference at v, z follows from the others: 4 + 5 - 1 = 8
+    assert found.effect("a").range == pytest.approx((1 + 2 + 4 + 5 + 6 + 8) / 6, abs=1e-5)
+    (note,) = (note for note in found.notes if note.startswith(what))
+    assert note.endswith(": b at 4 of 6 settings of a, c; c at 2 of 4 settings of b, a")
+    # a factor that interacts with none is compared at all settings, although no mean is known
+    alone = anova(table, "y", ["a", "b", "c"], model=["a", "b", "c", "b:c"], replicates="runs")
+    (note,) = (note for note in alone.notes if note.startswith(what))
+    assert note.endswith(": b at 2 of 3 settings of c; c at 1 of 2 settings of b")
+    assert "complete" not in alone.effect("b").to_json()
+
+
 def study(seed, gap):
     """Records of 2 models x 2 spaces on six specimens; models differ by ``gap``."""
     rng = np.random.default_rng(seed)

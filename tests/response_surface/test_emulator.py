@@ -31,6 +31,7 @@ from study.statistics.surfaces.gaussian_process import (
     log_likelihood,
 )
 from study.statistics.surfaces.surface_factors import Runs
+from study.statistics.surfaces.surface_optimum import extremes
 from tests.response_surface import functions
 
 THETA = np.log([0.4, 0.7, 1.3, 1.7, 1e-4])
@@ -344,6 +345,17 @@ def test_extremes_lie_in_corners_and_inside_their_intervals():
         # and the interval is still one that says something
         assert half[0] < 0.02 * np.ptp(found.runs.response)
     assert sum(inside) >= 11  # of twelve; six where the other kernel did not count
+
+
+def test_nothing_near_the_least_prediction_is_less():
+    x = functions.hypercube(2, 40, 1)
+    bowl = (x[:, 0] - 0.3) ** 2 + (x[:, 1] - 0.6) ** 2 + 0.2 * x[:, 0] * x[:, 1]
+    model = fit_emulator(functions.unit_runs(x, bowl))
+    smallest, _ = extremes(model)
+    side = np.linspace(-0.01, 0.01, 101)
+    near = smallest.at + np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    # predictions repeat to some 1e-9 of their range, from which the search takes its slopes
+    assert model.value(near).min() > smallest.value - 2e-7 * np.ptp(bowl)
 
 
 def test_a_search_of_length_scales_goes_on_or_is_refused(monkeypatch):

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Self, cast
 
 from study.ground.canonical import Json, canonical, hashed
-from study.ground.declaration import field_named, section_of, table_of, values_of
+from study.ground.declaration import document_of, field_named, section_of, table_of, values_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.forward_model import ForwardCell, PlacedFile
 from study.mechanics.setup import setup
@@ -57,9 +57,8 @@ def _whole(value: float) -> Json:
 #: Document of a cell or of a file, in mm, N, MPa and deg: what is hashed and what lies on a disk.
 #: Everywhere else a cell is a value of the classes below.
 Config = dict[str, object]
-#: keys of a test that few have: its course in time, a stretch before it; left out where they say
-#: nothing
-SELDOM = ("speed_mm_per_s", "hold_s", "cycles", "prestretch")
+#: keys of a test that few have: a body that presses, a motion besides, its course in time
+_SELDOM = ("indenter", "motion", "gravity", "speed_mm_per_s", "hold_s", "cycles", "prestretch")
 
 
 @dataclass(frozen=True)
@@ -193,13 +192,6 @@ class CellProblem(ForwardCell):
 
     def document(self) -> Config:
         """Plain values in internal units, without what is left open."""
-        written = values_of(self.test)
-        test = {k: v for k, v in written.items() if k not in SELDOM or v is not None}
-        # what a kind of test does not have names no other
-        for key in ("indenter", "motion", "gravity"):
-            made = test.pop(key)
-            if made is not None:
-                test[key] = values_of(made)
         others: Config = {} if self.forward is None else {"forward": self.forward.document()}
         if self.parameters:
             others["parameters"] = dict(self.parameters)
@@ -212,8 +204,8 @@ class CellProblem(ForwardCell):
         spec = {} if self.measurements is None else self.measurements.as_dict()
         measured = {key: value for key, value in spec.items() if key != "citation"} or None
         return {
-            "specimen": {**values_of(self.specimen), **surface},
-            "test": test,
+            "specimen": {**document_of(self.specimen), **surface},
+            "test": document_of(self.test, _SELDOM),
             "material": _material(self.material),
             "model": _model(self.model),
             "measurements": measured,
@@ -254,8 +246,8 @@ def _material(section: MaterialSection) -> Config:
     }
     if section.relaxation:
         document["relaxation"] = [term.document() for term in section.relaxation]
-    given = values_of(section.compressibility).items()
-    return {**document, **{key: v for key, v in given if v is not None and v is not False}}
+    # of the ways to say how volume changes a material has one
+    return {**document, **document_of(section.compressibility, values_of(section.compressibility))}
 
 
 def _model(model: Model) -> Config:
@@ -263,7 +255,7 @@ def _model(model: Model) -> Config:
     named = ("mesh", "mesh_ratio") if model.mesh_size_mm is None else ("mesh_size_mm",)
     seeded = () if model.mesh_seed is None else ("mesh_seed",)
     keys = ("space", "element_order", "element_shape", "formulation", *named, *seeded)
-    return {key: value for key, value in values_of(model).items() if key in keys}
+    return {key: value for key, value in document_of(model).items() if key in keys}
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from study.ground.declaration import (
     Bad,
     Duration,
     Reads,
+    document_of,
     flag,
-    keys_of,
     measured,
     name,
     relative_path,
@@ -301,13 +301,9 @@ class ForwardModel:
 
     @cached_property
     def _document(self) -> dict[str, object]:
-        later = {"curve": None, "values": None, "reaches": True}
-        document: dict[str, object] = {}
-        for key in keys_of(ForwardModel):
-            value = getattr(self, key.name)
-            if key.name in ("memory_MB", "keep", "found") or value == later.get(key.name, ...):
-                continue
-            document[key.name] = _plain_section(value)
+        document = document_of(self, ("curve", "values", "reaches"))
+        for key in ("memory_MB", "keep", "found"):
+            del document[key]
         if self.found is None:
             return document
         written = {key: value for key, value in document.items() if value is not None}
@@ -334,10 +330,3 @@ class ForwardModel:
             mend = "give the file that goes along another name"
             return Fault(f"{where}.files", f"{rule} it as the answer", mend)
         return None
-
-
-def _plain_section(value: object) -> object:
-    """Value of a key; of a section within it the mapping of its values."""
-    if isinstance(value, CurveFile | CurveColumns | CurveUnits | ValueFile):
-        return {k.name: _plain_section(getattr(value, k.name)) for k in keys_of(type(value))}
-    return value

@@ -261,11 +261,6 @@ class Design:
         """Cells that were resolved without a fault, by the levels, which are the design's own."""
         return {}
 
-    @cached_property
-    def planned(self) -> dict[tuple[str, ...], Sequence[tuple[Case, object]]]:
-        """Cases that were listed, by their blocks, each with why it is computed."""
-        return {}
-
     def _resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
         settings = {k: v for level in levels for k, v in level.settings.items()}
         tables = {k: v for k, v in self.config.items() if k in overlay.TABLES}

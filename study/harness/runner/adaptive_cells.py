@@ -111,8 +111,7 @@ def run_adaptive(
     while True:
         # digits of an emulator must not depend on the threads of the machine
         with threadpool_limits(1):
-            cases = {job.case.case_id: job.case for job in work.jobs}
-            records = relabeled(store.records(work.input_hashes), work.design, cases)
+            records = relabeled(store.records(work.input_hashes), work.design, work.cases)
             chosen, step = next_cells(work.design, records)
         history.append(step)
         with store.lock():

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import cast
 
 from study.ground.arrays import gathered
 from study.ground.canonical import digest, numbered
@@ -139,16 +138,14 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     return Work(design, every, asked, blocks, data, allowed)
 
 
-def planned(design: Design, blocks: tuple[str, ...]) -> Sequence[tuple[Case, Origin]]:
-    """Every case but those of resampled noise, and why it is computed; listed once a design."""
-    if blocks not in design.planned:
-        design.planned[blocks] = seeded(_distinct(cases(design, blocks)), design)
-    return cast("Sequence[tuple[Case, Origin]]", design.planned[blocks])
+def planned(design: Design, blocks: Sequence[str]) -> tuple[tuple[Case, Origin], ...]:
+    """Every case but those of resampled noise, and why it is computed."""
+    return seeded(_distinct(cases(design, blocks)), design)
 
 
 def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
     """List every case that :func:`expand` makes of a design; nothing measured is read."""
-    every_case = [case for case, _ in planned(design, tuple(blocks))]
+    every_case = [case for case, _ in planned(design, blocks)]
     numbers = range(1, design.replicates.noise + 1)
     again = [refitted(case, number) for case in every_case for number in numbers]
     return {case.case_id: case for case in (*every_case, *again)}

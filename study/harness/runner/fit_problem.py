@@ -14,7 +14,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_existing, sha256_of
 from study.ground.canonical import Json, digest, plain
 from study.ground.curve import Curve
-from study.ground.declaration import table_of, values_of
+from study.ground.declaration import document_of, table_of
 from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.cell import Cell, CellProblem, tested
 from study.harness.design.forward_model import ForwardCell, PlacedFile
@@ -106,7 +105,7 @@ def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
     """Document of a problem, complete in itself. Shapes: displacement_mm (n,)."""
     material, test = problem.material, problem.test
     bulk = material.bulk
-    indenter = None if test.indenter is None else _section(test.indenter)
+    indenter = None if test.indenter is None else plain(document_of(test.indenter))
     size_mm = None  # that our own mesh would have
     if not problem.setup.has_no_elements:
         from study.mechanics.mesh.mesher import mesh_size
@@ -114,7 +113,7 @@ def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
         size_mm = float(mesh_size(problem.setup))
     return {
         "schema": 1,
-        "specimen": _section(problem.specimen),
+        "specimen": plain(document_of(problem.specimen)),
         "test": {
             "kind": test.kind,
             "interface": test.interface,
@@ -129,15 +128,9 @@ def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
             "mu0_MPa": material.mu0,
             "bulk_modulus_MPa": bulk if math.isfinite(bulk) else None,
         },
-        "model": {**_section(problem.model), "mesh_size_mm": size_mm},
+        "model": {**plain(document_of(problem.model)), "mesh_size_mm": size_mm},
         "displacement_mm": [float(d) for d in displacement_mm],
     }
-
-
-def _section(value: object) -> dict[str, Json]:
-    words = {"shape": getattr(value, "shape", None)}
-    shaped = {k: v for k, v in words.items() if v is not None}
-    return cast("dict[str, Json]", plain({**shaped, **values_of(value)}))
 
 
 def _context_of(request: Mapping[str, object]) -> dict[str, object]:

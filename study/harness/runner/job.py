@@ -347,6 +347,11 @@ class Work:
         return replace(self, jobs=tuple(originals))
 
     @property
+    def cases(self) -> dict[str, Case]:
+        """Every case by its id."""
+        return {job.case.case_id: job.case for job in self.jobs}
+
+    @property
     def input_hashes(self) -> dict[str, str]:
         """Case id -> hash of everything that decides its record."""
         return {job.case.case_id: job.input_hash for job in self.jobs}

@@ -95,7 +95,7 @@ class Facts(ResponseAnalysis):
         """Main effects whose claim another answer of the missing runs could take away."""
         claimed = {effect.term for effect in self.effects if effect.verdict in CLAIMS}
         bounds = () if self.result is None else self.result.failure_bounds
-        return frozenset(b.term for b in bounds if len(b.verdicts) > 1 and b.term in claimed)
+        return frozenset(b.term for b in bounds if b.can_change_verdict and b.term in claimed)
 
     @property
     def has_size(self) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations, pairwise, product
@@ -49,7 +48,7 @@ from study.statistics.analysis.linear_model import (
     terms_of,
 )
 from study.statistics.analysis.power import PowerRow, planned
-from study.statistics.analysis.simple_effects import partners, without_each
+from study.statistics.analysis.simple_effects import without_each
 from study.statistics.analysis.strata import Plots, own, split_plot, whole_plots
 from study.statistics.analysis.unreplicated import (
     copies_of,
@@ -68,7 +67,7 @@ if TYPE_CHECKING:
 
 def assemble(out: AnalysisResult) -> AnalysisResult:
     """Check assumptions, adjust p, and plan other numbers of rows."""
-    out = assumptions_of(out).warn(*_inestimable(out.effects), *_partial(out))
+    out = assumptions_of(out).warn(*_inestimable(out.effects), *_partial(out.effects))
     groups_of = out.copies.groups
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error_term is not NO_ERROR:
         out = out.warn(
@@ -93,18 +92,13 @@ def _inestimable(effects: Sequence[Effect]) -> list[str]:
     return [f"means are not estimable: {'; '.join(places[:5])}{more}"] if places else []
 
 
-def _partial(out: AnalysisResult) -> list[str]:
+def _partial(effects: Sequence[Effect]) -> list[str]:
     """One sentence about the factors that are compared at a part of the others' settings."""
-    places = []
-    for name in (effect.term for effect in out.effects if effect.is_partial):
-        others = partners(name, out.terms)
-        columns = [out.data.layout.codes[factor] for factor in (*others, name)]
-        cells = np.unique(np.column_stack(columns), axis=0)
-        _, counts = np.unique(cells[:, :-1], axis=0, return_counts=True)
-        levels = out.data.layout.levels
-        complete = int((counts == len(levels[name])).sum())
-        every = math.prod(len(levels[factor]) for factor in others)
-        places.append(f"{name} at {complete} of {every} settings of {', '.join(others)}")
+    places = [
+        f"{effect.term} at {at.count} of {at.total} settings of {', '.join(at.others)}"
+        for effect in effects
+        if (at := effect.complete) is not None
+    ]
     what = "main effects are those of the settings with all levels of the factor"
     return [f"{what}: {'; '.join(places)}"] if places else []
 

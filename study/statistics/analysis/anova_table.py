@@ -103,6 +103,11 @@ class FailureBound:
     #: Whether the verdict is the same everywhere.
     holds: bool
 
+    @property
+    def can_change_verdict(self) -> bool:
+        """Whether the missing responses could change the verdict."""
+        return len(self.verdicts) > 1
+
 
 @dataclass(frozen=True)
 class DifferenceInterval:
@@ -148,6 +153,17 @@ class SimpleEffect:
 
 
 @dataclass(frozen=True)
+class CompleteSettings:
+    """Settings of other factors at which all levels of a factor can be compared."""
+
+    #: Factors that interact with it.
+    others: tuple[str, ...]
+    #: How many settings of theirs are complete, of how many.
+    count: int
+    total: int
+
+
+@dataclass(frozen=True)
 class Effect:
     """Size of one term in response units (or as a ratio, for a log response).
 
@@ -189,10 +205,13 @@ class Effect:
     of_components: str = ""
     lost_without: tuple[str, ...] | None = None
     withdrawn: tuple[str, ...] = ()
+    #: Where a factor is compared beside empty cells; None where it is at every setting.
+    complete: CompleteSettings | None = None
 
     def to_json(self) -> dict[str, object]:
         """Document of the effect; without a practical difference its verdicts are null."""
         document: dict[str, object] = {**plain(self)}
+        del document["complete"]  # the notes of the analysis say it
         if self.practical is None:
             document["verdict"] = None
             every = [{**plain(e), "verdict": None} for e in self.simple_effects]
@@ -255,7 +274,7 @@ class Effect:
     @property
     def is_partial(self) -> bool:
         """Whether its levels are compared at some settings of the others alone: cells are empty."""
-        return self.is_main and self.range is not None and None in self.mean
+        return self.complete is not None
 
     @property
     def depends_on_settings(self) -> bool:

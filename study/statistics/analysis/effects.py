@@ -10,7 +10,12 @@ from itertools import combinations, product
 import numpy as np
 
 from study.ground.arrays import Array, Flags, Ints
-from study.statistics.analysis.anova_table import Effect, PairDifference, SimpleEffect
+from study.statistics.analysis.anova_table import (
+    CompleteSettings,
+    Effect,
+    PairDifference,
+    SimpleEffect,
+)
 from study.statistics.analysis.comparisons import (
     block_multiplier,
     letters,
@@ -59,12 +64,18 @@ class TermEstimate:
     p: float | None
     #: Level of each factor of the term in every combination.
     settings: tuple[tuple[str, ...], ...] = ()
+    #: Over which settings a factor is averaged beside empty cells; None where over all of them.
+    complete: CompleteSettings | None = None
 
 
 def term_rows(
     layout: CellLayout, fit: Factored, term: Term
-) -> tuple[tuple[str, ...], Array, Array]:
-    """Levels of a term, and the combinations (k, p) that give their components and means."""
+) -> tuple[tuple[str, ...], Array, Array, CompleteSettings | None]:
+    """Levels of a term, and the combinations (k, p) that give their components and means.
+
+    Beside empty cells the components of a factor are those of the settings of others at which all
+    its levels can be compared, if there are any: these are given too.
+    """
     matrix = fit.matrix
     cells = grid(layout, term)
     inner = [t for t in matrix.terms[1:] if set(t) <= set(term)]
@@ -80,19 +91,17 @@ def term_rows(
         mean[:, at] = local.columns[:, local.of(t)]
     component[:, matrix.of(term)] = local.columns[:, local.of(term)]
     labels = tuple(map(" ".join, zip(*map(cells.labels, term), strict=True)))
-    return labels, _over_complete_settings(layout, fit, term, component), mean
-
-
-def _over_complete_settings(layout: CellLayout, fit: Factored, term: Term, rows: Array) -> Array:
-    """Rows (k, p) of a main effect; beside empty cells over the settings that have all levels."""
-    if len(term) != 1 or fit.estimable(rows).all():
-        return rows
-    k, names = len(layout.levels[term[0]]), partners(term[0], fit.matrix.terms)
+    if len(term) != 1 or fit.estimable(component).all():
+        return labels, component, mean, None
+    k, names = len(labels), partners(term[0], fit.matrix.terms)
     settings = list(product(*(range(len(layout.levels[name])) for name in names)))
-    cells = columns_at(term[0], layout, fit.matrix, names, settings).reshape(len(settings), k, -1)
-    centred = cells - cells.mean(axis=1, keepdims=True)
-    complete = fit.estimable(centred.reshape(-1, rows.shape[1])).reshape(-1, k).all(axis=1)
-    return np.asarray(centred[complete].mean(axis=0)) if complete.any() else rows
+    each = columns_at(term[0], layout, fit.matrix, names, settings).reshape(len(settings), k, -1)
+    centred = each - each.mean(axis=1, keepdims=True)
+    complete = fit.estimable(centred.reshape(len(settings) * k, -1)).reshape(-1, k).all(axis=1)
+    if not complete.any():
+        return labels, component, mean, None
+    places = CompleteSettings(names, int(complete.sum()), len(settings))
+    return labels, centred[complete].mean(axis=0), mean, places
 
 
 def pooled_estimate(
@@ -124,7 +133,7 @@ def sampled_estimate(
 
     ``critical`` is the multiplier of the differences; None for that of the sample.
     """
-    levels, component_rows, mean_rows = term_rows(layout, fit, term)
+    levels, component_rows, mean_rows, complete = term_rows(layout, fit, term)
     k = len(levels)
     alone = sample(Differences.alone(np.vstack([component_rows, mean_rows])))
     component, mean = alone.value[:k], fit.shift + alone.value[k:]
@@ -141,7 +150,7 @@ def sampled_estimate(
             wide = pairs.error * (pairs.simultaneous if critical is None else critical)
             half[first, second] = half[second, first] = wide
     settings = tuple(product(*(layout.levels[name] for name in term)))
-    return TermEstimate(term, levels, component, mean, half, mean_half, p, settings)
+    return TermEstimate(term, levels, component, mean, half, mean_half, p, settings, complete)
 
 
 def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
@@ -468,6 +477,7 @@ def size(
         "ratio" if scale.transform == "log" else "difference",
         practical=None if scale.practical is None else back(scale.practical),
         p=estimate.p,
+        complete=estimate.complete,
     )
     if np.isnan(estimate.component).any():
         return replace(effect, why="not estimable")

@@ -431,7 +431,7 @@ def sentences(failure_bounds: Sequence[FailureBound], missing: int) -> list[str]
 def _why(bound: FailureBound) -> str:
     firm = [v for v in bound.verdicts if v != CANNOT_TELL]
     parts = []
-    if len(bound.verdicts) > 1:
+    if bound.can_change_verdict:
         parts.append(f"the verdict '{firm[0]}' is not certain")
     if bound.p is not None:
         parts.append(f"p between {bound.p[0]:.2g} and {bound.p[1]:.2g}")

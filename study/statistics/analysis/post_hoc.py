@@ -152,7 +152,7 @@ def _of_model(
     is simulated.
     """
     layout, request = fit.matrix.layout, analysis.request
-    names, rows, _ = term_rows(layout, fit, (factor,))
+    names, rows, *_ = term_rows(layout, fit, (factor,))
     at = names.index(reference)
     differences = np.delete(rows, at, axis=0) - rows[at]
     if not fit.estimable(differences).all():

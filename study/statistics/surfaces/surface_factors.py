@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
-from study.ground.errors import Fault, InputError, nearest, settled
+from study.ground.errors import Fault, InputError, nearest
 
 #: part of the largest singular value of the settings below which factors change together
 COLLINEAR = 1e-7
@@ -217,8 +216,6 @@ def never_run(runs: Runs, at: Array | None = None) -> list[str]:
 
 #: most factors whose corners are all asked: 2^10 = 1,024
 CORNERS = 10
-#: best points from which the search goes on
-STARTS = 5
 #: a coordinate this near to 1 in size lies on the boundary
 BOUNDARY = 1e-6
 
@@ -247,25 +244,3 @@ def box_points(k: int, n: int) -> Array:
     from scipy.stats import qmc
 
     return np.asarray(2.0 * qmc.Sobol(k, seed=0).random(n) - 1.0)
-
-
-def extremes(value: Callable[[Array], Array], k: int) -> tuple[Array, Array]:
-    """Coded settings, shape (k,), of the smallest and the largest value (n,) in the box."""
-    points = box_points(k, 4096)
-    if k <= CORNERS:
-        points = np.vstack([points, np.array(list(product((-1.0, 1.0), repeat=k)))])
-    values = value(points)
-    low = _polished(value, points[np.argsort(values)[:STARTS]], 1.0)
-    return low, _polished(value, points[np.argsort(-values)[:STARTS]], -1.0)
-
-
-def _polished(value: Callable[[Array], Array], starts: Array, sign: float) -> Array:
-    scale = float(np.abs(value(starts)).max()) or 1.0
-
-    def goal(x: Array) -> float:
-        return sign * float(value(x[None, :])[0]) / scale
-
-    bounds = [(-1.0, 1.0)] * starts.shape[1]
-    searches = (scipy.optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds) for x in starts)
-    ends = [settled(one, "extreme of a surface", by_lines=True).x for one in searches]
-    return np.asarray(min([*ends, *starts], key=goal))

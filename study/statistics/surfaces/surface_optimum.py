@@ -14,7 +14,13 @@ from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, RefusedError
 from study.statistics.surfaces.emulator import GIVEN, BlockedEmulator, Emulator
 from study.statistics.surfaces.quadratic import CARRIED, QuadraticSurface
-from study.statistics.surfaces.surface_factors import BOUNDARY, CORNERS, Runs, box_points
+from study.statistics.surfaces.surface_factors import (
+    BOUNDARY,
+    CORNERS,
+    Extreme,
+    Runs,
+    box_points,
+)
 
 Model = QuadraticSurface | Emulator | BlockedEmulator
 Goal = Literal["minimize", "maximize"]
@@ -226,6 +232,18 @@ def optimum(model: Model, goal: Goal, limits: Sequence[ResponseLimit], held: Arr
             assurance, tuple(space.free[near].tolist()),
         )  # fmt: skip
     raise RefusedError(str(question.infeasible()))
+
+
+def extremes(model: Model) -> tuple[Extreme, Extreme]:
+    """Find the smallest and the largest prediction in the ranges of the factors."""
+    runs, k = model.runs, len(model.runs.factors)
+    space = FreeSettings(np.full(k, np.nan), np.arange(k), np.full(k, -1.0), np.ones(k))
+    low, high = (
+        Extreme(at, runs.settings(at), *(float(part[0]) for part in model.predict(at[None, :])))
+        for sign in (1.0, -1.0)
+        if (at := _Question(model, sign, (), space).best(0.0)) is not None  # there is no limit
+    )
+    return low, high
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ from study.statistics.surfaces.emulator import (
 )
 from study.statistics.surfaces.input_distribution import InputDistribution
 from study.statistics.surfaces.quadratic import QuadraticSurface
-from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes, never_run
-from study.statistics.surfaces.surface_optimum import Model
+from study.statistics.surfaces.surface_factors import Extreme, Runs, never_run
+from study.statistics.surfaces.surface_optimum import Model, extremes
 
 
 @dataclass(frozen=True)
@@ -117,12 +117,7 @@ def analysis_of(model: Model, practical: float | None = None, u: float = 0.0) ->
         judged, said = _of_quadratic(model, practical, u)
     else:
         judged, said = _of_emulator(model, practical, u)
-    runs = model.runs
-    low, high = (
-        Extreme(at, runs.settings(at), *(float(part[0]) for part in model.predict(at[None, :])))
-        for at in extremes(model.value, len(runs.factors))
-    )
-    return SurfaceAnalysis(model, judged, low, high, tuple(said))
+    return SurfaceAnalysis(model, judged, *extremes(model), tuple(said))
 
 
 def _judged(
