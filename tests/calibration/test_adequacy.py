@@ -174,6 +174,20 @@ def test_a_recording_that_is_none_of_the_others_is_named(tmp_path, last, column,
     assert (f"{named}: its forces are" in told.sentence) == (verdict == "doubtful")
 
 
+@pytest.mark.parametrize("more", ["", '[calibration]\nloss = "soft-l1"'])
+def test_a_specimen_that_slips_several_times_is_none_of_misread_rows(tmp_path, more):
+    """At 5 and 7 mm it slips in its grips by .6 mm: no robust loss mends that."""
+    held = RAMP - 0.6 * (RAMP > 5.05) - 0.6 * (RAMP > 7.05)
+    read = 200 * 0.02 * (1 + held / 30 - (1 + held / 30) ** -2)
+    read = read + np.random.default_rng(4).normal(0, 0.003, RAMP.size)
+    rows = [(1, d, f) for d, f in zip(RAMP, read, strict=True)]
+    told = calibrated(tmp_path, rows, more=more)
+    assert told.verdict == "doubtful"
+    assert "between rows 26 and 27, 5 and 5.2 mm; rows 36 and 37, 7 and 7.2 mm" in told.sentence
+    assert "write the range before the first" in told.sentence
+    assert "misread" not in told.sentence
+
+
 @pytest.mark.parametrize("loss", ["linear", "soft-l1"])
 @pytest.mark.parametrize("fault", ["falls to .62", "falls by .57 N", "drifts"])
 def test_a_robust_loss_hides_no_line_that_many_rows_follow(tmp_path, fault, loss):

@@ -65,6 +65,7 @@ def read_measurements(
         rules,
         # closed forms of indentation find contact themselves, and come another way
         judges_slack=gauge is not None and not fits_zero,
+        asks_offset=own_rows and not fits_zero,
         is_signed=both_ways and (spec.range is None or rules.low_mm < 0),
     )
     recorded = recordings or read_recordings(spec, Path(root))
