@@ -158,6 +158,23 @@ def test_rows_out_of_order_are_sorted_and_told(tmp_path):
         read(tmp_path)
 
 
+@pytest.mark.parametrize("law", [*LAWS, "a rounded maximum"])
+def test_a_load_cell_whose_limit_trembles_is_told_from_a_law_that_bends(tmp_path, law):
+    """Readings within .01 % of the limit over the last tenth; 121 rows."""
+    x = np.linspace(0.0, 1.0, 121)
+    curve = (lambda v: v * (2.0 - v)) if law == "a rounded maximum" else LAWS[law][0]
+    force = curve(x) / curve(1.0)
+    write(tmp_path, 6 * x, force)
+    assert read(tmp_path).curve().curve.force_N.size == 121
+    if law == "a rounded maximum":
+        return
+    limit = force[108]
+    trembling = limit * (1 + 1e-4 * np.random.default_rng(2).standard_normal(121))
+    write(tmp_path, 6 * x, np.where(force > limit, trembling, force))
+    with pytest.raises(InputError, match=r'at its limit(?s:.*)range = ."0 mm", "5\.35 mm"'):
+        read(tmp_path)
+
+
 def test_the_range_before_a_saturated_load_cell_holds_no_row_at_its_limit(tmp_path):
     """Of seven rows the fifth is the first at the limit, and its true force is not known."""
     place = np.linspace(0.0, 6.0, 13)

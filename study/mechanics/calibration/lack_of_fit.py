@@ -275,7 +275,9 @@ def adequacy(
     findings += _of_size(fit, groups)
     findings += [finding for recording in recordings for finding in _of_rows(recording, robust)]
     findings += _of_trend(fit, groups)
-    if lack is not None and max(lack.p_independent, lack.p_dependent) < _CLEAR:
+    # what specimens of one test differ by is no lack of fit of each
+    is_pooled = len(set(tests)) < len(tests)
+    if lack and not is_pooled and max(lack.p_independent, lack.p_dependent) < _CLEAR:
         why = f"repeats scatter less than the model misses them ({p_phrase(lack.p_dependent)})"
         findings.append((1, f"{why}: take an energy with more constants", ()))
     if not findings:

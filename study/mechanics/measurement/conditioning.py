@@ -295,6 +295,8 @@ _TEARING = 0.1
 #: rows it does so than at any other force
 _SATURATED = 0.02
 _STEPS = 3
+#: share of its limit within which its readings tremble
+_AT_LIMIT = 1e-3
 #: share of the travel from zero at which a recording may begin without another look: nearer than
 #: half of the rows that tell the slope, a convex law is as flat as a late start
 _STARTS_LATE = ZERO_FIT_SHARE / 2
@@ -354,7 +356,7 @@ def placed(displacement_mm: Array, resisted: Array, rules: Rules, where: str) ->
         zero = float(d[0])
     elif isinstance(zero, str):
         zero = _contact(d, f, way, where)
-    chosen = "" if isinstance(rules.counts_from, float) else f" ({rules.counts_from})"
+    chosen = f" ({rules.counts_from})" if isinstance(rules.counts_from, str) else ""
     if rules.counts_from == "contact":
         error = _refined(way * d, f, way * zero)[1]
         mend = ", which the intervals do not hold" if rules.asks_offset else ""
@@ -607,19 +609,23 @@ def _check_torn(d: Array, f: Array, rules: Rules, where: str) -> None:
 
 def _check_saturated(d: Array, f: Array, rules: Rules, where: str) -> None:
     """Refuse rows in the range on which the load cell shows its largest reading and no more."""
-    ends = np.r_[np.flatnonzero(np.diff(f) != 0), f.size - 1]
+    at_top = f >= (1 - _AT_LIMIT) * f.max()
+    ends = np.r_[np.flatnonzero((np.diff(f) != 0) & ~(at_top[1:] & at_top[:-1])), f.size - 1]
     runs = np.diff(ends, prepend=-1)
-    at_top = f[ends] == f.max()
-    longest = int(np.argmax(np.where(at_top, runs, 0)))
+    longest = int(np.argmax(np.where(at_top[ends], runs, 0)))
     rows, last = int(runs[longest]), int(ends[longest])
     # steps of a coarse converter are as long elsewhere
-    usual = int(runs[~at_top].max(initial=1))
+    usual = int(runs[~at_top[ends]].max(initial=1))
     first = last - rows + 1
     is_long = d[last] - d[first] > _SATURATED * float(np.ptp(d))
     if rows <= max(_STEPS * usual, MIN_ROWS) or not is_long or d[first + 1] > rules.high_mm:
         return
+    begin = max(first - rows, 0)
+    rises = (f[first] - f[begin]) / max(float(d[first] - d[begin]), 1e-300)
+    if np.ptp(f[first : last + 1]) > 0 and rises < _AT_ONCE * f.max() / float(np.ptp(d)):
+        return  # a force that passes its maximum, and bends before it
     rule = (
-        f"the force stands at {f.max():.6g} N, its largest value, in {rows} rows from "
+        f"the force stands at {f.max():.4g} N, its largest value, in {rows} rows from "
         f"{_place(d[first], rules)} on: the load cell was at its limit"
     )
     raise InputError(Fault(where, rule, _rows_before(float(d[max(first - 1, 0)]), rules)))
