@@ -175,6 +175,14 @@ def test_a_load_cell_whose_limit_trembles_is_told_from_a_law_that_bends(tmp_path
         read(tmp_path)
 
 
+def test_a_preload_is_no_reading_of_the_load_cell(tmp_path):
+    """Displacement was set to 0 after 0.8 mm: the line says what to write, and that is right."""
+    write(tmp_path, DEPTH, STIFFNESS * (DEPTH + 0.8))
+    assert any("displacement_zero with the way that it had gone" in n for n in read(tmp_path).notes)
+    declared = {"displacement_zero": -0.8}
+    assert stiffness(tmp_path, **declared) == (pytest.approx(STIFFNESS, rel=1e-6), 25)
+
+
 def test_the_range_before_a_saturated_load_cell_holds_no_row_at_its_limit(tmp_path):
     """Of seven rows the fifth is the first at the limit, and its true force is not known."""
     place = np.linspace(0.0, 6.0, 13)

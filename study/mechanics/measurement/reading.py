@@ -256,7 +256,9 @@ def _summary(done: Sequence[SingleTest], rules: Rules) -> list[str]:
         worst = max(offsets, key=abs)
         notes.append(
             f"{OFFSET} {len(offsets)} of {len(done)} tests begin with up to {100 * worst:.2g} % of "
-            'their largest force: write zero = "first" or "fit" to subtract it, or toe'
+            'their largest force: write zero = "first" or "fit" to subtract it, or toe; where the '
+            "specimen was preloaded before displacement was set to 0, displacement_zero with the "
+            'way that it had gone, such as "-0.5 mm"'
         )
     if rules.spec.toe is not None:
         toe = [result.toe_mm for result in done]
