@@ -203,6 +203,37 @@ def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
         calibrated(tmp_path, content.encode(), "tension")
 
 
+def test_an_open_unit_is_written_beside_the_table_as_its_line_says(tmp_path):
+    """What a user types is the text behind 'write', below the table that was printed."""
+    content = written("Weg,Kraft [mN]\n", UP, 1e3 * force(UP)).encode()
+
+    def answered(table):
+        return table + "\n" + re.search(r'write (units.displacement = "mm")', table)[1] + "\n"
+
+    made = calibrated(tmp_path, content, "tension", answered)
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-4)
+
+
+def test_noise_about_zero_before_contact_is_no_test_of_both_signs(tmp_path):
+    d = np.linspace(-0.6, 0.8, 60)
+    noise = np.where(np.arange(60) % 2, 0.004, -0.004)
+    text = written("Indentation (mm),Load (mN)\n", d, 30 * np.maximum(d, 0.0) ** 1.5 + noise)
+    (tmp_path / "a.csv").write_text(text)
+    assert not any("through zero" in note for note in inspect(tmp_path / "a.csv").notes)
+
+
+def test_an_approach_over_a_third_of_the_travel_in_noise_begins_at_contact(tmp_path):
+    """A falling position, a load cell that is not zeroed, noise of .2 % of the largest force."""
+    away = np.linspace(-4.0, 0.0, 40, endpoint=False)
+    rng = np.random.default_rng(6)
+    place, load = np.r_[away, UP], np.r_[0 * away, force(UP, -1.0)]
+    load = load + 0.002 * load.max() * rng.standard_normal(load.size)
+    content = written("Position (mm),Force (N)\n", 100 - place, -load - 0.2).encode()
+    made = calibrated(tmp_path, content, "compression")
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=0.02)
+    assert made["fit"]["verdict"] == "describes"
+
+
 @pytest.mark.parametrize(
     ("rows", "rule"),
     [

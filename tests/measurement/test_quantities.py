@@ -30,6 +30,21 @@ def test_every_pair_of_columns_is_the_same_curve(kinematic, kinetic):
     assert f == pytest.approx([12.0], rel=1e-14)
 
 
+@pytest.mark.parametrize("kinetic", RESISTED)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("kinematic", ["displacement", "strain", "true_strain"])
+def test_a_shortening_is_the_same_curve_with_either_sign(kinematic, sign, kinetic):
+    """Shortened by 5 mm and 12 N: l = 0.75, P = 3 MPa, and a true stress of 3 x 0.75 MPa."""
+    pressed = replace(PULLED, sense=-1.0)
+    shortened = {"displacement": 5.0, "strain": 0.25, "true_strain": -np.log(0.75)}
+    resisted = {**RESISTED, "true_stress": 3.0 * 0.75}
+    d, f = rows(kinematic, [0.0, sign * shortened[kinematic]], kinetic, [0.0, resisted[kinetic]],
+                pressed)  # fmt: skip
+    if (kinematic, kinetic) != ("displacement", "force"):  # these stay as they were recorded
+        assert d == pytest.approx([0.0, 5.0], rel=1e-14)
+    assert f == pytest.approx([0.0, 12.0], rel=1e-14)
+
+
 def test_volume_and_pressure():
     """J = 0.729 is a stretch of 0.9; a pressure of 2 MPa on faces of 0.81 x 4 mm^2 is 6.48 N."""
     pressed = Gauge(4.0, 20.0, "volumetric", -1.0, True)

@@ -1,5 +1,7 @@
 """Coordinates of the machine: put into those of the specimen by what is declared, or refused."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -100,6 +102,96 @@ def test_slack_is_told_from_a_law_that_is_soft_at_first(law):
     if at_once:
         assert len(ends[0.06]) == 40
         assert ends[0.06] == pytest.approx([0.06] * 40, abs=0.01)
+
+
+@pytest.mark.parametrize("approach", [0.25, 0.4, 0.6])
+def test_an_approach_longer_than_a_fifth_of_the_travel_is_told_in_noise(approach):
+    """Noise of .3 % among 120 rows, 20 draws; a law that stiffens has no corner."""
+    rng, x = np.random.default_rng(18), np.linspace(0.0, 1.0, 120)
+    for law in ("rubber in tension", "tissue that stiffens"):
+        curve, at_once = LAWS[law]
+        force = curve(np.maximum(x - approach, 0.0) / (1 - approach)) / curve(1.0)
+        ends = [slack_end(x, force + 0.003 * rng.normal(size=x.size)) for _ in range(20)]
+        if at_once:
+            assert ends == pytest.approx([approach] * 20, abs=0.02)
+        else:
+            assert ends == [None] * 20
+
+
+def test_the_standard_error_of_a_contact_is_that_of_its_draws(tmp_path):
+    """Noise of .5 % among 161 rows, 40 draws about a contact at 3.9 mm, none upon a row."""
+    rng, place = np.random.default_rng(18), np.linspace(0.0, 10.0, 161)
+    contacts, errors = [], []
+    for _ in range(40):
+        force = 3.0 * np.maximum(place - 3.9, 0.0)
+        write(tmp_path, place, force + 0.005 * force.max() * rng.normal(size=place.size))
+        text = "\n".join(read(tmp_path, displacement_zero="contact").notes)
+        found = re.search(r"from (\S+) mm .contact, standard error (\S+) mm", text)
+        contacts.append(float(found[1]))
+        errors.append(float(found[2]))
+    off = np.array(contacts) - 3.9
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(np.mean(errors), rel=0.4)
+
+
+def test_the_load_cell_is_zeroed_by_the_whole_approach_where_contact_is_declared(tmp_path):
+    """Twice as many rows as the first tenth, and no slope: its mean, to a rounding."""
+    place = np.linspace(0.0, 10.0, 101)
+    wave = 0.02 * np.where(np.arange(101) % 2, 1.0, -1.0)
+    write(tmp_path, place, 0.5 + wave * (place < 3.95) + 3.0 * np.maximum(place - 4.0, 0.0))
+    test = read(tmp_path, displacement_zero="contact", zero="fit").tests[0]
+    assert test.zero_N == pytest.approx(0.5, abs=1.5e-3)
+
+
+def test_rows_out_of_order_are_sorted_and_told(tmp_path):
+    """In any order, or a single row at the wrong end: no test that starts again."""
+    order = np.random.default_rng(3).permutation(25)
+    for rows in (order, np.r_[24, np.arange(24)]):
+        write(tmp_path, DEPTH[rows], STIFFNESS * DEPTH[rows])
+        assert stiffness(tmp_path) == (pytest.approx(STIFFNESS, rel=1e-9), 25)
+        assert any("rows out of order sorted" in note for note in read(tmp_path).notes)
+    back = np.r_[np.arange(1, 25), 0]  # the last row may be the way back
+    write(tmp_path, DEPTH[back], STIFFNESS * DEPTH[back])
+    assert stiffness(tmp_path) == (pytest.approx(STIFFNESS, rel=1e-9), 24)
+    twice = np.r_[np.arange(25), np.arange(25)]
+    write(tmp_path, DEPTH[twice], STIFFNESS * DEPTH[twice])
+    with pytest.raises(InputError, match="starts again"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize("law", [*LAWS, "a rounded maximum"])
+def test_a_load_cell_whose_limit_trembles_is_told_from_a_law_that_bends(tmp_path, law):
+    """Readings within .01 % of the limit over the last tenth; 121 rows."""
+    x = np.linspace(0.0, 1.0, 121)
+    curve = (lambda v: v * (2.0 - v)) if law == "a rounded maximum" else LAWS[law][0]
+    force = curve(x) / curve(1.0)
+    write(tmp_path, 6 * x, force)
+    assert read(tmp_path).curve().curve.force_N.size == 121
+    if law == "a rounded maximum":
+        return
+    limit = force[108]
+    trembling = limit * (1 + 1e-4 * np.random.default_rng(2).standard_normal(121))
+    write(tmp_path, 6 * x, np.where(force > limit, trembling, force))
+    with pytest.raises(InputError, match=r'at its limit(?s:.*)range = ."0 mm", "5\.35 mm"'):
+        read(tmp_path)
+
+
+def test_a_preload_is_no_reading_of_the_load_cell(tmp_path):
+    """Displacement was set to 0 after 0.8 mm: the line says what to write, and that is right."""
+    write(tmp_path, DEPTH, STIFFNESS * (DEPTH + 0.8))
+    assert any("displacement_zero with the way that it had gone" in n for n in read(tmp_path).notes)
+    declared = {"displacement_zero": -0.8}
+    assert stiffness(tmp_path, **declared) == (pytest.approx(STIFFNESS, rel=1e-6), 25)
+
+
+def test_the_range_before_a_saturated_load_cell_holds_no_row_at_its_limit(tmp_path):
+    """Of seven rows the fifth is the first at the limit, and its true force is not known."""
+    place = np.linspace(0.0, 6.0, 13)
+    write(tmp_path, place, np.minimum(STIFFNESS * place, 7.0))
+    with pytest.raises(InputError, match="at its limit") as caught:
+        read(tmp_path)
+    ends = re.search(r'range = ."(\S+) mm", "(\S+) mm"', str(caught.value))
+    declared = Range("mm", float(ends[1]), float(ends[2]))
+    assert stiffness(tmp_path, range=declared) == (pytest.approx(STIFFNESS, rel=1e-12), 5)
 
 
 def test_the_first_row_of_unloading_is_none_of_loading(tmp_path):

@@ -135,6 +135,8 @@ _MOST_TERMS = 4
 _ROWS_A_TERM = 5
 #: share of the largest force by which a single row must be off to be named
 _OFF = 0.02
+#: rows on either side of a step at least; levels are medians of twice as many
+_SIDE = 3
 #: the same of a drift over the recording
 _DRIFTS = 0.02
 #: share of a column beside those of the constants below which it is rounding
@@ -273,7 +275,9 @@ def adequacy(
     findings += _of_size(fit, groups)
     findings += [finding for recording in recordings for finding in _of_rows(recording, robust)]
     findings += _of_trend(fit, groups)
-    if lack is not None and max(lack.p_independent, lack.p_dependent) < _CLEAR:
+    # what specimens of one test differ by is no lack of fit of each
+    is_pooled = len(set(tests)) < len(tests)
+    if lack and not is_pooled and max(lack.p_independent, lack.p_dependent) < _CLEAR:
         why = f"repeats scatter less than the model misses them ({p_phrase(lack.p_dependent)})"
         findings.append((1, f"{why}: take an energy with more constants", ()))
     if not findings:
@@ -387,16 +391,16 @@ def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
         for k in places
     )
     listed = ", ".join(str(row.row) for row in rows[:8]) + (", ..." if len(rows) > 8 else "")
-    # on both sides of a step rows lie beyond the line through their neighbors, to either side
-    side = np.sign(noise.distance[places])
-    turns = (np.diff(places) == 1) & (np.diff(side) != 0)
-    if places.size > 2 and np.count_nonzero(turns) == 1 and np.ptp(places) == places.size - 1:
-        k = int(places[int(np.argmax(turns))])
-        before, after = recording.rows.displacement_mm[[k, k + 1]]
+    if steps := _steps(recording.residual, places):
+        d, jumps = recording.rows.displacement_mm, np.abs(np.diff(recording.residual)[steps])
+        where = "; ".join(
+            f"rows {k + 1} and {k + 2}, {d[k]:.4g} and {d[k + 1]:.4g} mm" for k in steps[:4]
+        )
+        first = "it" if len(steps) == 1 else "the first"
         return [(1, (
-            f"{recording.label}: the force jumps by {abs(np.diff(recording.residual)[k]):.3g} N "
-            f"between rows {k + 1} and {k + 2}, {before:.4g} and {after:.4g} mm: the specimen "
-            "slipped or tore there: write the range before it"
+            f"{recording.label}: the force jumps by {'up to ' if len(steps) > 1 else ''}"
+            f"{jumps.max():.3g} N between {where}: the specimen slipped or tore there: "
+            f"write the range before {first}"
         ), rows)]  # fmt: skip
     gone = float(np.sum(recording.residual[places] ** 2) / np.sum(recording.residual**2))
     mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
@@ -415,6 +419,28 @@ def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
         f"{mend}"
     )
     return [(grade, why, rows)]
+
+
+def _steps(residual: Array, places: NDArray[np.intp]) -> list[int]:
+    """Rows after which residuals stay at another level; empty where far rows have another cause.
+
+    A row that was misread is far from both of its sides, one beside a step from one of them alone.
+    """
+    steps: list[int] = []
+    for k in range(_SIDE - 1, residual.size - _SIDE):
+        if not {k, k + 1} & set(places.tolist()):
+            continue
+        before, after = (
+            residual[max(k + 1 - 2 * _SIDE, 0) : k + 1],
+            residual[k + 1 : k + 1 + 2 * _SIDE],
+        )
+        jump, level = abs(float(residual[k + 1] - residual[k])), float(np.median(before))
+        beyond = float(np.median(after))
+        ends = max(abs(float(residual[k]) - level), abs(float(residual[k + 1]) - beyond))
+        if abs(beyond - level) > 0.5 * jump and ends < 0.3 * jump:
+            steps.append(k)
+    is_all = all(any(-_SIDE < place - k <= _SIDE for k in steps) for place in places.tolist())
+    return steps if is_all else []
 
 
 def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:

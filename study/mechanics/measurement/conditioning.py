@@ -73,6 +73,8 @@ class Rules:
     is_signed: bool = False
     #: Whether a specimen that is not loaded at first is a fault: not where contact is fitted.
     judges_slack: bool = False
+    #: Whether an uncertain contact may be declared, and is not yet.
+    asks_offset: bool = False
 
     @property
     def is_raw(self) -> bool:
@@ -125,7 +127,7 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
         d, f = d[::-1], f[::-1]
     _check_torn(d, f, rules, where)
     _check_saturated(d, f, rules, where)
-    zero, offset = _zero(*before, rules.spec.zero), _offset(*before, rules)
+    zero, offset = _zero(*_unloaded(*before, rules), rules.spec.zero), _offset(*before, rules)
     if rules.spec.branch == "auto" and d.size < every_d.size:
         counts[UNLOADED] += every_d.size - d.size
     early = int(np.count_nonzero(d < -_slack(rules))) if rules.low_mm >= 0 else 0
@@ -293,6 +295,8 @@ _TEARING = 0.1
 #: rows it does so than at any other force
 _SATURATED = 0.02
 _STEPS = 3
+#: share of its limit within which its readings tremble
+_AT_LIMIT = 1e-3
 #: share of the travel from zero at which a recording may begin without another look: nearer than
 #: half of the rows that tell the slope, a convex law is as flat as a late start
 _STARTS_LATE = ZERO_FIT_SHARE / 2
@@ -307,7 +311,21 @@ _CLEAR = 4.0
 #: shares of the travel that an approach may fill at least, and slope of one over that of contact
 _APPROACHES = (0.1, 0.05, 0.02)
 _FLAT = 0.05
-#: share of the travel in which a corner is looked for, and up to which slack may go
+#: shares of the travel that a longer approach may fill, and slope of one over that of contact
+_LONG_APPROACHES = np.arange(0.15, 0.95, 0.05)
+_LEVEL = 0.1
+#: steps by which its place is brought to least squares, and share of a row that is rounding
+_REFINEMENTS = 4
+_ROUNDING = 1e-3
+#: share of the way to the next row within which a contact without scatter is that of a row
+_AT_ROW = 0.1
+#: share of an approach, from contact, of which it is not certain that it is unloaded
+_CERTAIN = 0.2
+#: constants of a level and a parabola, and the place where they meet
+_UNKNOWNS = 4
+#: force that scatter may hide over that of the first row in contact, at most
+_SHOWN = 0.25
+#: share of the travel in which a corner is looked for, and up to which it may lie
 _BEGINNING = 0.35
 _LONGEST_SLACK = 0.2
 #: share of the travel from which slack moves the constants
@@ -338,7 +356,12 @@ def placed(displacement_mm: Array, resisted: Array, rules: Rules, where: str) ->
         zero = float(d[0])
     elif isinstance(zero, str):
         zero = _contact(d, f, way, where)
-    chosen = "" if isinstance(rules.counts_from, float) else f" ({rules.counts_from})"
+    chosen = f" ({rules.counts_from})" if isinstance(rules.counts_from, str) else ""
+    if rules.counts_from == "contact":
+        error = _refined(way * d, f, way * zero)[1]
+        mend = ", which the intervals do not hold" if rules.asks_offset else ""
+        mend = mend and f'{mend}: write displacement_offset = "{error:.2g} mm" in [nuisance]'
+        chosen = f" (contact, standard error {error:.2g} mm{mend})"
     done = f"{where}: displacement counts from {zero:.6g} mm{chosen}, {word}"
     return way * (d - zero) + 0.0, done
 
@@ -353,15 +376,50 @@ def _contact(d: Array, f: Array, way: float, where: str) -> float:
         rule = "the force rises from the first row on: no row shows the specimen before contact"
         raise InputError(Fault(where, rule, 'write displacement_zero = "first row" or a length'))
     if flat is None:
-        return way * float(corner or 0.0)
+        return way * _refined(moved, f, float(corner or 0.0))[0]
     base = f[: peak + 1][moved[: peak + 1] <= moved[0] + flat * travel]
-    level = float(base.mean()) + 4.0 * float(base.std())
-    last = int(np.flatnonzero(f[: peak + 1] <= level)[-1])
-    # scatter hides the first rise: the corner tells where it was, unless that is this very row
-    row = float(moved[min(last + 1, peak)] - moved[last])
-    if corner is None or abs(corner - float(moved[last])) <= row:
-        return float(d[last])
-    return way * corner
+    hidden = 4.0 * float(base.std())
+    last = int(np.flatnonzero(f[: peak + 1] <= float(base.mean()) + hidden)[-1])
+    following = min(last + 1, peak)
+    row = float(moved[following] - moved[last])
+    # scatter hides the first rise: the rows about it tell where it was, unless one shows it clearly
+    is_clear = hidden < _SHOWN * float(f[following] - base.mean())
+    place, _ = _refined(moved, f, float(moved[last]) if is_clear or corner is None else corner)
+    is_row = is_clear and abs(place - float(moved[last])) <= _AT_ROW * row
+    return float(d[last]) if is_row else way * place
+
+
+def _refined(moved: Array, f: Array, place: float) -> tuple[float, float]:
+    """Place at which a level meets a parabola by least squares from a first guess, and its error.
+
+    The error of a place that no noise tells is that of a place between two rows.
+
+    Shapes: moved, f (rows,), mm, rising from the first row on, N.
+    """
+    peak, begun = int(np.argmax(f)), place
+    near = moved[: peak + 1] <= place + _BEGINNING * float(moved[peak] - place)
+    x, y = moved[: peak + 1][near], f[: peak + 1][near]
+    spacing = float(np.ptp(x)) / max(x.size - 1, 1)
+    error = spacing / math.sqrt(12.0)
+    if x.size <= _UNKNOWNS:
+        return begun, error
+    for _ in range(_REFINEMENTS):
+        beyond = np.maximum(x - place, 0.0)
+        basis = np.column_stack([np.ones_like(x), beyond, beyond**2])
+        constants: Array = np.asarray(np.linalg.lstsq(basis, y, rcond=None)[0], dtype=np.float64)
+        slope = -np.where(beyond > 0, constants[1] + 2.0 * constants[2] * beyond, 0.0)
+        across = slope - basis @ np.linalg.lstsq(basis, slope, rcond=None)[0]
+        rest = y - basis @ constants
+        known = float(across @ across)
+        if not known > 0:
+            return begun, error
+        noise = math.sqrt(float(rest @ rest) / (x.size - _UNKNOWNS) / known)
+        place = float(np.clip(place + float(across @ rest) / known, x[0], x[-1]))
+    # a force that sets in without a slope has no corner to be brought to
+    secant = float(f[peak] - constants[0]) / max(float(moved[peak] - place), 1e-300)
+    if constants[1] < _AT_ONCE * secant:
+        return begun, max(noise, error, abs(place - begun))
+    return place, noise if noise > _ROUNDING * spacing else error
 
 
 def _is_flat(moved: Array, f: Array, end: float) -> bool:
@@ -378,6 +436,34 @@ def _is_flat(moved: Array, f: Array, end: float) -> bool:
 
 def slack_end(moved: Array, f: Array) -> float | None:
     """Displacement at which a specimen that hung loose, or was not met yet, begins to resist.
+
+    Of a longer approach as much is left out as brings the corner among the first rows.
+
+    Shapes: moved, f (rows,), mm, rising from the first row on, N.
+    """
+    end = _corner_end(moved, f)
+    travel = float(moved[int(np.argmax(f))] - moved[0])
+    for place in moved[0] + _LONG_APPROACHES * travel:
+        if end is None and _is_level(moved, f, place):
+            rows = slice(int(np.argmax(moved > place)), None)
+            end = _corner_end(moved[rows], f[rows])
+    return end
+
+
+def _is_level(moved: Array, f: Array, end: float) -> bool:
+    """Whether the force up to a place rises far less steeply than beyond it, whatever its noise."""
+    peak = int(np.argmax(f))
+    first = moved[:peak] <= end
+    if np.count_nonzero(first) < MIN_ROWS:
+        return False
+    x, y = moved[:peak][first], f[:peak][first]
+    slope, scatter = slope_with_error(x, y)
+    secant = float(f[peak] - y.mean()) / max(float(moved[peak] - x[-1]), 1e-300)
+    return abs(slope) + 2.0 * scatter <= _LEVEL * secant
+
+
+def _corner_end(moved: Array, f: Array) -> float | None:
+    """Find where a level turns into a rise, within the first fifth of the travel.
 
     A level and a parabola from its end on are compared with a smooth curve of as many constants
     (a cubic) over the first third of the travel: a law that stiffens is flat at first, too, and
@@ -405,6 +491,8 @@ def slack_end(moved: Array, f: Array) -> float | None:
 
     places = np.linspace(x[1], _LONGEST_SLACK, _PLACES)
     coarse = corner(places)[1]
+    if coarse == places[-1]:
+        return None  # it lies beyond these places
     step = float(places[1] - places[0])
     finer = np.linspace(max(coarse - step, x[1]), coarse + step, _PLACES // 2)
     left, place, level, slope = corner(finer)
@@ -530,22 +618,26 @@ def _check_torn(d: Array, f: Array, rules: Rules, where: str) -> None:
 
 def _check_saturated(d: Array, f: Array, rules: Rules, where: str) -> None:
     """Refuse rows in the range on which the load cell shows its largest reading and no more."""
-    ends = np.r_[np.flatnonzero(np.diff(f) != 0), f.size - 1]
+    at_top = f >= (1 - _AT_LIMIT) * f.max()
+    ends = np.r_[np.flatnonzero((np.diff(f) != 0) & ~(at_top[1:] & at_top[:-1])), f.size - 1]
     runs = np.diff(ends, prepend=-1)
-    at_top = f[ends] == f.max()
-    longest = int(np.argmax(np.where(at_top, runs, 0)))
+    longest = int(np.argmax(np.where(at_top[ends], runs, 0)))
     rows, last = int(runs[longest]), int(ends[longest])
     # steps of a coarse converter are as long elsewhere
-    usual = int(runs[~at_top].max(initial=1))
+    usual = int(runs[~at_top[ends]].max(initial=1))
     first = last - rows + 1
     is_long = d[last] - d[first] > _SATURATED * float(np.ptp(d))
     if rows <= max(_STEPS * usual, MIN_ROWS) or not is_long or d[first + 1] > rules.high_mm:
         return
+    begin = max(first - rows, 0)
+    rises = (f[first] - f[begin]) / max(float(d[first] - d[begin]), 1e-300)
+    if np.ptp(f[first : last + 1]) > 0 and rises < _AT_ONCE * f.max() / float(np.ptp(d)):
+        return  # a force that passes its maximum, and bends before it
     rule = (
-        f"the force stands at {f.max():.6g} N, its largest value, in {rows} rows from "
+        f"the force stands at {f.max():.4g} N, its largest value, in {rows} rows from "
         f"{_place(d[first], rules)} on: the load cell was at its limit"
     )
-    raise InputError(Fault(where, rule, _rows_before(float(d[first]), rules)))
+    raise InputError(Fault(where, rule, _rows_before(float(d[max(first - 1, 0)]), rules)))
 
 
 def _rows_before(end_mm: float, rules: Rules) -> str:
@@ -566,6 +658,16 @@ def _zero(d: Array, f: Array, rule: str) -> float:
         x, y = _first_tenth(d, f)
         return float(y.mean() + slope_with_error(x, y)[0] * (x[0] - x.mean()))
     return 0.0
+
+
+def _unloaded(d: Array, f: Array, rules: Rules) -> tuple[Array, Array]:
+    """Rows of the approach alone, level, where contact was declared and they show the zero."""
+    approach = d < _CERTAIN * float(d.min())
+    if rules.spec.zero != "fit" or rules.counts_from != "contact":
+        return d, f
+    if d.min() >= 0 or np.count_nonzero(approach) < MIN_ROWS:
+        return d, f
+    return d[approach], np.full(np.count_nonzero(approach), float(f[approach].mean()))
 
 
 def _first_tenth(d: Array, f: Array) -> tuple[Array, Array]:

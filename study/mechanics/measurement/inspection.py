@@ -156,8 +156,13 @@ class Inspection:
     @property
     def toml(self) -> str:
         """Table to paste into a file; comments say what it leaves open."""
-        lines = [f"{key} = {_toml(value)}" for key, value in self.measurements.items()]
+        values = dict(self.measurements)
         open_units = [f"# {note}" for note in self.notes if ": write units." in note]
+        if open_units:  # a line for each, beside which the missing ones can be written
+            units = values.pop("units")
+            named = units if isinstance(units, Mapping) else {}
+            values |= {f"units.{quantity}": unit for quantity, unit in named.items()}
+        lines = [f"{key} = {_toml(value)}" for key, value in values.items()]
         return "\n".join(["[measurements]", *open_units, *lines])
 
     @property
@@ -603,7 +608,8 @@ def _place(
         pushes = float(away[most])
     through = d.min() < rest - 2 * TURN * travel and d.max() > rest + 2 * TURN * travel
     ends = f[[int(np.argmin(d)), int(np.argmax(d))]]
-    through = through and ends[0] * ends[1] < 0
+    is_both_ways = ends[0] * ends[1] < 0 and float(np.abs(ends).min()) > NO_FORCE * largest
+    through = through and is_both_ways
     way = -1.0 if falls and not through else 1.0
     is_position = kinematic == "displacement" and not d.min() < 0 < d.max()
     if is_position and ends[0] * ends[1] < 0:

@@ -65,6 +65,7 @@ def read_measurements(
         rules,
         # closed forms of indentation find contact themselves, and come another way
         judges_slack=gauge is not None and not fits_zero,
+        asks_offset=own_rows and not fits_zero,
         is_signed=both_ways and (spec.range is None or rules.low_mm < 0),
     )
     recorded = recordings or read_recordings(spec, Path(root))
@@ -255,7 +256,9 @@ def _summary(done: Sequence[SingleTest], rules: Rules) -> list[str]:
         worst = max(offsets, key=abs)
         notes.append(
             f"{OFFSET} {len(offsets)} of {len(done)} tests begin with up to {100 * worst:.2g} % of "
-            'their largest force: write zero = "first" or "fit" to subtract it, or toe'
+            'their largest force: write zero = "first" or "fit" to subtract it, or toe; where the '
+            "specimen was preloaded before displacement was set to 0, displacement_zero with the "
+            'way that it had gone, such as "-0.5 mm"'
         )
     if rules.spec.toe is not None:
         toe = [result.toe_mm for result in done]

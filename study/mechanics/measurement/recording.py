@@ -58,6 +58,10 @@ LARGEST_STRETCH = 20.0
 #: stretch at which no recording of a specimen begins
 _AT_REST = 5.0
 
+#: share of the largest deformation that rows on the other side of zero have at most in a test of
+#: one side
+_ONE_SIDED = 0.1
+
 #: modes of loading in which a column has a meaning; all where it is not listed
 _MODES: Mapping[str, tuple[str, ...]] = {
     "stretch": ("uniaxial", "equibiaxial", "planar", "confined", "volumetric"),
@@ -110,6 +114,7 @@ def displacement_and_force(recording: Recording, gauge: Gauge | None) -> tuple[A
             return shear * section.length_mm, force
         order = np.argsort(np.abs(shear), kind="stable")
         return np.abs(shear)[order] * section.length_mm, (turned * force)[order]
+    deformed = _lengthening(deformed, kinematic, section)
     if kinematic == "displacement":
         stretch = np.asarray(1 + section.sense * deformed / section.length_mm)
     elif kinematic != "volume_ratio":
@@ -130,6 +135,19 @@ def displacement_and_force(recording: Recording, gauge: Gauge | None) -> tuple[A
     elongation = section.sense * (stretch - 1) * section.length_mm
     displacement = deformed if kinematic == "displacement" else elongation
     return displacement, _force(kinetic, resisted, stretch, section)
+
+
+def _lengthening(deformed: Array, kinematic: str, gauge: Gauge) -> Array:
+    """Deformation with the sign that its quantity has in this test, however it was recorded.
+
+    Strain counts lengthening, displacement the way of the test. A shortening that is recorded as a
+    positive strain, or as a negative displacement, is turned; rows on both sides of zero are not.
+    """
+    way = 1.0 if kinematic == "displacement" else gauge.sense
+    turns = kinematic == "displacement" or (way < 0 and "strain" in kinematic)
+    least, most = sorted((abs(float(deformed.min())), abs(float(deformed.max()))))
+    against = abs(float((way * deformed).min())) == most
+    return -deformed if turns and against and least <= _ONE_SIDED * most else deformed
 
 
 def _checked(recording: Recording, gauge: Gauge | None) -> Gauge:
@@ -235,6 +253,8 @@ def _missing(what: str, root: Path, citation: str, where: str) -> Fault:
     return Fault(where, f"{what} below {str(root)!r}{state}", mend)
 
 
+#: rows of a test that jumps ahead by more than half of its travel in one step
+_FEW_ROWS = 3
 MAX_TRAVEL_MM = 1e5
 MAX_FORCE_N = 1e8
 MAX_TIME_S = 1e10
@@ -424,7 +444,11 @@ def _check_one_test(
     travel = d[list(members)]
     jumps = np.flatnonzero(np.abs(np.diff(travel)) > 0.5 * np.ptp(travel))
     back = [int(j) for j in jumps if abs(travel[j + 1]) < abs(travel[j])]
-    if not back or travel.size < 5:
+    # a single row, or rows that also jump ahead, are out of order
+    lengths = np.diff([-1, *back, travel.size - 1])
+    is_mixed = 2 * (len(jumps) - len(back)) >= len(back) and lengths.mean() > _FEW_ROWS
+    is_single = len(back) == 1 and lengths.min() == 1
+    if not back or travel.size < 5 or is_mixed or is_single:
         return
     k, after = members[back[0]], members[back[0] + 1]
     used = {*groups, *(columns.column(quantity) for quantity in _recorded(columns))}
