@@ -639,3 +639,27 @@ def test_the_order_that_is_to_be_declared_is_one_that_the_runs_tell_apart(genera
     assert f"(--model {order}, or the terms)" in found.effect("a").why
     typed = analyzed(base, "abcde", model=order)
     assert not any("cannot tell them" in note for note in typed.notes)
+
+
+def test_a_declared_nesting_claims_nothing_of_the_outer_factor():
+    """Three laboratories that differ by their batches alone; batches are numbered anew in each."""
+    table = crossed(lab=3, batch=4, k=3)
+    random = np.random.default_rng(5)
+    of_batch = random.normal(0, 2, 12)[4 * table["lab"] + table["batch"]]
+    table["y"] = of_batch + random.normal(0, 0.1, len(table))
+    rows = analyzed(table, ["lab", "batch"], model=["lab", "lab:batch"])
+    assert rows.anova.row("lab").p < 1e-6  # against the rows
+    lab = rows.effect("lab")
+    assert (lab.verdict, lab.simple_effects) == (CANNOT_TELL, ())
+    assert "--unit batch" in lab.why
+    typed = analyzed(table, ["lab"], unit="batch")
+    means = table.groupby(["lab", "batch"])["y"].mean()
+    assert typed.anova.row("lab").p == pytest.approx(f_oneway(*(means[i] for i in range(3))).pvalue)
+
+
+def test_what_missing_rows_could_do_is_said_of_the_verdict_that_is_printed():
+    table = crossed(a=2, r=4)
+    table["y"] = [10.0, 10.2, 9.9, 10.1, 11.0, 11.2, np.nan, np.nan]
+    found = analyzed(table, "a", practical=0.9)
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert not any("is not certain" in note for note in found.notes)

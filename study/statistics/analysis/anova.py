@@ -241,8 +241,9 @@ def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
         note = (
             f"{within} (levels with names of their own): "
             + "".join(f"{a} is tested against {b}, " for a, b in pairwise(chain))
-            + f"and {chain[-1]} against the rows within, as --model "
+            + f"and {chain[-1]} against the rows within; --model "
             + ",".join(":".join(chain[: k + 1]) for k in range(len(chain)))
+            + " tests all of them against the rows"
         )
         return _with_nested(table, request, chain).noted(note)
     if request.layout.unit is not None:

@@ -40,7 +40,7 @@ from study.statistics.analysis.linear_model import (
     term_name,
     terms_of,
 )
-from study.statistics.analysis.simple_effects import SimpleEffects
+from study.statistics.analysis.simple_effects import CANNOT_TELL, SimpleEffects
 from study.statistics.analysis.sums_of_squares import (
     Factored,
     TermSum,
@@ -199,6 +199,7 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         rivals = [refusal(untested), *rivals] if untested else rivals
         out = out.warn(*notes)
         simple = judge_factors(out, data.layout, judged, sample, rivals)
+    simple |= _of_outer_factors(out)
     effects = [size(e, out.scale, simple) for e in estimates]
     if untested and df == 0:
         effects = [replace(e, why=untested) if e.is_main else e for e in effects]
@@ -312,6 +313,22 @@ def _sparse_ready(out: AnalysisOutcome, fit: Factored) -> bool:
     if copied or int(np.bincount(data.cell).max()) > 1:
         return False
     return fit.df_residual == 0 or (not data.blocks and balanced(data.layout, data.factors))
+
+
+def _of_outer_factors(out: AnalysisOutcome) -> dict[str, SimpleEffects]:
+    """Judge factors within which others lie: their levels are the replicates, and not the rows."""
+    return {
+        outer: SimpleEffects(
+            outer,
+            CANNOT_TELL,
+            f"{inner} lies within it, and the rows do not tell how other levels of {inner} would "
+            f"differ: --unit {inner} judges by its levels",
+            (),
+        )
+        for inner, parents in nested_in(out.terms).items()
+        for outer in parents
+        if not out.request.records
+    }
 
 
 def _by_pseudo_error(
