@@ -222,7 +222,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     few = not sources and data.y.size <= _MOST_ROWS
     rivals = [_unequal_rows(cells, data.y - shift)] if few else []
     working = ResponseScale(practical=limit)
-    means = block_means(data, data.y) if blocks else data.y
+    has_blocks = bool(factors) and data.block is not None
+    means = block_means(data, data.y) if has_blocks else shift + fixed.residual
     rivals += limit_rivals(working, alpha, cells.sample, means)
     refitted = _refitted(cells, data, sources)
     lack, notes = _lack_of_fit(cells, terms, factors, refitted)
