@@ -189,7 +189,8 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         return estimate
 
     alpha, seed = out.request.alpha, out.request.interval_seed
-    estimates, simple = [estimated(term) for term in out.terms], {}
+    estimates = [estimated(term) for term in out.terms]
+    simple: dict[str, SimpleEffects] = {}
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
     if lenth is not None and error.source == "E6" and two_levels and not out.request.records:
         estimates, simple = _by_pseudo_error(out, (judged, fit), estimates, lenth)

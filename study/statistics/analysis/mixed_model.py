@@ -208,7 +208,9 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     terms = terms_of(factors, model) if factors else ()
     bare = model_matrix(data.layout, terms)
     shift = float(data.y.mean())
-    fixed = factor(_with_covariates(bare, table, covariates, data), data.y - shift)
+    values = {name: _numbers(table, name, data) for name in covariates}
+    about_mean = {name: x - x.mean() for name, x in values.items()}
+    fixed = factor(_with_columns(bare, about_mean), data.y - shift)
     _check(data, fixed)
     fit = fit_sources(data, fixed, sources)
     cells = MixedCells(fit, fixed, bare, data.layout, shift, alpha, seed)
@@ -227,8 +229,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     rivals += limit_rivals(working, alpha, cells.sample, means)
     refitted = _refitted(cells, data, sources)
     lack, notes = _lack_of_fit(cells, terms, factors, refitted)
-    values = [_numbers(table, name, data) for name in covariates]
-    for name, x in zip(covariates, values, strict=True):
+    for name, x in values.items():
         of_slopes, seen = _unequal_slopes(cells, name, x, refitted)
         lack, notes = lack + of_slopes, notes + seen
     rivals += lack
@@ -279,15 +280,10 @@ def _lack_of_fit(
     if len(every) == len(terms) or nested_in(terms):
         return [], []
     bare = model_matrix(cells.layout, every)
-    whole = refit(_beside(bare, cells.fixed.matrix, cells.factors), bare)
+    names = [term[0] for term in cells.fixed.matrix.terms[len(cells.factors.terms) :]]
+    columns = cells.fixed.columns[:, cells.factors.columns.shape[1] :].T
+    whole = refit(_with_columns(bare, dict(zip(names, columns, strict=True))), bare)
     return ([], []) if whole is None else rivals_of_lack(whole, terms)
-
-
-def _beside(bare: ModelMatrix, fixed: ModelMatrix, factors: ModelMatrix) -> ModelMatrix:
-    """Columns of factors with the covariates that stand beside other ones in a fit."""
-    first = factors.columns.shape[1]
-    names = [term[0] for term in fixed.terms[len(factors.terms) :]]
-    return _with_columns(bare, dict(zip(names, fixed.columns[:, first:].T, strict=True)))
 
 
 def rivals_of_lack(
@@ -571,15 +567,8 @@ class MixedCells:
         return contrasts_of(cells, texts)
 
 
-def _with_covariates(
-    matrix: ModelMatrix, table: pd.DataFrame, covariates: Sequence[str], data: Data
-) -> ModelMatrix:
-    """Append a column for every covariate, each about its mean."""
-    values = {name: _numbers(table, name, data) for name in covariates}
-    return _with_columns(matrix, {name: v - v.mean() for name, v in values.items()})
-
-
 def _with_columns(matrix: ModelMatrix, values: Mapping[str, Array]) -> ModelMatrix:
+    """Append a column (n,) of numbers for every covariate."""
     columns = np.column_stack([matrix.columns, *values.values()])
     places = (slice(k, k + 1) for k in range(matrix.columns.shape[1], columns.shape[1]))
     terms = (*matrix.terms, *((name,) for name in values))
