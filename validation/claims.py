@@ -112,6 +112,27 @@ def unreplicated(interaction: float) -> Draw:
     return draw
 
 
+def lost_runs(interaction: float, lost: int) -> Draw:
+    """Two levels of four factors as :func:`unreplicated`, without some runs."""
+
+    def draw(random: np.random.Generator) -> pd.DataFrame:
+        table = unreplicated(interaction)(random)
+        return table.loc[np.sort(random.permutation(16)[lost:])]
+
+    return draw
+
+
+def whole_units(difference: float, sd: float) -> Draw:
+    """Two levels of four factors, once, of which one acts; read in whole units."""
+
+    def draw(random: np.random.Generator) -> pd.DataFrame:
+        table = crossed({"a": 2, "b": 2, "c": 2, "d": 2})
+        y = random.uniform(10, 11) + difference * table["a"] + random.normal(0, sd, 16)
+        return table.assign(y=np.round(y))
+
+    return draw
+
+
 def fraction(interaction: float, lost: int) -> Draw:
     """Half of two levels of five factors, once, less some runs; A and B act together alone."""
 
@@ -219,12 +240,22 @@ def fractions(false: tuple[str, ...]) -> Iterator[Table]:
                     ("a", "b", "c", "d", "e"), 1.0, false, model=1, judged=("a", "b"))  # fmt: skip
 
 
-def tables() -> Iterator[Table]:
-    """All kinds of tables, one rule of the gate after the other."""
-    no = ("no practical difference",)
+def single_runs() -> Iterator[Table]:
+    """List factorials of one run a cell: complete, less a run, and read in whole units."""
     for size in (0.5, 2.0):
         yield Table(f"unreplicated, interaction {size}", unreplicated(size), ("a", "b", "c", "d"),
                     2 * size, judged=("a", "b"))  # fmt: skip
+        yield Table(f"unreplicated less a run, interaction {size}", lost_runs(size, 1),
+                    ("a", "b", "c", "d"), 2 * size, judged=("a", "b"))  # fmt: skip
+    for sd in (0.05, 0.3):
+        yield Table(f"unreplicated, whole units, sd {sd}", whole_units(0.9, sd),
+                    ("a", "b", "c", "d"), 0.9)  # fmt: skip
+
+
+def tables() -> Iterator[Table]:
+    """All kinds of tables, one rule of the gate after the other."""
+    no = ("no practical difference",)
+    yield from single_runs()
     yield from fractions(no)
     for noise in (0.05, 0.3, 0.5, 0.8):
         yield Table(f"declared model, noise {noise}", interacting(5, 1, noise), ("a", "b"), 1.0,

@@ -574,3 +574,92 @@ def test_plants_laboratories_and_batches_are_tested_each_against_the_next():
     for error, expected in of_r.items():
         row = rows[error]
         assert (row.f, row.df_error, row.p) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_lost_run_of_a_factorial_is_judged_by_the_contrasts_that_remain():
+    """A simple effect is the difference of two runs; that of the lost one is in no claim."""
+    table = crossed(a=2, b=2, c=2, d=2)
+    noise = np.random.default_rng(3).normal(0, 0.2, 16)
+    table["y"] = 10 + 4 * table["a"] + noise
+    lost = table.drop(index=9)
+    found = analyzed(lost, "abcd")
+    assert found.error_term.source == "E6"
+    assert "Lenth's method on 14 contrasts" in found.error_term.reason
+    a = found.effect("a")
+    assert (a.verdict, len(a.simple_effects) > 0) == (MATTERS, True)
+    # the rest scatters as it was drawn, so its contrasts tell its standard deviation
+    assert found.lenth.pse == pytest.approx(0.2, rel=0.5)
+    pairs = [lost["y"][i + 8] - lost["y"][i] for i in range(8) if i + 8 in lost.index]
+    assert a.range == pytest.approx(np.mean(pairs))
+    assert MATTERS not in {analyzed(lost, "abcd", practical=4.5).effect("a").verdict}
+    assert verdicts(lost.assign(y=10 + noise[lost.index]), "abcd", practical=3.0) == {NO_DIFFERENCE}
+
+
+def test_blocks_that_change_with_an_interaction_are_no_contrast_of_the_factors():
+    """2^4 on two days that change with a:b:c:d: by default nothing, as asked Lenth without them."""
+    table = crossed(a=2, b=2, c=2, d=2)
+    table["day"] = table[["a", "b", "c", "d"]].sum(axis=1) % 2
+    noise = np.random.default_rng(3).normal(0, 0.2, 16)
+    table["y"] = 10 + 4 * table["a"] + 5 * table["day"] + noise
+    default = analyzed(table, "abcd", block="day")
+    assert {e.verdict for e in default.effects if e.is_main} == {CANNOT_TELL}
+    assert (default.lenth, default.error_term.source) == (None, "E7")
+    assert "--error reml" not in default.error_term.reason  # two days are too few for it
+    asked = analyzed(table, "abcd", block="day", error="pooled")
+    assert "a:b:c:d" not in asked.lenth.names
+    assert len(asked.lenth.names) == 14
+    assert "declare which are negligible (--model 2" in asked.effect("a").why
+    declared = analyzed(table, "abcd", block="day", error="pooled", model=3)
+    assert declared.effect("a").verdict == MATTERS
+    assert "taken as none; Lenth's method on 14 contrasts" in declared.error_term.reason
+
+
+def test_rounding_of_single_runs_is_no_missing_scatter():
+    """A difference of .9 read in whole units: of 16 runs those with a read 1 more, or 0."""
+    table = crossed(a=2, b=2, c=2, d=2)
+    noise = np.random.default_rng(3).normal(0, 0.02, 16)
+    read = table.assign(y=np.round(10.1 + 0.9 * table["a"] + noise))
+    found = analyzed(read, "abcd", practical=0.95).effect("a")
+    assert (found.verdict, found.range) == (CANNOT_TELL, pytest.approx(1.0))
+    assert "readings are too coarse" in found.why
+    # computed without any scatter: nothing to judge by
+    smooth = analyzed(table.assign(y=10 + table["a"] / 3), "abcd", practical=0.1).effect("a")
+    assert (smooth.verdict, "no scatter" in smooth.why) == (CANNOT_TELL, True)
+
+
+@pytest.mark.parametrize(("generators", "order"), [(("d=ab", "e=ac"), 1), (("e=abcd",), 2)])
+def test_the_order_that_is_to_be_declared_is_one_that_the_runs_tell_apart(generators, order):
+    """Of a fraction of resolution III second order is aliased with main effects, of V it is not."""
+    base = crossed(**dict.fromkeys("abcd"[: 5 - len(generators)], 2))
+    for text in generators:
+        name, product = text.split("=")
+        base[name] = base[list(product)].sum(axis=1) % 2
+    base["y"] = 10 + 4 * base["a"] + np.random.default_rng(3).normal(0, 0.2, len(base))
+    found = analyzed(base, "abcde")
+    assert f"(--model {order}, or the terms)" in found.effect("a").why
+    typed = analyzed(base, "abcde", model=order)
+    assert not any("cannot tell them" in note for note in typed.notes)
+
+
+def test_a_declared_nesting_claims_nothing_of_the_outer_factor():
+    """Three laboratories that differ by their batches alone; batches are numbered anew in each."""
+    table = crossed(lab=3, batch=4, k=3)
+    random = np.random.default_rng(5)
+    of_batch = random.normal(0, 2, 12)[4 * table["lab"] + table["batch"]]
+    table["y"] = of_batch + random.normal(0, 0.1, len(table))
+    rows = analyzed(table, ["lab", "batch"], model=["lab", "lab:batch"])
+    assert rows.anova.row("lab").p < 1e-6  # against the rows
+    lab = rows.effect("lab")
+    assert (lab.verdict, lab.simple_effects) == (CANNOT_TELL, ())
+    assert "--unit batch" in lab.why
+    typed = analyzed(table, ["lab"], unit="batch")
+    means = table.groupby(["lab", "batch"])["y"].mean()
+    assert typed.anova.row("lab").p == pytest.approx(f_oneway(*(means[i] for i in range(3))).pvalue)
+
+
+def test_what_missing_rows_could_do_is_said_of_the_verdict_that_is_printed():
+    table = crossed(a=2, r=4)
+    table["y"] = [10.0, 10.2, 9.9, 10.1, 11.0, 11.2, np.nan, np.nan]
+    found = analyzed(table, "a", practical=0.9)
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert not any("is not certain" in note for note in found.notes)

@@ -455,3 +455,47 @@ def test_runs_that_are_numbered_anew_on_every_day_are_asked_for(runs):
     day = 2 * runs * cells.mean().groupby("day").mean().var()
     expected = [(day - between) / (2 * runs), (between - within) / 2, within]
     assert [part.sd**2 for part in nested.components] == pytest.approx(expected, rel=1e-6)
+
+
+def covaried(slope, noise=0.1):
+    """Two groups that agree at the middle of x, and whose slopes differ by ``slope``."""
+    random = np.random.default_rng(4)
+    group, x = np.repeat([0, 1], 10), np.tile(np.linspace(0, 1, 10), 2)
+    y = 5 + 3 * x + slope * (group - 0.5) * (x - 0.5) + random.normal(0, noise, 20)
+    return pd.DataFrame({"g": group, "x": x, "y": y})
+
+
+def test_slopes_that_differ_leave_no_difference_only_where_the_ends_have_none():
+    """Least squares by hand: the difference at an end of x is half the difference of the slopes."""
+    asked = {"covariates": ["x"], "practical": 1.0}
+    model = study.mixed_model(covaried(3.0), "y", ["g"], **asked)
+    assert model.effects[0].verdict == "cannot tell"
+    assert "larger ones at x = 0 are not ruled out" in model.effects[0].why
+    table = covaried(3.0)
+    ols = smf.ols("y ~ C(g) * x", table).fit()
+    f = ols.f_test("C(g)[T.1]:x = 0")
+    assert f"F(1, 16) = {float(f.fvalue):.4g}" in model.notes[0]
+    same = study.mixed_model(covaried(0.0), "y", ["g"], **asked)
+    assert same.effects[0].verdict == "no practical difference"
+
+
+def test_a_mixed_model_without_the_interaction_there_is_claims_nothing():
+    rows = pd.DataFrame(list(product(range(5), range(2), range(2))), columns=["s", "a", "b"])
+    random = np.random.default_rng(1)
+    noise = random.normal(0, 0.05, 20) + rows["s"]
+    both = 3 * (2 * rows["a"] - 1) * (2 * rows["b"] - 1)
+    asked = {"block": "s", "model": ["a", "b"], "practical": 6.0}
+    crossing = study.mixed_model(rows.assign(y=noise + both), "y", ["a", "b"], **asked)
+    assert {e.verdict for e in crossing.effects} == {"cannot tell"}
+    assert any("lack of fit of the declared model" in note for note in crossing.notes)
+    none = study.mixed_model(rows.assign(y=noise), "y", ["a", "b"], **asked)
+    assert {e.verdict for e in none.effects} == {"no practical difference"}
+
+
+def test_a_share_of_a_mean_that_blocks_leave_unsure_is_no_limit_of_a_mixed_model():
+    random = np.random.default_rng(2)
+    rows = pd.DataFrame(list(product(range(4), range(2))), columns=["s", "a"])
+    y = 20 + random.normal(0, 6, 4)[rows["s"]] + 0.4 * rows["a"] + random.normal(0, 0.02, 8)
+    asked = {"block": "s", "practical": "5 % of mean"}
+    model = study.mixed_model(rows.assign(y=y), "y", ["a"], **asked)
+    assert "is not known well enough" in model.effects[0].why

@@ -358,7 +358,7 @@ def unusual(unusual_rows: pd.DataFrame | None) -> Table | None:
 def robustness(analysis: AnalysisResult, data: ReportData) -> Table | None:
     """Give p of every term in each defensible analysis."""
     table = analysis.assumptions.robustness
-    if table is None or not table.p:
+    if table is None or not any(p is not None for of in table.p.values() for p in of.values()):
         return None
     methods = list(next(iter(table.p.values())))
     rows = tuple(

@@ -47,6 +47,7 @@ from study.statistics.analysis.linear_model import (
     term_name,
     terms_of,
 )
+from study.statistics.analysis.mixed_model import FEWEST_LEVELS
 from study.statistics.analysis.power import PowerRow, planned
 from study.statistics.analysis.simple_effects import without_each
 from study.statistics.analysis.strata import Plots, own, split_plot, whole_plots
@@ -138,8 +139,9 @@ def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
         note = (
             f"{within} (levels with names of their own): "
             + "".join(f"{a} is tested against {b}, " for a, b in pairwise(chain))
-            + f"and {chain[-1]} against the rows within, as --model "
+            + f"and {chain[-1]} against the rows within; --model "
             + ",".join(":".join(chain[: k + 1]) for k in range(len(chain)))
+            + " tests all of them against the rows"
         )
         return _with_nested(table, request, chain).warn(note)
     if request.layout.unit is not None:
@@ -546,16 +548,12 @@ def _with_empty_cells(
         if t not in told_apart
     ]
     listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
-    order = request.lower_order
-    smaller = f"--model {order}, or the terms" if order else "--model with the terms"
-    reason = (
-        "these runs cannot tell effects from interactions that may be there; declare which are "
-        f"negligible ({smaller})"
-    )
     note = (
         f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
-        f"which are negligible to have all factors judged ({smaller})"
+        "which are negligible to have all factors judged "
+        f"({error_ledger.smaller_model(data, request)})"
     )
+    reason = error_ledger.undecided(data, request)
     return replace(structure, undecided=reason, asked=terms), told_apart, [note]
 
 
@@ -578,10 +576,11 @@ def _lacking(data: Data, plots: Plots | None) -> str:
     lacking, blocks = blocks_that_lack_cells(data, [f for f in data.factors if f not in between])
     if not lacking:
         return ""
+    mixed = "--error reml fits a mixed model to all rows; " if blocks >= FEWEST_LEVELS else ""
     return (
         f"{lacking} of {blocks} levels of {data.block} lack a cell, and too few have all of them "
-        "to test effects against their own interaction with the blocks: --error reml fits a mixed "
-        "model to all rows; --error pooled takes all these interactions to be of one size"
+        f"to test effects against their own interaction with the blocks: {mixed}--error pooled "
+        "takes all these interactions to be of one size"
     )
 
 

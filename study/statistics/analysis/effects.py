@@ -361,7 +361,7 @@ PSEUDO_DRAWS = 4000
 
 
 def with_pseudo_error(
-    fit: Factored, contrasts: Array, alpha: float, seed: int | None, y: Array
+    fit: Factored, contrasts: Array, alpha: float, seed: int | None, y: Array, reading: float = 0.0
 ) -> Sample:
     """Estimate combinations of an unreplicated design with Lenth's pseudo standard error.
 
@@ -369,7 +369,7 @@ def with_pseudo_error(
     pseudo standard error, as those of :func:`study.statistics.analysis.unreplicated.lenth`.
     """
     values = contrasts.T @ (y - y[0])
-    pse = float(pseudo_standard_error(values))
+    pse = max(reading, float(pseudo_standard_error(values)))
 
     def estimate(differences: Differences) -> Estimates:
         along = fit.q.T @ contrasts

@@ -10,6 +10,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis import unreplicated
+from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import AnalysisResult, kind_of
 from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
 from study.statistics.analysis.data import Data
@@ -23,16 +24,24 @@ from study.statistics.analysis.effects import (
     with_pseudo_error,
 )
 from study.statistics.analysis.equal_variance import own_variances, welch_tests
-from study.statistics.analysis.gate import LEAST_CONTRASTS, judge_factors, refusal, rivals_of_rows
+from study.statistics.analysis.gate import (
+    LEAST_CONTRASTS,
+    judge_factors,
+    refusal,
+    rivals_of_contrasts,
+    rivals_of_rows,
+)
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Term,
     balanced,
+    factorize,
     model_matrix,
     nested_in,
     term_name,
     terms_of,
 )
+from study.statistics.analysis.simple_effects import CANNOT_TELL, SimpleEffects
 from study.statistics.analysis.sums_of_squares import (
     Factored,
     TermSum,
@@ -46,11 +55,12 @@ from study.statistics.analysis.sums_of_squares import (
 )
 from study.statistics.analysis.unreplicated import LenthResult
 
-REMEDIES = (
+_REPEAT = (
     "no residual degrees of freedom, so no F: replicate runs that are set up anew (E0), score "
     "every cell on several measured specimens as blocks (E1), repeat with mesh seeds or "
-    "resampled noise (E3, E2), or declare before looking which terms are negligible (E5: {})"
+    "resampled noise (E3, E2)"
 )
+REMEDIES = _REPEAT + ", or declare before looking which terms are negligible (E5: {})"
 NOISE_QUESTION = "is the effect larger than the noise in the measured data alone would give?"
 ONE_CURVE = "one measured curve stands behind all resamples: nothing is said of specimens"
 
@@ -78,7 +88,7 @@ def best_source(
         return ErrorTerm("E1", f"{question}pooled)", df, why), (caution,) if records else ()
     if df > 0 and int(np.bincount(out.data.cell).max()) > 1:
         return _replicates(out, df)
-    contrasts = sum(s.df for s in sums)
+    contrasts = sum(s.df for s in sums if s.term[0] not in out.data.blocks)
     if records and out.u_num is not None and out.request.model == "full":
         question = (
             "no p: is the effect resolved by the discretization? (effect over numerical "
@@ -92,7 +102,9 @@ def best_source(
         return ErrorTerm("E5", question, df, reason), ()
     if _sparse_ready(out, fit) and contrasts >= LEAST_CONTRASTS:
         question = "is the effect an outlier among the effects (effect sparsity)?"
-        reason = f"no replicates and no blocks; Lenth's method on {contrasts} contrasts"
+        blocks = " and ".join(out.data.blocks)
+        beside = f"; interactions with {blocks} are taken as none" if blocks else " and no blocks"
+        reason = f"no replicates{beside}; Lenth's method on {contrasts} contrasts"
         return ErrorTerm("E6", question, df, reason), ()
     question = "no p: shares of variation and effects against the practical threshold"
     reason = "no replicates, no blocks and nothing declared negligible"
@@ -139,7 +151,7 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
         kind, out = kind_of(out, even, adjusted if is_full else "unbalanced")
     sums = term_sums(fit, kind)
     partial = kind == "I" and out.structure.empty_cells > 0
-    out = out.warn(*alias_warnings(sums, partial=partial))
+    out = _undecided_beside_blocks(out.warn(*alias_warnings(sums, partial=partial)), fit)
     if sums and all(s.df == 0 for s in sums):
         out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
     error, cautions = best_source(out, fit, sums)
@@ -147,11 +159,12 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
         error = replace(error, reason=untested)
     if untested and len(data.factors) > 1:
         # with one factor the residual is its own interaction with the blocks
-        error, cautions = replace(error, df=0.0, question="no p: sizes of effects alone"), ()
-    df, order = fit.df_residual if error.df else 0, out.request.lower_order
+        source = "E7" if error.source == "E6" else error.source
+        question = "no p: sizes of effects alone"
+        error, cautions = replace(error, source=source, df=0.0, question=question), ()
+    df = fit.df_residual if error.df else 0
     if untested or (df == 0 and (out.request.records or out.scale.specimens != 1)):
-        fewer_terms = f"model = {order}" if order else "name the terms of the model"
-        out = out.warn(untested or REMEDIES.format(fewer_terms))
+        out = out.warn(untested or _remedies(out))
     out = out.warn(*cautions)
     ready = error.source in ("E4", "E6") and _sparse_ready(out, fit)
     lenth = unreplicated.lenth_of(data, out.y, out.terms, out.request.seed) if ready else None
@@ -162,7 +175,8 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
         rows = [replace(row, p=p_of[row.term], error="Lenth PSE") if row.term in p_of else row
                 for row in rows]  # fmt: skip
     ms = error_rss / df if df else None
-    rows.append(Row("residual", fit.df_residual, fit.rss if df or untested else 0.0, ms))
+    left = fit.rss if fit.df_residual and (df or untested) else 0.0
+    rows.append(Row("residual", fit.df_residual, left, ms))
     by_name = {row.term: row for row in rows}
     # what the runs do not tell apart is left out of the sums, not of what can be estimated
     declared = out.structure.asked
@@ -176,20 +190,18 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
         return estimate
 
     alpha, seed = out.request.alpha, out.request.interval_seed
-    estimates, simple = [estimated(term) for term in out.terms], {}
+    estimates = [estimated(term) for term in out.terms]
+    simple: dict[str, SimpleEffects] = {}
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
     if lenth is not None and error.source == "E6" and two_levels and not out.request.records:
-        estimates = [_with_margin(e, lenth) for e in estimates]
-        every = terms_of(data.factors) if balanced(data.layout, data.factors) else out.terms
-        contrasts = unreplicated.orthonormal_contrasts(data.layout, every)[1]
-        pseudo = with_pseudo_error(judged, contrasts, alpha, seed, out.y)
-        simple = judge_factors(out, data.layout, judged, pseudo, ())
+        estimates, simple = _by_pseudo_error(out, (judged, fit), estimates, lenth)
     elif df or out.scale.deterministic:
         sample = with_pooled_error(judged, error_rss, df, alpha, seed)
         rivals, notes = rivals_of_rows(out, judged, error_rss, df, sample) if df else ([], [])
         rivals = [refusal(untested), *rivals] if untested else rivals
         out = out.warn(*notes)
         simple = judge_factors(out, data.layout, judged, sample, rivals)
+    simple |= _of_outer_factors(out)
     effects = [size(e, out.scale, simple) for e in estimates]
     if untested and df == 0:
         effects = [replace(e, why=untested) if e.is_main else e for e in effects]
@@ -197,6 +209,52 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
     judged_fit = fit if df else None
     out = replace(out, error_term=error, anova=anova, effects=tuple(effects), lenth=lenth)
     return replace(out, fit=judged_fit, model=judged_fit)
+
+
+def _remedies(out: AnalysisResult) -> str:
+    """Name what gives an error to test against; of one factor no term is negligible."""
+    if len(out.data.factors) == 1:
+        return _REPEAT
+    order = largest_order(out.data, out.request.lower_order, spare=1)
+    return REMEDIES.format(f"model = {order}" if order else "name the terms of the model")
+
+
+def _undecided_beside_blocks(out: AnalysisResult, fit: Factored) -> AnalysisResult:
+    """Outcome that claims nothing where blocks change with an interaction of the model."""
+    if not out.data.blocks or fit.is_full or out.structure.undecided or not out.request.is_ordered:
+        return out
+    reason = undecided(out.data, out.request)
+    return replace(out, structure=replace(out.structure, undecided=reason))
+
+
+def undecided(data: Data, request: AnalysisRequest) -> str:
+    """Why factors are not judged whose terms the runs cannot tell from others."""
+    return (
+        "these runs cannot tell effects from interactions that may be there; declare which are "
+        f"negligible ({smaller_model(data, request)})"
+    )
+
+
+def smaller_model(data: Data, request: AnalysisRequest) -> str:
+    """Words that declare a model whose terms the runs tell apart."""
+    order = largest_order(data, request.lower_order)
+    return f"--model {order}, or the terms" if order else "--model with the terms"
+
+
+def largest_order(data: Data, most: int, spare: int = 0) -> int:
+    """Highest order of interactions, up to ``most``, whose terms the runs tell apart.
+
+    ``spare`` residual degrees of freedom are left; 0 where no order does.
+    """
+    cells = data.layout.take(
+        np.unique(data.layout.cell([*data.factors, *data.blocks]), return_index=True)[1]
+    )
+    blocks: list[Term] = [(name,) for name in data.blocks]
+    for order in range(most, 0, -1):
+        model = factorize(model_matrix(cells, terms_of(data.factors, order), extra=blocks))
+        if model.is_full and model.df_residual >= spare:
+            return order
+    return 0
 
 
 def welch(out: AnalysisResult) -> AnalysisResult:
@@ -250,13 +308,54 @@ def _resamples(out: AnalysisResult) -> float:
 
 
 def _sparse_ready(out: AnalysisResult, fit: Factored) -> bool:
-    """One row in every cell of the full grid or of a saturated orthogonal fraction, no copies."""
+    """One row in every cell of the full grid or of a saturated model, no copies."""
     data = out.data
     # copies are no separate contrasts: Lenth's limits would not hold
     copied = len(out.copies.groups) < np.unique(data.cell).size
     if copied or int(np.bincount(data.cell).max()) > 1:
         return False
-    return balanced(data.layout, data.factors) or (fit.df_residual == 0 and fit.is_orthogonal())
+    return fit.df_residual == 0 or (not data.blocks and balanced(data.layout, data.factors))
+
+
+def _of_outer_factors(out: AnalysisResult) -> dict[str, SimpleEffects]:
+    """Judge factors within which others lie: their levels are the replicates, and not the rows."""
+    return {
+        outer: SimpleEffects(
+            outer,
+            CANNOT_TELL,
+            f"{inner} lies within it, and the rows do not tell how other levels of {inner} would "
+            f"differ: --unit {inner} judges by its levels",
+            (),
+        )
+        for inner, parents in nested_in(out.terms).items()
+        for outer in parents
+        if not out.request.records
+    }
+
+
+def _by_pseudo_error(
+    out: AnalysisResult,
+    fits: tuple[Factored, Factored],
+    estimates: Sequence[TermEstimate],
+    lenth: LenthResult,
+) -> tuple[list[TermEstimate], dict[str, SimpleEffects]]:
+    """Give estimates of two-level factors Lenth's margins, and judge the factors by them.
+
+    ``fits`` are that of all terms asked for, and that of the terms that the runs tell apart.
+    """
+    layout, alpha, seed = out.data.layout, out.request.alpha, out.request.interval_seed
+    _, contrasts, is_orthogonal = unreplicated.saturated_contrasts(out.data, out.terms)
+    samples = [with_pseudo_error(fit, contrasts, alpha, seed, out.y) for fit in fits]
+    rivals = rivals_of_contrasts(out, fits[0], contrasts)
+    simple = judge_factors(out, layout, fits[0], samples[0], rivals)
+    if is_orthogonal:
+        return [_with_margin(e, lenth) for e in estimates], simple
+    margin, wide = lenth.sme / max(lenth.pse, 1e-300), []
+    for e in estimates:
+        each = zip(fits, samples, strict=True)
+        halves = (sampled_estimate(layout, fit, e.term, e.p, of, margin).half for fit, of in each)
+        wide.append(replace(e, half=next((half for half in halves if half is not None), None)))
+    return wide, simple
 
 
 def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:

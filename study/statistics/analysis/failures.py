@@ -432,7 +432,9 @@ def _why(bound: FailureBound) -> str:
     firm = [v for v in bound.verdicts if v != CANNOT_TELL]
     parts = []
     if bound.can_change_verdict:
-        parts.append(f"the verdict '{firm[0]}' is not certain")
+        printed = bound.verdicts[0] == firm[0]
+        certain = "is not certain" if printed else "could be made"
+        parts.append(f"the verdict '{firm[0]}' {certain}")
     if bound.p is not None:
         parts.append(f"p between {bound.p[0]:.2g} and {bound.p[1]:.2g}")
     return f" ({'; '.join(parts)})" if parts else ""

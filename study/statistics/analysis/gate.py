@@ -16,10 +16,11 @@ import numpy as np
 
 from study.ground.arrays import Array, Ints
 from study.ground.units import p_phrase
+from study.statistics.analysis.analysis_request import ResponseScale
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova_table import SimpleEffect
 from study.statistics.analysis.comparisons import t_quantile
-from study.statistics.analysis.data import chance_of_tie
+from study.statistics.analysis.data import Data, chance_of_tie
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
@@ -35,6 +36,7 @@ from study.statistics.analysis.linear_model import (
     ModelMatrix,
     Term,
     balanced,
+    factorize,
     model_matrix,
     span,
     term_name,
@@ -52,7 +54,13 @@ from study.statistics.analysis.simple_effects import (
     simple_effects,
 )
 from study.statistics.analysis.sums_of_squares import Factored, extra_sum, factor, over_blocks
-from study.statistics.analysis.unreplicated import lenth, orthonormal_contrasts
+from study.statistics.analysis.unreplicated import (
+    added_contrasts,
+    lenth,
+    orthonormal_contrasts,
+    pseudo_standard_error,
+    ulp_floor,
+)
 
 #: blocks or rows from which skewness can be told from chance
 FEWEST_FOR_SHAPE = 5
@@ -93,6 +101,7 @@ LACK = "lack of fit of the declared model"
 LACK_OF_FIT = "the declared model leaves out interactions that the data do not rule out"
 UNSURE_LIMIT = "the mean, of which the practical difference is a share, is not known well enough"
 NO_SCATTER = "the difference is the same in every block to the last digit: no scatter to judge by"
+NO_CONTRAST = "most contrasts are zero to the last digit: no scatter to judge by"
 #: chance of rows that agree below which a cell is taken to be without scatter
 _STILL = 1e-4
 STILL = (
@@ -194,14 +203,14 @@ def reading_error(out: AnalysisResult) -> float:
     return step / math.sqrt(12)
 
 
-def limit_rivals(out: AnalysisResult, sample: Sample, means: Array) -> list[Rival]:
+def limit_rivals(scale: ResponseScale, alpha: float, sample: Sample, means: Array) -> list[Rival]:
     """Hold claims against both ends of a difference that is a share of the mean of ``means``."""
-    limit = out.request.scale.practical
-    if limit is None or not limit.relative or out.request.scale.is_log or means.size < 2:
+    limit = scale.practical
+    if limit is None or not limit.relative or scale.is_log or means.size < 2:
         return []
     centre = abs(float(means.mean()))
     error = float(means.std(ddof=1) / math.sqrt(means.size))
-    half = t_quantile(out.request.alpha / 2, means.size - 1) * error
+    half = t_quantile(alpha / 2, means.size - 1) * error
     low, high = max(limit.value * (centre - half), 1e-300), limit.value * (centre + half)
     why = (
         f"{UNSURE_LIMIT}: {100 * limit.value:g} % of a mean of {means.mean():.4g} \u00b1 "
@@ -211,10 +220,10 @@ def limit_rivals(out: AnalysisResult, sample: Sample, means: Array) -> list[Riva
     return [Rival(why, sample, (verdict,), practical=end) for verdict, end in ends]
 
 
-def block_means(out: AnalysisResult) -> Array:
-    """Mean of the response in each block, on the working scale."""
-    block, shifted = out.data.layout.codes[str(out.data.block)], out.y - out.y[0]
-    return np.asarray(out.y[0] + np.bincount(block, shifted) / np.bincount(block))
+def block_means(data: Data, y: Array) -> Array:
+    """Mean of the response y (n,) in each block, on the working scale."""
+    block, shifted = data.layout.codes[str(data.block)], y - y[0]
+    return np.asarray(y[0] + np.bincount(block, shifted) / np.bincount(block))
 
 
 def rivals_over_groups(
@@ -237,7 +246,7 @@ def rivals_over_groups(
         rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
     if out.replicates != "noise":
         rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, y))
-        rivals += limit_rivals(out, sample, y.mean(axis=0))
+        rivals += limit_rivals(out.request.scale, out.request.alpha, sample, y.mean(axis=0))
     return rivals
 
 
@@ -262,11 +271,21 @@ def rivals_of_rows(
             rows = np.arange(out.y.size)
             unequal = cell_welch(fit, index, variances, alpha, reading, rows)
             rivals.append(Rival(UNEQUAL, unequal))
-    means = out.y.mean() + fit.residual if out.data.block is None else block_means(out)
+    means = out.y.mean() + fit.residual if out.data.block is None else block_means(out.data, out.y)
     if out.replicates != "noise" and not out.request.records:
-        rivals += limit_rivals(out, sample, means)
+        rivals += limit_rivals(out.request.scale, out.request.alpha, sample, means)
     more, notes = _rival_of_rows(out, fit)
     return rivals + more, notes
+
+
+def rivals_of_contrasts(out: AnalysisResult, fit: Factored, contrasts: Array) -> list[Rival]:
+    """Rivals where Lenth's pseudo standard error of contrasts (n, m) serves all rows."""
+    alpha, seed, reading = out.request.alpha, out.request.interval_seed, reading_error(out)
+    if not reading:
+        values = contrasts.T @ (out.y - out.y[0])
+        floor = ulp_floor(out.y) * math.sqrt(out.y.size)
+        return [refusal(NO_CONTRAST)] if float(pseudo_standard_error(values)) <= floor else []
+    return [Rival(COARSE, with_pseudo_error(fit, contrasts, alpha, seed, out.y, reading))]
 
 
 def every_term(out: AnalysisResult, layout: CellLayout) -> tuple[Term, ...] | None:
@@ -375,12 +394,11 @@ def _one_df_directions(out: AnalysisResult) -> tuple[Factored, list[str], Array,
         names, contrasts = orthonormal_contrasts(data.layout, ordered)
         declared = len(orthonormal_contrasts(data.layout, out.terms)[0])
         return factor(model_matrix(data.layout, full), out.y), names, contrasts, declared
-    every = factor(model_matrix(data.layout, ordered), out.y)
-    bases = {term: every.space(i, "I").basis for i, term in enumerate(every.matrix.terms) if term}
-    names = [term_name(term) for term, basis in bases.items() for _ in range(basis.shape[1])]
-    declared = sum(bases[term].shape[1] for term in out.terms)
-    whole = factor(model_matrix(data.layout, [t for t in ordered if bases[t].size]), out.y)
-    return whole, names, every.q @ np.hstack([*bases.values()]), declared
+    every = factorize(model_matrix(data.layout, ordered))
+    names, contrasts = added_contrasts(every, ordered)
+    declared = len(added_contrasts(every, out.terms)[0])
+    told_apart = [term for term in ordered if term_name(term) in names]
+    return factor(model_matrix(data.layout, told_apart), out.y), names, contrasts, declared
 
 
 def _rivals_of_cells(

@@ -17,17 +17,13 @@ from dataclasses import replace
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.units import p_phrase
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
 from study.statistics.analysis.data import blocks_that_lack_cells
-from study.statistics.analysis.effects import DOUBT
 from study.statistics.analysis.gate import (
     COARSE,
-    LACK,
-    LACK_OF_FIT,
     Rival,
     any_shape,
     block_means,
@@ -37,7 +33,7 @@ from study.statistics.analysis.gate import (
     reading_error,
 )
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
-from study.statistics.analysis.mixed_model import MixedCells
+from study.statistics.analysis.mixed_model import MixedCells, rivals_of_lack
 from study.statistics.analysis.restricted_likelihood import Sandwich, SingularError, fit_restricted
 from study.statistics.analysis.simple_effects import Differences, Estimates
 from study.statistics.analysis.strata import Plots
@@ -115,7 +111,9 @@ def _rivals(
     out: AnalysisResult, model: MixedCells, sandwich: Sandwich
 ) -> tuple[list[Rival], list[str]]:
     """Rivals where blocks lack cells, and what was seen of the declared model."""
-    rivals = limit_rivals(out, model.sample, block_means(out))
+    rivals = limit_rivals(
+        out.request.scale, out.request.alpha, model.sample, block_means(out.data, out.y)
+    )
     notes: list[str] = []
     if reading := reading_error(out):
 
@@ -141,17 +139,8 @@ def _rivals(
     if mixed is None:
         return rivals, notes
     whole, of_whole, _ = mixed
-    bases = [s.basis for s in term_sums(whole.fixed, "III") if s.term not in out.terms and s.df]
-    if bases:
-        every = np.hstack(bases)
-        test = whole.fit.test(every)
-        p = min(test.p, *(len(bases) * of_whole.test(basis)[1] for basis in bases))
-        ratio = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}"
-        note = f"{LACK}: {ratio}, {p_phrase(test.p)} by REML"
-        notes.append(note)
-        if p < DOUBT:
-            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", whole.sample, matrix=whole.factors))
-    return rivals, notes
+    lack, notes = rivals_of_lack(whole, out.terms, lambda basis: of_whole.test(basis)[1])
+    return rivals + lack, notes
 
 
 def mixed_cells(

@@ -22,12 +22,24 @@ from study.ground.arrays import Array, one_thread
 from study.ground.contrast import Setting
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
-from study.ground.units import unit_of_column
-from study.statistics.analysis.analysis_request import Practical, alpha_faults, threshold
+from study.ground.units import p_phrase, unit_of_column
+from study.statistics.analysis.analysis_request import (
+    Practical,
+    ResponseScale,
+    alpha_faults,
+    threshold,
+)
 from study.statistics.analysis.comparisons import pooled_multiplier, t_quantile
 from study.statistics.analysis.data import Data, prepare
-from study.statistics.analysis.effects import UNEQUAL, Scale, sampled_estimate, size
-from study.statistics.analysis.gate import Rival, judge_terms
+from study.statistics.analysis.effects import DOUBT, UNEQUAL, Scale, sampled_estimate, size
+from study.statistics.analysis.gate import (
+    LACK,
+    LACK_OF_FIT,
+    Rival,
+    block_means,
+    judge_terms,
+    limit_rivals,
+)
 from study.statistics.analysis.linear_contrast import Cells, Contrast, with_holm
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
 from study.statistics.analysis.linear_model import (
@@ -37,6 +49,7 @@ from study.statistics.analysis.linear_model import (
     Term,
     grid,
     model_matrix,
+    nested_in,
     term_name,
     terms_of,
 )
@@ -48,7 +61,12 @@ from study.statistics.analysis.restricted_likelihood import (
     SingularError,
     fit_restricted,
 )
-from study.statistics.analysis.simple_effects import Differences, Estimates, SimpleEffects
+from study.statistics.analysis.simple_effects import (
+    NO_DIFFERENCE,
+    Differences,
+    Estimates,
+    SimpleEffects,
+)
 from study.statistics.analysis.sums_of_squares import Factored, factor, term_sums
 
 if TYPE_CHECKING:
@@ -59,7 +77,7 @@ if TYPE_CHECKING:
 
 WITHIN = "within"
 #: Levels of a random factor that its scatter needs.
-_FEWEST_LEVELS = 3
+FEWEST_LEVELS = 3
 _NOTHING_RANDOM = Fault(
     "random",
     "no random factor is named",
@@ -190,7 +208,9 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     terms = terms_of(factors, model) if factors else ()
     bare = model_matrix(data.layout, terms)
     shift = float(data.y.mean())
-    fixed = factor(_with_covariates(bare, table, covariates, data), data.y - shift)
+    values = {name: _numbers(table, name, data) for name in covariates}
+    about_mean = {name: x - x.mean() for name, x in values.items()}
+    fixed = factor(_with_columns(bare, about_mean), data.y - shift)
     _check(data, fixed)
     fit = fit_sources(data, fixed, sources)
     cells = MixedCells(fit, fixed, bare, data.layout, shift, alpha, seed)
@@ -203,6 +223,16 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         scatter = components(fit, [*map(term_name, sources), WITHIN], alpha)
     few = not sources and data.y.size <= _MOST_ROWS
     rivals = [_unequal_rows(cells, data.y - shift)] if few else []
+    working = ResponseScale(practical=limit)
+    has_blocks = bool(factors) and data.block is not None
+    means = block_means(data, data.y) if has_blocks else shift + fixed.residual
+    rivals += limit_rivals(working, alpha, cells.sample, means)
+    refitted = _refitted(cells, data, sources)
+    lack, notes = _lack_of_fit(cells, terms, factors, refitted)
+    for name, x in values.items():
+        of_slopes, seen = _unequal_slopes(cells, name, x, refitted)
+        lack, notes = lack + of_slopes, notes + seen
+    rivals += lack
     simple = judge_terms(terms, scale, data.layout, bare, cells.sample, rivals)
     p = {term: test.p for term, test in tests.items()}
     return MixedModel(
@@ -213,12 +243,112 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         tuple(cells.slope(name) for name in covariates),
         with_holm(cells.effects(terms, p, scale, simple)),
         cells.contrasts(contrasts, scale),
-        tuple(
-            f"{inner} {data.layout.levels[inner][0]} is taken as the same {inner} in every "
-            f"{outer}; {_numbered_anew(outer, inner)}"
-            for outer, inner in _recurring_numbers(data.layout, sources)
+        (
+            *(
+                f"{inner} {data.layout.levels[inner][0]} is taken as the same {inner} in every "
+                f"{outer}; {_numbered_anew(outer, inner)}"
+                for outer, inner in _recurring_numbers(data.layout, sources)
+            ),
+            *notes,
         ),
     )
+
+
+#: Refit of the rows with other columns, of which those of the factors stand first.
+Refit = Callable[[ModelMatrix, ModelMatrix], "MixedCells | None"]
+
+
+def _refitted(cells: MixedCells, data: Data, sources: Sequence[Term]) -> Refit:
+    def refit(matrix: ModelMatrix, factors: ModelMatrix) -> MixedCells | None:
+        fixed = factor(matrix, data.y - cells.shift)
+        if not fixed.is_full or fixed.df_residual <= 0:
+            return None
+        try:
+            fit = fit_sources(data, fixed, sources)
+        except InputError:  # the rows do not tell its variances
+            return None
+        return replace(cells, fit=fit, fixed=fixed, factors=factors)
+
+    return refit
+
+
+def _lack_of_fit(
+    cells: MixedCells, terms: Sequence[Term], factors: Sequence[str], refit: Refit
+) -> tuple[list[Rival], list[str]]:
+    """Rival of all interactions of the factors, where the rows do not rule them out."""
+    every = [*terms, *(t for t in terms_of(factors) if t not in terms)] if factors else []
+    if len(every) == len(terms) or nested_in(terms):
+        return [], []
+    bare = model_matrix(cells.layout, every)
+    names = [term[0] for term in cells.fixed.matrix.terms[len(cells.factors.terms) :]]
+    columns = cells.fixed.columns[:, cells.factors.columns.shape[1] :].T
+    whole = refit(_with_columns(bare, dict(zip(names, columns, strict=True))), bare)
+    return ([], []) if whole is None else rivals_of_lack(whole, terms)
+
+
+def rivals_of_lack(
+    whole: MixedCells, declared: Sequence[Term], p_of: Callable[[Array], float] | None = None
+) -> tuple[list[Rival], list[str]]:
+    """Rival of the full model, where what the declared one leaves out may not be zero.
+
+    ``p_of`` is another test of each term left out.
+    """
+    sums = term_sums(whole.fixed, "III")
+    named = {t for t in whole.factors.terms if t and t not in declared}
+    bases = [s.basis for s in sums if s.term in named and s.df]
+    if not bases:
+        return [], []
+    test = whole.fit.test(np.hstack(bases))
+    p = min(test.p, *(len(bases) * p_of(basis) for basis in bases)) if p_of else test.p
+    ratio = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}"
+    note = f"{LACK}: {ratio}, {p_phrase(test.p)} by REML"
+    if p >= DOUBT:
+        return [], [note]
+    return [Rival(f"{LACK_OF_FIT} ({note})", whole.sample, matrix=whole.factors)], [note]
+
+
+def _unequal_slopes(
+    cells: MixedCells, name: str, x: Array, refit: Refit
+) -> tuple[list[Rival], list[str]]:
+    """Rivals where the response follows a covariate with slopes that may differ between cells.
+
+    A difference is then judged at the mean of the covariate, and one that is to be small at both
+    ends of its range as well.
+    """
+
+    def at(value: float) -> MixedCells | None:
+        slopes = cells.factors.columns[:, 1:] * (x - value)[:, None]
+        columns = np.column_stack([cells.fixed.columns, slopes])
+        start = cells.fixed.columns.shape[1]
+        here = cells.fixed.matrix
+        block = slice(start, columns.shape[1])
+        matrix = ModelMatrix(
+            columns,
+            (*here.terms, (name, *map(term_name, cells.factors.terms[1:]))),
+            (*here.blocks, block),
+        )
+        return refit(matrix, cells.factors)
+
+    middle = at(float(x.mean()))
+    if middle is None:
+        return [], []
+    test = middle.fit.test(middle.fixed.space(len(middle.fixed.matrix.terms) - 1, "I").basis)
+    if test.p >= DOUBT:
+        return [], []
+    seen = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}, {p_phrase(test.p)}"
+    note = f"slopes of {name} may differ between levels ({seen}): differences are those at its mean"
+    ends = [(value, at(value)) for value in (float(x.min()), float(x.max()))]
+    rivals = [Rival(f"{note}, where its interval does not allow the claim", middle.sample)]
+    rivals += [
+        Rival(
+            f"{note}, and larger ones at {name} = {value:g} are not ruled out",
+            end.sample,
+            (NO_DIFFERENCE,),
+        )
+        for value, end in ends
+        if end is not None
+    ]
+    return rivals, [f"{note} ({x.mean():.4g})"]
 
 
 def _recurring_numbers(layout: CellLayout, sources: Sequence[Term]) -> Iterator[tuple[str, str]]:
@@ -279,8 +409,8 @@ def fit_sources(data: Data, fixed: Factored, sources: Sequence[Term]) -> Restric
     faults = []
     for term, code in zip(sources, codes, strict=True):
         place, levels = f"random factor {term_name(term)!r}", int(code.max()) + 1
-        if levels < _FEWEST_LEVELS:
-            rule = f"has {levels} levels: the scatter over them needs {_FEWEST_LEVELS}"
+        if levels < FEWEST_LEVELS:
+            rule = f"has {levels} levels: the scatter over them needs {FEWEST_LEVELS}"
             pairs = _recurring_numbers(data.layout, sources)
             anew = [_numbered_anew(*pair) for pair in pairs if term == pair[1:]]
             faults.append(Fault(place, rule, *anew[:1]))
@@ -437,14 +567,11 @@ class MixedCells:
         return contrasts_of(cells, texts)
 
 
-def _with_covariates(
-    matrix: ModelMatrix, table: pd.DataFrame, covariates: Sequence[str], data: Data
-) -> ModelMatrix:
-    """Append a column for every covariate, each about its mean."""
-    values = [_numbers(table, name, data) for name in covariates]
-    columns = np.column_stack([matrix.columns, *(v - v.mean() for v in values)])
+def _with_columns(matrix: ModelMatrix, values: Mapping[str, Array]) -> ModelMatrix:
+    """Append a column (n,) of numbers for every covariate."""
+    columns = np.column_stack([matrix.columns, *values.values()])
     places = (slice(k, k + 1) for k in range(matrix.columns.shape[1], columns.shape[1]))
-    terms = (*matrix.terms, *((name,) for name in covariates))
+    terms = (*matrix.terms, *((name,) for name in values))
     return ModelMatrix(columns, terms, (*matrix.blocks, *places))
 
 

@@ -159,7 +159,8 @@ def split_plot(out: AnalysisResult, plots: Plots) -> AnalysisResult:
     rows += [Row(name, 0, 0.0) for name in lost]
     out = out.warn(*(f"{name}: is in no stratum whole; no test" for name in lost))
     sample = _over_strata(whole, strata, alpha)
-    rivals = limit_rivals(out, sample, block_means(out))
+    means = block_means(data, out.y)
+    rivals = limit_rivals(out.request.scale, alpha, sample, means)
     if reading := reading_error(out):
         rivals = [Rival(COARSE, _over_strata(whole, strata, alpha, reading)), *rivals]
     if (full := every_term(out, data.layout)) is not None:

@@ -13,7 +13,16 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array, Ints
 from study.ground.errors import RefusedError
 from study.statistics.analysis.data import Data
-from study.statistics.analysis.linear_model import CellLayout, Term, balanced, term_name, terms_of
+from study.statistics.analysis.linear_model import (
+    CellLayout,
+    Factorization,
+    Term,
+    balanced,
+    factorize,
+    model_matrix,
+    term_name,
+    terms_of,
+)
 from study.statistics.analysis.sums_of_squares import Factored, TwoWayFit
 
 if TYPE_CHECKING:
@@ -23,19 +32,43 @@ if TYPE_CHECKING:
 def lenth_of(data: Data, y: Array, terms: Sequence[Term], seed: int) -> LenthResult:
     """Lenth's method on the one-df contrasts of an unreplicated factorial.
 
-    In a two-level design the values are the classical effects. A full grid gives the contrasts
-    of all terms; of a saturated fraction the terms of the model fill the space.
+    In an orthogonal two-level design the values are the classical effects.
 
     Shapes: y (n,).
     """
-    every = terms_of(data.factors) if balanced(data.layout, data.factors) else tuple(terms)
-    names, contrasts = orthonormal_contrasts(data.layout, every)
+    names, contrasts, is_orthogonal = saturated_contrasts(data, terms)
+    is_orthogonal = is_orthogonal or balanced(data.layout, data.factors)
     values = contrasts.T @ (y - y[0])
     # what a deterministic model leaves of a contrast is rounding, and no scatter to judge by
     values[np.abs(values) <= ulp_floor(y) * np.sqrt(y.size)] = 0.0
-    if all(len(data.layout.levels[f]) == 2 for f in data.factors):
+    if is_orthogonal and all(len(data.layout.levels[f]) == 2 for f in data.factors):
         values = 2 * values / np.sqrt(y.size)
     return lenth(values, names, seed=seed)
+
+
+def saturated_contrasts(data: Data, terms: Sequence[Term]) -> tuple[list[str], Array, bool]:
+    """One-df orthonormal contrasts (n, m) that fill the space of the rows, one row a cell.
+
+    A full grid gives the contrasts of all terms, a saturated orthogonal fraction those of the
+    model. Of other rows (a lost run, blocks) they are what each term adds to the blocks and to the
+    terms before it. The last value tells whether the terms are orthogonal.
+    """
+    is_full = balanced(data.layout, data.factors)
+    every = terms_of(data.factors) if is_full else tuple(terms)
+    if is_full and not data.blocks:
+        return *orthonormal_contrasts(data.layout, every), True
+    blocks: list[Term] = [(name,) for name in data.blocks]
+    fit = factorize(model_matrix(data.layout, every, extra=blocks))
+    if not data.blocks and fit.is_orthogonal():
+        return *orthonormal_contrasts(data.layout, every), True
+    return *added_contrasts(fit, every), False
+
+
+def added_contrasts(fit: Factorization, terms: Sequence[Term]) -> tuple[list[str], Array]:
+    """Orthonormal contrasts (n, m) of what each of some terms adds to those before it in a fit."""
+    bases = {t: fit.space(i, "I").basis for i, t in enumerate(fit.matrix.terms) if t in terms}
+    names = [term_name(t) for t, basis in bases.items() for _ in range(basis.shape[1])]
+    return names, fit.q @ np.hstack([*bases.values()])
 
 
 @dataclass(frozen=True)
