@@ -138,9 +138,9 @@ def analyze(
         If the answer would be meaningless.
     """
     if response is not None and "~" in response:
-        asked = read_formula(response)
-        response, factors = asked.response, factors or asked.factors
-        options = {**asked_of(asked), **options}
+        parsed = read_formula(response)
+        response, factors = parsed.response, factors or parsed.factors
+        options = {**asked_of(parsed), **options}
     if isinstance(source, (str, Path)) and not is_table(source):
         # what is not said is taken from the design
         study = api.load(source, results)

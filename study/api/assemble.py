@@ -206,8 +206,8 @@ def _levels_of_fits(
         return ANY if len(some) == len(every) > 1 else " or ".join(some)
 
     return {
-        key: {name: named(name, every, own) for name, every in order.items()}
-        for key, own in sharing.items()
+        key: {name: named(name, every, sharers) for name, every in order.items()}
+        for key, sharers in sharing.items()
     }
 
 

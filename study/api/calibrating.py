@@ -48,14 +48,14 @@ if TYPE_CHECKING:
 # Curves of a calibration as the panels of its figure.
 
 
-def panels_of(found: CalibrationResult) -> list[FitPanel]:
+def panels_of(result: CalibrationResult) -> list[FitPanel]:
     """Every measured curve with its prediction."""
     from study.reporting.figures.curve_figures import FitPanel
 
     panels = []
-    for curve in found.curves:
+    for curve in result.curves:
         test, measured, predicted = curve.measured, curve.curve, curve.predicted
-        recordings = [one.specimen.recording for one in test.tests]
+        recordings = [part.specimen.recording for part in test.tests]
         panels.append(FitPanel(
             curve.label,
             curve.role == "fit", measured.places, measured.force_N,
@@ -66,12 +66,12 @@ def panels_of(found: CalibrationResult) -> list[FitPanel]:
     return panels
 
 
-def recording_points(found: CalibrationResult) -> pd.DataFrame:
+def recording_points(result: CalibrationResult) -> pd.DataFrame:
     """Every recorded row of the tests of a calibration, its branch and why it is set aside."""
     import pandas as pd
 
     frames = []
-    for number, curve in enumerate(found.curves, 1):
+    for number, curve in enumerate(result.curves, 1):
         for k, test in enumerate(curve.measured.tests, 1):
             rows = test.specimen
             if rows.recording is None:
@@ -104,10 +104,10 @@ class Calibrated(Shown, CalibrationResult):
 
         document: object = self.to_json()["parameters"]
         rows = [
-            {"constant": name, "value": one["value"], "unit": one["unit"],
-             "standard_error": one["standard_error"], "low": one["ci95"][0],
-             "high": one["ci95"][1]}
-            for name, one in (document.items() if isinstance(document, dict) else ())
+            {"constant": name, "value": entry["value"], "unit": entry["unit"],
+             "standard_error": entry["standard_error"], "low": entry["ci95"][0],
+             "high": entry["ci95"][1]}
+            for name, entry in (document.items() if isinstance(document, dict) else ())
         ]  # fmt: skip
         return pd.DataFrame(rows)
 
@@ -168,22 +168,24 @@ def calibrate(
         For a faulty file or faulty data.
     """
     config, root = _opened(source, overrides, data)
-    if config.asked.method == "analytic":
+    if config.fitting.method == "analytic":
         rule = "analytic gives one modulus a curve, not the constants of an energy"
         raise InputError(Fault("calibration.method", rule, "call study.indentation_modulus"))
     folder = None if results is None else own_folder(Path(results), config.name)
-    found = run_calibration(
+    result = run_calibration(
         config, root, progress=progress, profiles=profiles, resamples=resamples, folder=folder
     )
-    if numerics and found.converged:
-        bound = numerical_bound(config, root, found.fit, progress)
-        found = replace(found, numerics=bound.as_dict())
+    if numerics and result.converged:
+        bound = numerical_bound(config, root, result.fit, progress)
+        result = replace(result, numerics=bound.as_dict())
         if not bound.failure:  # in place of the estimate, which the intervals hold so far
-            scattered = replace(found.fit, ci95=found.minima[0].ci95)
-            found = replace(found, numerical=found.numerics, fit=with_numerical(scattered, bound))
+            scattered = replace(result.fit, ci95=result.minima[0].ci95)
+            result = replace(
+                result, numerical=result.numerics, fit=with_numerical(scattered, bound)
+            )
     if folder is not None:
-        save_calibration(found, folder)
-    return Calibrated.of(found)
+        save_calibration(result, folder)
+    return Calibrated.of(result)
 
 
 def choose_energy(
@@ -235,23 +237,23 @@ def _opened(
     return replace(config, tests=tuple(tests)), root
 
 
-def save_calibration(found: CalibrationResult, folder: Path) -> None:
+def save_calibration(result: CalibrationResult, folder: Path) -> None:
     """Write the document of a calibration, its figure and that of the recordings."""
     from study.reporting.figures.curve_figures import draw_fit
     from study.reporting.figures.registry import of_recordings
 
-    drawn = of_recordings(recording_points(found))
+    drawn = of_recordings(recording_points(result))
     if drawn.svg:
         write_atomic(folder / "recording.svg", drawn.svg.encode())
-    text = json.dumps(found.to_json(), indent=2, allow_nan=False)
+    text = json.dumps(result.to_json(), indent=2, allow_nan=False)
     write_atomic(folder / "calibration.json", text.encode())
-    title = _title(found)
-    figure = render(lambda: draw_fit(panels_of(found), title), "calibration", title)
+    title = _title(result)
+    figure = render(lambda: draw_fit(panels_of(result), title), "calibration", title)
     write_atomic(folder / "calibration.svg", figure.encode())
 
 
-def _title(found: CalibrationResult) -> str:
-    return f"{found.name}: {found.model}, {found.status}, {found.adequacy.verdict} the data"
+def _title(result: CalibrationResult) -> str:
+    return f"{result.name}: {result.model}, {result.status}, {result.adequacy.verdict} the data"
 
 
 # What a recorded file holds.
@@ -286,7 +288,7 @@ def inspect(source: str | Path, *, sheet: str = "") -> inspection.Inspection:
 
 def is_analytic(source: str | Path, overrides: Sequence[str] = ()) -> bool:
     """Whether a calibration file asks for the closed form of indentations."""
-    return load_calibration(source, overrides).asked.method == "analytic"
+    return load_calibration(source, overrides).fitting.method == "analytic"
 
 
 # Files to start from: virtual measurements, a commented design or calibration.
@@ -367,32 +369,32 @@ def indentation_modulus(
     faults = Faults()
     for number, test in enumerate(config.tests):
         try:
-            tests.append(indentation_test(test, config.asked, f"tests[{number}]"))
+            tests.append(indentation_test(test, config.fitting, f"tests[{number}]"))
         except InputError as error:
             faults += error.faults
     faults.refuse(str(source))
-    found = [modulus_of(one, root, number) for number, one in enumerate(tests)]
-    notes = tuple(dict.fromkeys(note for _, own in found for note in own))
-    moduli = tuple(one for one, _ in found)
+    judged = [modulus_of(recording, root, number) for number, recording in enumerate(tests)]
+    notes = tuple(dict.fromkeys(note for _, warnings in judged for note in warnings))
+    moduli = tuple(recording for recording, _ in judged)
     result = AnalyticCalibration(config.name, moduli, notes, time.perf_counter() - began)
     if results is not None:
         save_moduli(result, own_folder(Path(results), result.name))
     return result
 
 
-def save_moduli(found: AnalyticCalibration, folder: Path) -> None:
+def save_moduli(result: AnalyticCalibration, folder: Path) -> None:
     """Write the document, and a table with one row a curve. Units: found MPa, kPa."""
-    text = json.dumps(found.to_json(), indent=2, allow_nan=False)
+    text = json.dumps(result.to_json(), indent=2, allow_nan=False)
     write_atomic(folder / "analytic.json", text.encode())
     moduli = ("E_kPa", "standard_error_kPa", "low_kPa", "high_kPa", "contact_mm")
     columns = ("test", "curve", "status", *moduli, "rows", "rows_outside")
-    rows = ([test.test, *_row(one)] for test in found.tests for one in test.curves)
+    rows = ([test.test, *_row(curve)] for test in result.tests for curve in test.curves)
     write_atomic(folder / "moduli.csv", csv_text(columns, rows).encode())
 
 
-def _row(one: CurveModulus) -> list[object]:
-    low, high = one.interval_MPa or (None, None)
-    moduli = [one.modulus_MPa, one.error_MPa, low, high]
+def _row(curve: CurveModulus) -> list[object]:
+    low, high = curve.interval_MPa or (None, None)
+    moduli = [curve.modulus_MPa, curve.error_MPa, low, high]
     shown = ["" if v is None else f"{1e3 * v:.10g}" for v in moduli]
-    contact = "" if one.contact_mm is None else f"{one.contact_mm:.10g}"
-    return [one.label, one.status, *shown, contact, one.rows, one.rows_outside]
+    contact = "" if curve.contact_mm is None else f"{curve.contact_mm:.10g}"
+    return [curve.label, curve.status, *shown, contact, curve.rows, curve.rows_outside]

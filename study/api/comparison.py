@@ -75,7 +75,11 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
     if names[0] == names[1]:  # told apart by their folders
         names = f"{names[0]} in {first.folder.parent}", f"{names[1]} in {second.folder.parent}"
     analyzed = _analyzed(first), _analyzed(second)
-    pairs = [(one, analyzed[1][name]) for name, one in analyzed[0].items() if name in analyzed[1]]
+    pairs = [
+        (analysis, analyzed[1][name])
+        for name, analysis in analyzed[0].items()
+        if name in analyzed[1]
+    ]
     only = [
         *_only_responses(studies, names), *(o for pair in pairs for o in _only_terms(pair, names))
     ]  # fmt: skip

@@ -187,7 +187,7 @@ def _detections(
             source,
             u,
             planned_verdicts(counts, spread, practical, u=u, cells=cells, seconds=seconds),
-            tuple(zip(powers, fewest_blocks(spread, practical, u=u, wanted=powers), strict=True)),
+            tuple(zip(powers, fewest_blocks(spread, practical, u=u, powers=powers), strict=True)),
         )
         for spread, source in choices
         if spread

@@ -116,8 +116,8 @@ def problem_cells(
         list(zip(problems, levels, strict=True)), spec, solver, progress, memory_MB=memory_MB
     )
     fronts = refinement.cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
-    found = SeriesDocument(cells=[one.to_json() for one in judged], fronts=plain(fronts))
-    return found.paged(design.name, design.question, reports, judged, problems)
+    document = SeriesDocument(cells=[cell.to_json() for cell in judged], fronts=plain(fronts))
+    return document.paged(design.name, design.question, reports, judged, problems)
 
 
 def measured_cells(
@@ -158,8 +158,8 @@ def measured_cells(
         if case_series not in series
     ]
     problems = [case_series.base.case.problem for case_series in series]
-    found = SeriesDocument(cells=[one.to_json() for one in judged], left_out=left_out)
-    return found.paged(design.name, design.question, reports, judged, problems)
+    document = SeriesDocument(cells=[cell.to_json() for cell in judged], left_out=left_out)
+    return document.paged(design.name, design.question, reports, judged, problems)
 
 
 def converge(

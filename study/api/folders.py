@@ -75,8 +75,8 @@ def loaded_problem(source: str | Path | Tables, overrides: Sequence[str] = ()) -
         loaded, place = loads_problem(from_tables(source), "problem", overrides), Path("problem")
     else:
         loaded, place = load_problem(source, overrides), Path(source)
-    found = located(loaded.problem, folders(place, data_root(place)))
-    return replace(loaded, problem=found)
+    problem = located(loaded.problem, folders(place, data_root(place)))
+    return replace(loaded, problem=problem)
 
 
 def design_root(design: Design, data: str | Path | None = None) -> Path:

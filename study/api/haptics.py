@@ -220,10 +220,10 @@ def _constants(
     """Values and standard errors in MPa (exponents plain) of parameters in kPa; NaN for null."""
 
     def numbers(key: str) -> dict[str, float]:
-        found = {name: one.get(key) for name, one in parameters.items()}
+        values = {name: parameter.get(key) for name, parameter in parameters.items()}
         return {
             name: float("nan") if v is None else float(str(v)) * (is_dimensionless(name) or 1e-3)
-            for name, v in found.items()
+            for name, v in values.items()
         }
 
     return numbers("value"), numbers("standard_error")
@@ -357,7 +357,10 @@ def require(
     places = folders(source, data_root(source))
     fitted, predicted = (located(p, places) for p in (file.fitted, file.predicted))
     file = replace(file, fitted=fitted, predicted=predicted)
-    workers, tests = jobs or default_jobs(), file.asked.samples * len(file.asked.multiples)
+    workers, tests = (
+        jobs or default_jobs(),
+        file.requirement.samples * len(file.requirement.multiples),
+    )
     if progress is not None and tests:
         seconds = tests * SOLUTIONS_A_TEST * Costs().solve_seconds(fitted) / workers
         time = duration(seconds).replace(THIN, " ")
@@ -402,7 +405,7 @@ def export_surface(
     """
     study = opened(path, results)
     chosen = surfaces_of(study, response)
-    good = [fitted for fitted in chosen if fitted.found is not None]
+    good = [fitted for fitted in chosen if fitted.surface is not None]
     if not good:
         rule = "has no surface that could be a function"
         raise InputError(Fault(study.design.name, rule, chosen[0].refused))
@@ -411,7 +414,9 @@ def export_surface(
     texts = {place: text for function in made for place, text in function.files(folder).items()}
     for place, text in texts.items():
         write_atomic(place, text.encode())
-    missing = tuple(f"{one.response}: {one.refused}" for one in chosen if one.found is None)
+    missing = tuple(
+        f"{surface.response}: {surface.refused}" for surface in chosen if surface.surface is None
+    )
     paths = {"files": [str(place) for place in texts], "warnings": list(missing)}
     content = {"functions": [function.to_json() for function in made], **paths}
     lines = tuple(sentence for function in made for sentence in function.sentences())

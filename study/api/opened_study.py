@@ -189,8 +189,13 @@ def opened(folder: Path, ended: Work | None = None, *, tell_unfinished: bool = T
     fitted = record_analysis.surfaces(design, [*records, *more], numerical)
     if more:
         warnings.append(f"{len(more)} confirming runs joined those of the surfaces")
-    warnings += [f"{one.response}: {one.refused}" for one in fitted if one.refused]
-    warnings += [f"{one.response}: {n}" for one in fitted if one.found for n in one.found.notes]
+    warnings += [f"{surface.response}: {surface.refused}" for surface in fitted if surface.refused]
+    warnings += [
+        f"{surface.response}: {n}"
+        for surface in fitted
+        if surface.surface
+        for n in surface.surface.notes
+    ]
     comparisons = store.read_rows(
         "validation", document.ValidationRow, document.fault_of_comparisons
     )

@@ -320,9 +320,11 @@ def _at(
                 and dict(fitted.labels) == {**fixed, **labels_here}]  # fmt: skip
         try:
             for fitted in here:
-                if fitted.found is None:
+                if fitted.surface is None:
                     raise RefusedError(f"{fitted.response} has no surface: {fitted.refused}")
-            models = {fitted.response: fitted.found for fitted in here if fitted.found is not None}
+            models = {
+                fitted.response: fitted.surface for fitted in here if fitted.surface is not None
+            }
             candidates.append(_best(models, question, labels_here, fixed, open_numbers))
         except RefusedError as error:
             refused = error
@@ -442,7 +444,7 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     question = _Inversion(study, numbers, labels, curve, _share(within))
     if not confirming:
         nearest = question.nearest(records)
-        return question.told(nearest.model, question.agreeing(nearest), (), notes)
+        return question.inverted(nearest.model, question.agreeing(nearest), (), notes)
     return _checked_by_runs(question, records, permission or Permission(), notes)
 
 
@@ -584,7 +586,7 @@ class _Inversion:
         missed = _force(records[0], self.curve) - self.curve.force_N
         return Checked(levels, float(np.sqrt(np.mean(missed**2))), False), records[0]
 
-    def told(
+    def inverted(
         self,
         model: CurveEmulator,
         result: InversionAgreement,
@@ -639,9 +641,10 @@ def _checked_by_runs(
         ends = [question.run(nearest.model.runs.settings(at), permission)[0] for at in agreed.ends]
     # settings of a run are rounded to a ten-thousandth of their range
     runs = [] if run is None else [
-        replace(one, agrees=bool(one.rms <= 1.02 * agreed.limit)) for one in (run, *ends)
+        replace(checked, agrees=bool(checked.rms <= 1.02 * agreed.limit))
+        for checked in (run, *ends)
     ]  # fmt: skip
-    return question.told(nearest.model, agreed, runs, notes)
+    return question.inverted(nearest.model, agreed, runs, notes)
 
 
 def _force(record: Record, curve: Curve) -> Array:

@@ -117,8 +117,8 @@ class Plan(Keyed):
     @property
     def calls_function(self) -> bool:
         """Whether a Python function predicts, which only Python can give."""
-        forwards = (one.cell.problem.forward for one in self.design.treatments)
-        return any(one is not None and one.model == "python" for one in forwards)
+        forwards = (treatment.cell.problem.forward for treatment in self.design.treatments)
+        return any(treatment is not None and treatment.model == "python" for treatment in forwards)
 
     def keyed(self) -> dict[str, object]:
         """Give what stands under every key; of an adaptive design also how it goes on."""

@@ -77,16 +77,16 @@ def predict(
     })  # fmt: skip
     here = [fitted for fitted in surfaces if dict(fitted.labels) == labels]
     faults = [
-        Fault("predict", f"{one.response} has no surface: {one.refused}",
+        Fault("predict", f"{model.response} has no surface: {model.refused}",
               "add runs, or ask another --response")
-        for one in here if one.found is None
+        for model in here if model.surface is None
     ]  # fmt: skip
     if faults:
         raise InputError(faults)
     return tuple(
-        replace(one.found.predict(numbers), response=one.response, unit=one.unit)
-        for one in here
-        if one.found is not None
+        replace(model.surface.predict(numbers), response=model.response, unit=model.unit)
+        for model in here
+        if model.surface is not None
     )
 
 
@@ -217,7 +217,7 @@ def fit_surface(
     """
     alone = fit_surfaces(source, response, numeric, (), **options)
     # without labels there is one, and what keeps it from being fitted is raised
-    return next(fitted.found for fitted in alone if fitted.found is not None)
+    return next(fitted.surface for fitted in alone if fitted.surface is not None)
 
 
 def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
@@ -294,6 +294,6 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
         FittedSurface(runs.name, "", None, practical=difference), places, sizes, surface,
         [partial(some_runs, runs, here) for here in rows], difference,
     )  # fmt: skip
-    if all(fitted.found is None for fitted in each):
+    if all(fitted.surface is None for fitted in each):
         raise RefusedError(f"no combination carries a surface: {each[0].refused}")
     return surface_fitting.compared(surface_fitting.noted(each, (*table.notes, *notes), surface))

@@ -161,8 +161,8 @@ def solve(
     if follow and not made.setup.has_no_elements:
         from study.mechanics.solver.finite_element_solution import follow as behind_instability
 
-        found = behind_instability(made, gradients=gradients, progress=progress)
-        return SolvedProblem.of(found)
+        solution = behind_instability(made, gradients=gradients, progress=progress)
+        return SolvedProblem.of(solution)
     return SolvedProblem.of(at_steps(made, gradients=gradients, progress=progress))
 
 

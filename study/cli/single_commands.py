@@ -119,13 +119,13 @@ def calibrate(
     from study import api
     from study.api.calibrating import is_analytic
 
-    asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
+    overrides = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
     alone = not (profiles or numerics or bootstrap)
-    if is_analytic(file, asked):
+    if is_analytic(file, overrides):
         if not (alone and by is None and not energies and convention == "study"):
             rule = "takes no --energies, --profile, --numerics, --bootstrap, --by or --convention"
             raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
-        closed_form(file, data, asked, results, as_json)
+        closed_form(file, data, overrides, results, as_json)
         return
     if by is not None:
         if by != "test" or not (alone and not energies):
@@ -137,19 +137,24 @@ def calibrate(
             uncertain = units.parse(zero, "ratio")
         with _iterations() as progress:
             compared = api.compare_tests(
-                file, data=data, overrides=asked, progress=progress, difference=off, zero=uncertain
+                file,
+                data=data,
+                overrides=overrides,
+                progress=progress,
+                difference=off,
+                zero=uncertain,
             )
         document = compared.to_json()
         output.show(document, as_json, comparison_blocks, [] if as_json else document["warnings"])
         return
     if energies:
         with _iterations() as progress:
-            choice = api.choose_energy(file, data=data, overrides=asked, progress=progress)
+            choice = api.choose_energy(file, data=data, overrides=overrides, progress=progress)
         output.show(choice.to_json(), as_json, energy_blocks)
         return
     with _iterations() as progress:
         calibrated = api.calibrate(
-            file, data=data, overrides=asked, results=results, progress=progress,
+            file, data=data, overrides=overrides, results=results, progress=progress,
             profiles=profiles, numerics=numerics, resamples=bootstrap,
         )  # fmt: skip
     document = calibrated.to_json()
@@ -176,38 +181,39 @@ def inspect(
     output.show(api.inspect(file, sheet=sheet), as_json, inspection_blocks)
 
 
-def inspection_blocks(found: Inspection) -> Iterator[Block]:
+def inspection_blocks(inspection: Inspection) -> Iterator[Block]:
     """How a file is written, its columns and phases, and the table that reads it."""
-    names = "" if found.header_line is None else f", names in line {found.header_line}"
-    names += "" if found.unit_line is None else f", units in line {found.unit_line}"
+    names = "" if inspection.header_line is None else f", names in line {inspection.header_line}"
+    names += "" if inspection.unit_line is None else f", units in line {inspection.unit_line}"
     yield Verbatim(
-        f"{found.file}: {found.encoding}, delimiter {found.delimiter}, decimal mark "
-        f"{found.decimal!r}{names}, {found.rows} rows in lines {found.first_line} to "
-        f"{found.last_line}"
+        f"{inspection.file}: {inspection.encoding}, delimiter {inspection.delimiter}, "
+        f"decimal mark {inspection.decimal!r}{names}, {inspection.rows} rows in lines "
+        f"{inspection.first_line} to {inspection.last_line}"
     )
-    if found.sheets:
-        yield Verbatim(f"sheets: {', '.join(found.sheets)}")
-    yield from (Verbatim(f"  before the names: {line}") for line in found.preamble)
+    if inspection.sheets:
+        yield Verbatim(f"sheets: {', '.join(inspection.sheets)}")
+    yield from (Verbatim(f"  before the names: {line}") for line in inspection.preamble)
     yield Table.of(
         "columns",
-        found.columns,
+        inspection.columns,
         {
-            "column": lambda one: one.name,
-            "unit": lambda one: one.unit or "-",
-            "taken for": lambda one: (
-                one.quantity or (f"labels {', '.join(one.labels[:3])}" if one.labels else "-")
+            "column": lambda column: column.name,
+            "unit": lambda column: column.unit or "-",
+            "taken for": lambda column: (
+                column.quantity
+                or (f"labels {', '.join(column.labels[:3])}" if column.labels else "-")
             ),
-            "from": lambda one: general(one.low, 6),
-            "to": lambda one: general(one.high, 6),
+            "from": lambda column: general(column.low, 6),
+            "to": lambda column: general(column.high, 6),
         },
     )
-    for phase in found.phases:
+    for phase in inspection.phases:
         ends = zip(phase["from"], phase["to"], strict=True)
         far, hard = (f"{a:.6g} to {b:.6g}" for a, b in ends)
-        lines, units = "{} to {}".format(*phase["lines"]), found.units
+        lines, units = "{} to {}".format(*phase["lines"]), inspection.units
         yield Verbatim(f"{phase['phase']}: lines {lines}, {far} {units[0]}, {hard} {units[1]}")
-    yield from (Verbatim(f"note: {note}") for note in found.notes)
-    yield Verbatim(f"\n{found.toml}")
+    yield from (Verbatim(f"note: {note}") for note in inspection.notes)
+    yield Verbatim(f"\n{inspection.toml}")
 
 
 @contextmanager

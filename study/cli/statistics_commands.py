@@ -134,11 +134,11 @@ def analyze(
             raise InputError(Fault("formula", f"says what {given} say", "leave those out"))
         from study.statistics.analysis.linear_model import read_formula
 
-        asked = read_formula(formula)
-        response, factors, model = asked.response, ",".join(asked.factors), ",".join(asked.model)
-        block = block or ",".join(asked.blocks)
-        whole_plot = whole_plot or ",".join(asked.whole_plot)
-        transform = transform or asked.transform
+        parsed = read_formula(formula)
+        response, factors, model = parsed.response, ",".join(parsed.factors), ",".join(parsed.model)
+        block = block or ",".join(parsed.blocks)
+        whole_plot = whole_plot or ",".join(parsed.whole_plot)
+        transform = transform or parsed.transform
     flags = {
         "--response": response, "--factors": factors, "--block": block, "--unit": unit,
         "--whole-plot": whole_plot, "--replicates": replicates, "--copies": copies,
@@ -188,13 +188,13 @@ def _show(
 
     given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
     named = tuple(contrast.name for contrast in analysis.contrasts)
-    asked = analysis_page.AnalysisSource(source if source.is_file() else None, given, named)
+    origin = analysis_page.AnalysisSource(source if source.is_file() else None, given, named)
     reference, page = flags["--reference"], None
     compared = None if reference is None else against_reference(analysis, reference)
     if report is not None:
         formats = tuple(listed(flags["--format"])) or ("html",)
         page = analysis_page.write_page(
-            analysis, report, source=asked, compared=compared, formats=formats
+            analysis, report, source=origin, compared=compared, formats=formats
         )
     if as_json:
         output.warn(analysis.notes)
@@ -207,7 +207,7 @@ def _show(
             }  # fmt: skip
         output.print_json(analysis.to_json() | further)
         return
-    data = analysis_page.analysis_data(analysis, asked)
+    data = analysis_page.analysis_data(analysis, origin)
     from study.reporting.content import analysis_content
 
     say(analysis_content.analysis_blocks(analysis, data))
@@ -261,9 +261,9 @@ def _show_surfaces(
         decimal=flags["--decimal"] or ".",
         announce=lambda text: output.warn([text]),
     )
-    carried = [fitted.found for fitted in every if fitted.found is not None]
+    carried = [fitted.surface for fitted in every if fitted.surface is not None]
     notes = dict.fromkeys(note for surface_found in carried for note in surface_found.notes)
-    refused = [(fitted.labels, fitted.refused) for fitted in every if fitted.found is None]
+    refused = [(fitted.labels, fitted.refused) for fitted in every if fitted.surface is None]
     at = [f"{', '.join(f'{n} = {v}' for n, v in at.items())}: {why}" for at, why in refused]
     output.warn([*notes, *at])
     given = {flag: value for flag, value in flags.items() if value}

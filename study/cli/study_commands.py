@@ -471,5 +471,5 @@ def verify(
         path, results=results, reports=reports, resolve=resolve, seed=seed, data=data,
         allow_commands=allow_commands, tolerance=tolerance,
     )  # fmt: skip
-    output.show(verification, as_json, lambda found: found.blocks())
+    output.show(verification, as_json, lambda verified: verified.blocks())
     raise typer.Exit(0 if verification.agrees else 1)

@@ -268,7 +268,7 @@ def sheets_of(data: bytes, source: str) -> dict[str, Sequence[Sequence[object]]]
         raise InputError(Fault(source, "is a workbook of Excel 2003 or older", mend))
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as packed:
-            size = sum(one.file_size for one in packed.infolist())
+            size = sum(member.file_size for member in packed.infolist())
         if size > MAX_BYTES:
             raise InputError(Fault(source, f"unpacked, {_larger(MAX_BYTES)}", _THIN_OUT))
         book = CalamineWorkbook.from_filelike(io.BytesIO(data))

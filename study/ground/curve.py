@@ -215,11 +215,11 @@ class Curve:
         """Return the curve of half as many load steps, the last one kept."""
         return self.at_points(np.arange(len(self))[::-2][::-1])
 
-    def at_points(self, kept: NDArray[np.int64]) -> Curve:
+    def at_points(self, indices: NDArray[np.int64]) -> Curve:
         """Return the curve of some of its points, given by their places."""
-        rows = {key: v[kept] for key in _ROWS if (v := getattr(self, key)) is not None}
-        slopes = {name: slope[kept] for name, slope in self.force_gradient.items()}
-        quantities = {name: values[kept] for name, values in self.quantities.items()}
+        rows = {key: v[indices] for key in _ROWS if (v := getattr(self, key)) is not None}
+        slopes = {name: slope[indices] for name, slope in self.force_gradient.items()}
+        quantities = {name: values[indices] for name, values in self.quantities.items()}
         return replace(self, **rows, force_gradient=slopes, quantities=quantities, recorded=())
 
     def without_gradients(self) -> Curve:
@@ -247,8 +247,8 @@ class Curve:
         is_course = self.time_s is not None
         if self.stiffness_N_per_mm is not None or is_course or len(self) < 3:
             return self.force_at(d), self.gradients_at(names, d)
-        found = self.splined(np.column_stack([self.force_N, self._gradients(names)]), d)
-        return found[:, 0], found[:, 1:]
+        values = self.splined(np.column_stack([self.force_N, self._gradients(names)]), d)
+        return values[:, 0], values[:, 1:]
 
     def _gradients(self, names: Sequence[str]) -> Array:
         """DF/dtheta at the points, shape (len, p)."""
@@ -294,9 +294,11 @@ class Curve:
 
     def _check_rows(self, d: Array) -> None:
         """Refuse places that are not the rows of this course."""
-        own = self.displacement_mm
-        span = float(np.abs(own).max(initial=0.0))
-        if d.shape != own.shape or not np.allclose(d, own, rtol=0, atol=1e-6 * span):
+        displacement = self.displacement_mm
+        span = float(np.abs(displacement).max(initial=0.0))
+        if d.shape != displacement.shape or not np.allclose(
+            d, displacement, rtol=0, atol=1e-6 * span
+        ):
             raise ValueError("a course in time has forces at its own rows alone")
 
     def _with_origin(self) -> tuple[Array, Array, Array | None]:
@@ -361,8 +363,8 @@ def _jumps(knots: Array, force: Array, slope: Array) -> Array:
     if knots[0] == 0.0:
         missed[0] = 0.0
     cubic = missed / h**3
-    beside = np.maximum(np.r_[cubic[1], cubic[:-1]], np.r_[cubic[1:], cubic[-2]])
-    return np.asarray(np.maximum(missed - _SMOOTH * beside * h**3, 0.0))
+    neighbors = np.maximum(np.r_[cubic[1], cubic[:-1]], np.r_[cubic[1:], cubic[-2]])
+    return np.asarray(np.maximum(missed - _SMOOTH * neighbors * h**3, 0.0))
 
 
 def hermite_work(knots: Array, force: Array, slope: Array) -> Array:

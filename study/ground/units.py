@@ -40,7 +40,9 @@ _FACTORS: Mapping[str, Mapping[str, str | Decimal]] = {
     "memory": {"MB": "1", "GB": "1000", "MiB": "1.048576", "GiB": "1073.741824"},
     "density": {"kg/m^3": "1", "kg/m3": "1", "g/cm^3": "1000", "g/cm3": "1000", "g/mL": "1000"},
 }
-_TABLE = {name: {unit: _D(one) for unit, one in units.items()} for name, units in _FACTORS.items()}
+_TABLE = {
+    name: {unit: _D(size) for unit, size in units.items()} for name, units in _FACTORS.items()
+}
 #: internal unit of every dimension
 INTERNAL: Mapping[str, str] = {name: next(iter(units)) for name, units in _TABLE.items()}
 #: dimensions of recorded quantities
@@ -161,9 +163,9 @@ def converted(value: float, unit: str, into: str) -> float:
             return float(_D(repr(value)) * table[first] / table[second])
     import pint
 
-    for one in (first, second):
-        if one and not is_known(one):
-            raise _fault(f"has the unknown unit {one!r}", "write a unit such as kg, N/m or Pa s")
+    for text in (first, second):
+        if text and not is_known(text):
+            raise _fault(f"has the unknown unit {text!r}", "write a unit such as kg, N/m or Pa s")
     try:
         made = _registry().Quantity(value, _registry().parse_units(first or "1"))
         return float(made.to(_registry().parse_units(second or "1")).magnitude)

@@ -173,8 +173,8 @@ def test_a_level_is_chosen_with_the_numbers_and_confirmed_by_the_function(produc
     assert told.confirmed.predicted
     (own,) = [one for one in public.report(found.folder, reports=None).surfaces
               if dict(one.labels) == {"test.interface": "bonded"}]  # fmt: skip
-    assert own.found is not None
-    assert own.found.runs.response.size == 25
+    assert own.surface is not None
+    assert own.surface.runs.response.size == 25
 
 
 def test_a_program_confirms_once_it_is_allowed(inside):
@@ -239,9 +239,9 @@ def test_a_claim_over_numbers_waits_for_the_runs_that_confirm_it(product):
     assert confirmed.count("matters") >= len(rows) - 1
     # two runs of the true model stand behind each
     (surface, *_) = sure.surfaces
-    for item in surface.found.sensitivity:
+    for item in surface.surface.sensitivity:
         if item.range is not None and item.range.confirmed:
-            low, high = surface.found.runs.response.min(), surface.found.runs.response.max()
+            low, high = surface.surface.runs.response.min(), surface.surface.runs.response.max()
             assert high - low > 0.2
 
 
@@ -309,12 +309,12 @@ def missed(found):
     at = {"material.C10": 5 + 10 * x[:, 0], "material.C20": 1 + 2 * x[:, 1],
           "specimen.height": 18 + 4 * x[:, 2]}  # fmt: skip
     (surface,) = found.surfaces
-    points = surface.found.runs
+    points = surface.surface.runs
     coded = np.column_stack(
         [f.coded(at[f.name]) for f in points.factors]
     )  # a point beyond the outermost run is asked, too
     exact = hill(x)
-    return float(np.mean((surface.found.model.value(coded) - exact) ** 2) / exact.var())
+    return float(np.mean((surface.surface.model.value(coded) - exact) ** 2) / exact.var())
 
 
 @pytest.fixture(scope="module")

@@ -125,8 +125,8 @@ def test_held_out_needles_lie_in_their_intervals(tmp_path, capsys):
     )  # fmt: skip
     known = {f.name: settings_of(f) for f in twenty.design.factors if f.span is not None}
     for response in ("peak_force", "stiffness_at_4_mm"):
-        q2 = [one.found.model.q2 for one in sixty.surfaces
-              if one.response == response and one.found is not None]  # fmt: skip
+        q2 = [one.surface.model.q2 for one in sixty.surfaces
+              if one.response == response and one.surface is not None]  # fmt: skip
         told = [_told(sixty, known, record, response) for record in twenty.records]
         seen = np.array([record.response(response) for record in twenty.records])
         value, low, high = np.array(told).T

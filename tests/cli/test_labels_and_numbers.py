@@ -42,8 +42,8 @@ def test_labels_are_compared_over_the_ranges(tmp_path):
     assert (told.level, told.other, told.verdict) == ("ogden", "neo-hookean", "matters")
     assert told.mean == pytest.approx(EXTRA * square, abs=told.bound)
     assert one.differences == ()
-    assert one.found is not None
-    at = one.found.predict({"tip": [1.0], "depth": [2.0]})
+    assert one.surface is not None
+    at = one.surface.predict({"tip": [1.0], "depth": [2.0]})
     assert at.value[0] == pytest.approx(2**1.5, rel=0.01)
 
 

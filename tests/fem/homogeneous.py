@@ -48,5 +48,5 @@ def held(system, dofs, values):
         system,
         constraints=replace(system.constraints, dofs=dofs, rate=values),
         tangent=Tangent.of(pattern, system.space.dofs),
-        kept=KeptFactors(make_solver(pattern), pattern),
+        factors=KeptFactors(make_solver(pattern), pattern),
     )

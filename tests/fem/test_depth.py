@@ -162,7 +162,7 @@ def test_a_corner_goes_with_its_mid_sides(own, closed, led):
     points = points_of_three(rows)
     met = points.meet(np.array([[0.0, 0.0, 1.0]] * 3), np.zeros((3, 3)), 0.0)
     touch = points.evaluate(met, multipliers)
-    assert touch.wanted.tolist() == [closed, *own[1:]]
+    assert touch.closing.tolist() == [closed, *own[1:]]
     assert touch.led.tolist() == [led, False, False]
     kept = points_of_three(rows).admissible(multipliers)
     assert kept[0] == multipliers[0]

@@ -205,7 +205,7 @@ def test_the_point_on_the_axis_yields_to_the_first_that_touches():
     assert np.flatnonzero(points.first_touch) == points.size - 1
     for depth, alone in ((1e-6, True), (0.4, False)):
         met = points.meet(nodes, np.zeros_like(nodes), depth)
-        closed = points.evaluate(met, np.zeros(points.size)).wanted
+        closed = points.evaluate(met, np.zeros(points.size)).closing
         assert closed[-1] == alone
         assert closed[:-1].any() != alone
 

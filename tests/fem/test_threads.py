@@ -34,10 +34,10 @@ def test_any_number_of_threads_gives_the_same_bits(space, formulation, monkeypat
     found = []
     for count in (1, 2, 3):
         monkeypatch.setattr(compilation._CONFIG, "NUMBA_NUM_THREADS", count)
-        system.internal.residuals[:] = system.data[:] = system.tangent.sums.kept[:] = np.nan
+        system.internal.residuals[:] = system.data[:] = system.tangent.sums.packed[:] = np.nan
         smallest = system.internal.evaluate(GEL, x, system.tangent)
         J = system.internal.volume_ratios(GEL, x)
-        sums = system.data.copy(), system.tangent.sums.kept.copy()
+        sums = system.data.copy(), system.tangent.sums.packed.copy()
         found.append((smallest, J, system.internal.residuals.copy(), *sums))
     for other in found[1:]:
         for one, two in zip(found[0], other, strict=True):

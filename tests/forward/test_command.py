@@ -533,7 +533,7 @@ def test_a_digest_tells_a_rendered_file_from_a_copied_one():
     def digest_of(source):
         found = ForwardFiles(contents=(("a.py", "{{ 1 }}"),))
         argv, files = (("python", "a.py"),), (("a.py", source),)
-        section = ForwardModel(model="command", argv=argv, files=files, found=found)
+        section = ForwardModel(model="command", argv=argv, files=files, installed=found)
         return External.of(ParameterProblem(forward=section)).digest
 
     assert digest_of("a.py.j2") != digest_of("a.py")
@@ -556,7 +556,7 @@ def test_the_program_of_a_fit_gets_the_parameters_of_the_user():
     }
     keys = {}
     for gain in (1.0, 3.0):
-        forward = ForwardModel(model="python", found=files)
+        forward = ForwardModel(model="python", installed=files)
         cell = replace(CellProblem.of(document), forward=forward, parameters={"gain": gain})
         fit = fit_problem(Cell(cell, "auto"))
         request = {"displacement_mm": POINTS, "material": {"constants_MPa": {"C10": C10}}}

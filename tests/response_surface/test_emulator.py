@@ -80,7 +80,7 @@ def test_categories_that_are_alike_learn_from_each_other():
     runs = two_categories()
     together = fit_together(runs, (2,))
     apart = [fit_emulator(one) for one in runs]
-    matrix = together[0].process.found.kernel.categories
+    matrix = together[0].process.hyperparameters.kernel.categories
     assert matrix is not None
     assert matrix.matrix[0, 1] > 0.95
     points = 2.0 * np.random.default_rng(5).random((500, 5)) - 1.0
@@ -96,7 +96,9 @@ def test_left_out_runs_of_a_category_are_those_of_conditioning_without_them():
         process = one.process
         i = 15 * number + 3
         rest = np.delete(np.arange(30), i)
-        without = condition(process.x[rest], process.y[rest], process.noise[rest], process.found)
+        without = condition(
+            process.x[rest], process.y[rest], process.noise[rest], process.hyperparameters
+        )
         told = one.centre + one.scale * without.mean(process.x[i : i + 1])[0]
         assert one.loo_errors[3] == pytest.approx(runs[number].response[3] - told, rel=1e-6)
 
@@ -240,7 +242,7 @@ def test_copies_are_no_test_of_themselves():
 def test_known_numerical_uncertainty_widens_deviations():
     x, y = standardized()
     exact = fit_process(x, y, np.zeros(y.size), "Gaussian")
-    noisy = condition(x, y, np.full(y.size, 0.05), exact.found)
+    noisy = condition(x, y, np.full(y.size, 0.05), exact.hyperparameters)
     assert (noisy.deviation(x) > exact.deviation(x)).all()
 
 
@@ -365,7 +367,9 @@ def test_a_search_of_length_scales_goes_on_or_is_refused(monkeypatch):
     usual = fit_process(x, y, noise, FAMILIES[0])
     monkeypatch.setattr(gaussian_process, "STEPS", 1)
     longer = fit_process(x, y, noise, FAMILIES[0])
-    assert longer.found.variance == pytest.approx(usual.found.variance, rel=1e-3)
+    assert longer.hyperparameters.variance == pytest.approx(
+        usual.hyperparameters.variance, rel=1e-3
+    )
     monkeypatch.setattr(gaussian_process, "MOST_STEPS", 1)
     with pytest.raises(RefusedError, match="length scales of the emulator: the search has not"):
         fit_process(x, y, noise, FAMILIES[0])

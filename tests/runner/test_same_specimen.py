@@ -49,7 +49,7 @@ def test_the_design_plans_three_tests_of_every_specimen(tmp_path, monkeypatch):
 
 def test_the_calibration_reads_the_same_files():
     found = load.load_calibration(DESIGN.with_name("one-material.toml"))
-    assert found.asked.leave_out == "test"
+    assert found.fitting.leave_out == "test"
     files = [test.file for test in found.tests]
     assert files == [f"same-specimen/{way}.csv" for way in WAYS]
 

@@ -153,7 +153,7 @@ def from_all_starts(
 
     Energies with exponents begin on both sides of zero, unasked; others as often as asked.
     """
-    count, seed = setting.config.asked.starts, setting.config.asked.seed
+    count, seed = setting.config.fitting.starts, setting.config.fitting.seed
     rng, parts = np.random.default_rng(seed), parts_of(setting.tests, in_order(curves))
     quiet = replace(setting, progress=None)
     search = quiet.search()
@@ -219,10 +219,10 @@ def calibrate(
     Units: begin MPa.
     """
     began = time.perf_counter()
-    curves, notes = read_tests(config.tests, root, config.asked.loss)
+    curves, notes = read_tests(config.tests, root, config.fitting.loss)
     by_specimen, left = _splits(config, curves)
-    allowed = math.inf if config.asked.max_time is None else config.asked.max_time
-    limits = Limits(config.asked.max_evaluations, time.monotonic() + allowed)
+    allowed = math.inf if config.fitting.max_time is None else config.fitting.max_time
+    limits = Limits(config.fitting.max_evaluations, time.monotonic() + allowed)
     checkpoint = _checkpoint(folder, config, curves, limits)
     setting = setting_of(config, curves, progress, checkpoint, begin)
     done, starts = setting.fitted(curves, checkpoint), None
@@ -276,7 +276,7 @@ def _splits(
     config: CalibrationDesign, curves: Sequence[FitCurve]
 ) -> tuple[dict[str, list[FitCurve]], list[tuple[str, list[FitCurve]]]]:
     """Choose the curves of every specimen and of every leave-out, before anything is fitted."""
-    settings = config.asked
+    settings = config.fitting
     by_specimen = of_specimens(curves) if settings.specimens == "each" else {}
     if settings.specimens == "each" and len(by_specimen) < 2:
         mend = "name the column of the specimens in measurements.block"
@@ -394,7 +394,7 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
             "forces of gauge sections and of simulated specimens are weighed in N, so that the "
             'cross-sections decide which counts: write weight = "scatter", "relative" or a number'
         )
-    if setting.config.asked.specimens == "pooled" and len(of_specimens(curves)) > 1:
+    if setting.config.fitting.specimens == "pooled" and len(of_specimens(curves)) > 1:
         cautions.append(
             "specimens are pooled: intervals are those of these specimens, not of the population; "
             'write calibration.specimens = "each"'

@@ -105,7 +105,7 @@ def numerical_bound(
     # Nuisance parameters stay at what is expected of them in all of these fits.
     names, start = first_fit.names, first_fit.values
     bounds = config.bounds_of(names)
-    parts = parts_of(config.tests, in_order(read_tests(config.tests, root, config.asked.loss)[0]))
+    parts = parts_of(config.tests, in_order(read_tests(config.tests, root, config.fitting.loss)[0]))
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
@@ -192,8 +192,8 @@ def _force(model: Predict, part: FitPart, constants: Array) -> Array:
     """Let a model predict the measured points of a part, one curve after the other, N."""
     return np.concatenate(
         [
-            curve.force_at(asked.displacement_mm)
-            for curve, asked in zip(model(constants), part.curves, strict=True)
+            curve.force_at(measured.displacement_mm)
+            for curve, measured in zip(model(constants), part.curves, strict=True)
         ]
     )
 

@@ -191,7 +191,7 @@ def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
     ]
 
 
-def indentation_test(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTest:
+def indentation_test(test: CalibratedTest, fitting: Fitting, where: str) -> IndentationTest:
     """Gather what the closed form needs of one test."""
     setup = test.setup
     specimen, pressed = setup.specimen, setup.test.indenter
@@ -206,7 +206,7 @@ def indentation_test(test: CalibratedTest, asked: Fitting, where: str) -> Indent
         rule = "analytic takes the indenter for frictionless, got bonded"
         mend = 'write interface = "frictionless", or leave calibration.method out'
         raise InputError(Fault(f"{where}.test.interface", rule, mend))
-    if asked.theory == "dimitriadis" and not isinstance(pressed, Sphere):
+    if fitting.theory == "dimitriadis" and not isinstance(pressed, Sphere):
         rule = f"dimitriadis is a series for spheres, got {pressed.shape}"
         mend = 'write theory = "integral-equation"'
         raise InputError(Fault("calibration.theory", rule, mend))
@@ -222,8 +222,8 @@ def indentation_test(test: CalibratedTest, asked: Fitting, where: str) -> Indent
         area_mm2=specimen.area_mm2,
         spec=test.measurements,
         displacement_mm=setup.test.displacement_mm,
-        theory=asked.theory,
-        paraboloid=asked.profile == "paraboloid",
-        find_contact=asked.contact == "fitted",
-        depth_limit_mm=asked.depth_limit,
+        theory=fitting.theory,
+        paraboloid=fitting.profile == "paraboloid",
+        find_contact=fitting.contact == "fitted",
+        depth_limit_mm=fitting.depth_limit,
     )

@@ -246,13 +246,13 @@ class _TestSearch:
 
     values: Array
     material: Material
-    known: Array
+    information: Array
     sought: NDArray[np.bool_]
     conditions: Conditions
 
     def tests(self) -> Iterator[tuple[float, NextTest]]:
         """Every test that has an answer, with the log of the variance that it leaves."""
-        before = self._left(_covariance(self.known))
+        before = self._left(_covariance(self.information))
         for kind, largest in REACH.items():
             largest = self._reachable(kind, largest)
             strain = min(largest, self.conditions.strain)
@@ -261,7 +261,7 @@ class _TestSearch:
             (added,) = self._added(kind, np.array([strain]))
             if not np.isfinite(added).all():
                 continue
-            after = _covariance(self.known + added)
+            after = _covariance(self.information + added)
             left = self._left(after)
             gain = 0.5 * (before - left) if np.isfinite(left) else 0.0
             error, needed = np.sqrt(np.diag(after)), self._needed(kind, largest)
@@ -291,7 +291,7 @@ class _TestSearch:
         for strain, added in zip(strains, self._added(kind, strains), strict=True):
             if not np.isfinite(added).all():
                 return None
-            error = np.sqrt(np.diag(_covariance(self.known + added)))
+            error = np.sqrt(np.diag(_covariance(self.information + added)))
             if np.all(error <= KNOWN * np.abs(self.values)):
                 return float(strain)
         return None

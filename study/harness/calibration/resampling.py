@@ -101,7 +101,7 @@ def bootstrap(
     if fit.joint is not None:
         rule = "cannot resample what is expected of fitted nuisance parameters"
         raise InputError(Fault("--bootstrap", rule, "leave one or the other out"))
-    tests, seed = config.tests, config.asked.seed
+    tests, seed = config.tests, config.fitting.seed
     ordered, rng = in_order(curves), np.random.default_rng(seed)
     specimens = of_specimens(ordered)
     several = len(specimens) > 1

@@ -193,7 +193,7 @@ class CalibrationDesign:
     #: In the order of the file; all have the same material.
     tests: tuple[CalibratedTest, ...]
     #: How the constants are to be found.
-    asked: Fitting = field(default_factory=Fitting)
+    fitting: Fitting = field(default_factory=Fitting)
     #: Least and largest value of a constant, MPa, exponents plain.
     bounds: Bounds = field(default_factory=dict)
 
@@ -205,7 +205,7 @@ class CalibrationDesign:
     @property
     def document(self) -> dict[str, object]:
         """How the constants are to be found, as plain values for a hash."""
-        return {**values_of(self.asked), "bounds": dict(self.bounds)}
+        return {**values_of(self.fitting), "bounds": dict(self.bounds)}
 
     def bounds_of(self, names: Sequence[str]) -> list[tuple[float, float]]:
         """Bounds of the file; else those beyond which an energy is not defined, MPa."""
@@ -213,4 +213,4 @@ class CalibrationDesign:
 
     def pooled(self) -> CalibrationDesign:
         """Copy of which nothing but the constants of all specimens together is asked."""
-        return replace(self, asked=with_values(self.asked, specimens="pooled", leave_out=None))
+        return replace(self, fitting=with_values(self.fitting, specimens="pooled", leave_out=None))

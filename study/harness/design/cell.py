@@ -198,8 +198,8 @@ class CellProblem(ForwardCell):
         if self.units:
             others["units"] = dict(self.units)
         if self.markers is not None:
-            found = {} if self.marker_file is None else self.marker_file.document()
-            others["markers"] = {**self.markers.as_dict(), **found}
+            marker = {} if self.marker_file is None else self.marker_file.document()
+            others["markers"] = {**self.markers.as_dict(), **marker}
         surface = {} if self.surface_file is None else self.surface_file.document()
         spec = {} if self.measurements is None else self.measurements.as_dict()
         measured = {key: value for key, value in spec.items() if key != "citation"} or None

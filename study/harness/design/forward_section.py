@@ -90,8 +90,8 @@ def _files(value: object) -> tuple[str | tuple[str, str], ...]:
     if len(files) > MAX_FILES:
         raise Bad(f"lists {len(files)} files, the limit is {MAX_FILES}")
     targets = [target for target, _ in map(target_and_source, files)]
-    if own := sorted({*targets} & {"problem.json", "case.json"}):
-        rule = f"holds {own[0]}, which this package writes into the folder of every case"
+    if reserved := sorted({*targets} & {"problem.json", "case.json"}):
+        rule = f"holds {reserved[0]}, which this package writes into the folder of every case"
         raise Bad(rule, "give that file another name")
     if len(set(targets)) < len(targets):
         raise Bad("names two files alike, which would lie on one another", "rename one of them")
@@ -271,7 +271,7 @@ class ForwardModel:
     #: Whose folders are kept beside the records.
     keep: Annotated[Literal["all", "failed", "none"], word("all", "failed", "none")] = "none"
     #: What it is on this machine; None where nobody has looked.
-    found: Annotated[ForwardFiles | None, DERIVED] = None
+    installed: Annotated[ForwardFiles | None, DERIVED] = None
 
     @property
     def is_external(self) -> bool:
@@ -302,12 +302,12 @@ class ForwardModel:
     @cached_property
     def _document(self) -> dict[str, object]:
         document = document_of(self, ("curve", "values", "reaches"))
-        for key in ("memory_MB", "keep", "found"):
+        for key in ("memory_MB", "keep", "installed"):
             del document[key]
-        if self.found is None:
+        if self.installed is None:
             return document
         written = {key: value for key, value in document.items() if value is not None}
-        return written | self.found.document(self.model)
+        return written | self.installed.document(self.model)
 
     def fault(self, where: str) -> Fault | None:
         """Say what is missing for its kind, or stands in the way of its answer."""

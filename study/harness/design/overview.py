@@ -263,7 +263,7 @@ class Augmentation(Keyed):
 
     #: Level of every factor, by its label.
     cells: tuple[Mapping[str, str], ...]
-    own: tuple[Mapping[str, str], ...]
+    present: tuple[Mapping[str, str], ...]
     #: What all cells together tell apart.
     terms: tuple[str, ...]
     #: D-efficiency for these terms, 0 where some of them are one another.
@@ -284,7 +284,7 @@ class Augmentation(Keyed):
 
         lines = [
             "    { " + ", ".join(f"{key(k)} = {json.dumps(v)}" for k, v in cell.items()) + " },"
-            for cell in (*self.own, *self.cells)
+            for cell in (*self.present, *self.cells)
         ]
         return "\n".join(["[design]", 'kind = "listed"', "treatments = [", *lines, "]"])
 

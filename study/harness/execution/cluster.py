@@ -453,7 +453,7 @@ class Crew:
     _call: Pending | None = None
 
     @property
-    def wanted(self) -> int:
+    def capacity(self) -> int:
         """Tasks that run at once."""
         return self.jobs or sum(worker.threads for worker in self.workers.values())
 
@@ -480,7 +480,7 @@ class Crew:
             for slot in self.slots:
                 slot.begin()
         count = len(self.slots)
-        self.slots += [RemoteSlot(self, k) for k in range(count, max(self.wanted, count))]
+        self.slots += [RemoteSlot(self, k) for k in range(count, max(self.capacity, count))]
         return self.slots[count:]
 
     def place(self, slot: RemoteSlot) -> ClusterWorker | None:

@@ -463,7 +463,7 @@ class External:
 
 @functools.lru_cache(maxsize=1000)  # it is asked for several times a case
 def _external(section: ForwardModel) -> External:
-    files = section.found or ForwardFiles()
+    files = section.installed or ForwardFiles()
     function = PythonFunction(files.function, files.function_version) if files.function else None
     return External(section, dict(files.contents), dict(files.programs), function)
 

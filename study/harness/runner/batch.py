@@ -222,11 +222,11 @@ def _compute(
     fits: dict[str, FitJob] = {}
     stored: dict[str, Document] = {}
     for fit in fits_of(job for job, _ in todo).values():
-        known = store.read_fit(fit.key)
-        if known is None:
+        stored_fit = store.read_fit(fit.key)
+        if stored_fit is None:
             fits[fit.key] = fit
         else:
-            stored[fit.key] = known
+            stored[fit.key] = stored_fit
     costs, jobs = Costs(), dict[str, FitJob | CaseJob](fits)
     jobs |= {key: job for key, (job, _) in cases.items()}
     tasks = [  # what they are predicted to take gives their order

@@ -245,9 +245,9 @@ def perform(job: CaseJob) -> dict[str, object]:
             record, folder = replace(record, solver={"program": error.program}), error.folder
     except InputError as error:
         record = job.record("failed", str(error))
-    kept = {"folder": base64.b64encode(folder).decode("ascii")} if folder else {}
+    extra = {"folder": base64.b64encode(folder).decode("ascii")} if folder else {}
     return {
-        "status": record.status, "message": record.message, "record": record.to_json(), **kept
+        "status": record.status, "message": record.message, "record": record.to_json(), **extra
     }  # fmt: skip
 
 

@@ -60,7 +60,7 @@ class CaseSeries:
     jobs: tuple[CaseJob, ...]
     #: Ratio of the element sizes that was asked for.
     ratio: float
-    own: Literal["coarsest", "finest"] = "coarsest"
+    study_mesh: Literal["coarsest", "finest"] = "coarsest"
     #: What is computed of them, by case id; None where that failed to give a record.
     records: dict[str, Record | None] = field(default_factory=dict)
     #: The case on another mesh of the study's own size, where a generator chooses among many.
@@ -91,7 +91,7 @@ class CaseSeries:
     @property
     def formal(self) -> FormalOrder:
         """Order that the elements of the study's mesh promise, or a stranger's solver."""
-        return promised(self.base if self.own == "coarsest" else self.jobs[-1])
+        return promised(self.base if self.study_mesh == "coarsest" else self.jobs[-1])
 
     @property
     def good(self) -> list[tuple[CaseJob, Record]]:
@@ -123,7 +123,7 @@ class CaseSeries:
             sizes = [self.ratio**-k for k in range(len(sizes))]
         order = assumed_order(formal) if len(values) == 2 else formal
         result = grid_convergence(sizes, values, formal_order=order)
-        bound = result.u_num if self.own == "finest" else result.bound_of(values[0])
+        bound = result.u_num if self.study_mesh == "finest" else result.bound_of(values[0])
         return result.behaviour, math.inf if bound is None else bound
 
     def uncertainty(self, response: str, unit: str) -> NumericalUncertainty:
@@ -137,14 +137,17 @@ class CaseSeries:
         values = tuple(value for _, _, value in answered)
         lacking = self._lacking([job for job, _, _ in answered])
         if lacking:
-            first = bool(answered) and answered[0][0] is self.base and self.own == "coarsest"
+            first = bool(answered) and answered[0][0] is self.base and self.study_mesh == "coarsest"
             value = values[0] if first else None
             return NumericalUncertainty(
                 self.levels, response, value, None, unit, "not available", lacking
             )
         sizes, formal = self.sizes([record for _, record, _ in answered]), self.formal
         behaviour, u = self.half_width(values, sizes, formal.order)
-        value, note = values[0] if self.own == "coarsest" else values[-1], self._note(len(answered))
+        value, note = (
+            values[0] if self.study_mesh == "coarsest" else values[-1],
+            self._note(len(answered)),
+        )
         if self.other is not None:
             again = None if self._again is None else self._again.value(response)
             if again is None:
@@ -164,7 +167,7 @@ class CaseSeries:
 
     def _lacking(self, answered: Sequence[CaseJob]) -> str:
         """Why the meshes with an answer are too few; empty if they are enough."""
-        if self.own == "finest":
+        if self.study_mesh == "finest":
             few = len(answered) < len(self.jobs)
             return f"{len(answered)} of {len(self.jobs)} meshes gave an answer" if few else ""
         few = len(answered) < 2 or answered[0] is not self.base
@@ -175,11 +178,11 @@ class CaseSeries:
         refinement = self.base.case.problem.refinement
         if refinement is not None:
             sizes = [f"{size_of(job):.4g}" for job, _ in self.good]
-            of = self.base.case.label if self.own == "coarsest" else "the study's own cells"
+            of = self.base.case.label if self.study_mesh == "coarsest" else "the study's own cells"
             return f"{of}; {refinement.name} = {sizes[0]} to {sizes[-1]} in {meshes} steps"
         ends = (self.good[0][1], self.good[-1][1])
         unknowns = " to ".join(str(int(record.mesh.get("dofs", 0))) for record in ends)
-        if self.own == "finest":
+        if self.study_mesh == "finest":
             return f"the study's own {meshes} meshes, {unknowns} unknowns; on the finest"
         label = self.base.case.label
         return f"{label}; {meshes} meshes of ratio {self.ratio:g}, {unknowns} unknowns"
@@ -192,15 +195,15 @@ class CaseSeries:
         the safe side. Empty where too few meshes gave an answer.
         """
         good = self.good
-        if len(good) < (len(self.jobs) if self.own == "finest" else 2):
+        if len(good) < (len(self.jobs) if self.study_mesh == "finest" else 2):
             return {}
         forces = np.array([force_at_places(record) for _, record in good])
         sizes, formal = self.sizes([record for _, record in good]), self.formal.order
         u = np.array([self.half_width(list(place), sizes, formal)[1] for place in forces.T])
         if self._again is not None:
-            reference = forces[0 if self.own == "coarsest" else -1]
+            reference = forces[0 if self.study_mesh == "coarsest" else -1]
             u = np.hypot(u, CAUTIOUS * np.abs(force_at_places(self._again) - reference))
-        if self.own == "coarsest":
+        if self.study_mesh == "coarsest":
             return {self.base.case.case_id: u / np.abs(forces[0])}
         return {
             job.case.case_id: (np.abs(force - forces[-1]) + u) / np.abs(force)

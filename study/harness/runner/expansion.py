@@ -52,8 +52,8 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
     Seeds are hashes of the study's seed, the cell and the number: the meshes of one cell are the
     same in every block, and those of two cells have nothing to do with each other.
     """
-    asked = design.replicates
-    count = asked.mesh_seeds if asked.key is None else asked.n
+    replicates = design.replicates
+    count = replicates.mesh_seeds if replicates.key is None else replicates.n
     if not count:
         return tuple((case, Origin()) for case in distinct)
     _check_count(len(distinct) * count)
@@ -62,11 +62,11 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
         content = [design.seed, case.cell.document()]
         for number, name in enumerate(numbered(content, count, 8), 1):
             seed = int(name, 16)
-            if asked.key is None:
+            if replicates.key is None:
                 again = repeated(case, ["mesh seed", seed], meshed(case.cell, seed))
                 made.append((again, Origin(mesh_seed=number)))
             else:  # of a stochastic simulation, which no two cells share
-                problem = case.problem.with_parameter(asked.key.partition(".")[2], seed)
+                problem = case.problem.with_parameter(replicates.key.partition(".")[2], seed)
                 cell = replace(case.cell, problem=problem)
                 again = repeated(case, ["replicate", number, seed], cell)
                 made.append((again, Origin(replicate=number)))
@@ -123,19 +123,19 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     blocks = _common_blocks(cells, data)
     places = folders(design.source, data_root)
     # each forward model is looked for once for all cells that share it
-    asked, model_of = units_asked(design), cache(partial(placed_model, places, allowed.function))
+    units, model_of = units_asked(design), cache(partial(placed_model, places, allowed.function))
     jobs_of: dict[int, Callable[[Case, Origin], CaseJob]] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
         place = id(case.cell)  # one for all blocks of a cell, kept alive by its cases
         if place not in jobs_of:
-            jobs_of[place] = _jobs_of_cell(_located(case, places, model_of), data, design, asked)
+            jobs_of[place] = _jobs_of_cell(_located(case, places, model_of), data, design, units)
         return jobs_of[place](case, origin)
 
     # a replicate is named by what was written, not by where its surface was found
     jobs = _anchored(job(case, origin) for case, origin in planned(design, blocks))
     every = (*jobs, *resampled(jobs, design))
-    return Work(design, every, asked, blocks, data, allowed)
+    return Work(design, every, units, blocks, data, allowed)
 
 
 def planned(design: Design, blocks: Sequence[str]) -> tuple[tuple[Case, Origin], ...]:

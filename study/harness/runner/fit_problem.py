@@ -81,7 +81,7 @@ def placed_model(
         )
     elif function is not None:
         files = ForwardFiles(function=function.text, function_version=function.version)
-    return replace(section, found=files)
+    return replace(section, installed=files)
 
 
 def check_templates(problem: ForwardCell, case_id: str) -> None:
@@ -93,11 +93,11 @@ def check_templates(problem: ForwardCell, case_id: str) -> None:
         external.rendered({"case_id": case_id, **problem.own_tables()})
         return
     depth = problem.depth_mm or 1.0
-    asked = request(problem.with_placeholder(depth), np.array([depth]))
+    document = request(problem.with_placeholder(depth), np.array([depth]))
     section = problem.material
     names = dict.fromkeys(section.calibrated_names, 1.0) | dict(section.constants)
-    material = {**table_of(asked, "material"), "constants_MPa": names}
-    context = _context_of({**asked, "material": material, **problem.own_tables()})
+    material = {**table_of(document, "material"), "constants_MPa": names}
+    context = _context_of({**document, "material": material, **problem.own_tables()})
     external.rendered({"case_id": case_id, **context})
 
 
@@ -146,12 +146,12 @@ def solved_by(
     external: External, problem: Problem, displacement_mm: Array, tables: Mapping[str, object]
 ) -> PredictedCurve:
     """Curve of a problem, shape (n,), by a program or function, which gets further tables too."""
-    asked = {**request(problem, displacement_mm), **tables}
+    document = {**request(problem, displacement_mm), **tables}
 
     def context() -> dict[str, object]:
-        return {"case_id": digest(asked), **_context_of(asked)}
+        return {"case_id": digest(document), **_context_of(document)}
 
-    return external.solve(asked, displacement_mm, context)
+    return external.solve(document, displacement_mm, context)
 
 
 _sha_of = functools.cache(sha256_of)
@@ -330,7 +330,7 @@ class FitPart:
     #: Of one or several specimens of equal size.
     measured: tuple[MeasuredCurve, ...] = ()
     #: The wanted problem, where this is a cheaper one.
-    wanted: CellProblem | None = None
+    exact: CellProblem | None = None
 
     @property
     def curves(self) -> list[Curve]:
@@ -374,9 +374,9 @@ def fit_problem(cell: Cell) -> FitProblem:
     return FitProblem(test.method, (test,), fitted == scored)
 
 
-def fitted_test(asked: str, problem: CellProblem) -> FitPart:
+def fitted_test(test_name: str, problem: CellProblem) -> FitPart:
     """Test of a fit by the method that a file asks for, with what enters it alone."""
-    method = _method(asked, problem)
+    method = _method(test_name, problem)
     if method == "closed-form":  # its mesh, depth, steps and base do not enter
         test = problem.test
         speed = test.speed_mm_per_s if problem.material.relaxation else None

@@ -49,13 +49,13 @@ def write_runs(
     results: str | Path,
 ) -> Path:
     """Write the records of a study of a table of runs, and give its folder."""
-    columns, asked = listed(factors), listed(numeric)
+    columns, numeric_names = listed(factors), listed(numeric)
     units = _units(responses)
     needed = [*columns, *units, *(c for c in (failed, block) if c is not None)]
     table = read_csv(
         Path(path), required=needed, numbers=list(units), decimal=decimal, declared_by=TYPED_COMMA
     ).without_units(list(units))
-    ranges = [settings_run(item, table) for item in asked]
+    ranges = [settings_run(item, table) for item in numeric_names]
     _check(table, columns, units, ranges)
     rows = _rows(table, columns, units, failed, block, ranges)
     sizes = _units(practical)
@@ -68,9 +68,9 @@ def write_runs(
     records = _records(design, blocks, rows, units, table.sha256)
     store = Store(own_folder(Path(results), design.name))
     with store.lock():
-        known = store.read_manifest()
-        if known is not None and not any(MADE_ELSEWHERE in note for note in known["notes"]):
-            rule = f"{known['name']!r} is a study that was computed here"
+        present = store.read_manifest()
+        if present is not None and not any(MADE_ELSEWHERE in note for note in present["notes"]):
+            rule = f"{present['name']!r} is a study that was computed here"
             mend = "give the imported one a name of its own: --name"
             raise InputError(Fault(str(path), rule, mend))
         manifest: ManifestDocument = {
@@ -97,7 +97,7 @@ def write_runs(
 
 def _units(responses: str | Sequence[str]) -> dict[str, str]:
     """Read the names of responses, each with its unit, which may be left out."""
-    pairs = (one.partition("=") for one in listed(responses))
+    pairs = (pair.partition("=") for pair in listed(responses))
     return {name.strip(): unit.strip() for name, _, unit in pairs}
 
 

@@ -169,8 +169,8 @@ def rows_for(
     by_replicates = error == "replicates"
     how = "auto" if by_replicates else error
     if _RUN in table:
-        kept = table.drop(columns=_RUN)
-        return RecordRows(kept, block, how, "runs")
+        shown = table.drop(columns=_RUN)
+        return RecordRows(shown, block, how, "runs")
     if _NOISE in table:
         return _noise_rows(table, response, factors, error, block)
     if _MESH not in table:
@@ -328,16 +328,16 @@ def effects_by_depth(
     ]
     if len(shares) < 2:
         return ()
-    found = []
+    effects = []
     for share, response in product(shares, of_curves):
         part = [_rescored(record, response.name, share * depth) for record in records]
         with suppress(StudyError):  # the study's own analysis says why
-            found += [
+            effects += [
                 DepthEffect(response.name, share * depth, effect)
                 for effect in effects_of_records(design, part, response, numerical)
                 if effect.is_main and effect.range is not None
             ]
-    return tuple(found)
+    return tuple(effects)
 
 
 def _pairs(record: Record) -> Iterator[tuple[Curve, Curve]]:
@@ -368,21 +368,25 @@ def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
         return []
     # a stored record has its factors in the order of the alphabet
     answered = {frozenset(r.levels.items()): r for r in records if r.converged and r.block is None}
-    found = []
+    lines = []
     for group in duplicates(design):
-        own = [r for one in group if (r := answered.get(frozenset(one.levels.items()))) is not None]
+        answers = [
+            r
+            for treatment in group
+            if (r := answered.get(frozenset(treatment.levels.items()))) is not None
+        ]
         for response in (r.name for r in design.responses if r.name != "seconds"):
-            values = {record.value(response): record for record in own}
+            values = {record.value(response): record for record in answers}
             if len(values) > 1:
-                said = " and ".join(
+                texts = " and ".join(
                     f"{v:.6g} in {' / '.join(r.levels.values())} (case {r.case_id})"
                     for v, r in list(values.items())[:2]
                 )
-                found.append(
-                    f"cells with equal inputs have different answers: {response} is {said}; make "
+                lines.append(
+                    f"cells with equal inputs have different answers: {response} is {texts}; make "
                     "the program repeatable, or give it a seed with [replicates] key and n"
                 )
-    return found
+    return lines
 
 
 # Surfaces over the numeric factors of a study's own runs.
@@ -432,7 +436,7 @@ def surfaces(
         )  # fmt: skip
         lost = [len(some) - len(answered) for some, answered in zip(here, good, strict=True)]
         surfaces_fitted += compared(
-            [_finished(design, one, n, ends) for one, n in zip(each, lost, strict=True)]
+            [_finished(design, runs, n, ends) for runs, n in zip(each, lost, strict=True)]
         )
     return tuple(surfaces_fitted)
 
@@ -476,7 +480,7 @@ def _finished(
     design: Design, fitted: FittedSurface, lost: int, ends: Sequence[str]
 ) -> FittedSurface:
     """Add what is to be said of the runs, and what uncertain inputs do."""
-    if fitted.found is None:
+    if fitted.surface is None:
         return fitted
     left_out = f"{counted(lost)} without an answer left out; nothing is put in the place"
     notes = [*([left_out] if lost else []), *ends]
@@ -488,11 +492,11 @@ def _finished(
             if n not in design.inputs
         }
         try:
-            uncertain = propagate(fitted.found, design.inputs, fixed, design.seed)
+            uncertain = propagate(fitted.surface, design.inputs, fixed, design.seed)
         except StudyError as error:
             notes.insert(0, str(error))
     return replace(
-        fitted, found=fitted.found.noted(*notes), uncertain=uncertain,
+        fitted, surface=fitted.surface.noted(*notes), uncertain=uncertain,
         inputs={name: span.words(fitted.units[name]) for name, span in design.inputs.items()},
     )  # fmt: skip
 
@@ -602,7 +606,10 @@ def numerical_bound(
     rows = [row for row in numerical if row.response == response]
     if not rows:
         return None
-    cells = [(dict(one.levels), one.cell.problem.discretization) for one in design.treatments]
+    cells = [
+        (dict(treatment.levels), treatment.cell.problem.discretization)
+        for treatment in design.treatments
+    ]
     mesh, meshes = mesh_levels(design, records)
     names = [f.name for f in design.factors]
     if mesh is not None and meshes and set(meshes) <= set(table[mesh].astype(str)):

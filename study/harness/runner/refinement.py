@@ -204,8 +204,8 @@ class RefinementSeries:
             return False, None
         results = judged_meshes(meshes, self.setup, self.formal.order)
         needed = [size_needed(result, accuracy) for result in results.values()]
-        known = [size for size in needed if size is not None]
-        return all(within(results, accuracy).values()), min(known, default=None)
+        sizes = [size for size in needed if size is not None]
+        return all(within(results, accuracy).values()), min(sizes, default=None)
 
     def _hopeless(self, needed_mm: float | None) -> str:
         """Why the mesh that would be fine enough is out of reach; empty if it may be."""

@@ -85,10 +85,10 @@ class SolveResult:
     @classmethod
     def from_json(cls, document: Mapping[str, object]) -> SolveResult:
         """Inverse of :meth:`to_json`; of a task that had no answer a status and a message stay."""
-        known = {k: v for k, v in document.items() if k in cls.__dataclass_fields__}
-        if "curve" in known:
-            known["curve"] = Curve.from_dict(cast("Mapping[str, object]", known["curve"]))
-        return cls(**known)  # type: ignore[arg-type]
+        fields = {k: v for k, v in document.items() if k in cls.__dataclass_fields__}
+        if "curve" in fields:
+            fields["curve"] = Curve.from_dict(cast("Mapping[str, object]", fields["curve"]))
+        return cls(**fields)  # type: ignore[arg-type]
 
 
 #: Solves some tasks and gives each result with the key of its task as soon as it is there.

@@ -299,7 +299,7 @@ def cheaper(part: FitPart) -> FitPart | None:
         if height is None or height / (_COARSER * size) < _FEW:
             return None
         changes = {"mesh_size_mm": _COARSER * size}
-    return replace(part, problem=part.problem.on_mesh(**changes), wanted=part.problem)
+    return replace(part, problem=part.problem.on_mesh(**changes), exact=part.problem)
 
 
 def model_of(part: FitPart, names: Sequence[str], make: MakeModel) -> Predict:
@@ -310,16 +310,16 @@ def model_of(part: FitPart, names: Sequence[str], make: MakeModel) -> Predict:
     """
     curves = part.curves
     model = make(part.method, part.problem, curves, names)
-    if part.wanted is None:
+    if part.exact is None:
         return model
     try:
         cheap = _neo_hookean(part.problem, curves, make)
-        wanted = _neo_hookean(part.wanted, curves, make)
+        exact = _neo_hookean(part.exact, curves, make)
     except EvaluationFailed:
         return model
     factors = [
-        np.where(one > 0, other / np.where(one > 0, one, 1.0), 1.0)
-        for one, other in zip(cheap, wanted, strict=True)
+        np.where(coarse > 0, other / np.where(coarse > 0, coarse, 1.0), 1.0)
+        for coarse, other in zip(cheap, exact, strict=True)
     ]
 
     def predict(values: Array) -> list[Curve]:

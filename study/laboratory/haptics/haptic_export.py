@@ -165,7 +165,7 @@ def tabulated(name: str, problem: Problem, path: Curve) -> ForceLaw:
         for name, values in curve.force_gradient.items()
     }
     between = np.linspace(0.0, float(d[-1]), PARTS * len(path) + 1)
-    missed = [force.at(between) - one.force_at(between) for one in (path, curve)]
+    missed = [force.at(between) - sampled.force_at(between) for sampled in (path, curve)]
     return ForceLaw(
         name=name,
         force=force,
@@ -562,7 +562,7 @@ class SurfaceFunction(Keyed):
             for i in self.inputs
         )
         return (
-            f"{what}, from {0 if fit.found is None else fit.found.runs.response.size} runs.",
+            f"{what}, from {0 if fit.surface is None else fit.surface.runs.response.size} runs.",
             f"Ranges: {ranges}. Outside of them it raises ValueError: nothing was run there.",
             f"It is within {self.bound:.3g} {fit.unit} of the simulation at about 95 % of the "
             "settings: the largest half width of its intervals.",
@@ -585,9 +585,9 @@ class SurfaceFunction(Keyed):
 
 def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
     """Make the function of a surface."""
-    if fitted.found is None:
+    if fitted.surface is None:
         raise ValueError(fitted.refused)
-    model, runs = fitted.found.model, fitted.found.runs
+    model, runs = fitted.surface.model, fitted.surface.runs
     arguments = _arguments(runs.names)
     inputs = tuple(
         {"name": f.name, "argument": arguments[f.name], "low": f.low, "high": f.high,
@@ -613,7 +613,7 @@ def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
 def _part(emulator: Emulator, blocks: int) -> tuple[float, dict[str, object]]:
     """Level and weights of a process, over the number of blocks."""
     process = emulator.process
-    kernel = process.found.kernel
+    kernel = process.hyperparameters.kernel
     levels, weights = process.solved
     combination = emulator.combination or 0
     if kernel.categories is not None:
@@ -623,7 +623,7 @@ def _part(emulator: Emulator, blocks: int) -> tuple[float, dict[str, object]]:
         "kernel": kernel.family,
         "lengths": kernel.lengths.tolist(),
         "points": kernel.numbers(process.x).tolist(),
-        "weights": (scale * process.found.variance * weights).tolist(),
+        "weights": (scale * process.hyperparameters.variance * weights).tolist(),
     }
     return emulator.centre / blocks + scale * float(levels[combination]), part
 

@@ -251,12 +251,12 @@ class RequirementFile:
     position: PositionAccuracy
     force: ForceAccuracy
     #: Wanted accuracy, and how it is checked.
-    asked: Requirement
+    requirement: Requirement
 
     @property
     def rows_mm(self) -> Array:
         """Displacements of the rows of the fitted test, even, the last one at its depth, (n,)."""
-        n, depth = self.asked.points, self.fitted.at().test.depth_mm
+        n, depth = self.requirement.points, self.fitted.at().test.depth_mm
         return np.asarray(depth * np.arange(1, n + 1) / n)
 
     @property

@@ -242,9 +242,9 @@ def simulate(
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Simulation, ...]:
     """Simulate tests at several multiples of the given errors."""
-    if not file.asked.samples:
+    if not file.requirement.samples:
         return ()
-    tasks, owners, multiples = [], {}, file.asked.multiples
+    tasks, owners, multiples = [], {}, file.requirement.multiples
     for multiple in multiples:
         for chunk in _chunks(file, propagation, multiple):
             key = f"{multiple:g}-{chunk.first}"
@@ -259,12 +259,14 @@ def simulate(
         answers[owners[outcome.key]] += _answers(outcome.result)
         if done * TOLD // len(tasks) > (done - 1) * TOLD // len(tasks):
             say(f"{done} of {len(tasks)} parts of the simulated tests")
-    return tuple(_simulation(m, file.asked.samples, propagation, answers[m]) for m in multiples)
+    return tuple(
+        _simulation(m, file.requirement.samples, propagation, answers[m]) for m in multiples
+    )
 
 
 def _chunks(file: RequirementFile, propagation: Propagation, multiple: float) -> Iterator[Chunk]:
     """Divide a simulation into tasks, whose random numbers are those of multiple and test."""
-    stream, samples = (file.seed, round(1e6 * multiple)), file.asked.samples
+    stream, samples = (file.seed, round(1e6 * multiple)), file.requirement.samples
     least = min(constant.relative for constant in propagation.constants)
     xtol = max(STEP * multiple * least, SMALLEST_STEP)
     for first in range(0, samples, CHUNK):
@@ -544,7 +546,7 @@ def sensor_requirement(
     sources = sources_of(file.position, file.force, at, rows)
     propagation = propagate(material.names, material.values, units, at, sources, predicted)
     return SensorRequirement(
-        file.name, file.question, file.asked.accuracy, file.asked.coverage, propagation,
+        file.name, file.question, file.requirement.accuracy, file.requirement.coverage, propagation,
         simulate(file, propagation, jobs, progress), fitted.notes,
     )  # fmt: skip
 
@@ -552,7 +554,7 @@ def sensor_requirement(
 def _check_reach(file: RequirementFile) -> None:
     """Refuse errors with which a test would go through its specimen."""
     height = file.fitted.height_mm
-    for multiple in file.asked.multiples if file.asked.samples else ():
+    for multiple in file.requirement.multiples if file.requirement.samples else ():
         farthest = file.multiplied(multiple).farthest_mm
         if height is not None and farthest >= height:
             rule = (

@@ -229,7 +229,7 @@ def _profiled(
     """Sum of squares at a fixed value, the others refitted from the last point of this side."""
     others = np.arange(result.values.size) != index
     last = result.values[others].copy()
-    kept = None if bounds is None else [b for i, b in enumerate(bounds) if i != index]
+    remaining = None if bounds is None else [b for i, b in enumerate(bounds) if i != index]
 
     def full(value: float, rest: Array) -> Array:
         x = result.values.copy()
@@ -247,7 +247,7 @@ def _profiled(
             residual, jacobian = function(full(value, rest))
             return residual, jacobian[:, others]
 
-        result = levenberg_marquardt(inner, last, bounds=kept, max_evaluations=100, gtol=1e-7)
+        result = levenberg_marquardt(inner, last, bounds=remaining, max_evaluations=100, gtol=1e-7)
         if result.converged:
             last = result.x
         tried[value] = 2 * result.cost if result.converged else np.inf

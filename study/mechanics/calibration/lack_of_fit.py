@@ -262,11 +262,11 @@ def adequacy(
     findings += _of_bounds(fit)
     robust = {test.label for test in measured if test.loss != "linear"}
     recordings = [
-        _Recording(one.label, number, rows, force, weight, slopes)
-        for one, curve, number in zip(
+        _Recording(item.label, number, rows, force, weight, slopes)
+        for item, curve, number in zip(
             measured, fit.curves, tests or range(len(measured)), strict=True
         )
-        for weight, rows, force, slopes in recorded_rows(one, curve, fit.names)
+        for weight, rows, force, slopes in recorded_rows(item, curve, fit.names)
     ]
     # a robust loss may leave out single rows, and no line that they follow
     judged = [r.without_far() if r.label in robust else r for r in recordings]
@@ -282,8 +282,8 @@ def adequacy(
         findings.append((1, f"{why}: take an energy with more constants", ()))
     if not findings:
         return Adequacy("describes")
-    findings.sort(key=lambda one: -one[0])
-    rows = {(row.label, row.row): row for one in findings for row in one[2]}
+    findings.sort(key=lambda item: -item[0])
+    rows = {(row.label, row.row): row for item in findings for row in item[2]}
     return Adequacy(
         _GRADES[findings[0][0]],
         tuple(dict.fromkeys(why for _, why, _ in findings)),
@@ -669,7 +669,7 @@ def _drawn(fits: Sequence[Fit], extra: Sequence[Array]) -> tuple[Array, Array]:
     Each fit's correlations are as often here as they are likely, in an order of their own.
     """
     mixtures = [None if fit.serial is None else fit.serial.mixture for fit in fits]
-    lengths = [1 if one is None else one.weight.size for one in mixtures]
+    lengths = [1 if parts is None else parts.weight.size for parts in mixtures]
     count, random = 1 if max(lengths) == 1 else DRAWS, np.random.default_rng(2011)
     places = (np.arange(count) + 0.5) / count
     total, from_rows = [], []

@@ -234,9 +234,9 @@ def intervals(
     scaled = (squares / freedom)[:, None, None] * _propagated(series, rho)
     total = scaled if other_covariance is None else scaled + other_covariance
     variances = np.diagonal(total, axis1=1, axis2=2).T
-    own = np.diagonal(scaled, axis1=1, axis2=2).T
+    diagonal = np.diagonal(scaled, axis1=1, axis2=2).T
     with np.errstate(over="ignore"):  # infinitely many are those of a normal error
-        satterthwaite = freedom * ((variances / own) @ weight) ** 2
+        satterthwaite = freedom * ((variances / diagonal) @ weight) ** 2
     half = _half_widths(np.sqrt(variances), weight, satterthwaite)
     likely = -0.5 * freedom * np.log(squares) - determinant
     deviance = rows * np.log(squares / rows) - moments.series * np.log1p(-(rho**2))
@@ -329,12 +329,12 @@ class _LagMoments:
             return None
         joined = np.column_stack([basis, residual])
         ends = np.cumsum([part.residual.size for part in series])
-        *recordings, beside = np.split(joined, ends)
+        *recordings, prior = np.split(joined, ends)
         rows = joined[: ends[-1]]
         cross = sum((z[1:].T @ z[:-1] for z in recordings), np.zeros((len(norms) + 1,) * 2))
         inner = sum((z[1:-1].T @ z[1:-1] for z in recordings), np.zeros_like(cross))
         return cls(
-            rows.T @ rows, cross + cross.T, inner, beside.T @ beside, len(recordings), len(rows)
+            rows.T @ rows, cross + cross.T, inner, prior.T @ prior, len(recordings), len(rows)
         )
 
     def generalized(self, rho: Array) -> tuple[Array, Array]:
@@ -343,9 +343,9 @@ class _LagMoments:
         r = rho[:, None, None]
         product = self.all_rows - r * self.neighbors + r**2 * self.interior
         product = product + (1 - r**2) * self.pseudo
-        normal, right, own = product[:, :-1, :-1], product[:, :-1, -1:], product[:, -1, -1]
+        normal, right, square = product[:, :-1, :-1], product[:, :-1, -1:], product[:, -1, -1]
         explained = (right * np.linalg.solve(normal, right)).sum(axis=(1, 2))
-        squares = np.maximum(own - explained, _ROUNDING * self.all_rows[-1, -1])
+        squares = np.maximum(square - explained, _ROUNDING * self.all_rows[-1, -1])
         log_normal = np.linalg.slogdet(normal)[1]
         return squares, 0.5 * (log_normal - self.series * np.log1p(-(rho**2)))
 
@@ -380,10 +380,10 @@ def _propagated(series: Sequence[Series], rho: Array) -> Array:
     power_spectrum = sum(s[:, None] * s[None].conj() for s in spectra)
     products = np.fft.irfft(power_spectrum, size, axis=2)[..., :rows]
     out = np.ones((rho.size, rows))
-    known, factor = 1, rho[:, None]
-    while known < rows:
-        out[:, known : 2 * known] = out[:, : min(known, rows - known)] * factor
-        known, factor = 2 * known, factor**2
+    sign, factor = 1, rho[:, None]
+    while sign < rows:
+        out[:, sign : 2 * sign] = out[:, : min(sign, rows - sign)] * factor
+        sign, factor = 2 * sign, factor**2
     weight = out
     weight[:, 0] = 0.5
     half = (weight @ products.reshape(p * p, rows).T).reshape(rho.size, p, p)

@@ -40,7 +40,7 @@ def touch_radius(setup: Setup) -> float:
     """Length whose square carries the first contact, mm; 0 where nothing begins to touch."""
     pressed = [c.indenter for c in setup.contacts if isinstance(c, IndenterContact)]
     limit, depth = 0.1 * height_of(setup.specimen), setup.test.depth_mm
-    return max((min(one.contact_radius_mm(depth), limit) for one in pressed), default=0.0)
+    return max((min(surface.contact_radius_mm(depth), limit) for surface in pressed), default=0.0)
 
 
 def contact_points(
@@ -48,14 +48,14 @@ def contact_points(
 ) -> tuple[ContactPoints, ...]:
     """Every set of points that may meet a rigid surface."""
     whole = isinstance(problem.specimen, Enclosed)
-    found: list[ContactPoints] = []
+    points: list[ContactPoints] = []
     for pair in problem.setup.contacts:
         if isinstance(pair, IndenterContact):
-            found += _under_indenter(problem, pair, space, mesh)
+            points += _under_indenter(problem, pair, space, mesh)
         elif folding:
             onto = _onto_plane if whole else _side_onto_plate
-            found += [p for p in onto(problem, pair, space, mesh) if p.size]
-    return tuple(found)
+            points += [p for p in onto(problem, pair, space, mesh) if p.size]
+    return tuple(points)
 
 
 def _under_indenter(
@@ -131,18 +131,18 @@ def _with_apex(space: Discretization, points: ContactPoints) -> ContactPoints:
     )
 
 
-def only(points: ContactPoints, kept: Flags) -> ContactPoints:
+def only(points: ContactPoints, chosen: Flags) -> ContactPoints:
     """Keep some of the points. Shapes: kept (n_points,)."""
-    allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
+    allowance = np.broadcast_to(points.allowance_mm, chosen.shape)[chosen]
     return replace(
         points,
         allowance_mm=allowance,
-        nodes=points.nodes[kept],
-        shape=points.shape[kept],
-        weights=points.weights[kept],
-        eps=points.eps[kept],
-        middles=None if points.middles is None else points.middles[kept][:, kept],
-        first_touch=None if points.first_touch is None else points.first_touch[kept],
+        nodes=points.nodes[chosen],
+        shape=points.shape[chosen],
+        weights=points.weights[chosen],
+        eps=points.eps[chosen],
+        middles=None if points.middles is None else points.middles[chosen][:, chosen],
+        first_touch=None if points.first_touch is None else points.first_touch[chosen],
     )
 
 
@@ -280,13 +280,13 @@ def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:
     if not ((area >= 0).all(axis=1) | (area <= 0).all(axis=1)).any():
         mend = "choose press_x and press_y inside its outline"
         raise InputError(Fault("specimen.press_x", "the indenter misses the specimen", mend))
-    best, kept = -np.inf, triangles
+    best, near = -np.inf, triangles
     for _ in range(_DIVISIONS):
-        places = np.einsum("qk,mkj->mqj", _HALVES, kept)
+        places = np.einsum("qk,mkj->mqj", _HALVES, near)
         rho = np.hypot(places[:, :, 0], places[:, :, 1])
         level = places[:, :, 2] - profile_height(pieces, rho.ravel()).reshape(rho.shape)
         best = max(best, float(level.max()))
         quarters = places[:, _QUARTERS].reshape(-1, 3, 3)
         order = np.argsort(-level[:, _QUARTERS].max(axis=2).ravel(), kind="stable")
-        kept = quarters[order[:_KEPT]]
+        near = quarters[order[:_KEPT]]
     return best

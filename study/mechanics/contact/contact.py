@@ -152,39 +152,39 @@ class ContactPoints:
         # those that ``glue`` holds by other means.
         urge = multiplier - self.c * met.gap
         held = np.zeros(self.size, dtype=bool) if glue is None else glue.held
-        wanted, led = self._decided((urge > 0) | held)
-        wanted &= ~held
-        active, gap = wanted if closed is None else closed, met.gap
+        closing, led = self._decided((urge > 0) | held)
+        closing &= ~held
+        active, gap = closing if closed is None else closed, met.gap
         pressure = np.where(active, multiplier - self.eps * gap, 0.0)
         carried = np.where(active, multiplier, 0.0)
         if self.middles is None and led.any():  # it has no condition of its own any more
             gap = np.where(led, np.maximum(gap, 0.0), gap)
         return ContactState(
-            gap, active, pressure, carried, met.direction, met.hessian, wanted, urge, led
+            gap, active, pressure, carried, met.direction, met.hessian, closing, urge, led
         )
 
-    def _decided(self, own: Flags) -> tuple[Flags, Flags]:
+    def _decided(self, closing: Flags) -> tuple[Flags, Flags]:
         """Who is to be closed by the points' own decision, and which corners are led."""
         # A uniform pressure loads only the mid-sides of six-node triangles, so that the sign of a
         # corner's force says nothing. Amid closed mid-sides a corner is closed as well, whichever
         # way it is pulled; amid open ones it is open. Until the first mid-side touches, corners are
         # all that an indenter narrower than the triangles meets.
         first = self.first_touch
-        touched = first is not None and bool(own[~first].any())
+        touched = first is not None and bool(closing[~first].any())
         if self.middles is None:
-            led = np.zeros(own.shape, dtype=bool) if first is None else first & touched
-            return own & ~led, led
+            led = np.zeros(closing.shape, dtype=bool) if first is None else first & touched
+            return closing & ~led, led
         around = np.diff(self.middles.indptr)
-        closed = self.middles @ own.astype(int)
+        closed = self.middles @ closing.astype(int)
         led = (around > 0) & ((closed == around) | ((closed == 0) & (touched | (first is None))))
-        return np.where(led, closed > 0, own), led
+        return np.where(led, closed > 0, closing), led
 
     def admissible(self, multiplier: Array) -> Array:
         """Pressures that points may have: none pulls but the corners that may be led."""
-        own = multiplier >= 0
+        pressing = multiplier >= 0
         if self.middles is not None:
-            own |= np.diff(self.middles.indptr) > 0
-        return np.where(own, multiplier, 0.0)
+            pressing |= np.diff(self.middles.indptr) > 0
+        return np.where(pressing, multiplier, 0.0)
 
     def interpolated(self, nodal: Array) -> Array:
         """Values at the points of a nodal field (n_nodes, m), shape (n_points, m)."""
@@ -244,7 +244,7 @@ class Meeting:
 class ContactState:
     """Contact at one configuration; arrays have one row a point.
 
-    ``wanted`` is the active set by the points' own decision, ``urge`` how strongly they
+    ``closing`` is the active set by the points' own decision, ``urge`` how strongly they
     want it (a pressure).
     """
 
@@ -254,7 +254,7 @@ class ContactState:
     carried: Array
     direction: Array
     hessian: Array
-    wanted: Flags
+    closing: Flags
     urge: Array
     led: Flags
 
@@ -277,7 +277,7 @@ class ContactState:
 
     def settled(self) -> bool:
         """Whether no open point wants to close."""
-        return not bool((self.wanted & ~self.active).any())
+        return not bool((self.closing & ~self.active).any())
 
     def largest_violation(self) -> float:
         """Largest |gap| of the active points, mm."""
@@ -306,7 +306,7 @@ class TiedPoints(ContactPoints):
         calm = np.zeros_like(gap)
         everywhere = np.ones(gap.shape, dtype=bool)
         return replace(
-            free, gap=gap, pressure=pressure, wanted=glue.held, urge=calm, led=everywhere
+            free, gap=gap, pressure=pressure, closing=glue.held, urge=calm, led=everywhere
         )
 
     def admissible(self, multiplier: Array) -> Array:

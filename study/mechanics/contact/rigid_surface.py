@@ -70,15 +70,15 @@ class Line:
     def distance(self, rho: Array, z: Array) -> tuple[Flags, Array]:
         """Which points lie beside the line, and the rows of a distance to it, (7, n)."""
         (r0, z0), (r1, z1) = self.start, self.end
-        found = np.zeros((7, rho.size))
+        parts = np.zeros((7, rho.size))
         length = np.hypot(r1 - r0, z1 - z0)
         if length < _TINY:
-            return np.zeros(rho.shape, dtype=bool), found
+            return np.zeros(rho.shape, dtype=bool), parts
         t_r, t_z = (r1 - r0) / length, (z1 - z0) / length
         along = (rho - r0) * t_r + (z - z0) * t_z
-        found[0] = (rho - r0) * t_z - (z - z0) * t_r
-        found[1], found[2], found[6] = t_z, -t_r, t_z / np.maximum(rho, _TINY)
-        return (along >= 0) & (along <= length), found
+        parts[0] = (rho - r0) * t_z - (z - z0) * t_r
+        parts[1], parts[2], parts[6] = t_z, -t_r, t_z / np.maximum(rho, _TINY)
+        return (along >= 0) & (along <= length), parts
 
 
 Profile = tuple[Arc | Line, ...]
@@ -147,8 +147,8 @@ def signed_distance(pieces: Profile, rho: Array, z: Array) -> Array:
     best = np.zeros((7, rho.size))
     best[0] = -np.inf
     for piece in pieces:
-        near, found = piece.distance(rho, z)
-        np.copyto(best, found, where=near & (found[0] > best[0]))
+        near, parts = piece.distance(rho, z)
+        np.copyto(best, parts, where=near & (parts[0] > best[0]))
     return best
 
 
@@ -167,28 +167,28 @@ class Press:
         z = x[:, -1] - (self.height_mm - self.speed * displacement_mm)
         if x.shape[1] == 2:
             # an iterate may throw a point across the axis, where no piece would be near
-            found = signed_distance(self.pieces, np.maximum(x[:, 0], 0.0), z)
-            hessian = np.stack([found[3:5].T, found[4:6].T], axis=-1)
-            return found[0], np.stack([found[1], found[2]], axis=-1), hessian
+            parts = signed_distance(self.pieces, np.maximum(x[:, 0], 0.0), z)
+            hessian = np.stack([parts[3:5].T, parts[4:6].T], axis=-1)
+            return parts[0], np.stack([parts[1], parts[2]], axis=-1), hessian
         return self._gap_3d(x, z)
 
     def _gap_3d(self, x: Array, z: Array) -> tuple[Array, Array, Array]:
         """Turn the plane derivatives about the axis."""
         rho = np.hypot(x[:, 0], x[:, 1])
-        found = signed_distance(self.pieces, rho, z)
+        parts = signed_distance(self.pieces, rho, z)
         safe = np.maximum(rho, _TINY)
         out = np.where((rho > _TINY)[:, None], x[:, :2] / safe[:, None], [1.0, 0.0])
         radial = np.column_stack([out, np.zeros(rho.size)])
         across = np.column_stack([-out[:, 1], out[:, 0], np.zeros(rho.size)])
         axial = np.zeros_like(radial)
         axial[:, 2] = 1.0
-        normal = found[1][:, None] * radial + found[2][:, None] * axial
-        rr, rz, zz, around = (row[:, None, None] for row in found[3:])
+        normal = parts[1][:, None] * radial + parts[2][:, None] * axial
+        rr, rz, zz, around = (row[:, None, None] for row in parts[3:])
         mixed = _outer(radial, axial)
         hessian = rr * _outer(radial, radial) + zz * _outer(axial, axial)
         hessian += rz * (mixed + mixed.transpose(0, 2, 1))
         hessian += around * _outer(across, across)
-        return found[0], normal, hessian
+        return parts[0], normal, hessian
 
     def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
         """Vertical gap and normal of small-strain contact: the shape is seen undeformed."""

@@ -243,11 +243,11 @@ class Sums(NamedTuple):
     positions: Unknowns
     #: shape (n_entries,)
     data: Array
-    #: shape (n_elements,); row of ``kept`` of the elements with constrained unknowns, negative for
-    #: all others.
+    #: shape (n_elements,); place in ``packed`` of the elements with constrained unknowns, else
+    #: negative.
     slots: Unknowns
     #: shape (n_kept, m (m + 1) / 2); packed tangents of those elements.
-    kept: Array
+    packed: Array
 
 
 @part()
@@ -367,10 +367,10 @@ def isochoric_energy(law: int, f: Array, constants: Array, work: Array, stress: 
         return energy
     if law < POLYNOMIAL and law != EXTENDED_TUBE:
         return ogden_energy(work[6, 3:6], constants)
-    known = work[SPECTRAL_ROWS + 6 if law == EXTENDED_TUBE else 6]  # I1, I2, J^-2/3, J^-4/3
-    a, b = known[2] * known[0] - 3.0, 0.0
+    invariants = work[SPECTRAL_ROWS + 6 if law == EXTENDED_TUBE else 6]  # I1, I2, J^-2/3, J^-4/3
+    a, b = invariants[2] * invariants[0] - 3.0, 0.0
     if constants.shape[1] > 1:
-        b = known[3] * known[1] - 3.0
+        b = invariants[3] * invariants[1] - 3.0
     if law != EXTENDED_TUBE:
         return invariant_energy(law, constants, a, b)
     tubes = ogden_energy(work[6, 3:6], constants[4:6].reshape(1, 2))

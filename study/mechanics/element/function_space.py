@@ -123,9 +123,9 @@ class Discretization:
 
     def pressures(self, x: Array) -> Array:
         """Pressure at every quadrature point, shape (n_elements, n_quadrature). Shapes: x (n,)."""
-        own = self.dofs[:, self.dim * self.element_nodes.shape[1] :]
-        shape = np.broadcast_to(self.pressure_shape, (*self.weights.shape, own.shape[1]))
-        return np.asarray(np.einsum("eqk,ek->eq", shape, x[own]))
+        dofs = self.dofs[:, self.dim * self.element_nodes.shape[1] :]
+        shape = np.broadcast_to(self.pressure_shape, (*self.weights.shape, dofs.shape[1]))
+        return np.asarray(np.einsum("eqk,ek->eq", shape, x[dofs]))
 
     @property
     def n_elements(self) -> int:

@@ -259,22 +259,26 @@ def read_curves(
     recorded = read_recordings(spec, root)
     curves: list[tuple[Recording, SingleTest | str]] = []
     faults: list[Fault] = []
-    told: list[str] = []
+    lines: list[str] = []
     counts: list[RowCount] = []
-    for one in recorded.tests:
+    for recording in recorded.tests:
         try:
-            test, did = specimens(one, rules)
+            test, did = specimens(recording, rules)
         except InputError as error:
             faults += error.faults
-            curves.append((one, str(error)))
-            counts.append(RowCount(one.kinetic.size, 0, {"of unreadable curves": one.kinetic.size}))
+            curves.append((recording, str(error)))
+            counts.append(
+                RowCount(
+                    recording.kinetic.size, 0, {"of unreadable curves": recording.kinetic.size}
+                )
+            )
             continue
-        told += did
+        lines += did
         counts.append(test.specimen.count)
-        curves.append((one, test))
+        curves.append((recording, test))
     if all(isinstance(curve, str) for _, curve in curves):
         raise InputError(faults)
-    notes = (*recorded.notes, *first_notes(told))
+    notes = (*recorded.notes, *first_notes(lines))
     return curves, (*notes, RowCount.sum_of(counts).sentence)
 
 
@@ -497,9 +501,9 @@ def _warnings(
         )
     for status, count in Counter(curve.status for curve in fitted).items():
         if status != "fitted":
-            one = next(curve for curve in fitted if curve.status == status)
-            lines.append(f"{count} of {len(fitted)} curves are {status}: {one.label}: "
-                        f"{one.message}")  # fmt: skip
+            example = next(curve for curve in fitted if curve.status == status)
+            lines.append(f"{count} of {len(fitted)} curves are {status}: {example.label}: "
+                        f"{example.message}")  # fmt: skip
     if words := caution(test.indenter):
         lines.append(words)
     return [*lines, *_support(test, law, min(limit_mm, deepest_mm))]

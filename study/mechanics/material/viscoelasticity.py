@@ -375,7 +375,7 @@ class _Condition:
     pull: Array
     rate: Array
     #: shape (nodes,); as there.
-    own: Array
+    relaxed: Array
     residual: Array
 
     @classmethod
@@ -400,7 +400,7 @@ class _Condition:
             free_steps(
                 memory.decay, memory.weights[0], memory.shares,
                 long_term_share(memory.material.relaxation), self.pull,
-                np.ascontiguousarray(self.rate), self.own,
+                np.ascontiguousarray(self.rate), self.relaxed,
                 np.ascontiguousarray(self.residual if residual is None else residual),
             )
         )  # fmt: skip

@@ -410,11 +410,11 @@ def _refined(moved: Array, f: Array, place: float) -> tuple[float, float]:
         slope = -np.where(beyond > 0, constants[1] + 2.0 * constants[2] * beyond, 0.0)
         across = slope - basis @ np.linalg.lstsq(basis, slope, rcond=None)[0]
         rest = y - basis @ constants
-        known = float(across @ across)
-        if not known > 0:
+        curvature = float(across @ across)
+        if not curvature > 0:
             return begun, error
-        noise = math.sqrt(float(rest @ rest) / (x.size - _UNKNOWNS) / known)
-        place = float(np.clip(place + float(across @ rest) / known, x[0], x[-1]))
+        noise = math.sqrt(float(rest @ rest) / (x.size - _UNKNOWNS) / curvature)
+        place = float(np.clip(place + float(across @ rest) / curvature, x[0], x[-1]))
     # a force that sets in without a slope has no corner to be brought to
     secant = float(f[peak] - constants[0]) / max(float(moved[peak] - place), 1e-300)
     if constants[1] < _AT_ONCE * secant:
@@ -510,8 +510,8 @@ def _least_squares(bases: Array, y: Array) -> tuple[Array, Array]:
     Shapes: bases (k, rows, constants), y (rows,); result (k,), (k, constants).
     """
     u, s, v = np.linalg.svd(bases, full_matrices=False)
-    kept = s > np.finfo(np.float64).eps * max(bases.shape[1:]) * s[:, :1]
-    shares = np.where(kept, (y @ u) / np.where(kept, s, 1.0), 0.0)
+    is_full = s > np.finfo(np.float64).eps * max(bases.shape[1:]) * s[:, :1]
+    shares = np.where(is_full, (y @ u) / np.where(is_full, s, 1.0), 0.0)
     constants = np.asarray((shares[:, None, :] @ v)[:, 0])
     left = y - (bases @ constants[:, :, None])[..., 0]
     return np.asarray((left**2).sum(axis=1)), constants

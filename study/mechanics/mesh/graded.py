@@ -112,13 +112,13 @@ def _rings(specimen: Cylinder | Block, field: SizeField, depth: Array) -> tuple[
     lengths = np.hypot(*sides.T) - ring
     straight = _rays(lengths, partial(_beside, field, 0.0))
     steps = straight.shape[1] - 1
-    asked = np.array(
+    sizes = np.array(
         [
             [_even(length, steps, partial(_beside, field, down)) for length in lengths]
             for down in depth
         ]
     )
-    outer = np.asarray((1 - _BENT) * straight + _BENT * asked)
+    outer = np.asarray((1 - _BENT) * straight + _BENT * sizes)
     inside = np.broadcast_to(ring - inner[:, ::-1], (depth.size, *inner.shape))
     radii = np.concatenate([inside, ring + outer[:, :, 1:]], axis=2).swapaxes(1, 2)
     rings = radii[..., None] * ray
@@ -128,9 +128,9 @@ def _rings(specimen: Cylinder | Block, field: SizeField, depth: Array) -> tuple[
 
 def _rays(lengths: Array, size: Size) -> Array:
     """Points along rays, of one number on all and spaced as asked where they start."""
-    found = [counted(length, size) for length in lengths]
-    n = max(2, round(float(np.mean([count[-1] for _, count in found]))))
-    return np.array([spread(s, count, n) for s, count in found])
+    counts = [counted(length, size) for length in lengths]
+    n = max(2, round(float(np.mean([count[-1] for _, count in counts]))))
+    return np.array([spread(s, count, n) for s, count in counts])
 
 
 def _sides(specimen: Cylinder | Block, ray: Array) -> Array:
@@ -180,13 +180,13 @@ def _quadrilaterals(side: int, rings: int, beyond: Array) -> Ints:
     index = np.arange(side**2).reshape(side, side)
     border = np.concatenate([index[:, -1], index[-1, -2::-1]])
     new = index.size + np.arange(rings * border.size).reshape(rings, -1)
-    found = [quads, _strips(np.vstack([border, new]))]
+    cells = [quads, _strips(np.vstack([border, new]))]
     if len(beyond):
         along_x = beyond[0, 0, 1] == 0
         last = new[-1, :side] if along_x else new[-1, side - 1 :]
         lines = new.max() + 1 + np.arange(len(beyond) * side).reshape(-1, side)
-        found.append(_strips(np.vstack([last, lines])))
-    return np.vstack(found)
+        cells.append(_strips(np.vstack([last, lines])))
+    return np.vstack(cells)
 
 
 def _strips(number: Ints) -> Ints:
@@ -200,11 +200,13 @@ def _depths(plane: Array, depth: Array, field: SizeField) -> Array:
     """Depths of the layers under each point of the plane mesh, shape (n_points, n_layers + 1)."""
     rho, steps = np.hypot(*plane.T), depth.size - 1
     radii = np.linspace(0, rho.max(), _COLUMNS)
-    own = np.array([_even(field.top_mm, steps, partial(_below, field, at)) for at in radii])
+    depths = np.array([_even(field.top_mm, steps, partial(_below, field, at)) for at in radii])
     place = rho / rho.max() * (_COLUMNS - 1)
     low = np.minimum(place.astype(int), _COLUMNS - 2)
     part = (place - low)[:, None]
-    return np.asarray((1 - _BENT) * depth + _BENT * ((1 - part) * own[low] + part * own[low + 1]))
+    return np.asarray(
+        (1 - _BENT) * depth + _BENT * ((1 - part) * depths[low] + part * depths[low + 1])
+    )
 
 
 def _even(length: float, steps: int, size: Size) -> Array:

@@ -214,8 +214,8 @@ def _tamed(mesh: Mesh, moved: Array) -> Array:
 
 def _volumes(mesh: Mesh, points: Array) -> Array:
     """Signed volume (times a constant) at the corners of elements, shape (corners, n_cells)."""
-    found = []
+    volumes = []
     for vertex, *others in _CORNERS[_kind(mesh)]:
         origin = points[mesh.cells[:, vertex]]
-        found.append(np.linalg.det(points[mesh.cells[:, others]] - origin[:, None]))
-    return np.array(found)
+        volumes.append(np.linalg.det(points[mesh.cells[:, others]] - origin[:, None]))
+    return np.array(volumes)

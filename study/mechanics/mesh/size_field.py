@@ -302,40 +302,40 @@ def table_callback() -> CFunction:
     return made
 
 
-def graded_table(found: Body, size_mm: float, plates: tuple[float, ...]) -> SizeTable:
+def graded_table(body: Body, size_mm: float, plates: tuple[float, ...]) -> SizeTable:
     """Sizes in a body whose faces are bonded at some heights. Units: found mm; plates mm."""
-    low, high = found.points.min(axis=0), found.points.max(axis=0)
+    low, high = body.points.min(axis=0), body.points.max(axis=0)
     step = max(size_mm / _PER_ELEMENT, float((high - low).max()) / _MOST)
     axes = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     reach = (1 - CORNER_FRACTION) * size_mm / GROWTH  # farther away sizes grow no more
-    beside = _spacing(_from_sides(found, places.reshape(-1, 3), step, reach), size_mm)
+    spacing = _spacing(_from_sides(body, places.reshape(-1, 3), step, reach), size_mm)
     below = _spacing(_from_plates(axes[2], plates), size_mm)
-    sizes = _told(found, size_mm) * np.cbrt(size_mm * beside.reshape(places.shape[:3]) * below)
+    sizes = _told(body, size_mm) * np.cbrt(size_mm * spacing.reshape(places.shape[:3]) * below)
     return SizeTable(size_mm, low, step, sizes)
 
 
-def expected_cubes(found: Body, size_mm: float, plates: tuple[float, ...]) -> float:
+def expected_cubes(body: Body, size_mm: float, plates: tuple[float, ...]) -> float:
     """Cubes of the sizes that gmsh is told, in a body as if it were a prism."""
     # At a distance s from the side, a prism of volume V and lateral area A has the part (1 - s A /
     # 2V)^2 of its cross-section left.
-    height = found.height_mm
+    height = body.height_mm
     z = np.unique(np.concatenate([np.abs(p - _away(height)) for p in (0.0, height)]))
     high = float(np.trapezoid(1 / _spacing(_from_plates(z, plates), size_mm), z))
-    reach = 2 * found.volume_mm3 / Triangles(found.points, _side(found)).area_mm2
+    reach = 2 * body.volume_mm3 / Triangles(body.points, _side(body)).area_mm2
     s = _away(reach)
     wide = float(np.trapezoid(2 / reach * (1 - s / reach) / _spacing(s, size_mm), s))
-    return found.volume_mm3 / height * wide * high / size_mm / _told(found, size_mm) ** 3
+    return body.volume_mm3 / height * wide * high / size_mm / _told(body, size_mm) ** 3
 
 
-def size_at_plates(found: Body, size_mm: float) -> float:
+def size_at_plates(body: Body, size_mm: float) -> float:
     """Size that gmsh is told at a bonded plate, far from its rim."""
-    return float(_told(found, size_mm) * size_mm * np.cbrt(CORNER_FRACTION))
+    return float(_told(body, size_mm) * size_mm * np.cbrt(CORNER_FRACTION))
 
 
-def _told(found: Body, size_mm: float) -> float:
+def _told(body: Body, size_mm: float) -> float:
     """Size that gmsh is told over that of the cells, less in a crude mesh and in a squat body."""
-    length = min(float(np.cbrt(found.volume_mm3)), _SQUAT * found.height_mm)
+    length = min(float(np.cbrt(body.volume_mm3)), _SQUAT * body.height_mm)
     return _TOLD * max(1 - _LESS * size_mm / length, 0.5)
 
 
@@ -353,18 +353,18 @@ def _from_plates(z: Array, plates: tuple[float, ...]) -> Array:
     return np.asarray(np.min([np.abs(z - plate) for plate in plates], axis=0))
 
 
-def _side(found: Body) -> Ints:
+def _side(body: Body) -> Ints:
     """Triangles that lie in no plate, shape (m, 3)."""
-    return np.asarray(found.triangles[~(found.top | found.base)])
+    return np.asarray(body.triangles[~(body.top | body.base)])
 
 
-def _from_sides(found: Body, places: Array, step: float, reach: float) -> Array:
+def _from_sides(body: Body, places: Array, step: float, reach: float) -> Array:
     """Distance from the free surface, up to about half a step; infinite beyond ``reach``."""
     from scipy.spatial import cKDTree
 
-    points = _sampled(found.points[_side(found)], step)
-    _, kept = np.unique(np.round(points / (0.5 * step)).astype(int), axis=0, return_index=True)
-    nearest = cKDTree(points[kept]).query  # of a tree of points: no text is evaluated by it
+    points = _sampled(body.points[_side(body)], step)
+    _, distinct = np.unique(np.round(points / (0.5 * step)).astype(int), axis=0, return_index=True)
+    nearest = cKDTree(points[distinct]).query  # of a tree of points: no text is evaluated by it
     return np.asarray(nearest(places, distance_upper_bound=reach)[0])
 
 

@@ -175,22 +175,24 @@ _UNKNOWNS = {"quadratic": 5.0, "linear": 4.0}
 
 def surface_mesh(setup: Setup) -> Mesh:
     """Tetrahedra in a specimen given as a surface; a ``mesh_seed`` gives others of that size."""
-    found = _body_of(setup)
-    frame = standard_frame(found, setup.model.mesh_seed)
-    field = _field(setup, standard_frame(found).body)
+    solid = _body_of(setup)
+    frame = standard_frame(solid, setup.model.mesh_seed)
+    field = _field(setup, standard_frame(solid).body)
     plates = _bonded(setup, frame.body)
     sizes = graded_table(frame.body, field.size_mm, plates) if plates else field
     points, cells = _tetrahedra(frame.body, sizes)
-    points = snapped(frame.back(points), [(2, 0.0), (2, found.height_mm)])
+    points = snapped(frame.back(points), [(2, 0.0), (2, solid.height_mm)])
     # both plates are reached: where the ends are round, no node may lie on their poles
-    points[points[:, 2].argmin(), 2], points[points[:, 2].argmax(), 2] = 0.0, found.height_mm
-    own = _volume(points, cells)
-    lost = abs(own / found.volume_mm3 - 1)
+    points[points[:, 2].argmin(), 2], points[points[:, 2].argmax(), 2] = 0.0, solid.height_mm
+    volume = _volume(points, cells)
+    lost = abs(volume / solid.volume_mm3 - 1)
     if lost > _LOST:
-        rule = f"the mesh has {own:.4g} mm^3 where the surface encloses {found.volume_mm3:.4g} mm^3"
+        rule = (
+            f"the mesh has {volume:.4g} mm^3 where the surface encloses {solid.volume_mm3:.4g} mm^3"
+        )
         finer = field.size_mm * float(np.sqrt(_LOST / lost))
         raise MeshError(f"{rule}: a mesh_size of {finer:.2g} mm or less follows the shape")
-    wider = float(np.sqrt(found.volume_mm3 / _volume(points, cells)))
+    wider = float(np.sqrt(solid.volume_mm3 / _volume(points, cells)))
     points, cells = np.asarray(points * np.array([wider, wider, 1.0])), turned(points, cells)
     return Mesh(points, cells, False, field.size_mm, sizes.finest_mm)
 
@@ -203,29 +205,29 @@ def surface_mesh_size(setup: Setup) -> float:
 def expected_unknowns(setup: Setup) -> float:
     """Unknowns that the mesh of a problem will have, from volume, surface and sizes alone."""
     # Right within a factor of 1.5, of 1.3 under an indenter; of 3 in a body thinner than elements.
-    found = standard_frame(_body_of(setup)).body
-    field = _field(setup, found)
-    plates, finest = _bonded(setup, found), field.size_mm
+    solid = standard_frame(_body_of(setup)).body
+    field = _field(setup, solid)
+    plates, finest = _bonded(setup, solid), field.size_mm
     if isinstance(setup.grading, AroundContact):
         # where the axis misses the body little may be left of the sum, but no element is larger
-        cubes = max(_cubes(found, field), found.volume_mm3 / field.largest_mm**3)
+        cubes = max(_cubes(solid, field), solid.volume_mm3 / field.largest_mm**3)
         cells = _GROWING_PER_CUBE * cubes + _GROWING_BESIDE * float(cubes ** (2 / 3))
         finest = field.largest_mm
     elif plates:
-        cells = _PER_CUBE * expected_cubes(found, field.size_mm, plates)
-        finest = size_at_plates(found, field.size_mm)
+        cells = _PER_CUBE * expected_cubes(solid, field.size_mm, plates)
+        finest = size_at_plates(solid, field.size_mm)
     else:
-        cells = _PER_CUBE * found.volume_mm3 / field.size_mm**3
-    thin = _PER_SQUARE * found.area_mm2 / finest**2
+        cells = _PER_CUBE * solid.volume_mm3 / field.size_mm**3
+    thin = _PER_SQUARE * solid.area_mm2 / finest**2
     return _UNKNOWNS[setup.model.element_order] * max(cells, thin)
 
 
-def _cubes(found: Body, field: SizeField) -> float:
+def _cubes(solid: Body, field: SizeField) -> float:
     """Integral of 1 / h^3 over the body: over pyramids from the point of contact to each triangle.
 
     Those of triangles that face the contact count as negative, as in Gauss' theorem.
     """
-    corners = found.points[found.triangles] - [0.0, 0.0, found.axis_height_mm]
+    corners = solid.points[solid.triangles] - [0.0, 0.0, solid.axis_height_mm]
     while len(corners) < _SAMPLED:
         a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
         ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
@@ -242,7 +244,7 @@ def _cubes(found: Body, field: SizeField) -> float:
         places = np.column_stack([np.bincount(group, weights=c) / count for c in places.T])
         volumes = np.bincount(group, weights=volumes).astype(float)
     t = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 80)])
-    h = field.at(places[:, :1] * t, found.axis_height_mm + places[:, 1:] * t)
+    h = field.at(places[:, :1] * t, solid.axis_height_mm + places[:, 1:] * t)
     return float((3 * volumes * np.trapezoid(t**2 / h**3, t, axis=1)).sum())
 
 
@@ -252,65 +254,65 @@ def _body_of(setup: Setup) -> Body:
     return body(setup.specimen)
 
 
-def _field(setup: Setup, found: Body) -> SizeField:
+def _field(setup: Setup, solid: Body) -> SizeField:
     """Sizes of an indented surface; of a compressed one before bonded plates are looked at."""
     grading, model = setup.grading, setup.model
     if isinstance(grading, AroundContact):
-        extent = min(found.height_mm, found.half_width_mm, _followed(found) / LARGEST)
+        extent = min(solid.height_mm, solid.half_width_mm, _followed(solid) / LARGEST)
         if extent <= 0:
             mend = "choose press_x and press_y inside its outline"
             raise InputError(Fault("specimen.press_x", "is on the edge of the specimen", mend))
         # where the indenter comes down on a round body is lower than its highest point
-        return size_field(model, grading, found.axis_height_mm, extent)
-    per_length = GRADED_PER_LENGTH if _bonded(setup, found) else CELLS_PER_LENGTH
-    usual = found.volume_mm3 ** (1 / 3) / per_length
+        return size_field(model, grading, solid.axis_height_mm, extent)
+    per_length = GRADED_PER_LENGTH if _bonded(setup, solid) else CELLS_PER_LENGTH
+    usual = solid.volume_mm3 ** (1 / 3) / per_length
     return SizeField.uniform(model.mesh_size_mm or usual * mesh_level(model))
 
 
 @functools.lru_cache(maxsize=8)
-def _followed(found: Body) -> float:
+def _followed(solid: Body) -> float:
     """Largest reference size whose straight sides follow the round parts on a coarse mesh too."""
-    rounding = found.rounding_mm(FEATURE)
+    rounding = solid.rounding_mm(FEATURE)
     if not rounding:
         return float("inf")
-    coarse = np.sqrt(_SHARE * _LOST * _SAGITTA * found.volume_mm3 / rounding)
+    coarse = np.sqrt(_SHARE * _LOST * _SAGITTA * solid.volume_mm3 / rounding)
     return float(coarse / mesh_level(Model(mesh="coarse")))
 
 
-def _bonded(setup: Setup, found: Body) -> tuple[float, ...]:
+def _bonded(setup: Setup, solid: Body) -> tuple[float, ...]:
     """Heights of the bonded faces of a compressed surface."""
     grading, plates = setup.grading, []
     if isinstance(grading, AroundContact):
         return ()
-    if grading.base and found.touches("base"):
+    if grading.base and solid.touches("base"):
         plates.append(0.0)
-    if grading.top and found.touches("top"):
-        plates.append(found.height_mm)
+    if grading.top and solid.touches("top"):
+        plates.append(solid.height_mm)
     return tuple(plates)
 
 
-def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]:
+def _tetrahedra(solid: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]:
     try:
-        return _between(found, field, FEATURE)
+        return _between(solid, field, FEATURE)
     except MeshError as first:
         try:
-            return _between(found, field, ROUGH)
+            return _between(solid, field, ROUGH)
         except MeshError:
             # a unit that was mistaken is told with what came of it
-            raise MeshError("; ".join([str(first), *found.notes])) from None
+            raise MeshError("; ".join([str(first), *solid.notes])) from None
 
 
-def _between(found: Body, field: SizeField | SizeTable, sharp: float) -> tuple[Array, Ints]:
+def _between(solid: Body, field: SizeField | SizeTable, sharp: float) -> tuple[Array, Ints]:
     """Tetrahedra between faces that end at edges sharper than ``sharp`` (rad)."""
     size = size_callback(3) if isinstance(field, SizeField) else table_callback()
     # without their last digits: sums over a surface end in others on each processor
     numbers = np.array(field.numbers(), np.float32).astype(float)
     with gmsh_session(size, numbers) as gmsh:
         try:
-            mesh, n = gmsh.model.mesh, len(found.points)
+            mesh, n = gmsh.model.mesh, len(solid.points)
             tag = gmsh.model.addDiscreteEntity(2)
-            mesh.addNodes(2, tag, np.arange(1, n + 1), found.points.ravel())
-            mesh.addElementsByType(tag, 2, [], (found.triangles + 1).ravel())
+            mesh.addNodes(2, tag, np.arange(1, n + 1), solid.points.ravel())
+            mesh.addElementsByType(tag, 2, [], (solid.triangles + 1).ravel())
             mesh.classifySurfaces(sharp, True, True, sharp)
             mesh.createGeometry()
             faces = [face for _, face in gmsh.model.getEntities(2)]
@@ -339,13 +341,13 @@ def surface_faults(setup: Setup) -> Iterator[Fault]:
         yield Fault("model.element_shape", rule, 'write element_shape = "tetrahedron"')
     if model.space == "axisymmetric" or model.element_shape == "tensor":
         return
-    found = body(specimen)
-    if specimen.clamp_below_mm is None and not found.touches("base"):
+    solid = body(specimen)
+    if specimen.clamp_below_mm is None and not solid.touches("base"):
         rule = "no face of the specimen lies in the plane of its lowest point: nothing holds it"
         mend = "hold it with clamp_below, turn it with axis, or raise plate_tolerance"
         yield Fault("test.base", rule, mend)
     bonded = any(f.face == "top" and f.is_held and f.within_mm is None for f in setup.faces)
-    if bonded and not found.touches("top"):
+    if bonded and not solid.touches("top"):
         rule = "no face of the specimen lies in the plane of its highest point: nothing to bond"
         mend = 'use interface = "frictionless", turn it with axis, or raise plate_tolerance'
         yield Fault("test.interface", rule, mend)

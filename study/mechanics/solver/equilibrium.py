@@ -172,7 +172,7 @@ def least_stiffness(system: System) -> tuple[float, Array]:
 
     below = values < -_ROUNDING * np.abs(values).max()
     negative = [of(int(k)) for k in np.flatnonzero(below)]
-    return max(negative, key=lambda one: volume_share(system, one[1]), default=of(-1))
+    return max(negative, key=lambda candidate: volume_share(system, candidate[1]), default=of(-1))
 
 
 def has_inertia_of_factors(system: System) -> bool:
@@ -225,7 +225,7 @@ def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, .
         constraints=held,
         blocks=ContactBlocks.of(system.contact, space.dim, pattern),
         tangent=Tangent.of(pattern, space.dofs),
-        kept=KeptFactors(direct, pattern),
+        factors=KeptFactors(direct, pattern),
         latest=Latest(),
     )
     parity = (-1 if axis == 0 else 1, -1 if axis == 1 else 1, -1 if turns else 1)
@@ -339,13 +339,16 @@ class Equilibria:
         return {
             "reaction": {
                 name: {
-                    "axial": [one.axial for one in body],
-                    "side": [one.side.tolist() for one in body],
-                    "moment": [one.moment.tolist() for one in body],
+                    "axial": [equilibrium.axial for equilibrium in body],
+                    "side": [equilibrium.side.tolist() for equilibrium in body],
+                    "moment": [equilibrium.moment.tolist() for equilibrium in body],
                 }
                 for name, body in (("plate", self.plate), ("base", self.base))
             },
-            "contact": {name: [getattr(one, name) for one in self.contact] for name in figures},
+            "contact": {
+                name: [getattr(equilibrium, name) for equilibrium in self.contact]
+                for name in figures
+            },
             "instability": None if self.instability is None else self.instability.to_json(),
         }
 

@@ -74,8 +74,8 @@ def _unit(setup: Setup, *, doubted: bool) -> Iterator[Fault]:
     specimen = setup.specimen
     if not isinstance(specimen, Surface):
         return
-    found = body(specimen)
-    extent = float(np.ptp(found.points, axis=0).max())
+    solid = body(specimen)
+    extent = float(np.ptp(solid.points, axis=0).max())
     if extent > LARGEST_MM or (doubted and not PLAUSIBLE_MM[0] <= extent <= PLAUSIBLE_MM[1]):
         size, meant = f"{extent:.3g} mm large", "m" if extent < PLAUSIBLE_MM[0] else "mm"
         rule = f"the surface is {size} if its file is in {specimen.unit}"
@@ -130,7 +130,7 @@ def solve(
             start_from = partial(LoadPath, system, problem, options, gradients, progress)
             run = start_from(warm).to_the_end()
             if warm is not None and run.may_do_better():
-                system.kept.forget()
+                system.factors.forget()
                 run = start_from(None).to_the_end()
             return run.solution(time.perf_counter() - began)
     except MemoryError as error:
@@ -174,27 +174,27 @@ def follow(
     mesh = warm.system.mesh
     mode = bent.mode[: len(mesh.points)]
     whole, shape = mirrored(mesh, mode, bent.parity, warm.system.mesh.height_mm)
-    found = part
+    branch = part
     for share in IMPERFECTIONS:
         points = whole.points + share * 2 * specimen.half_width_mm * shape
-        found = solve(
+        branch = solve(
             solid, gradients=gradients, options=options, progress=progress,
             mesh=replace(whole, points=points),
         )  # fmt: skip
-        if found.converged:
+        if branch.converged:
             break
-    said = (
+    message = (
         f"{bent.sentence}; followed on the whole body in elements of {mesh.size_mm:.3g} mm, "
-        f"bent by {100 * share:g} % of its thickness into that mode: {found.message}"
+        f"bent by {100 * share:g} % of its thickness into that mode: {branch.message}"
     )
-    return replace(found, message=said, equilibria=replace(found.equilibria, instability=bent))
+    return replace(branch, message=message, equilibria=replace(branch.equilibria, instability=bent))
 
 
 def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None) -> System:
     if warm is not None and warm.warm is not None:
         system = warm.warm.system
         system = replace(system, material=problem.material, latest=replace(system.latest))
-        system.kept.forget()
+        system.factors.forget()
         return system
     return System.build(
         problem,
@@ -269,9 +269,9 @@ class PrescribedMotion:
         guess[system.constraints.dofs] = system.prescribed(float(motion[0]))
         start = replace(near.state, displacement_mm=float(motion[0]), x=guess)
         if (system.volume_ratios(guess) > 0).all():
-            found = solve_step(system, start, self._settings)
-            if found.converged:
-                return self._described(system, motion, found.state)
+            step = solve_step(system, start, self._settings)
+            if step.converged:
+                return self._described(system, motion, step.state)
         if not halvings:
             raise NoEquilibrium("no equilibrium was found at the plate motion that fits")
         middle = self._reached(0.5 * (motion + near.motion), near, halvings - 1)
@@ -484,25 +484,25 @@ def write_vtu(solution: Solution, path: str | Path, step: int = -1, *, whole: bo
     """
     import meshio
 
-    found = fields(solution, step)
-    found = found.whole() if whole else found
-    tensor = found.cellular["cauchy_stress_MPa"].reshape(-1, 3, 3)
+    arrays = fields(solution, step)
+    arrays = arrays.whole() if whole else arrays
+    tensor = arrays.cellular["cauchy_stress_MPa"].reshape(-1, 3, 3)
     mean = np.trace(tensor, axis1=1, axis2=2) / 3
     deviator = tensor - mean[:, None, None] * np.eye(3)
     cellular = {
         "mean_stress_MPa": mean,
         "von_mises_MPa": np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))),
-        **found.cellular,
+        **arrays.cellular,
     }
     mesh = meshio.Mesh(
-        found.points,
-        [(found.kind, found.cells)],
-        point_data={"displacement_mm": found.displacement, **found.nodal},
+        arrays.points,
+        [(arrays.kind, arrays.cells)],
+        point_data={"displacement_mm": arrays.displacement, **arrays.nodal},
         cell_data={name: [values] for name, values in cellular.items()},
     )
     mesh.write(path, file_format="vtu")
     # what is of the whole file meshio does not write
-    facts = {"displacement_mm": [found.displacement_mm], "modelled_share": [found.share]}
+    facts = {"displacement_mm": [arrays.displacement_mm], "modelled_share": [arrays.share]}
     bodies = {"plate": solution.equilibria.plate[step], "base": solution.equilibria.base[step]}
     for name, held in bodies.items():
         facts[f"{name}_axial_N"] = [held.axial]
@@ -515,7 +515,7 @@ def write_vtu(solution: Solution, path: str | Path, step: int = -1, *, whole: bo
         for name, values in facts.items()
     ]
     grid = "<UnstructuredGrid>"
-    data = f"{grid}\n<!-- {found.symmetry} -->\n<FieldData>{''.join(rows)}</FieldData>"
+    data = f"{grid}\n<!-- {arrays.symmetry} -->\n<FieldData>{''.join(rows)}</FieldData>"
     path = Path(path)
     written = read_existing(path, limit=path.stat().st_size)
     path.write_bytes(written.replace(grid.encode(), data.encode(), 1))
@@ -560,8 +560,8 @@ def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:
     linear, kind = KINDS[(dim, n)], QUADRATIC[KINDS[(dim, n)]]
     if local < n + len(MIDDLES[kind]):  # bubbles are not drawn
         return linear, corners
-    own = space.element_nodes
-    rest = own[~(own[:, :, None] == corners[:, None, :]).any(axis=2)].reshape(len(own), -1)
+    nodes = space.element_nodes
+    rest = nodes[~(nodes[:, :, None] == corners[:, None, :]).any(axis=2)].reshape(len(nodes), -1)
     middles = [middle_nodes(space, rest, corners[:, list(middle)]) for middle in MIDDLES[kind]]
     return kind, np.column_stack([corners, *middles])
 

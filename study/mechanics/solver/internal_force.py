@@ -246,10 +246,10 @@ class Internal:
         shapes, sums = self.space.shapes, _NOWHERE if into is None else into.sums
 
         def loop(elements: Elements) -> float:
-            found = assembly.assemble(
+            assembled = assembly.assemble(
                 elements, shapes, energy, x, self.residuals, into is not None, sums
             )
-            return float(found)
+            return float(assembled)
 
         return smallest(self.phases, loop)
 
@@ -279,8 +279,8 @@ class Tangent:
         edge = np.flatnonzero((pattern.number[dofs] < 0).any(axis=1)).astype(np.int32)
         slots = np.full(len(dofs), -1, dtype=np.int32)
         slots[edge] = np.arange(edge.size, dtype=np.int32)
-        kept = np.full((edge.size, pattern.positions.shape[1]), 0.0)
-        return cls(pattern, dofs, edge, Sums(pattern.positions, data, slots, kept))
+        values = np.full((edge.size, pattern.positions.shape[1]), 0.0)
+        return cls(pattern, dofs, edge, Sums(pattern.positions, data, slots, values))
 
     @property
     def data(self) -> Array:
@@ -289,16 +289,16 @@ class Tangent:
 
     def product(self, v: Array, data: Array | None = None) -> Array:
         """Tangent times ``v``, shape (n,), constrained rows and columns included."""
-        out, entries = self.beside(v), self.data if data is None else data
+        out, entries = self.constrained_product(v), self.data if data is None else data
         free, pattern = self.pattern.free, self.pattern
         out[free] += symmetric_product(pattern.indptr, pattern.indices, entries, v[free])
         return out
 
-    def beside(self, v: Array) -> Array:
+    def constrained_product(self, v: Array) -> Array:
         """Product with the entries of constrained rows and columns alone, shape (n,)."""
         out = np.zeros(v.size)
         assembly.constrained_product(
-            self.edge, self.dofs, self.pattern.positions, self.sums.kept, v, out
+            self.edge, self.dofs, self.pattern.positions, self.sums.packed, v, out
         )
         return out
 
@@ -323,7 +323,7 @@ class ContactBlocks:
         cls, contact: Iterable[ContactPoints], dim: int, pattern: Pattern
     ) -> tuple[ContactBlocks, ...]:
         """Take the memory for each set of contact points."""
-        found = []
+        blocks = []
         for points in contact:
             dofs = points.dofs(dim)
             positions = pattern.locate(dofs)
@@ -331,15 +331,15 @@ class ContactBlocks:
             edge = np.flatnonzero(~inside.all(axis=1)).astype(np.int32)
             packed = np.zeros(positions.shape)
             each = dofs.astype(np.int32), positions, packed, inside, edge
-            found.append(cls(points, *each))
-        return tuple(found)
+            blocks.append(cls(points, *each))
+        return tuple(blocks)
 
     def fill(self, packed: Array, data: Array) -> None:
         """Add blocks to the entries of a pattern."""
         self.packed[:] = packed
         np.add.at(data, self.positions[self._inside], packed[self._inside])
 
-    def add_beside(self, v: Array, out: Array) -> None:
+    def add_constrained(self, v: Array, out: Array) -> None:
         """Add the product with the entries of constrained rows and columns alone."""
-        kept = self.packed[self._edge]
-        assembly.constrained_product(self._edge, self.dofs, self.positions, kept, v, out)
+        values = self.packed[self._edge]
+        assembly.constrained_product(self._edge, self.dofs, self.positions, values, v, out)

@@ -338,8 +338,8 @@ class Pardiso(LinearSolver):
 
     def negative_pivots(self) -> int | None:
         """Count of MKL, 2 x 2 pivots included; a perturbed pivot may have lost its sign."""
-        known = self._analyzed and self._unperturbed()
-        return int(self._iparm[_NEGATIVE - 1]) if known else None
+        certain = self._analyzed and self._unperturbed()
+        return int(self._iparm[_NEGATIVE - 1]) if certain else None
 
     def close(self) -> None:
         """Release the memory that MKL holds for this factorization."""
@@ -460,10 +460,10 @@ class KeptFactors:
         if self._expected(tolerance) > budget:
             self._sensitivity *= _FADES
             return None
-        found, count, left = self._krylov(data, right, scale, tolerance, budget)
+        solution, count, left = self._krylov(data, right, scale, tolerance, budget)
         self._spent.append(count)
         self._sensitivity = min(left ** (1 / count), 1.0) / self._change
-        return found
+        return solution
 
     def solve_afresh(self, data: Array, right: Array, scale: Array, tolerance: float) -> Array:
         """Solve with the factors of this very matrix, corrected where they are not exact.
@@ -471,9 +471,9 @@ class KeptFactors:
         Where corrections do not do, it is factorized once more, in double precision.
         """
         if not self.solver.exact:
-            found, _, _ = self._krylov(data, right, scale, tolerance, _CORRECTIONS)
-            if found is not None:
-                return found
+            solution, _, _ = self._krylov(data, right, scale, tolerance, _CORRECTIONS)
+            if solution is not None:
+                return solution
             self.solver.sharpen()
             self.solver.factorize(data)
         return self.solver.solve(right)

@@ -92,8 +92,8 @@ def lost_ellipticity(system: System, state: State) -> str:
     F = deformation_gradient(system.space, system.displacements(state.x))
     F = F.reshape(3, 3, -1)
     most = np.argsort(-np.einsum("ijq,ijq->q", F, F))[:_LOOKED_AT]
-    found = np.linalg.svd(np.moveaxis(F[:, :, most], -1, 0), compute_uv=False)
-    stretches: Array = np.array(found.T, dtype=np.float64)
+    singular_values = np.linalg.svd(np.moveaxis(F[:, :, most], -1, 0), compute_uv=False)
+    stretches: Array = np.array(singular_values.T, dtype=np.float64)
     margin = ellipticity(system.material, stretches)
     if margin.min() > 0:
         return ""
@@ -167,7 +167,7 @@ class LoadPath:
         warm: Solution | None,
     ) -> None:
         self.system, self.problem, self.options = system, problem, options
-        self.wanted = problem.material.names if gradients else ()
+        self.gradients_of = problem.material.names if gradients else ()
         self.warm = warm.warm if warm is not None else None
         steps = () if self.warm is None else self.warm.steps
         self._warm_steps = {step.state.displacement_mm: step for step in steps}
@@ -211,14 +211,14 @@ class LoadPath:
         Curves of one problem then have the same points, and their difference is one of forces.
         """
         test = self.problem.test
-        asked = [test.depth_mm * k / test.steps for k in range(1, test.steps + 1)]
+        steps = [test.depth_mm * k / test.steps for k in range(1, test.steps + 1)]
         followed = (
             self._warm_steps if self._follows and self.options.curve_error is not None else ()
         )
-        added = [d for d in followed if d < asked[-1]]
+        added = [d for d in followed if d < steps[-1]]
         near = 1e-9 * self.system.mesh.height_mm
-        others = [d for d in added if min(abs(d - own) for own in asked) > near]
-        return sorted([*asked, *others])
+        others = [d for d in added if min(abs(d - depth) for depth in steps) > near]
+        return sorted([*steps, *others])
 
     def _advance(self, target: float, halvings: int) -> bool:
         """Reach a displacement and write it down, in halves where energy does not add up."""
@@ -229,8 +229,8 @@ class LoadPath:
         # made here, for other steps may be assembled before it is written down
         step = self._step(result, self.state, spent)
         unstable = self._gives_way(step)
-        known = len(self.snaps) > snaps
-        jumped = not known and self._jumped_to(step)
+        snapped = len(self.snaps) > snaps
+        jumped = not snapped and self._jumped_to(step)
         if jumped and halvings and not self.system.sticks:
             there, middle = self._place(), 0.5 * (place[0].displacement_mm + target)
             self._return_to(place)
@@ -276,9 +276,9 @@ class LoadPath:
         if last.displacement_mm > self._known_to_stand and is_unstable(self.system, last):
             self._refuse(last, self.system)
             return
-        found = swaying(self.system, self.problem)
-        if found is not None and is_unstable(found[0], last):
-            self._refuse(last, *found)
+        mode = swaying(self.system, self.problem)
+        if mode is not None and is_unstable(mode[0], last):
+            self._refuse(last, *mode)
 
     def _refuse(
         self, unstable: State, system: System, sway: str = "", parity: tuple[int, ...] = (1, 1, 1)
@@ -494,10 +494,10 @@ class LoadPath:
         """
         for place_mm in places_mm:
             start = replace(state, displacement_mm=place_mm)
-            found = solve_step(self.system, start, self.options.newton, lifted_from=lift)
-            if not (found.converged and _near(found, self.system.volume_ratios(state.x))):
+            lifted = solve_step(self.system, start, self.options.newton, lifted_from=lift)
+            if not (lifted.converged and _near(lifted, self.system.volume_ratios(state.x))):
                 continue
-            step = self._step(found, found.state, found.iterations)
+            step = self._step(lifted, lifted.state, lifted.iterations)
             if arrived is None or not self._lies_apart(step, arrived):
                 self._add(step)
                 return
@@ -543,7 +543,7 @@ class LoadPath:
         self.previous, self.state, self.J = self.state, result.state, result.J
         self.min_j = assembly.min_j
         if self.system.sticks:
-            rates = self._gradients(result).constants if self.wanted else {}
+            rates = self._gradients(result).constants if self.gradients_of else {}
             along = {name: rate.x for name, rate in rates.items()}
             self.state = self.system.held(result.state, assembly, along)
 
@@ -556,7 +556,7 @@ class LoadPath:
         """Force and derivatives of a converged state, computed once."""
         if self._latest is None or self._latest[0] is not result:
             assembly = result.equilibrium()
-            row = step_gradients(self.system, result.state, assembly, wanted=self.wanted)
+            row = step_gradients(self.system, result.state, assembly, parameters=self.gradients_of)
             self._latest = result, row
         return self._latest[1]
 
@@ -621,9 +621,9 @@ class LoadPath:
         there = at > 0 and self._lies_apart(self.steps[at - 1], step)
         return not (there and self._lies_apart(step, self.steps[at]))
 
-    def _equilibria(self, kept: Ints) -> Equilibria:
+    def _equilibria(self, steps: Ints) -> Equilibria:
         """Reactions and contact of some steps, given by their places."""
-        plate, base, contact = (tuple(self.steps[n].held[k] for n in kept) for k in range(3))
+        plate, base, contact = (tuple(self.steps[n].held[k] for n in steps) for k in range(3))
         return Equilibria(plate, base, contact, self.instability)
 
     def _balance(self) -> tuple[EnergyBalance, Array]:
@@ -637,7 +637,7 @@ class LoadPath:
             np.array(self._reached),
             np.array([row.force_N for row in rows]),
             np.array([row.stiffness_N_per_mm for row in rows]),
-            {n: np.array([row.force_gradient[n] for row in rows]) for n in self.wanted},
+            {n: np.array([row.force_gradient[n] for row in rows]) for n in self.gradients_of},
             work_Nmm,
             is_conjugate=self.system.constraints.axial is None,
             quantities=self._equilibria(np.arange(len(rows))).quantities(),
@@ -647,8 +647,8 @@ class LoadPath:
         """Return what was written down; ``seconds`` is the time that it took."""
         system, state, lost = self.system, self.state, self._lost()
         # the steps that were requested, or all, with the iterations of those left out before them
-        kept = np.flatnonzero(self._asked | (self.options.curve_error is not None))
-        total = np.cumsum([0, *(step.iterations for step in self.steps)])[np.r_[0, kept + 1]]
+        steps = np.flatnonzero(self._asked | (self.options.curve_error is not None))
+        total = np.cumsum([0, *(step.iterations for step in self.steps)])[np.r_[0, steps + 1]]
         balance, work = self._balance()
         curve, gave_way = self._curve(work), bool(lost) or self.instability is not None
         status = "converged" if self._complete else "unstable" if gave_way else "not-converged"
@@ -657,11 +657,11 @@ class LoadPath:
         return Solution(
             status=status,
             message=self._message(lost, curve),
-            curve=curve.at_points(kept),
-            energy=balance.at_points(kept),
+            curve=curve.at_points(steps),
+            energy=balance.at_points(steps),
             reached_mm=state.displacement_mm,
             min_j=self.min_j,
-            equilibria=self._equilibria(kept),
+            equilibria=self._equilibria(steps),
             newton_iterations=tuple(int(n) for n in np.diff(total)),
             dofs=system.dofs,
             elements=system.space.n_elements,
@@ -672,49 +672,49 @@ class LoadPath:
             points=system.mesh.points,
             cells=system.mesh.cells,
             displacement=system.displacements(state.x)[: len(system.mesh.points)],
-            warm=Warm(system, tuple(self.steps[k] for k in kept)),
+            warm=Warm(system, tuple(self.steps[k] for k in steps)),
         )
 
     def _message(self, lost: str, curve: Curve) -> str:
         """Say how the run ended, and what was mended or is not as it should be."""
-        said = ["every step converged"]
+        sentences = ["every step converged"]
         if self.snaps:
             places = ", ".join(f"{d:.3g}" for d in sorted(self.snaps))
-            said.append(f"past {places} mm the surface snapped to another equilibrium")
+            sentences.append(f"past {places} mm the surface snapped to another equilibrium")
             lost_share = self._balance()[0].largest_mismatch
             if lost_share > _MUCH_LOST:
-                said.append(
+                sentences.append(
                     f"{100 * lost_share:.2g} % of the energy was lost: it may be the elements that "
                     "gave way, so compare the force with that of a smaller mesh_size"
                 )
         pinned = max((step.pinned for step in self.steps), default=0.0)
         if pinned > _UNBALANCED:
-            said.append(
+            sentences.append(
                 "what only keeps the specimen from sliding or turning carries up to "
                 f"{100 * pinned:.2g} % of the force: it is not balanced as it stands"
             )
         if not self._complete:
-            reached, asked = self.state.displacement_mm, self.problem.test.depth_mm
-            said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {lost or self._why()}"]
+            reached, depth = self.state.displacement_mm, self.problem.test.depth_mm
+            sentences = [f"stopped at {reached:.4g} mm of {depth:.4g} mm: {lost or self._why()}"]
             if lost:
-                said.append(_OUT_OF_REACH)
+                sentences.append(_OUT_OF_REACH)
         elif apart := self._apart():
-            said = [apart]
+            sentences = [apart]
         elif lost:
-            said.append(f"{lost}: there the answer depends on the mesh")
+            sentences.append(f"{lost}: there the answer depends on the mesh")
         inside = max((step.held[2].penetration_mm for step in self.steps), default=0.0)
         if inside > _INSIDE * self._whole_mm:
-            said.append(
+            sentences.append(
                 f"the specimen's surface lies up to {inside:.2g} mm inside the moving one, "
                 f"{100 * inside / self._whole_mm:.2g} % of the displacement: use a smaller "
                 "mesh_size, or press less deep"
             )
-        said += self._too_coarse()
-        said += self._cannot_sway()
-        said += self._not_converged(curve)
+        sentences += self._too_coarse()
+        sentences += self._cannot_sway()
+        sentences += self._not_converged(curve)
         if isinstance(self.problem.specimen, Enclosed):
-            said += body(self.problem.specimen).notes
-        return "; ".join(said)
+            sentences += body(self.problem.specimen).notes
+        return "; ".join(sentences)
 
     def _too_coarse(self) -> list[str]:
         """Say that the elements are too large for the deformation, or for what is touched."""

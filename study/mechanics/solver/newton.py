@@ -261,9 +261,9 @@ class Switches:
             return state
         chosen = list[Flags]()
         for number, touch in enumerate(self._system.touching(state)):
-            side = touch.wanted.copy()
+            side = touch.closing.copy()
             if self._last:
-                before, changed = self._last[number], touch.wanted != self._last[number]
+                before, changed = self._last[number], touch.closing != self._last[number]
                 if self._iteration >= _TOGETHER and changed.any():
                     side = before.copy()
                     if calm:
@@ -410,11 +410,11 @@ def sagged_state(system: System, settings: NewtonSettings) -> State | None:
     """Equilibrium under the weight alone, at no displacement of the test."""
     state, carried, share = system.start(), 0.0, 1.0
     while carried < 1.0:
-        wanted = min(carried + share, 1.0)
-        loose = settings if wanted == 1.0 else settings.passing()
-        found = solve_step(system.weighing(wanted), state, loose)
-        if found.converged:
-            state, carried, share = found.state, wanted, 2 * share
+        next_share = min(carried + share, 1.0)
+        loose = settings if next_share == 1.0 else settings.passing()
+        step = solve_step(system.weighing(next_share), state, loose)
+        if step.converged:
+            state, carried, share = step.state, next_share, 2 * share
             continue
         share /= 2
         if share < _SMALLEST:

@@ -97,7 +97,7 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
     """
     free, x = system.pattern.free, loads.start.copy()
     closed = _closed_points(system, assembly, loads.targets)
-    older = system.kept.serves(system.latest.touching)
+    older = system.factors.serves(system.latest.touching)
     springs = any(each.among.size for each in closed)
     if not older:
         system.factorize()
@@ -137,17 +137,17 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
 def _closed_points(
     system: System, assembly: Assembly, targets: tuple[Array, ...]
 ) -> tuple[ClosedPoints, ...]:
-    found = []
+    blocks = []
     for points, touch, target in zip(system.contact, assembly.contact, targets, strict=True):
         at = np.flatnonzero(touch.active)
         dofs, normals = points.dofs(system.space.dim)[at], touch.direction[at]
-        wanted, pressure = target[at], np.zeros((at.size, target.shape[1]))
-        found.append(
+        gaps, pressure = target[at], np.zeros((at.size, target.shape[1]))
+        blocks.append(
             ClosedPoints(
-                at, dofs, normals, points.weights[at], points.eps[at, None], wanted, pressure
+                at, dofs, normals, points.weights[at], points.eps[at, None], gaps, pressure
             )
         )
-    return tuple(found)
+    return tuple(blocks)
 
 
 def _cost_ahead(sizes: list[Array], allowed: Array, springs: bool) -> float:
@@ -205,11 +205,13 @@ class StepGradients:
 
 
 def step_gradients(
-    system: System, state: State, assembly: Assembly, *, wanted: tuple[str, ...]
+    system: System, state: State, assembly: Assembly, *, parameters: tuple[str, ...]
 ) -> StepGradients:
     """Force, tangent stiffness and derivatives at a converged state just assembled."""
-    free = _free(system.material, wanted) if system.weight is None and not system.sticks else None
-    solved = tuple(name for name in wanted if name != free)
+    free = (
+        _free(system.material, parameters) if system.weight is None and not system.sticks else None
+    )
+    solved = tuple(name for name in parameters if name != free)
     loads = _loads(system, state, assembly, solved)
     tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
     rates = linear_rates(system, assembly, loads, tolerance)
@@ -228,11 +230,11 @@ def step_gradients(
     return StepGradients(*force, slopes, by, *work, rates.excess)
 
 
-def _free(material: Material, wanted: tuple[str, ...]) -> str | None:
+def _free(material: Material, parameters: tuple[str, ...]) -> str | None:
     """Constant whose derivatives follow from those of the others, because all stresses scale."""
     moduli = [name for name in material.names if not is_dimensionless(name)]
     scales = material.bulk_modulus is None and not material.relaxation
-    if not (scales and moduli and set(moduli) <= set(wanted)):
+    if not (scales and moduli and set(moduli) <= set(parameters)):
         return None
     return max(moduli, key=lambda name: abs(material.constants[name]))
 
@@ -262,16 +264,16 @@ def _by_euler(
     return force_N / size, Rate(x / size, tuple(pressure / size for pressure in pressures))
 
 
-def _loads(system: System, state: State, assembly: Assembly, wanted: tuple[str, ...]) -> Loads:
+def _loads(system: System, state: State, assembly: Assembly, parameters: tuple[str, ...]) -> Loads:
     """Put the loading in column 0, then the constants, then the motion along the axis alone."""
     straight = system.constraints.axial
-    n, k = system.space.n, 1 + len(wanted) + (straight is not None)
+    n, k = system.space.n, 1 + len(parameters) + (straight is not None)
     start, right = np.zeros((n, k)), np.zeros((n, k))
     start[system.constraints.dofs, 0] = system.constraints.rate
     if straight is not None:
         start[system.constraints.dofs, -1] = straight
     # dR/dtheta reuses the element arrays for residuals only: the tangent stays valid
-    for column, name in enumerate(wanted, start=1):
+    for column, name in enumerate(parameters, start=1):
         right[:, column] = -system.constant_derivative(state, name)
     # -dR/dd at fixed unknowns: contact normals turn while a curved surface moves past
     for points, touch in zip(system.contact, assembly.contact, strict=True):
@@ -284,7 +286,7 @@ def _loads(system: System, state: State, assembly: Assembly, wanted: tuple[str, 
         if straight is not None:
             target[:, -1] = target[:, 0]
         if state.glue is not None and isinstance(points, TiedPoints):
-            for column, name in enumerate(wanted, start=1):
+            for column, name in enumerate(parameters, start=1):
                 target[:, column] = state.glue.rate(name)[:, points.surface.axis]
         targets.append(target)
     return Loads(right, start, tuple(targets))

@@ -81,10 +81,13 @@ class EnergyBalance:
     #: Displacements at which the specimen jumped to another equilibrium.
     jumps_mm: tuple[float, ...] = ()
 
-    def at_points(self, kept: Ints) -> EnergyBalance:
+    def at_points(self, indices: Ints) -> EnergyBalance:
         """Return the balance at some of the displacements, given by their places."""
         return EnergyBalance(
-            self.stored_Nmm[kept], self.stabilization_Nmm[kept], self.mismatch[kept], self.jumps_mm
+            self.stored_Nmm[indices],
+            self.stabilization_Nmm[indices],
+            self.mismatch[indices],
+            self.jumps_mm,
         )
 
     @property
@@ -209,7 +212,7 @@ class Solution:
     @property
     def base_reaction_N(self) -> Array:  # noqa: N802
         """Axial reaction of the base, to be compared with the force, shape (n_points,)."""
-        return np.array([one.axial for one in self.equilibria.base])
+        return np.array([equilibrium.axial for equilibrium in self.equilibria.base])
 
     @property
     def instability(self) -> Instability | None:

@@ -136,9 +136,9 @@ def _rings(specimen: Specimen, field: SizeField) -> float:
         half = 0.56 * min(specimen.width_mm, specimen.depth_mm)
     core = 0.5 * (1 + BULGE) * CORE * ring
 
-    def steps(own: SizeField, start: float, end: float) -> float:
-        places = np.unique(np.clip(_places(end, ring, own), start, end))
-        return float(np.trapezoid(1 / own.at(places, own.top_mm), places))
+    def steps(sizes: SizeField, start: float, end: float) -> float:
+        places = np.unique(np.clip(_places(end, ring, sizes), start, end))
+        return float(np.trapezoid(1 / sizes.at(places, sizes.top_mm), places))
 
     around_it = steps(inward(field), core, ring) + steps(field, ring, max(half, ring))
     beyond = 0.0
@@ -157,10 +157,10 @@ def _steps(length: float, at: float, field: SizeField, size: Callable[[Array], A
 def _places(length: float, at: float, field: SizeField) -> Array:
     """Places from 0 to ``length``, closer around ``at``."""
     away = np.geomspace(0.1 * min(field.finest_mm, length), length, _SAMPLES)
-    kept = [at + away, at - away, np.array([0.0, at, length])]
+    places = [at + away, at - away, np.array([0.0, at, length])]
     zones = (at + field.feature_mm, field.contact_mm)  # each of one size
-    kept += [end + away * sign for end in zones for sign in (1, -1)]
-    every = np.unique(np.concatenate(kept))
+    places += [end + away * sign for end in zones for sign in (1, -1)]
+    every = np.unique(np.concatenate(places))
     return np.asarray(every[(every >= 0) & (every <= length)])
 
 

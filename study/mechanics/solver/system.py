@@ -133,7 +133,7 @@ class System:
     #: Sets of points that may meet a rigid surface, with their places in the tangent.
     blocks: tuple[ContactBlocks, ...]
     tangent: Tangent
-    kept: KeptFactors
+    factors: KeptFactors
     seconds: dict[str, float] = field(default_factory=dict)
     drag: Drag | None = None
     weight: Weight | None = None
@@ -162,7 +162,7 @@ class System:
             constraints=held,
             blocks=ContactBlocks.of(points, space.dim, pattern),
             tangent=Tangent.of(pattern, space.dofs),
-            kept=KeptFactors(direct, pattern),
+            factors=KeptFactors(direct, pattern),
             weight=Weight.of(problem, mesh, space),
         )
         system.seconds["setup"] = time.perf_counter() - start
@@ -205,7 +205,7 @@ class System:
     @property
     def solver(self) -> LinearSolver:
         """Direct solver of the tangents."""
-        return self.kept.solver
+        return self.factors.solver
 
     @property
     def dofs(self) -> int:
@@ -230,10 +230,10 @@ class System:
 
     def volume_ratios(self, x: Array) -> Array:
         """J at every quadrature point, shape (n_elements, n_quadrature)."""
-        found = self.latest.ratios
-        if found is None or found[0] is not x:
-            self.latest.ratios = found = x, self.internal.volume_ratios(self.material, x)
-        return found[1]
+        ratios = self.latest.ratios
+        if ratios is None or ratios[0] is not x:
+            self.latest.ratios = ratios = x, self.internal.volume_ratios(self.material, x)
+        return ratios[1]
 
     def assemble(self, state: State, *, tangent: bool = True) -> Assembly:
         """Residual at a state; the tangent stays in the system's own arrays.
@@ -278,16 +278,16 @@ class System:
     def held_against_wish(self, state: State) -> tuple[Flags, ...]:
         """Contact points that are closed in a state although each of them would open."""
         touching = self.touching(state)
-        closed = state.closed or [touch.wanted for touch in touching]
-        return tuple(c & ~touch.wanted for c, touch in zip(closed, touching, strict=True))
+        closed = state.closed or [touch.closing for touch in touching]
+        return tuple(c & ~touch.closing for c, touch in zip(closed, touching, strict=True))
 
     def _meetings(self, state: State) -> list[Meeting]:
         """Where the contact points are, found once for the decision and for the forces."""
         met = self.latest.meetings
         if met is None or met[0] is not state.x or met[1] != state.displacement_mm:
             u = self.displacements(state.x)
-            found = [p.meet(self.space.nodes, u, state.displacement_mm) for p in self.contact]
-            self.latest.meetings = met = state.x, state.displacement_mm, found
+            meetings = [p.meet(self.space.nodes, u, state.displacement_mm) for p in self.contact]
+            self.latest.meetings = met = state.x, state.displacement_mm, meetings
         return met[2]
 
     def held(self, state: State, assembly: Assembly, rates: Mapping[str, Array]) -> State:
@@ -314,7 +314,7 @@ class System:
         if exact:
             self.solver.sharpen()
         self.solver.factorize(self.data)
-        self.kept.renewed(self.latest.touching)
+        self.factors.renewed(self.latest.touching)
         self._count("factorization", began)
 
     def solve(self, right: Array, scale: Array, tolerance: float, change: float) -> Array:
@@ -323,10 +323,12 @@ class System:
         ``change`` is the residual that the iteration has come down to.
         """
         began = time.perf_counter()
-        found = self.kept.solve(self.data, right, scale, tolerance, self.latest.touching, change)
+        solved = self.factors.solve(
+            self.data, right, scale, tolerance, self.latest.touching, change
+        )
         self._count("solve", began)
-        if found is not None:
-            return found
+        if solved is not None:
+            return solved
         self.factorize()
         return self.solve_afresh(right, tolerance, scale)
 
@@ -334,15 +336,15 @@ class System:
         """Solve with the last assembled tangent, which was just factorized."""
         began = time.perf_counter()
         weights = np.ones(right.shape) if scale is None else scale
-        found = self.kept.solve_afresh(self.data, right, weights, tolerance)
+        solved = self.factors.solve_afresh(self.data, right, weights, tolerance)
         self._count("solve", began)
-        return found
+        return solved
 
     def lift_product(self, lift: Array) -> Array:
         """Force of prescribed increments on the free unknowns, contact left out."""
         jump = np.zeros(self.space.n)
         jump[self.constraints.dofs] = lift
-        return self.tangent.beside(jump)[self.pattern.free]
+        return self.tangent.constrained_product(jump)[self.pattern.free]
 
     def back_substitute(self, right: Array) -> Array:
         """Solve with the last factorization for the free unknowns, as exactly as that goes."""
@@ -357,7 +359,7 @@ class System:
             return self.tangent.product(v, self.tangent.elastic)
         out = self.tangent.product(v)
         for blocks in self.blocks:
-            blocks.add_beside(v, out)
+            blocks.add_constrained(v, out)
         return out
 
     def constant_derivative(self, state: State, name: str) -> Array:

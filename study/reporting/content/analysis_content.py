@@ -207,17 +207,17 @@ def open_effects(item: Facts, data: ReportData) -> Points | None:
 def contrasts(facts: Facts) -> Table | None:
     """Differences of two settings that were asked for by name; None without any."""
     result = facts.result
-    asked = result and result.contrasts
-    return contrast_table(asked, facts, facts.alpha) if asked else None
+    requested = result and result.contrasts
+    return contrast_table(requested, facts, facts.alpha) if requested else None
 
 
 #: title of differences that were asked for by name
 ASKED = "Differences that were asked for"
 
 
-def contrast_table(asked: Sequence[Contrast], facts: Facts, alpha: float) -> Table:
+def contrast_table(requested: Sequence[Contrast], facts: Facts, alpha: float) -> Table:
     """Differences of two settings that were asked for by name."""
-    several = len(asked) > 1
+    several = len(requested) > 1
     columns: dict[str, Callable[[Contrast], str]] = {
         "asked for": lambda item: clean(item.name, 200),
         _what(facts): lambda item: significant(item.difference),
@@ -239,7 +239,7 @@ def contrast_table(asked: Sequence[Contrast], facts: Facts, alpha: float) -> Tab
     )
     return Table.of(
         f"contrasts {facts.name}",
-        asked,
+        requested,
         columns,
         note=note,
         raw=lambda item: {
@@ -563,10 +563,10 @@ def check_table(made: Iterable[Check], name: str) -> Table:
 
 def _surface(fitted: FittedSurface, data: ReportData) -> Check:
     name, of = "Surface predicts runs left out", surface_content.title(fitted, data)
-    if fitted.found is None:
+    if fitted.surface is None:
         outcome = "not applicable" if fitted.screened else "fail"
         return Check(name, outcome, clean(fitted.refused), _NO_VERDICT, of)
-    q2 = fitted.found.model.q2
+    q2 = fitted.surface.model.q2
     outcome = "pass" if q2 >= GIVEN else "caution" if q2 >= RANKED else "fail"
     use = "Between the runs its values may be used." if outcome == "pass" else "Add runs."
     return Check(name, outcome, surface_content.accuracy(fitted), use, of)

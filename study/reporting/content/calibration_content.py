@@ -10,49 +10,49 @@ from study.reporting.content.text import between, general, p_phrase
 Columns = dict[str, Callable[[tuple[str, Document]], str]]
 
 
-def calibration_blocks(found: Document) -> Iterator[Block]:
+def calibration_blocks(document: Document) -> Iterator[Block]:
     """Constants with their intervals, then the curves, the verdicts and what to measure next."""
-    bound = found.get("numerics") or found.get("numerical")
-    yield _constants(found, bound)
-    yield from nuisance_blocks(found["nuisance"])
-    if "shear_moduli" in found:
-        both = found["shear_moduli"]
+    bound = document.get("numerics") or document.get("numerical")
+    yield _constants(document, bound)
+    yield from nuisance_blocks(document["nuisance"])
+    if "shear_moduli" in document:
+        both = document["shear_moduli"]
         yield Verbatim(
             f"shear modulus at small strain: {general(both['instantaneous'], 5)} kPa at once, "
             f"{general(both['long_term'], 5)} kPa after all relaxation"
         )
-    if "converted" in found:
-        converted = found["converted"]
+    if "converted" in document:
+        converted = document["converted"]
         values = ", ".join(f"{n} = {general(v, 6)}" for n, v in converted["constants"].items())
         note = f" ({converted['note']})" if converted["note"] else ""
         head = f"{converted['convention']}: {converted['keyword']}"
         yield Verbatim(f"{head}: {values} in MPa{note}")
     if bound is not None:
         yield Verbatim(bound["sentence"])
-    if "bootstrap" in found:
-        drawn = found["bootstrap"]
+    if "bootstrap" in document:
+        drawn = document["bootstrap"]
         ends = "; ".join(
-            f"{n} {between(pair)} {found['parameters'][n]['unit']}".rstrip()
+            f"{n} {between(pair)} {document['parameters'][n]['unit']}".rstrip()
             for n, pair in drawn["interval"].items()
         )
         yield Verbatim(f"{drawn['sentence']}: {ends}")
-    if found["serial_correlation"]:
-        yield Verbatim(_serial(found["serial_correlation"]))
-    yield from _curves("", found["curves"])
+    if document["serial_correlation"]:
+        yield Verbatim(_serial(document["serial_correlation"]))
+    yield from _curves("", document["curves"])
     for kind, title in (("specimens", "alone"), ("cross_validation", "left out")):
-        for fit in found[kind]:
+        for fit in document[kind]:
             values = ", ".join(
                 f"{n} {general(e['value'], 5)} {e['unit']}".rstrip()
                 for n, e in fit["parameters"].items()
             )
             yield Verbatim(f"{fit['label']} {title}: {values} ({fit['status']})")
             yield from _curves("  ", fit["curves"])
-    if found["population"]:
-        yield from _population(found["population"])
-    yield from _judged(found)
+    if document["population"]:
+        yield from _population(document["population"])
+    yield from _judged(document)
 
 
-def _constants(found: Document, bound: Document | None) -> Table:
+def _constants(document: Document, bound: Document | None) -> Table:
     columns: Columns = {
         "constant": lambda of: of[0],
         "value": lambda of: general(of[1]["value"], 6),
@@ -62,10 +62,10 @@ def _constants(found: Document, bound: Document | None) -> Table:
     }
     if bound is not None:
         columns["numerics"] = lambda of: f"+-{general(bound['u'][of[0]], 2)}"
-    if found["profiles"]:
-        profiles = found["profiles"]
+    if document["profiles"]:
+        profiles = document["profiles"]
         columns["profile interval"] = lambda of: between(profiles.get(of[0], {}).get("interval"))
-    return Table.of(found["model"], found["parameters"].items(), columns)
+    return Table.of(document["model"], document["parameters"].items(), columns)
 
 
 def nuisance_blocks(nuisance: Document) -> Iterator[Block]:
@@ -113,28 +113,30 @@ def _population(population: Document) -> Iterator[Block]:
         yield Verbatim(f"{name} of each specimen, shrunk to the mean by its own error: {listed}")
 
 
-def _judged(found: Document) -> Iterator[Block]:
-    if found["same_constants_p"] is not None:
+def _judged(document: Document) -> Iterator[Block]:
+    if document["same_constants_p"] is not None:
         yield Verbatim(
-            f"all specimens share their constants: {p_phrase(found['same_constants_p'])}"
+            f"all specimens share their constants: {p_phrase(document['same_constants_p'])}"
         )
-    if found["lack_of_fit"]:
-        lack = found["lack_of_fit"]
+    if document["lack_of_fit"]:
+        lack = document["lack_of_fit"]
         yield Verbatim(
             f"{lack['verdict']}: F = {general(lack['statistic'])}, "
             f"{p_phrase(lack['p_independent'])} if every point is independent, "
             f"{p_phrase(lack['p_dependent'])} if every curve is"
         )
-    yield Verbatim(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
-    yield Verbatim(f"{found['fit']['verdict']}: {found['fit']['sentence']}")
-    verdict = "identifiable" if found["identifiable"] else "not identifiable"
-    scaled = found["identifiability"]["sentence"] if found["identifiability"] else ""
-    whys = "; ".join(why for why in (found["reason"], scaled) if why)
+    yield Verbatim(
+        f"{document['status']}: {document['message']} ({document['evaluations']} evaluations)"
+    )
+    yield Verbatim(f"{document['fit']['verdict']}: {document['fit']['sentence']}")
+    verdict = "identifiable" if document["identifiable"] else "not identifiable"
+    scaled = document["identifiability"]["sentence"] if document["identifiability"] else ""
+    whys = "; ".join(why for why in (document["reason"], scaled) if why)
     yield Verbatim(f"{verdict}{': ' + whys if whys else ''}")
-    if found["next_test"] and found["next_test"]["sentence"]:
-        yield Verbatim(found["next_test"]["sentence"])
-    yield Verbatim(found["stability"])
-    yield from (Verbatim(f"data: {note}") for note in found["notes"])
+    if document["next_test"] and document["next_test"]["sentence"]:
+        yield Verbatim(document["next_test"]["sentence"])
+    yield Verbatim(document["stability"])
+    yield from (Verbatim(f"data: {note}") for note in document["notes"])
 
 
 def _serial(serial: Document) -> str:
@@ -159,13 +161,16 @@ def _curves(indent: str, curves: Sequence[Document]) -> Iterator[Verbatim]:
         yield Verbatim(f"{indent}{curve['role']}: {name}: {outcome}")
 
 
-def comparison_blocks(found: Document) -> Iterator[Block]:
+def comparison_blocks(document: Document) -> Iterator[Block]:
     """Constants of every test by itself, what was seen and what would have been."""
 
     def with_error(entry: Document) -> str:
         return f"{general(entry['value'], 5)} +- {general(entry['standard_error'], 2)}"
 
-    heads = {n: f"{n} [{one['unit']}]".replace(" []", "") for n, one in found["common"].items()}
+    heads = {
+        n: f"{n} [{constant['unit']}]".replace(" []", "")
+        for n, constant in document["common"].items()
+    }
     columns: dict[str, Callable[[Document], str]] = {
         "test": lambda group: group["label"],
         "n": lambda group: str(group["n"]),
@@ -174,27 +179,29 @@ def comparison_blocks(found: Document) -> Iterator[Block]:
         columns[head] = lambda group, name=name: with_error(group["parameters"][name])  # type: ignore[misc]
     columns |= {
         "mu0 [kPa]": lambda group: general(group["mu0"], 5),
-        f"power, {100 * found['difference']:.3g} % off": lambda group: general(group["power"], 3),
+        f"power, {100 * document['difference']:.3g} % off": lambda group: general(
+            group["power"], 3
+        ),
         "seen with power 0.8": lambda group: (
             "-" if group["detectable"] is None else f"{general(100 * group['detectable'], 3)} %"
         ),
     }
-    made = Table.of(found["model"], found["groups"], columns)
-    common = (with_error(found["common"][name]) for name in heads)
+    made = Table.of(document["model"], document["groups"], columns)
+    common = (with_error(document["common"][name]) for name in heads)
     rows = (*made.rows, ("common", "", *common, "", "", ""))
     yield Table(made.name, made.columns, rows)
-    yield Verbatim(f"{found['verdict']}: {found['sentence']}")
+    yield Verbatim(f"{document['verdict']}: {document['sentence']}")
 
 
-def energy_blocks(found: Document) -> Iterator[Block]:
+def energy_blocks(document: Document) -> Iterator[Block]:
     """Every energy with its weight, and which of them may be chosen."""
 
     def may_be_chosen(entry: Document) -> str:
         if entry["not_chosen_because"]:
             return f"no: {entry['not_chosen_because']}"
-        if entry["energy"] == found["best"]:
+        if entry["energy"] == document["best"]:
             return "best"
-        return "not told apart" if entry["energy"] in found["cannot_be_told_apart"] else "yes"
+        return "not told apart" if entry["energy"] in document["cannot_be_told_apart"] else "yes"
 
     columns: dict[str, Callable[[Document], str]] = {
         "energy": lambda entry: entry["energy"],
@@ -205,6 +212,6 @@ def energy_blocks(found: Document) -> Iterator[Block]:
         "the data": lambda entry: entry["verdict"],
         "may be chosen": may_be_chosen,
     }
-    yield Table.of("", found["energies"], columns)
-    yield from (Verbatim(f"{name}: {why}") for name, why in found["failures"].items())
-    yield Verbatim(found["sentence"])
+    yield Table.of("", document["energies"], columns)
+    yield from (Verbatim(f"{name}: {why}") for name, why in document["failures"].items())
+    yield Verbatim(document["sentence"])

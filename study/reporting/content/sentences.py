@@ -84,8 +84,8 @@ def answer(
             # of one surface there is room to say all
             in_short = is_short and len(data.surfaces) > 1
             return tuple(
-                surface_content.surface_answer(one, data, is_short=in_short)
-                for one in data.surfaces
+                surface_content.surface_answer(fit, data, is_short=in_short)
+                for fit in data.surfaces
             )
         if data.is_table and (notes := [note for facts in all_facts for note in facts.warnings]):
             return tuple(sentence(clean(note)) for note in notes)
@@ -96,7 +96,7 @@ def answer(
     has_size = any(facts.has_size for facts in analyzed)
     parts = (
         *(first if is_short else [" ".join(filter(None, first))]),
-        *(sentence(clean(one.finding)) for one in data.checks if one.name in ANSWERED),
+        *(sentence(clean(fit.finding)) for fit in data.checks if fit.name in ANSWERED),
         f"The figure below shows the effects on {rest}." if named != analyzed else "",
         without_size(data, all_facts),
         without_verdict(all_facts),

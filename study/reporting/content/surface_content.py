@@ -56,68 +56,70 @@ if TYPE_CHECKING:
 WORTH = 0.01
 
 
-def uncertainty_answer(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
+def uncertainty_answer(fit: FittedSurface, data: ReportData) -> tuple[str, ...]:
     """Sentences of the answer: how sure the response is, and which input to measure better."""
-    told = one.uncertain
-    if told is None:
+    spread = fit.uncertain
+    if spread is None:
         return ()
-    unit, ends = clean(one.unit), told.percentiles
-    best = told.inputs[0]
+    unit, ends = clean(fit.unit), spread.percentiles
+    best = spread.inputs[0]
     gain = best.gain
     sure = (
-        f"With these uncertain inputs it is {quantity(told.mean.value, unit)} with a standard "
-        f"deviation of {quantity(told.sd.value, unit)}; 95 % of it lie between "
+        f"With these uncertain inputs it is {quantity(spread.mean.value, unit)} with a standard "
+        f"deviation of {quantity(spread.sd.value, unit)}; 95 % of it lie between "
         f"{quantity(ends[2.5].value, unit)} and {quantity(ends[97.5].value, unit)}."
     )
     if gain < WORTH:
         return (sure, "Measuring one of them twice as well would change that by less than 1 %.")
     worth = (
         f"Knowing {name_of(best.name, data.labels)} twice as well would lower the standard "
-        f"deviation by {percent(gain)}" + (", more than any other." if told.inputs[1:] else ".")
+        f"deviation by {percent(gain)}" + (", more than any other." if spread.inputs[1:] else ".")
     )
     return (sure, worth)
 
 
-def uncertainty_lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
+def uncertainty_lines(fit: FittedSurface, data: ReportData) -> tuple[str, ...]:
     """Sentences of the section: the surface's own error, and what was held or cut off."""
-    told = one.uncertain
-    if told is None:
+    spread = fit.uncertain
+    if spread is None:
         return ()
-    unit = clean(one.unit)
-    ends = told.percentiles
-    said = [
-        "The surface itself may be off by "
-        f"{quantity(told.mean.own, unit, 2)} in the mean, {quantity(told.sd.own, unit, 2)} in the "
-        f"standard deviation and {quantity(max(t.own for t in ends.values()), unit, 2)} in the "
-        "percentiles of the uncertain inputs' response; that is no part of these."
+    unit = clean(fit.unit)
+    ends = spread.percentiles
+    lines = [
+        f"The surface itself may be off by {quantity(spread.mean.error, unit, 2)} in the mean, "
+        f"{quantity(spread.sd.error, unit, 2)} in the standard deviation and "
+        f"{quantity(max(t.error for t in ends.values()), unit, 2)} in the percentiles of the "
+        "uncertain inputs' response; that is no part of these."
     ]
-    if told.fixed:
-        said.append(f"Held there for it: {settings(told.fixed, one, data, ' at')}.")
-    cut = [f"{percent(p, 2)} of {name_of(n, data.labels)}" for n, p in told.cut.items() if p > 1e-4]
+    if spread.fixed:
+        lines.append(f"Held there for it: {settings(spread.fixed, fit, data, ' at')}.")
+    cut = [
+        f"{percent(p, 2)} of {name_of(n, data.labels)}" for n, p in spread.cut.items() if p > 1e-4
+    ]
     if cut:
-        said.append(f"Outside of the ranges that were run, and cut off: {listing(cut)}.")
-    return tuple(said)
+        lines.append(f"Outside of the ranges that were run, and cut off: {listing(cut)}.")
+    return tuple(lines)
 
 
-def table(one: FittedSurface, data: ReportData) -> Table | None:
+def table(fit: FittedSurface, data: ReportData) -> Table | None:
     """List the inputs, the one that is worth measuring most first; None where none is uncertain."""
-    told = one.uncertain
-    if told is None:
+    spread = fit.uncertain
+    if spread is None:
         return None
     note = (
-        f"Standard deviation of the response now: {quantity(told.sd.value, clean(one.unit))}. "
+        f"Standard deviation of the response now: {quantity(spread.sd.value, clean(fit.unit))}. "
         "Shares of its variance by the input alone and with all its interactions. Gain: part of "
         "the standard deviation that goes when the input is known twice as well."
     )
     return Table.of(
-        " ".join(("uncertain", one.response, *one.labels.values())),
-        told.inputs,
+        " ".join(("uncertain", fit.response, *fit.labels.values())),
+        spread.inputs,
         {
             "input": lambda item: clean(name_of(item.name, data.labels)),
-            "distribution": lambda item: clean(one.inputs.get(item.name, "")),
+            "distribution": lambda item: clean(fit.inputs.get(item.name, "")),
             "share alone": lambda item: percent(None if item.index is None else item.index.first),
             "share in all": lambda item: percent(None if item.index is None else item.index.total),
-            "sd if halved": lambda item: quantity(item.halved, clean(one.unit)),
+            "sd if halved": lambda item: quantity(item.halved, clean(fit.unit)),
             "gain": lambda item: percent(item.gain),
         },
         left=2,
@@ -125,74 +127,74 @@ def table(one: FittedSurface, data: ReportData) -> Table | None:
     )
 
 
-def title(one: FittedSurface, data: ReportData) -> str:
+def title(fit: FittedSurface, data: ReportData) -> str:
     """Name of the response, and where the factors without numbers stand."""
-    at, named = at_labels(one, data), clean(name_of(one.response, data.labels))
+    at, named = at_labels(fit, data), clean(name_of(fit.response, data.labels))
     return f"{named} at {at}" if at else named
 
 
-def at_labels(one: FittedSurface, data: ReportData) -> str:
+def at_labels(fit: FittedSurface, data: ReportData) -> str:
     """Where the factors without numbers stand; empty without such factors."""
-    return listing([f"{name_of(k, data.labels)} {clean(v)}" for k, v in one.labels.items()])
+    return listing([f"{name_of(k, data.labels)} {clean(v)}" for k, v in fit.labels.items()])
 
 
 def would_change(data: ReportData) -> str:
     """Say what would make the answer surer."""
-    if any(one.screened for one in data.surfaces):
+    if any(fit.screened for fit in data.surfaces):
         return sentence("a surface or a factorial of the factors that change most")
-    good = [one.found for one in data.surfaces if one.found is not None]
+    good = [fit.surface for fit in data.surfaces if fit.surface is not None]
     parts = []
-    poor = [found for found in good if not found.model.q2 >= 0.9]
+    poor = [surface for surface in good if not surface.model.q2 >= 0.9]
     if poor or len(good) < len(data.surfaces):
         parts.append("more runs would make the surface surer")
-    if any(i.range is not None and i.range.claims for found in good for i in found.sensitivity):
+    if any(i.range is not None and i.range.claims for surface in good for i in surface.sensitivity):
         parts.append("the two runs that confirm each factor could overturn what is said of it")
     parts.append("wider ranges may show more, for nothing is said beyond those that were run")
     return sentence("; ".join(parts))
 
 
-def accuracy(one: FittedSurface) -> str:
+def accuracy(fit: FittedSurface) -> str:
     """How well runs are predicted from the others."""
-    found = one.found
-    if found is None:
+    surface = fit.surface
+    if surface is None:
         return ""
-    model, runs = found.model, count(found.runs.response.size, "run")
-    kind = "quadratic surface" if found.kind == "quadratic" else "Gaussian-process emulator"
+    model, runs = surface.model, count(surface.runs.response.size, "run")
+    kind = "quadratic surface" if surface.kind == "quadratic" else "Gaussian-process emulator"
     if isinstance(model, QuadraticSurface):
         if model.loo is None:
             return f"A {kind} of {runs}; no run can be left out, so its error is not known."
         rms = model.loo.rms
     else:
         rms = model.loo_rms
-    if _learns_from_others(found):
+    if _learns_from_others(surface):
         runs += ", which learns from those at the other levels,"
     q2 = f"{model.q2:.3f}" if model.q2 < 0.9995 else "above 0.999"
     return (
         f"A {kind} of {runs} predicts each from all the others within "
-        f"{quantity(rms, clean(one.unit))} (root mean square; Q2 {q2})."
+        f"{quantity(rms, clean(fit.unit))} (root mean square; Q2 {q2})."
     )
 
 
-def _learns_from_others(found: SurfaceAnalysis) -> bool:
+def _learns_from_others(surface: SurfaceAnalysis) -> bool:
     """Whether the runs at other levels were fitted together with those of a surface."""
-    model = found.model
+    model = surface.model
     each = getattr(model, "each", (model,))
     return any(isinstance(e, Emulator) and e.combination is not None for e in each)
 
 
-def method(one: FittedSurface, data: ReportData) -> str:
+def method(fit: FittedSurface, data: ReportData) -> str:
     """Sentences for a methods paragraph: what was fitted, and how it was judged."""
-    found = one.found
-    if found is None:
+    surface = fit.surface
+    if surface is None:
         return ""
     how = (
         "all linear, square and product terms of the coded factors by least squares"
-        if found.kind == "quadratic"
+        if surface.kind == "quadratic"
         else "a Gaussian process with a constant mean and one length per factor by restricted "
         "maximum likelihood, the kernel (Mat\N{LATIN SMALL LETTER E WITH ACUTE}rn 5/2 or Gaussian) "
         "by leave-one-out error"
     )
-    if _learns_from_others(found):
+    if _learns_from_others(surface):
         how += (
             ", together with the runs at the other levels, between whose functions a correlation "
             "was fitted (Qian, Wu and Wu 2008)"
@@ -200,89 +202,93 @@ def method(one: FittedSurface, data: ReportData) -> str:
     shares = (
         "; shares of variance are Sobol indices of factors uniform over their ranges, by "
         "Jansen's estimators on posterior paths"
-        if any(item.index is not None for item in found.sensitivity)
+        if any(item.index is not None for item in surface.sensitivity)
         else ""
     )
     return (
-        f"{sentence(title(one, data)).rstrip('.')} was fitted with {how}{shares}. {accuracy(one)}"
+        f"{sentence(title(fit, data)).rstrip('.')} was fitted with {how}{shares}. {accuracy(fit)}"
     )
 
 
-def extremes(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
+def extremes(fit: FittedSurface, data: ReportData) -> tuple[str, ...]:
     """Smallest and largest prediction in the ranges, and where they are."""
-    found = one.found
-    if found is None:
+    surface = fit.surface
+    if surface is None:
         return ()
-    lines, unit = [], "" if one.unit == "1" else clean(one.unit)
-    for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):
+    lines, unit = [], "" if fit.unit == "1" else clean(fit.unit)
+    for word, extreme in (("smallest", surface.smallest), ("largest", surface.largest)):
         value = significant(extreme.value)
         if extreme.half_width == extreme.half_width:  # NaN where no run can be left out
             value += f"{THIN}\N{PLUS-MINUS SIGN}{THIN}{significant(extreme.half_width, 2)}"
         value += f"{THIN}{unit}" * bool(unit)
-        at = settings(extreme.settings, one, data)
+        at = settings(extreme.settings, fit, data)
         lines.append(f"The {word} prediction in these ranges is {value} at {at}.")
     return tuple(lines)
 
 
-def _refusal(one: FittedSurface) -> str:
-    return clean("; ".join(map(str.strip, one.refused.splitlines())))
+def _refusal(fit: FittedSurface) -> str:
+    return clean("; ".join(map(str.strip, fit.refused.splitlines())))
 
 
-def surface_lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
+def surface_lines(fit: FittedSurface, data: ReportData) -> tuple[str, ...]:
     """Sentences of the section of one surface: accuracy, extremes, what must still be run."""
-    found = one.found
-    if found is None:
-        return (f"No surface: {_refusal(one)}.",)
+    surface = fit.surface
+    if surface is None:
+        return (f"No surface: {_refusal(fit)}.",)
     confirm = [
         f"That {name_of(item.factor, data.labels)} matters is claimed once these two were run: "
-        + " and ".join(settings(at, one, data) for at in item.confirm)
+        + " and ".join(settings(at, fit, data) for at in item.confirm)
         + "."
-        for item in found.sensitivity
+        for item in surface.sensitivity
         if item.confirm
     ]
     return (
-        accuracy(one),
-        *_shape(one, data),
-        *differences(one, data),
-        *extremes(one, data),
+        accuracy(fit),
+        *_shape(fit, data),
+        *differences(fit, data),
+        *extremes(fit, data),
         *confirm,
-        *uncertainty_lines(one, data),
+        *uncertainty_lines(fit, data),
     )
 
 
-def differences(one: FittedSurface, data: ReportData) -> Iterator[str]:
+def differences(fit: FittedSurface, data: ReportData) -> Iterator[str]:
     """Say what another level of a factor without numbers changes over the ranges."""
-    unit = clean(one.unit)
-    for told in one.differences:
-        word = "more" if told.mean >= 0 else "less"
-        ends = (told.low, told.high) if told.mean >= 0 else (-told.high, -told.low)
+    unit = clean(fit.unit)
+    for difference in fit.differences:
+        word = "more" if difference.mean >= 0 else "less"
+        ends = (
+            (difference.low, difference.high)
+            if difference.mean >= 0
+            else (-difference.high, -difference.low)
+        )
         limit = ""
-        if one.practical is not None:
+        if fit.practical is not None:
             verdict = {
                 MATTERS: "this matters at some settings",
                 NO_DIFFERENCE: "this makes no practical difference at any setting",
-            }.get(told.verdict, "these runs cannot show whether this matters")
-            limit = f"; with {quantity(one.practical, unit)} as what matters, {verdict}"
+            }.get(difference.verdict, "these runs cannot show whether this matters")
+            limit = f"; with {quantity(fit.practical, unit)} as what matters, {verdict}"
         yield sentence(
-            f"{name_of(one.response, data.labels)} with {name_of(told.factor, data.labels)} "
-            f"{clean(told.level)} is {quantity(abs(told.mean), unit)} {word} than with "
-            f"{clean(told.other)} on average over the ranges, and between "
+            f"{name_of(fit.response, data.labels)} with {name_of(difference.factor, data.labels)} "
+            f"{clean(difference.level)} is {quantity(abs(difference.mean), unit)} {word} than with "
+            f"{clean(difference.other)} on average over the ranges, and between "
             f"{significant(ends[0])} and {quantity(ends[1], unit)} {word} at 95 % of the settings "
-            f"(each \N{PLUS-MINUS SIGN}{THIN}{significant(told.bound, 2)}){limit}"
+            f"(each \N{PLUS-MINUS SIGN}{THIN}{significant(difference.bound, 2)}){limit}"
         )
 
 
-def _shape(one: FittedSurface, data: ReportData) -> Iterator[str]:
+def _shape(fit: FittedSurface, data: ReportData) -> Iterator[str]:
     """Say where a quadratic surface is level, whether it fits, and what it cannot tell apart."""
-    model = None if one.found is None else one.found.model
+    model = None if fit.surface is None else fit.surface.model
     if not isinstance(model, QuadraticSurface):
         return
     point = model.stationary
     if point is not None and point.established:
         where = "inside" if point.inside else "outside"
-        at = settings(model.runs.settings(point.at), one, data)
+        at = settings(model.runs.settings(point.at), fit, data)
         yield (
-            f"The surface is level at a {point.kind} of {quantity(point.value, clean(one.unit))}, "
+            f"The surface is level at a {point.kind} of {quantity(point.value, clean(fit.unit))}, "
             f"{where} the ranges: {at}."
         )
     lack = model.lack_of_fit
@@ -294,18 +300,18 @@ def _shape(one: FittedSurface, data: ReportData) -> Iterator[str]:
     yield from (f"Not told apart: {clean(alias)}." for alias in model.aliases)
 
 
-def settings(where: Mapping[str, float], one: FittedSurface, data: ReportData, at: str = "") -> str:
+def settings(where: Mapping[str, float], fit: FittedSurface, data: ReportData, at: str = "") -> str:
     """Write settings with their names and units."""
-    values = {name: quantity(value, one.units.get(name, "")) for name, value in where.items()}
+    values = {name: quantity(value, fit.units.get(name, "")) for name, value in where.items()}
     return listing([f"{name_of(name, data.labels)}{at} {value}" for name, value in values.items()])
 
 
-def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
+def sensitivity(fit: FittedSurface, data: ReportData) -> Table | None:
     """Shares and ranges of the factors, the strongest first; None where none is told."""
-    found = one.found
-    if found is None or all(i.index is None and i.range is None for i in found.sensitivity):
+    surface = fit.surface
+    if surface is None or all(i.index is None and i.range is None for i in surface.sensitivity):
         return None
-    unit = clean(one.unit)
+    unit = clean(fit.unit)
     columns: dict[str, Callable[[Sensitivity], str]] = {
         "factor": lambda item: clean(name_of(item.factor, data.labels)),
         "share alone": lambda item: (
@@ -316,13 +322,13 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
         ),
         "range": lambda item: quantity(None if item.range is None else item.range.value, unit),
         "bound": lambda item: quantity(None if item.range is None else item.range.bound, unit, 2),
-        "verdict": lambda item: MISSING if one.practical is None else item.verdict,
+        "verdict": lambda item: MISSING if fit.practical is None else item.verdict,
     }
     note = (
         "Range: 95 % of the settings of the other factors change the response by less along this "
         "one."
     )
-    if found.kind == "quadratic":
+    if surface.kind == "quadratic":
         del columns["share alone"], columns["share in all"]
     else:
         note = (
@@ -330,13 +336,13 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
             "by the factor alone (first-order Sobol index) and with all its interactions (total "
             f"index), each with an interval of about 95 %. {note}"
         )
-    ranked = sorted(found.sensitivity, key=lambda item: item.rank)
-    return Table.of(_table_name("sensitivity", one), ranked, columns, tail=1, note=note)
+    ranked = sorted(surface.sensitivity, key=lambda item: item.rank)
+    return Table.of(_table_name("sensitivity", fit), ranked, columns, tail=1, note=note)
 
 
-def screening(one: FittedSurface, data: ReportData) -> Table | None:
+def screening(fit: FittedSurface, data: ReportData) -> Table | None:
     """Elementary effects of the factors, the largest mean size first; None of a surface."""
-    unit = clean(one.unit)
+    unit = clean(fit.unit)
     columns: dict[str, Callable[[ElementaryEffect], str]] = {
         "factor": lambda e: clean(name_of(e.factor, data.labels)),
         "effects": lambda e: str(e.effects),
@@ -349,20 +355,20 @@ def screening(one: FittedSurface, data: ReportData) -> Table | None:
         "runs that differ in it alone. Mean size, mean and standard deviation. Of a straight line "
         "without interactions the deviation is 0."
     )
-    table = Table.of(_table_name("screening", one), one.screened, columns, note=note)
+    table = Table.of(_table_name("screening", fit), fit.screened, columns, note=note)
     return table if table.rows else None
 
 
-def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
+def coefficients(fit: FittedSurface, data: ReportData) -> Table | None:
     """Coefficients of a quadratic surface in coded factors; None of an emulator."""
-    model = None if one.found is None else one.found.model
+    model = None if fit.surface is None else fit.surface.model
     if not isinstance(model, QuadraticSurface):
         return None
     columns: dict[str, Callable[[SurfaceTerm], str]] = {
         "term": lambda t: clean(
             f" {TIMES} ".join(name_of(part.strip(), data.labels) for part in t.term.split(":"))
         ),
-        "coefficient": lambda t: quantity(t.coefficient, clean(one.unit), 4),
+        "coefficient": lambda t: quantity(t.coefficient, clean(fit.unit), 4),
     }
     note = "Every factor runs from \N{MINUS SIGN}1 at its lower end to 1 at its upper end."
     if model.error == "none":
@@ -370,71 +376,73 @@ def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
     else:
         columns["95 % interval"] = lambda t: interval(*(t.interval or (None, None)))
         columns["p"] = lambda t: p_value(t.p)
-    return Table.of(_table_name("coefficients", one), model.terms, columns, note=note)
+    return Table.of(_table_name("coefficients", fit), model.terms, columns, note=note)
 
 
 #: factors that a short answer names
 _NAMED = 3
 
 
-def surface_answer(one: FittedSurface, data: ReportData, *, is_short: bool = False) -> str:
+def surface_answer(fit: FittedSurface, data: ReportData, *, is_short: bool = False) -> str:
     """Say which numbers drive a response, in short the strongest of them; how sure that is."""
-    named = sentence(title(one, data)).rstrip(".")
-    if one.screened:
+    named = sentence(title(fit, data)).rstrip(".")
+    if fit.screened:
         sizes = [
-            f"{name_of(e.factor, data.labels)} {quantity(e.mu_star, clean(one.unit))}"
-            for e in one.screened
+            f"{name_of(e.factor, data.labels)} {quantity(e.mu_star, clean(fit.unit))}"
+            for e in fit.screened
         ]
         return (
             f"{named}: over its whole range a factor changes it on average by {listing(sizes)}. "
             "This screens, and is no verdict: leave out what changes little, and run a surface or "
             "a factorial of the others."
         )
-    if one.found is None:
-        return f"{named}: no surface could be fitted: {_refusal(one)}"
-    moved = _ranges(one.found)
-    gate = getattr(one.found.model, "gate", "given")
-    ranked = [name_of(name, data.labels) for name in strongest(one.found)]
+    if fit.surface is None:
+        return f"{named}: no surface could be fitted: {_refusal(fit)}"
+    moved = _ranges(fit.surface)
+    gate = getattr(fit.surface.model, "gate", "given")
+    ranked = [name_of(name, data.labels) for name in strongest(fit.surface)]
     if gate == "refused":
-        said = "the runs do not carry an emulator that could rank the factors: add runs"
+        refusal = "the runs do not carry an emulator that could rank the factors: add runs"
     elif not moved:
-        said = f"the emulator ranks the factors, and says no more: {listing(ranked)}"
+        refusal = f"the emulator ranks the factors, and says no more: {listing(ranked)}"
     else:
         sizes = [
             f"{name_of(name, data.labels)} {'changes it ' if not place else ''}by up to "
-            f"{quantity(size, clean(one.unit))}"
+            f"{quantity(size, clean(fit.unit))}"
             for place, (name, size) in enumerate(moved.items())
         ]
         less = [f"{len(sizes) - _NAMED} more by less"] if is_short and sizes[_NAMED:] else []
-        said = f"over its range, {listing([*sizes[: _NAMED if less else None], *less])}"
+        refusal = f"over its range, {listing([*sizes[: _NAMED if less else None], *less])}"
     if is_short:
-        limit = f" (what matters: {one.practical:.3g} {clean(one.unit)})" if one.practical else ""
+        limit = f" (what matters: {fit.practical:.3g} {clean(fit.unit)})" if fit.practical else ""
         return " ".join(
-            (f"{named}: {said}{limit if moved else ''}.", *uncertainty_answer(one, data))
+            (f"{named}: {refusal}{limit if moved else ''}.", *uncertainty_answer(fit, data))
         )
-    beside = (_judged(one, data), *differences(one, data), accuracy(one))
-    parts = (f"{named}: {said}.", *beside, *uncertainty_answer(one, data))
+    further = (_judged(fit, data), *differences(fit, data), accuracy(fit))
+    parts = (f"{named}: {refusal}.", *further, *uncertainty_answer(fit, data))
     return " ".join(text for text in parts if text)
 
 
-def _ranges(found: SurfaceAnalysis) -> dict[str, float]:
+def _ranges(surface: SurfaceAnalysis) -> dict[str, float]:
     """Largest changes by factor: of an emulator where it may tell, of a profile of a quadratic."""
-    order = strongest(found)
-    told = {i.factor: i.range.value for i in found.sensitivity if i.range is not None}
-    if not told and found.kind == "quadratic":
-        told = {n: float(p.value.max() - p.value.min()) for n, (_, p) in profiles(found).items()}
-    return {name: told[name] for name in order if name in told}
+    order = strongest(surface)
+    ranges = {i.factor: i.range.value for i in surface.sensitivity if i.range is not None}
+    if not ranges and surface.kind == "quadratic":
+        ranges = {
+            n: float(p.value.max() - p.value.min()) for n, (_, p) in profiles(surface).items()
+        }
+    return {name: ranges[name] for name in order if name in ranges}
 
 
-def _judged(one: FittedSurface, data: ReportData) -> str:
-    if one.practical is None or one.found is None:
+def _judged(fit: FittedSurface, data: ReportData) -> str:
+    if fit.practical is None or fit.surface is None:
         return ""
     by = gathered(
-        (item.range.told, name_of(item.factor, data.labels))
-        for item in one.found.sensitivity
+        (item.range.words, name_of(item.factor, data.labels))
+        for item in fit.surface.sensitivity
         if item.range is not None
     )
-    limit = f"{one.practical:.3g} {clean(one.unit)}".strip()
+    limit = f"{fit.practical:.3g} {clean(fit.unit)}".strip()
     claims = []
     for verdict, verb, more in (
         (MATTERS, "matter", ""),
@@ -454,33 +462,33 @@ def _share(value: float, ends: tuple[float, float]) -> str:
     return f"{percent(max(value, 0.0))} [{percent(low)}, {percent(high)}]"
 
 
-def _table_name(kind: str, one: FittedSurface) -> str:
-    return " ".join((kind, one.response, *one.labels.values()))
+def _table_name(kind: str, fit: FittedSurface) -> str:
+    return " ".join((kind, fit.response, *fit.labels.values()))
 
 
 def surface_blocks(
-    one: FittedSurface,
+    fit: FittedSurface,
     data: ReportData,
     anchor: str = "",
     drawn: Mapping[str, Figure] | None = None,
 ) -> Iterator[Block | None]:
     """One surface: what drives it, what it says, its tables, then its other figures."""
     figures = drawn or {}
-    named, lines = title(one, data), surface_lines(one, data)
-    yield Heading(capital(named), 2, anchor, one.unit)
-    if one.found is None:
+    named, lines = title(fit, data), surface_lines(fit, data)
+    yield Heading(capital(named), 2, anchor, fit.unit)
+    if fit.surface is None:
         yield Sentence(lines[0], kind="missing")
-        yield screening(one, data)
+        yield screening(fit, data)
         return
     yield figures.get("shares")
     yield Points(lines)
-    yield sensitivity(one, data)
-    yield from titled(coefficients(one, data), "Coefficients")
-    if isinstance(model := one.found.model, QuadraticSurface):
+    yield sensitivity(fit, data)
+    yield from titled(coefficients(fit, data), "Coefficients")
+    if isinstance(model := fit.surface.model, QuadraticSurface):
         for name, test in model.factor_tests.items():
             ratio = f"F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}"
             yield Sentence(f"All terms of {name}: {ratio}, {p_phrase(test.p)}.")
-    yield from titled(table(one, data), "Uncertain inputs")
+    yield from titled(table(fit, data), "Uncertain inputs")
     yield from (figures[kind] for kind in ("contours", "left-out") if kind in figures)
 
 
@@ -514,11 +522,11 @@ def _recommendation(recommended: Recommendation) -> Iterator[Block]:
     if recommended.bounds:
         yield from _limits(recommended)
     if (spread := recommended.spread) is not None:
-        kept = f"; the limits hold at {100 * spread.kept:.0f} % of them"
+        share = f"; the limits hold at {100 * spread.share_within:.0f} % of them"
         yield Sentence(
             f"over what was run of the inputs that are not chosen, {recommended.response} there "
             f"goes from {spread.low:.3g} to {spread.high:.3g}{unit}"
-            f"{kept if recommended.bounds else ''}"
+            f"{share if recommended.bounds else ''}"
         )
     for rival in recommended.rivals:
         other = _settings(rival.settings, recommended.units)
@@ -545,7 +553,7 @@ def _limits(recommended: Recommendation) -> Iterator[Block]:
 
 
 def _confirmed(recommended: Recommendation, run: Confirmed) -> Iterator[Block]:
-    ends = [(recommended.low, recommended.high), *(one[1:] for one in recommended.limited)]
+    ends = [(recommended.low, recommended.high), *(limited[1:] for limited in recommended.limited)]
     yield Table.of(
         "",
         [(name, value, pair) for (name, value), pair in zip(run.values.items(), ends, strict=True)],
@@ -556,7 +564,13 @@ def _confirmed(recommended: Recommendation, run: Confirmed) -> Iterator[Block]:
         },
     )
     inside = "inside of" if run.predicted else "outside of"
-    limits = "" if not recommended.bounds else "; limits kept" if run.kept else "; limits not kept"
+    limits = (
+        ""
+        if not recommended.bounds
+        else "; limits kept"
+        if run.within_limits
+        else "; limits not kept"
+    )
     yield Verbatim(f"the confirming run lies {inside} the predicted interval{limits}")
 
 

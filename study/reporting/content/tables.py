@@ -242,7 +242,7 @@ _STORED = ("low", "high", "practical", "u_num", "effect_over_u_num", "p", "p_hol
 
 def _surface_verdicts(data: ReportData) -> Iterator[dict[str, object]]:
     """Unrounded verdicts over numeric factors, which the page shows with their surfaces."""
-    for one, row in ((surface, row) for surface in data.surfaces for row in surface.verdicts):
+    for fit, row in ((surface, row) for surface in data.surfaces for row in surface.verdicts):
         ends = row["ci95"] if isinstance(row["ci95"], list) else [None, None]
         yield {
             **{name: row[name] for name in ("response", "factor", "verdict", "effect")},
@@ -251,7 +251,7 @@ def _surface_verdicts(data: ReportData) -> Iterator[dict[str, object]]:
             "practical": row["practical"],
             "u_num": row["u_num"],
             "scale": "range",
-            "at": ", ".join(f"{name}={level}" for name, level in one.labels.items()),
+            "at": ", ".join(f"{name}={level}" for name, level in fit.labels.items()),
         }
 
 

@@ -48,7 +48,7 @@ _LEVEL = 1e-3
 
 def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
     """Every figure of one surface by kind."""
-    surface = fitted.found
+    surface = fitted.surface
     if surface is None:
         return {}
     pair, errors = strongest(surface)[:2], left_out(surface) or ()
@@ -83,9 +83,9 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
 def profilers(data: ReportData) -> list[Figure]:
     """Every response along every factor, one figure for each combination of the other factors."""
     by_labels = gathered(
-        (at_labels(fitted, data), (fitted, fitted.found))
+        (at_labels(fitted, data), (fitted, fitted.surface))
         for fitted in data.surfaces
-        if fitted.found is not None
+        if fitted.surface is not None
     )
     figures = []
     for labels, rows in by_labels.items():
@@ -146,10 +146,10 @@ def _profiles_caption(rows: Rows, data: ReportData, frame: pd.DataFrame) -> str:
 
 
 def _finding(
-    one: FittedSurface, surface: SurfaceAnalysis, data: ReportData, row: pd.DataFrame
+    fit: FittedSurface, surface: SurfaceAnalysis, data: ReportData, row: pd.DataFrame
 ) -> str:
     """Say what every factor does to a response by itself."""
-    named, unit = clean(name_of(one.response, data.labels)), clean(one.unit)
+    named, unit = clean(name_of(fit.response, data.labels)), clean(fit.unit)
     model = surface.model
     if isinstance(model, QuadraticSurface):
         is_carried = model.carries or model.error != "none"
@@ -163,9 +163,9 @@ def _finding(
     for name, along in row.groupby("factor", sort=False):
         factor, value = name_of(str(name), data.labels), along["value"].to_numpy()
         steps, change = np.diff(value), float(np.ptp(value))
-        if one.practical is not None and change < one.practical:
+        if fit.practical is not None and change < fit.practical:
             # the whole band must lie within it, for what the prediction does is no claim yet
-            is_small = along["high"].max() - along["low"].min() < one.practical
+            is_small = along["high"].max() - along["low"].min() < fit.practical
             (small if is_small else unclear).append(factor)
         elif (steps > -_LEVEL * change).all() or (steps < _LEVEL * change).all():
             verb = "rises" if value[-1] > value[0] else "falls"
@@ -173,7 +173,7 @@ def _finding(
         else:
             ends = interval(value.min(), value.max(), unit)
             parts.append(f"lies between {ends.replace(' to ', ' and ')} along {factor}")
-    limit = f"what matters ({quantity(one.practical, unit)})"
+    limit = f"what matters ({quantity(fit.practical, unit)})"
     if small:
         parts.append(f"changes by less than {limit} with {listing(small)}")
     if unclear:
@@ -206,7 +206,7 @@ def _contours_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportDa
         quantity(float(v), clean(fitted.unit)) for v in (frame["value"].min(), frame["value"].max())
     ]
     over = " and ".join(name_of(str(name), data.labels) for name in frame.columns[:2])
-    several = fitted.found is not None and len(fitted.found.runs.factors) > 2
+    several = fitted.surface is not None and len(fitted.surface.runs.factors) > 2
     others = "; the others are in the middle of their ranges" if several else ""
     return sentence(
         f"{title(fitted, data)} goes from {ends[0]} to {ends[1]} over {over}{others}. Points are "
@@ -274,7 +274,7 @@ def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
 
 def _left_out_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
     worst = float((frame["simulated"] - frame["predicted"]).abs().max())
-    q2 = 0.0 if fitted.found is None else fitted.found.model.q2
+    q2 = 0.0 if fitted.surface is None else fitted.surface.model.q2
     return (
         f"Each run of {title(fitted, data)} against what a surface fitted to all the others "
         f"predicts; the worst is off by {quantity(worst, clean(fitted.unit))}, and Q2 is "

@@ -343,7 +343,7 @@ def data_of_table(
 
 def surface_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:
     """Gather what a report shows of the surfaces of one response of a table."""
-    good = [(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
+    good = [(fitted.surface.runs, fitted.labels) for fitted in fits if fitted.surface is not None]
     table = pd.concat([_settings_of(runs, labels) for runs, labels in good], ignore_index=True)
     table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
     runs, names = good[0][0], [*fits[0].labels, *good[0][0].names]
@@ -355,7 +355,7 @@ def surface_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> Repor
         f"How does {runs.name} depend on {listing(names)}?",
         {name: tuple(table[name].unique()) for name in names},
         table,
-        sum(len(one.distinct()[0]) for one, _ in good),
+        sum(len(distinct_runs.distinct()[0]) for distinct_runs, _ in good),
     )
     return replace(
         data,

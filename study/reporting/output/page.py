@@ -242,7 +242,7 @@ class StudyProgress:
 
     done: int
     total: int
-    said: str
+    words: str
 
 
 @dataclass(frozen=True)

@@ -62,10 +62,10 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     figures = of_study if worker is None else worker.begin(of_study)
     all_facts = facts(data)
     of_each = {item.name: registry.of_response(data, item) for item in all_facts}
-    shapes = {surface_content.title(one, data): one for one in data.surfaces}
+    shapes = {surface_content.title(fit, data): fit for fit in data.surfaces}
     over = {
-        title: made(surface_figures.drawings(one, data), f"surface-{slug(title)}", title)
-        for title, one in shapes.items()
+        title: made(surface_figures.drawings(fit, data), f"surface-{slug(title)}", title)
+        for title, fit in shapes.items()
     }
     effects = registry.overview(data, all_facts)
     shares = next((of["shares"] for of in over.values() if "shares" in of), None)
@@ -75,9 +75,9 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     middle: list[Block | None] = []
     if profilers := surface_figures.profilers(data):
         middle += [Heading("Prediction profiler", 2, "profiler"), *profilers]
-    for title, one in shapes.items():
-        middle += surface_content.surface_blocks(one, data, f"surface-{slug(title)}", over[title])
-        notes = () if one.found is None else one.found.notes
+    for title, fit in shapes.items():
+        middle += surface_content.surface_blocks(fit, data, f"surface-{slug(title)}", over[title])
+        notes = () if fit.surface is None else fit.surface.notes
         middle += [Sentence(sentence(text), kind="note") for text in notes]
     middle += [block for part in parts for block in _response(data, *part)]
     of_all = figures()
@@ -214,9 +214,9 @@ def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     if data.surfaces and not any(facts.terms for facts in all_facts):
         first = data.surfaces[: sentences.MOST_RESPONSES]
         lines = [
-            sentence(f"{surface_content.title(one, data)}. {' '.join(ends)}")
-            for one in first
-            if (ends := surface_content.extremes(one, data))
+            sentence(f"{surface_content.title(finding, data)}. {' '.join(ends)}")
+            for finding in first
+            if (ends := surface_content.extremes(finding, data))
         ]
         if more := len(data.surfaces) - len(first):
             lines.append(f"The second page has those of {count(more, 'more surface')}.")

@@ -187,14 +187,14 @@ class Bound:
 class Confirmed(Keyed):
     """What the true model says at a recommended setting."""
 
-    KEYS = "settings values inside_interval=predicted keeps_limits=kept"
+    KEYS = "settings values inside_interval=predicted keeps_limits=within_limits"
 
     settings: Mapping[str, str]
     #: Responses in their units, means over the blocks; NaN where the run has no answer.
     values: Mapping[str, float]
     #: Whether the response lies in the interval that was predicted.
     predicted: bool
-    kept: bool
+    within_limits: bool
 
 
 @dataclass(frozen=True)

@@ -304,10 +304,10 @@ def sensitivity_of(
 
 
 def side_by_side(
-    terms: Sequence[str], found: Mapping[str, Mapping[str, float | None]], alpha: float
+    terms: Sequence[str], probabilities: Mapping[str, Mapping[str, float | None]], alpha: float
 ) -> AnalysisSensitivity:
     """Table of p, terms against analyses, and in how many each is below alpha."""
-    p = {term: {method: ps.get(term) for method, ps in found.items()} for term in terms}
+    p = {term: {method: ps.get(term) for method, ps in probabilities.items()} for term in terms}
     agreement = {}
     for term, row in p.items():
         values = [value for value in row.values() if value is not None]

@@ -103,8 +103,8 @@ def best_source(
     if _sparse_ready(out, fit) and contrasts >= LEAST_CONTRASTS:
         question = "is the effect an outlier among the effects (effect sparsity)?"
         blocks = " and ".join(out.data.blocks)
-        beside = f"; interactions with {blocks} are taken as none" if blocks else " and no blocks"
-        reason = f"no replicates{beside}; Lenth's method on {contrasts} contrasts"
+        ending = f"; interactions with {blocks} are taken as none" if blocks else " and no blocks"
+        reason = f"no replicates{ending}; Lenth's method on {contrasts} contrasts"
         return ErrorTerm("E6", question, df, reason), ()
     question = "no p: shares of variation and effects against the practical threshold"
     reason = "no replicates, no blocks and nothing declared negligible"

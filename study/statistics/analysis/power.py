@@ -193,7 +193,7 @@ def planned_verdicts(
 
 
 def fewest_blocks(
-    sd: float, practical: float, *, u: float = 0.0, wanted: Sequence[float] = (0.8, 0.9)
+    sd: float, practical: float, *, u: float = 0.0, powers: Sequence[float] = (0.8, 0.9)
 ) -> tuple[int | None, ...]:
     """Smallest numbers of blocks whose right claim reaches each wanted probability.
 
@@ -203,7 +203,7 @@ def fewest_blocks(
     (4, 4)
     """
     fewest: list[int | None] = []
-    for level in wanted:
+    for level in powers:
         rows = (planned_verdicts([b], sd, practical, u=u)[0] for b in range(2, MOST_BLOCKS + 1))
         fewest.append(next((row.blocks for row in rows if row.right >= level), None))
     return tuple(fewest)

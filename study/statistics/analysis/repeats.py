@@ -121,8 +121,14 @@ def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
         return row.f, (row.df, row.df_error), row.p
 
     each = [(row.term, tested(row)) for row in nested.rows]
-    both = [(term, own, tested(naive.row(term))) for term, own in each if own is not None]
-    return tuple(NaiveTerm(term, *own, *rows) for term, own, rows in both if rows is not None)
+    both = [
+        (term, nested_row, tested(naive.row(term)))
+        for term, nested_row in each
+        if nested_row is not None
+    ]
+    return tuple(
+        NaiveTerm(term, *nested_row, *rows) for term, nested_row, rows in both if rows is not None
+    )
 
 
 def sentences(nested: NestedUnits, alpha: float) -> list[str]:

@@ -408,8 +408,8 @@ def own(out: AnalysisResult, plots: Plots | None = None) -> AnalysisResult | Non
         df = {row.term: float(row.df_error or 0) for row in rows}
         error = error_of_strata(block, plots, "own interactions", df)
         alike = _COVARIANCES if min(map(len, members)) >= LEAST_OWN else _ONE_COVARIANCE
-        asked = out.request.error == "own"
-        error = replace(error, reason="asked for" if asked else f"{error.reason}; {alike}")
+        is_requested = out.request.error == "own"
+        error = replace(error, reason="asked for" if is_requested else f"{error.reason}; {alike}")
     layout = table.layout if groups is None else _product(table.layout, groups)
     effects, notes = _effects(out, tests, table, layout, members)
     listed = with_shares([*rows, *tests.errors], tests.total)
@@ -528,7 +528,7 @@ def _own_error(
     else:
         source, question = "E1", f"would the ranking change with another {block}?"
         against = f"interaction with {blocks} levels of {block}"
-        asked = out.request.error == "own"
-        why = "asked for" if asked else "every cell is seen in the same blocks"
+        is_requested = out.request.error == "own"
+        why = "asked for" if is_requested else "every cell is seen in the same blocks"
     question += f" (each effect against its own {against}, Greenhouse-Geisser deciding)"
     return ErrorTerm(source, question, df, why), cautions

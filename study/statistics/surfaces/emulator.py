@@ -64,7 +64,7 @@ class EffectRange:
         return self.verdict == "matters" and not self.confirmed
 
     @property
-    def told(self) -> str:
+    def words(self) -> str:
         """The verdict, and what it still waits for."""
         return f"{self.verdict}, if confirmed" if self.claims else self.verdict
 
@@ -161,8 +161,8 @@ class SobolIndex:
             low, high = np.clip([ends[0] - margin, ends[1] + margin], 0.0, 1.0)
             return float(low), float(high)
 
-        own = float(np.clip(first, 0.0, 1.0)), float(np.clip(total, 0.0, 1.0))
-        return cls(own[0], wide(first_ends), own[1], wide(total_ends))
+        index = float(np.clip(first, 0.0, 1.0)), float(np.clip(total, 0.0, 1.0))
+        return cls(index[0], wide(first_ends), index[1], wide(total_ends))
 
 
 #: keys of the index of a factor, which are null without one
@@ -261,12 +261,12 @@ class Emulator(Keyed):
     @property
     def kernel(self) -> dict[str, object]:
         """Kernel and Q2; with the runs of other combinations of levels their correlations."""
-        kernel = self.process.found.kernel
+        kernel = self.process.hyperparameters.kernel
         lengths = dict(zip(self.runs.names, kernel.lengths, strict=True))
-        own: dict[str, object] = {"kernel": kernel.family, "lengths": lengths, "q2": self.q2}
+        keys: dict[str, object] = {"kernel": kernel.family, "lengths": lengths, "q2": self.q2}
         if kernel.categories is None:
-            return own
-        return own | {"category_correlation": kernel.categories.matrix[self.combination]}
+            return keys
+        return keys | {"category_correlation": kernel.categories.matrix[self.combination]}
 
     def keyed(self) -> dict[str, object]:
         """Give what stands under every key."""
@@ -279,7 +279,7 @@ class Emulator(Keyed):
 
     @property
     def _own(self) -> Flags:
-        which = self.process.found.kernel.combination(self.process.x)
+        which = self.process.hyperparameters.kernel.combination(self.process.x)
         return np.asarray(which == (self.combination or 0))
 
     def points(self, unit: Array) -> Array:
@@ -325,11 +325,11 @@ class Emulator(Keyed):
         values of five functions; with this they cover 75 to 100 %.
         """
         x = self.points(0.5 * (coded + 1.0))
-        own = self.process.mean(x)
-        other = own if self.rival is None else self.rival.mean(x)
+        mean = self.process.mean(x)
+        other = mean if self.rival is None else self.rival.mean(x)
         deviation = self.scale * self.widening * self.process.deviation(x)
-        half = 1.96 * np.maximum(deviation, self.loo_rms) + self.scale * np.abs(own - other)
-        return self.centre + self.scale * own, half
+        half = 1.96 * np.maximum(deviation, self.loo_rms) + self.scale * np.abs(mean - other)
+        return self.centre + self.scale * mean, half
 
     def value(self, coded: Array) -> Array:
         """Predictions, shape (m,), at coded points of shape (m, k)."""
@@ -363,14 +363,14 @@ def expected_seconds(n: int) -> float:
 def fit_emulator(runs: Runs, seed: int = 0) -> Emulator:
     """Fit both kernels and keep the one that predicts left-out runs better."""
     _check(runs)
-    (found,) = _fitted([runs], (), seed)
-    return found
+    (model,) = _fitted([runs], (), seed)
+    return model
 
 
 def fit_together(runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0) -> tuple[Emulator, ...]:
     """Fit one process to the runs of all combinations of categories together."""
-    for one in runs:
-        n = len(one.distinct()[0])
+    for single in runs:
+        n = len(single.distinct()[0])
         if n < FEWEST_OWN:
             rule = (
                 f"{n} different runs at one combination of levels, at least {FEWEST_OWN} are needed"
@@ -383,21 +383,21 @@ def fit_together(runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0) -> t
 
 
 def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emulator, ...]:
-    averaged = [_emulator_averaged(one) for one in runs]
+    averaged = [_emulator_averaged(response) for response in runs]
     numbers = range(len(runs)) if sizes else [None]
     parts = []
-    for (one, u), number in zip(averaged, numbers, strict=True):
-        centre, scale = one.response.mean(), one.response.std()
+    for (response, u), number in zip(averaged, numbers, strict=True):
+        centre, scale = response.response.mean(), response.response.std()
         if scale <= 1e-12 * abs(centre):
-            rule = f"the response {one.name!r} is the same in every run"
+            rule = f"the response {response.name!r} is the same in every run"
             raise RefusedError(str(Fault("emulator", rule, "there is nothing to explain")))
-        unit = _among(0.5 * (one.coded + 1.0), number)
-        parts.append((unit, (one.response - centre) / scale, (u / scale) ** 2))
+        unit = _among(0.5 * (response.coded + 1.0), number)
+        parts.append((unit, (response.response - centre) / scale, (u / scale) ** 2))
     x, y, noise = map(np.concatenate, zip(*parts, strict=True))
     fits = [fit_process(x, y, noise, family, seed, sizes) for family in FAMILIES]
     rival, best = sorted(fits, key=lambda p: 1.0 - float((p.loo_errors**2).sum() / (y**2).sum()))
     each = zip(averaged, numbers, strict=True)
-    return tuple(Emulator(one, best, seed, number, rival) for (one, _), number in each)
+    return tuple(Emulator(response, best, seed, number, rival) for (response, _), number in each)
 
 
 def _among(unit: Array, combination: int | None) -> Array:
@@ -461,49 +461,49 @@ class BlockedEmulator(Keyed):
 
     def keyed(self) -> dict[str, object]:
         """Give what stands under every key."""
-        blocks = {name: found.kernel for name, found in self.emulators.items()}
+        blocks = {name: emulator.kernel for name, emulator in self.emulators.items()}
         return {"blocks": blocks} | left_out_errors(self)
 
     @property
     def q2(self) -> float:
         """Smallest leave-one-out Q2 of all blocks."""
-        return min(found.q2 for found in self.each)
+        return min(emulator.q2 for emulator in self.each)
 
     @property
     def gate(self) -> Gate:
         """What the worst block allows to be said."""
-        return min(self.each, key=lambda found: found.q2).gate
+        return min(self.each, key=lambda emulator: emulator.q2).gate
 
     @property
     def loo_rms(self) -> float:
         """Root mean square leave-one-out error over all blocks, in the response's unit."""
-        return float(np.sqrt(np.mean([found.loo_rms**2 for found in self.each])))
+        return float(np.sqrt(np.mean([emulator.loo_rms**2 for emulator in self.each])))
 
     @property
     def loo_errors(self) -> Array:
         """Leave-one-out errors of all blocks, in the response's unit."""
-        return np.concatenate([found.loo_errors for found in self.each])
+        return np.concatenate([emulator.loo_errors for emulator in self.each])
 
     def value(self, coded: Array) -> Array:
         """Mean over the blocks, shape (m,), at coded points of shape (m, k)."""
-        return np.asarray(np.mean([found.value(coded) for found in self.each], axis=0))
+        return np.asarray(np.mean([emulator.value(coded) for emulator in self.each], axis=0))
 
     def predict(self, coded: Array) -> tuple[Array, Array]:
         """Means over blocks and half widths: scatter of the blocks, and the emulators' error."""
-        told = [found.predict(coded) for found in self.each]
-        values = np.array([value for value, _ in told])
-        errors = np.mean([half for _, half in told], axis=0)
+        predictions = [emulator.predict(coded) for emulator in self.each]
+        values = np.array([value for value, _ in predictions])
+        errors = np.mean([half for _, half in predictions], axis=0)
         return values.mean(axis=0), self._scatter(values) + errors
 
     def indices(self) -> tuple[SobolIndex, ...]:
         """Sobol indices, averaged over blocks, with t intervals widened by 1 - Q2."""
-        told = [found.indices() for found in self.each]
+        by_block = [emulator.indices() for emulator in self.each]
         margin = 1.0 - self.q2 + SAMPLE_ERROR
-        return tuple(self._averaged(own, margin) for own in zip(*told, strict=True))
+        return tuple(self._averaged(of_factor, margin) for of_factor in zip(*by_block, strict=True))
 
-    def _averaged(self, own: tuple[SobolIndex, ...], margin: float) -> SobolIndex:
+    def _averaged(self, indices: tuple[SobolIndex, ...], margin: float) -> SobolIndex:
         """Mean of the blocks' indices of a factor, with its t interval."""
-        parts = [np.array([i.first for i in own]), np.array([i.total for i in own])]
+        parts = [np.array([i.first for i in indices]), np.array([i.total for i in indices])]
         sides = np.array([-1.0, 1.0])
         first, total = (float(part.mean()) for part in parts)
         ends = [part.mean() + self._scatter(part) * sides for part in parts]
@@ -511,18 +511,18 @@ class BlockedEmulator(Keyed):
 
     def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
         """Range along every factor, averaged over blocks; arguments as for one emulator."""
-        told = [found.ranges(practical, u) for found in self.each]
-        each = enumerate(zip(*told, strict=True))
-        return tuple(self._range(j, own, practical, u) for j, own in each)
+        by_block = [emulator.ranges(practical, u) for emulator in self.each]
+        each = enumerate(zip(*by_block, strict=True))
+        return tuple(self._range(j, of_factor, practical, u) for j, of_factor in each)
 
     def _range(
-        self, j: int, own: tuple[EffectRange, ...], practical: float | None, u: float
+        self, j: int, ranges: tuple[EffectRange, ...], practical: float | None, u: float
     ) -> EffectRange:
-        values = np.array([effect.value for effect in own])
-        bound = float(self._scatter(values) + np.mean([effect.bound for effect in own]))
+        values = np.array([effect.value for effect in ranges])
+        bound = float(self._scatter(values) + np.mean([effect.bound for effect in ranges]))
         value = float(values.mean())
         # where the block nearest to the mean has its extremes
-        nearest = own[int(np.abs(values - value).argmin())]
+        nearest = ranges[int(np.abs(values - value).argmin())]
         sure = practical is not None and is_confirmed(self.runs, j, practical + u)
         verdict = verdict_of(value, bound, practical, float(np.ptp(self.runs.response)))
         return EffectRange(value, bound, verdict, nearest.confirm, sure)
@@ -545,16 +545,19 @@ def fit_blocks_together(
     runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0
 ) -> tuple[BlockedEmulator, ...]:
     """Fit one process a block to its runs of all combinations of categories."""
-    every = [_blocks(one) for one in runs]
-    if any(set(one) != set(every[0]) for one in every):
+    every = [_blocks(response) for response in runs]
+    if any(set(response) != set(every[0]) for response in every):
         rule = "the combinations of levels have runs of other blocks"
         raise RefusedError(str(Fault("emulator", rule, "run every block at each of them")))
-    found = {
-        name: fit_together([_of_block(one, name) for one in runs], sizes, seed) for name in every[0]
+    emulators = {
+        name: fit_together([_of_block(response, name) for response in runs], sizes, seed)
+        for name in every[0]
     }
     return tuple(
-        BlockedEmulator(one, {name: own[place] for name, own in found.items()})
-        for place, one in enumerate(runs)
+        BlockedEmulator(
+            response, {name: by_response[place] for name, by_response in emulators.items()}
+        )
+        for place, response in enumerate(runs)
     )
 
 
@@ -602,22 +605,22 @@ class Unsure:
     def gains(self, x: Array, at: Array, made: Array) -> Array:
         """Drop of the summed variance that a run at each candidate would bring, shape (m,)."""
         # Shapes: x (m, k); at (r, k); made (n, k).
-        found = self.process.found
-        kernel, nugget = found.kernel, found.nugget
+        fitted = self.process.hyperparameters
+        kernel, nugget = fitted.kernel, fitted.nugget
         matrix = kernel.correlation(made, made)
         matrix[np.diag_indices_from(matrix)] += max(nugget, 1e-10)
         factor = linalg.cholesky(matrix, lower=True)
         half_x = linalg.solve_triangular(factor, kernel.correlation(made, x), lower=True)
         half_at = linalg.solve_triangular(factor, kernel.correlation(made, at), lower=True)
         shared = kernel.correlation(x, at) - half_x.T @ half_at
-        own = np.maximum(1.0 - (half_x**2).sum(axis=0), 0.0) + max(nugget, 1e-10)
+        variance = np.maximum(1.0 - (half_x**2).sum(axis=0), 0.0) + max(nugget, 1e-10)
         # square of the misfit of the runs near each point, over that which the process expects
         ratios = (self.process.loo_errors / self.process.loo_deviations) ** 2
         near = kernel.correlation(at, self.process.x)
         local = near @ ratios + PRIOR_RUNS * float(ratios.mean())
         local /= near.sum(axis=1) + PRIOR_RUNS
-        gains = (shared**2) @ local**self.power / own
-        return np.asarray(found.variance * gains / at.shape[0])
+        gains = (shared**2) @ local**self.power / variance
+        return np.asarray(fitted.variance * gains / at.shape[0])
 
 
 def next_run(unsure: Sequence[Unsure], x: Array, at: Array, made: Array) -> tuple[int, float]:
@@ -626,6 +629,6 @@ def next_run(unsure: Sequence[Unsure], x: Array, at: Array, made: Array) -> tupl
         apart = np.min(np.abs(x[:, None, :] - made[None, :, :]).sum(axis=2), axis=1)
         best = int(apart.argmax())
         return best, float(apart[best])
-    gains = np.sum([one.gains(x, at, made) for one in unsure], axis=0)
+    gains = np.sum([model.gains(x, at, made) for model in unsure], axis=0)
     best = int(gains.argmax())
     return best, float(gains[best])

@@ -60,27 +60,27 @@ class CategoryCorrelation:
 
     def slopes(self) -> list[Array]:
         """List the derivatives of ln(matrix) by the logarithm of each distance that is fitted."""
-        found = []
-        for q, own in enumerate(self.distances):
-            c = own.size
+        derivatives = []
+        for q, distance in enumerate(self.distances):
+            c = distance.size
             for r in range(_own(c)):
                 slope = np.zeros((c, c))
-                slope[r, :] -= own[r]
-                slope[:, r] -= own[r]
+                slope[r, :] -= distance[r]
+                slope[:, r] -= distance[r]
                 if c == 2:  # both are the same number
-                    slope[:] = -2.0 * own[0]
+                    slope[:] = -2.0 * distance[0]
                 np.fill_diagonal(slope, 0.0)
                 # logarithms of the factors of a Kronecker product add
                 ones = [np.ones_like(m) for m in self._logarithms]
                 ones[q] = slope
-                found.append(reduce(lambda a, b: np.asarray(np.kron(a, b)), ones))
-        return found
+                derivatives.append(reduce(lambda a, b: np.asarray(np.kron(a, b)), ones))
+        return derivatives
 
     @cached_property
     def _logarithms(self) -> list[Array]:
-        made = [-(own[:, None] + own) for own in self.distances]
-        for one in made:
-            np.fill_diagonal(one, 0.0)
+        made = [-(distance[:, None] + distance) for distance in self.distances]
+        for logarithm in made:
+            np.fill_diagonal(logarithm, 0.0)
         return made
 
 
@@ -116,11 +116,11 @@ class Kernel:
     def correlation(self, x: Array, other: Array) -> Array:
         """Correlations, shape (n, m), of points of shape (n, k) and (m, k)."""
         if self.family == "Gaussian":
-            found = np.asarray(np.exp(-0.5 * self._squared(x, other)))
+            values = np.asarray(np.exp(-0.5 * self._squared(x, other)))
         else:
             a = np.sqrt(5.0 * self._squared(x, other))
-            found = np.asarray((1.0 + a + a * a / 3.0) * np.exp(-a))
-        return self._among(found, x, other)
+            values = np.asarray((1.0 + a + a * a / 3.0) * np.exp(-a))
+        return self._among(values, x, other)
 
     def with_slope(self, x: Array) -> tuple[Array, Array]:
         """Correlations R of points of shape (n, k), and H: dR/d ln l_j = H (x_ij - x_kj)^2/l_j^2.
@@ -150,11 +150,11 @@ class Kernel:
         p = 1 if self.categories is None else len(self.categories.matrix)
         return np.asarray(np.eye(p)[self.combination(x)])
 
-    def _among(self, found: Array, x: Array, other: Array) -> Array:
+    def _among(self, correlation: Array, x: Array, other: Array) -> Array:
         if self.categories is None:
-            return found
+            return correlation
         rows, columns = self.combination(x), self.combination(other)
-        return np.asarray(found * self.categories.matrix[np.ix_(rows, columns)])
+        return np.asarray(correlation * self.categories.matrix[np.ix_(rows, columns)])
 
     def frequencies(self, rng: np.random.Generator, n: int) -> Array:
         """Draw frequencies, shape (n, k), from the spectrum of the correlation (Bochner)."""
@@ -210,7 +210,7 @@ class GaussianProcess:
     y: Array
     #: shape (n,); known variance of each.
     noise: Array
-    found: Hyperparameters
+    hyperparameters: Hyperparameters
     #: shape (n, n); lower Cholesky factor of the covariance K of the runs.
     factor: Array
     #: shape (n, n); K^-1 with the constant means projected out.
@@ -231,7 +231,9 @@ class GaussianProcess:
     def mean(self, x: Array) -> Array:
         """Posterior mean, shape (m,), at points of shape (m, k)."""
         level, weights = self.solved
-        return np.asarray(self.found.kernel.constants(x) @ level + self.covariance(x) @ weights)
+        return np.asarray(
+            self.hyperparameters.kernel.constants(x) @ level + self.covariance(x) @ weights
+        )
 
     @cached_property
     def solved(self) -> tuple[Array, Array]:
@@ -241,37 +243,39 @@ class GaussianProcess:
 
     def _weights(self, responses: Array) -> tuple[Array, Array]:
         level = linalg.solve(self._information, self._constants.T @ responses, assume_a="pos")
-        rest = responses - self.found.kernel.constants(self.x) @ level
+        rest = responses - self.hyperparameters.kernel.constants(self.x) @ level
         return level, linalg.cho_solve((self.factor, True), rest)
 
     @cached_property
     def _constants(self) -> Array:
         """K^-1 times the columns of the constant means, shape (n, p)."""
         return np.asarray(
-            linalg.cho_solve((self.factor, True), self.found.kernel.constants(self.x))
+            linalg.cho_solve((self.factor, True), self.hyperparameters.kernel.constants(self.x))
         )
 
     @property
     def _information(self) -> Array:
         """What the runs say of these means, shape (p, p)."""
-        return np.asarray(self.found.kernel.constants(self.x).T @ self._constants)
+        return np.asarray(self.hyperparameters.kernel.constants(self.x).T @ self._constants)
 
     def covariance(self, x: Array) -> Array:
         """Covariance, shape (m, n), of points of shape (m, k) with the runs."""
-        return self.found.variance * self.found.kernel.correlation(x, self.x)
+        return self.hyperparameters.variance * self.hyperparameters.kernel.correlation(x, self.x)
 
     def interpolated(self, responses: Array, x: Array) -> Array:
         """Predictions (m, q) at points (m, k) that the process makes of data (n, q)."""
         level, weights = self._weights(responses)
-        return np.asarray(self.found.kernel.constants(x) @ level + self.covariance(x) @ weights)
+        return np.asarray(
+            self.hyperparameters.kernel.constants(x) @ level + self.covariance(x) @ weights
+        )
 
     def deviation(self, x: Array) -> Array:
         """Posterior standard deviation, shape (m,), without the nugget, at points (m, k)."""
         k = self.covariance(x)
         half = linalg.solve_triangular(self.factor, k.T, lower=True)
-        missed = self.found.kernel.constants(x) - k @ self._constants
+        missed = self.hyperparameters.kernel.constants(x) - k @ self._constants
         mean = (missed * linalg.solve(self._information, missed.T, assume_a="pos").T).sum(axis=1)
-        variance = self.found.variance - (half**2).sum(axis=0) + mean
+        variance = self.hyperparameters.variance - (half**2).sum(axis=0) + mean
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
@@ -288,7 +292,7 @@ def fit_process(
         lengths, apart = _between(rng, RESTART_LENGTHS, k), _between(rng, RESTART_DISTANCES, p)
         starts.append(np.array([*lengths, *apart, *np.log(tail)]))
     ends = [LENGTHS] * k + [DISTANCES] * p + [VARIANCES, NUGGETS]
-    bounds = [tuple(np.log(one)) for one in ends]
+    bounds = [tuple(np.log(search)) for search in ends]
 
     def cost(theta: Array) -> tuple[float, Array]:
         value, slope = log_likelihood(theta, x, y, noise, family, sizes)
@@ -299,7 +303,7 @@ def fit_process(
             cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": steps}
         )
 
-    best = min((searched(start, STEPS) for start in starts), key=lambda one: float(one.fun))
+    best = min((searched(start, STEPS) for start in starts), key=lambda search: float(search.fun))
     if best.status == BY_COUNT:
         best = searched(np.asarray(best.x), MOST_STEPS)
     settled(best, "length scales of the emulator", by_lines=True)
@@ -321,13 +325,13 @@ def hyperparameters(theta: Array, family: Family, sizes: Sequence[int] = ()) -> 
     return Hyperparameters(kernel, float(values[-2]), float(values[-1]))
 
 
-def condition(x: Array, y: Array, noise: Array, found: Hyperparameters) -> GaussianProcess:
+def condition(x: Array, y: Array, noise: Array, fitted: Hyperparameters) -> GaussianProcess:
     """Condition a process with known hyperparameters on runs."""
-    matrix = found.variance * found.kernel.correlation(x, x)
-    matrix[np.diag_indices_from(matrix)] += noise + found.variance * found.nugget
+    matrix = fitted.variance * fitted.kernel.correlation(x, x)
+    matrix[np.diag_indices_from(matrix)] += noise + fitted.variance * fitted.nugget
     factor = linalg.cholesky(matrix, lower=True)
-    projected = _projected(factor, found.kernel.constants(x))
-    return GaussianProcess(x, y, noise, found, factor, projected, projected @ y)
+    projected = _projected(factor, fitted.kernel.constants(x))
+    return GaussianProcess(x, y, noise, fitted, factor, projected, projected @ y)
 
 
 def _projected(factor: Array, constants: Array) -> Array:
@@ -335,8 +339,10 @@ def _projected(factor: Array, constants: Array) -> Array:
     lower, _ = linalg.lapack.dpotri(factor, lower=1)
     inverse = lower + lower.T  # the factor has zeros above its diagonal, and so has the inverse
     inverse[np.diag_indices_from(inverse)] = np.diag(lower)
-    known = inverse @ constants
-    return np.asarray(inverse - known @ linalg.solve(constants.T @ known, known.T, assume_a="pos"))
+    solved = inverse @ constants
+    return np.asarray(
+        inverse - solved @ linalg.solve(constants.T @ solved, solved.T, assume_a="pos")
+    )
 
 
 def log_likelihood(
@@ -344,11 +350,11 @@ def log_likelihood(
 ) -> tuple[float, Array]:
     """Restricted log likelihood without its constant, and its gradient."""
     # Shapes: theta (k + p + 2,); returns (k + p + 2,).
-    found = hyperparameters(theta, family, sizes)
-    correlation, shared = found.kernel.with_slope(x)
-    matrix = found.variance * correlation
-    matrix[np.diag_indices_from(matrix)] += noise + found.variance * found.nugget
-    constants = found.kernel.constants(x)
+    at = hyperparameters(theta, family, sizes)
+    correlation, shared = at.kernel.with_slope(x)
+    matrix = at.variance * correlation
+    matrix[np.diag_indices_from(matrix)] += noise + at.variance * at.nugget
+    constants = at.kernel.constants(x)
     try:
         factor = linalg.cholesky(matrix, lower=True, check_finite=False)
         half = linalg.solve_triangular(factor, constants, lower=True)
@@ -360,18 +366,18 @@ def log_likelihood(
     value = -np.log(np.diag(factor)).sum() - np.log(np.diag(means)).sum() - 0.5 * (y @ weights)
     # dL = 1/2 sum W dK with W = Pyy'P - P, P as in _projected
     outer = np.outer(weights, weights) - projected
-    part = found.variance * outer * shared
-    numbers = found.kernel.numbers(x)
+    part = at.variance * outer * shared
+    numbers = at.kernel.numbers(x)
     lengths = (
         part.sum(axis=1) @ numbers**2 - np.einsum("ij,ij->j", numbers, part @ numbers)
-    ) / found.kernel.lengths**2
-    share = found.variance * outer * correlation
-    nugget = 0.5 * found.variance * found.nugget * float(np.trace(outer))
+    ) / at.kernel.lengths**2
+    share = at.variance * outer * correlation
+    nugget = 0.5 * at.variance * at.nugget * float(np.trace(outer))
     variance = 0.5 * float(share.sum()) + nugget
     apart = []
-    if found.kernel.categories is not None:
+    if at.kernel.categories is not None:
         by_combination = constants.T @ share @ constants
-        apart = [0.5 * (by_combination * s).sum() for s in found.kernel.categories.slopes()]
+        apart = [0.5 * (by_combination * s).sum() for s in at.kernel.categories.slopes()]
     return float(value), np.array([*lengths, *apart, variance, nugget])
 
 
@@ -390,11 +396,11 @@ def draw_paths(process: GaussianProcess, seed: int, paths: int = PATHS) -> Calla
     first, at points of the unit box of shape (m, k).
     """
     rng = np.random.default_rng(seed)
-    found = process.found
-    kernel = found.kernel
+    fitted = process.hyperparameters
+    kernel = fitted.kernel
     frequencies = kernel.frequencies(rng, FEATURES)
     phases = rng.uniform(0.0, 2.0 * np.pi, FEATURES)
-    size = np.sqrt(2.0 * found.variance / FEATURES)
+    size = np.sqrt(2.0 * fitted.variance / FEATURES)
     parts = np.ones((1, 1)) if kernel.categories is None else kernel.categories.parts
     independent = size * rng.standard_normal((len(parts), FEATURES, paths))
     # of each path (features, paths), for every combination of categories
@@ -410,7 +416,7 @@ def draw_paths(process: GaussianProcess, seed: int, paths: int = PATHS) -> Calla
             values[here] = np.cos(angles) @ amplitudes[combination].astype(np.float32)
         return values
 
-    deviation = np.sqrt(process.noise + found.variance * found.nugget)
+    deviation = np.sqrt(process.noise + fitted.variance * fitted.nugget)
     noise = deviation[:, None] * rng.standard_normal((process.y.size, paths))
     # the data, and the data without each path
     rest = np.column_stack([process.y, process.y[:, None] - prior(process.x) - noise])

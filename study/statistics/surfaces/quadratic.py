@@ -142,16 +142,16 @@ class ModelColumns:
 
 def factorize(terms: Sequence[Term], coded: Array) -> ModelColumns:
     """Keep, in their order, the terms that the settings can tell. Shapes: coded (n, k)."""
-    kept: list[Term] = []
+    estimated: list[Term] = []
     left_out: list[Term] = []
     for term in terms:
-        rank = np.linalg.matrix_rank(model_matrix([*kept, term], coded), rtol=ALIASED)
-        (kept if rank > len(kept) else left_out).append(term)
-    columns = ModelColumns(tuple(kept), (), factorize_columns(model_matrix(kept, coded)))
+        rank = np.linalg.matrix_rank(model_matrix([*estimated, term], coded), rtol=ALIASED)
+        (estimated if rank > len(estimated) else left_out).append(term)
+    columns = ModelColumns(tuple(estimated), (), factorize_columns(model_matrix(estimated, coded)))
     aliases = []
     for term in left_out:
         weights = columns.coefficients(term.column(coded))
-        sums = ((t, float(w)) for t, w in zip(kept, weights, strict=True) if abs(w) > ALIASED)
+        sums = ((t, float(w)) for t, w in zip(estimated, weights, strict=True) if abs(w) > ALIASED)
         aliases.append((term, tuple(sums)))
     return replace(columns, aliases=tuple(aliases))
 
@@ -378,13 +378,15 @@ class QuadraticSurface(Keyed):
     def _scatter(self, j: int) -> float:
         """Half width of every difference of two settings of one factor together."""
         covariance = np.asarray(self.covariance)
-        own = [i for i, term in enumerate(self.polynomial.terms) if j in term.factors]
-        p, spread = len(own), covariance[np.ix_(own, own)]
+        of_factor = [i for i, term in enumerate(self.polynomial.terms) if j in term.factors]
+        p, spread = len(of_factor), covariance[np.ix_(of_factor, of_factor)]
         points = box_points(self.polynomial.k, 256)
         steps = np.linspace(-1.0, 1.0, 5)
         along = np.repeat(points[None], steps.size, axis=0)
         along[:, :, j] = steps[:, None]
-        rows = np.stack([model_matrix([self.polynomial.terms[i] for i in own], x) for x in along])
+        rows = np.stack(
+            [model_matrix([self.polynomial.terms[i] for i in of_factor], x) for x in along]
+        )
         largest = max(
             float(np.sqrt(np.einsum("ni,ij,nj->n", d, spread, d).max()))
             for a, b in combinations(range(steps.size), 2)
@@ -505,7 +507,7 @@ def _with_blocks(runs: Runs) -> QuadraticSurface:
             raise RefusedError(str(Fault("blocks", rule, mend)))
         cells = np.unique(which * len(names) + rows, return_inverse=True)[1]
         return _shifted_by_blocks(runs, rows, cells)
-    complete = [name for name, kept in zip(names, whole, strict=True) if kept]
+    complete = [name for name, is_whole in zip(names, whole, strict=True) if is_whole]
     lost = [name for name in names if name not in complete]
     notes = [f"left out, with settings that lack a run: {', '.join(lost)}"] if lost else []
     table = sums[:, whole] / counts[:, whole]
@@ -526,7 +528,7 @@ def _with_blocks(runs: Runs) -> QuadraticSurface:
     blocks = each.shape[1]
     if blocks <= len(runs.factors):
         notes.append("no region of the stationary point: it needs more blocks than factors")
-    found = _surface(
+    surface = _surface(
         runs, columns, table.mean(axis=1), "blocks",
         lack=against_blocks(columns.complement(), table), notes=notes,
         of_blocks=(np.atleast_2d(np.cov(each)) / blocks, blocks - 1),
@@ -536,7 +538,7 @@ def _with_blocks(runs: Runs) -> QuadraticSurface:
         of_factor = [i for i, term in enumerate(columns.terms) if j in term.factors]
         test = against_blocks(columns.alone(of_factor), table)
         tests |= {} if test is None else {name: test}
-    return replace(found, factor_tests=tests)
+    return replace(surface, factor_tests=tests)
 
 
 def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints) -> QuadraticSurface:
@@ -551,9 +553,9 @@ def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints) -> QuadraticSurface
         rule = "no two have a run at every setting, and the settings do not tell their shifts"
         mend = "complete the blocks, or leave --block out"
         raise RefusedError(str(Fault("blocks", rule, mend)))
-    found = _with_replicates(runs, which, replace(terms, model=model))
+    surface = _with_replicates(runs, which, replace(terms, model=model))
     note = "blocks hold different settings: each shifts the response by a constant"
-    return replace(found, notes=(note, *found.notes))
+    return replace(surface, notes=(note, *surface.notes))
 
 
 def _region(point: StationaryPoint, level: Callable[[Array], Flags]) -> Region:
@@ -586,19 +588,21 @@ def _surface(
     )
     loo = leave_one_out(columns, response)
     linear = [n for n, count in zip(runs.names, runs.levels(), strict=True) if count == 2]
-    said = [f"{name} has two settings: linear only" for name in linear]
+    lines = [f"{name} has two settings: linear only" for name in linear]
     together = change_together(runs)
     if together:
-        said.append(
+        lines.append(
             f"{', '.join(together[:-1])} and {together[-1]} change together in every run: what one "
             "does is not told from the others, and nothing is known where they change alone"
         )
     if loo is None:
-        said.append("as many coefficients as runs: no error of the surface can be told; add runs")
+        lines.append("as many coefficients as runs: no error of the surface can be told; add runs")
     elif not loo.q2 >= CARRIED:
-        said.append(f"Q2 {loo.q2:.2f} is below .8: effects are not carried by a quadratic")
+        lines.append(f"Q2 {loo.q2:.2f} is below .8: effects are not carried by a quadratic")
     elif error != "blocks" and response.size - columns.model.rank < SPARE:
-        said.append(f"one run more than coefficients: a Q2 of {loo.q2:.2f} may be chance; add runs")
+        lines.append(
+            f"one run more than coefficients: a Q2 of {loo.q2:.2f} may be chance; add runs"
+        )
     # a stationary point needs every square
     squares = sum(len(t.factors) == 2 and t.factors[0] == t.factors[1] for t in columns.terms)
     point = stationary_point(polynomial) if squares == polynomial.k else None
@@ -630,5 +634,5 @@ def _surface(
         aliases.append(f"{label[term]} = {' + '.join(sums)}")
     return QuadraticSurface(
         runs, polynomial, tuple(terms), {}, error, loo, lack, point,
-        tuple(aliases), (*notes, *said), covariance, df,
+        tuple(aliases), (*notes, *lines), covariance, df,
     )  # fmt: skip

@@ -195,21 +195,21 @@ def never_run(runs: Runs, at: Array | None = None) -> list[str]:
 
     Where coded points are given, shape (m, k), only the quarters that hold one of them.
     """
-    found = []
+    regions = []
     every = [runs.coded, *([] if at is None else [at])]
     for i, j in combinations(range(len(runs.factors)), 2):
         for side in product((1.0, -1.0), repeat=2):
             inside = [(p[:, [i, j]] * side > QUARTER).all(axis=1).any() for p in every]
             if not inside[0] and all(inside[1:]):
                 ends = zip((runs.factors[i], runs.factors[j]), side, strict=True)
-                found.append(" with ".join(
+                regions.append(" with ".join(
                     f"{factor.name} {'above' if end > 0 else 'below'} {factor.setting(0.0):.4g}"
                     for factor, end in ends
                 ))  # fmt: skip
-    if not found:
+    if not regions:
         return []
-    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-    return [f"never run: {'; '.join(found[:4])}{more}: what is predicted there is extrapolated"]
+    more = f" and {len(regions) - 4} more" if len(regions) > 4 else ""
+    return [f"never run: {'; '.join(regions[:4])}{more}: what is predicted there is extrapolated"]
 
 
 # Largest and smallest prediction in the box of coded factors.

@@ -230,7 +230,7 @@ def surfaces_at(
             every.append(made_of())
         except StudyError as error:
             every.append(error)
-    good, together = [one for one in every if isinstance(one, Runs)], None
+    good, together = [table for table in every if isinstance(table, Runs)], None
     if len(good) == len(places) == math.prod(sizes):
         # what is wrong with a combination is said where it is fitted
         with contextlib.suppress(StudyError):
@@ -249,7 +249,7 @@ def surfaces_at(
             fit = fit_quadratic if kind_of(runs, surface) == "quadratic" else fit_own
             model = fit(runs) if together is None else together[k]
             made = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
-            each.append(replace(fitted_here, found=made))
+            each.append(replace(fitted_here, surface=made))
         except StudyError as error:
             if not labels and not blank.units:
                 raise
@@ -286,10 +286,10 @@ def noted(
     """Add what is to be said of every surface, and of their table once, with the first."""
     noted, left = [], of_table
     for fitted in each:
-        found = fitted.found
-        if found is not None:
-            found, left = found.noted(*left, *remarks(found.runs, surface)), ()
-        noted.append(replace(fitted, found=found))
+        fit = fitted.surface
+        if fit is not None:
+            fit, left = fit.noted(*left, *remarks(fit.runs, surface)), ()
+        noted.append(replace(fitted, surface=fit))
     return noted
 
 
@@ -307,7 +307,7 @@ def _differences(
         labels_wanted = {**fitted.labels, name: base}
         # runs at some combinations of labels may be missing
         other = next((partner for partner in each if dict(partner.labels) == labels_wanted), fitted)
-        mine, theirs = (None if s.found is None else s.found.model for s in (fitted, other))
+        mine, theirs = (None if s.surface is None else s.surface.model for s in (fitted, other))
         if fitted is other or not (isinstance(mine, _EMULATORS) and isinstance(theirs, _EMULATORS)):
             continue
         limits = [s.practical for s in (fitted, other) if s.practical is not None]

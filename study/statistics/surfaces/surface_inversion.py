@@ -108,7 +108,7 @@ def agreeing(
         share = p * f / max(m - p, 1) * m / worth
         largest = float(np.sqrt(rms**2 * (1.0 + share) + (1.96 * model.loo_rms) ** 2))
     is_open = np.zeros((2, at.size), dtype=bool)
-    branches = [at, *(one for one in nearest.minima[1:] if nearest.rms(one) <= largest)]
+    branches = [at, *(point for point in nearest.minima[1:] if nearest.rms(point) <= largest)]
     members = list(branches)
     for j in space.free:
         for side, end in enumerate((float(space.low[j]), float(space.high[j]))):
@@ -117,7 +117,7 @@ def agreeing(
                 path = nearest.profile_end(int(j), end, branch, largest, reached)
                 is_open[side, j] |= nearest.ends_with_the_runs(int(j), path[-1], rms, largest)
                 members += path[1:]
-                reached = min((float(one[j]) for one in members), key=lambda x: abs(end - x))
+                reached = min((float(point[j]) for point in members), key=lambda x: abs(end - x))
                 if abs(end - reached) < NEAR_END:
                     is_open[side, j] = True
                     break
@@ -128,11 +128,13 @@ def agreeing(
     whole = points[[int(np.argmin(points[:, loose])), int(np.argmax(points[:, loose]))]]
     alone = ~(is_open[0] | is_open[1])
     loose_ones = np.array([j for j in space.free if not alone[j]], dtype=np.int64)
-    told = nearest.combinations(at, rms, largest, loose_ones)
+    rules_nearby = nearest.combinations(at, rms, largest, loose_ones)
     # a profile follows the best settings; others agree as well, and a rule is for all of them
     around = space.sample(SAMPLE)
     agree = np.vstack([points, around[nearest.each_rms(around) <= largest]])
-    rules = tuple(rule for one in told if (rule := nearest.holding(one, agree)) is not None)
+    rules = tuple(
+        rule for point in rules_nearby if (rule := nearest.holding(point, agree)) is not None
+    )
     return InversionAgreement(
         at, rms, largest, low, high, is_open[0], is_open[1], points, whole, rules
     )
@@ -157,20 +159,20 @@ class NearestCurves:
         """Settings (k,) at which the sum of squares is least about them, the best one first."""
         points = self.space.sample(SAMPLE)
         rest = points[np.argsort(self.each_rms(points))]
-        found: list[Array] = []
+        settings: list[Array] = []
         for _ in range(STARTS):
             if not len(rest):
                 break
-            found.append(self.fitted(rest[0], self.space.free))
+            settings.append(self.fitted(rest[0], self.space.free))
             # the next one starts away from those that have been followed
-            starts = np.array([rest[0], *found])
+            starts = np.array([rest[0], *settings])
             near = np.abs(rest[:, None] - starts[None]).max(axis=2).min(axis=1) < APART
             rest = rest[~near]
-        found.sort(key=self.rms)
+        settings.sort(key=self.rms)
         return [
-            one
-            for i, one in enumerate(found)
-            if all(np.abs(one - other).max() > NEAR_END for other in found[:i])
+            minimum
+            for i, minimum in enumerate(settings)
+            if all(np.abs(minimum - other).max() > NEAR_END for other in settings[:i])
         ]
 
     @property
@@ -209,18 +211,18 @@ class NearestCurves:
 
         # Where only a product of settings is determined, steps along it never end, and change
         # nothing: a search has settled as well where as many steps again do not matter.
-        found = searched(inside)
+        search = searched(inside)
         for _ in range(SEARCHES):
-            if found.success:
+            if search.success:
                 break
-            before, found = found, searched(np.asarray(found.x))
-            gain = np.sqrt(before.cost) - np.sqrt(found.cost)
+            before, search = search, searched(np.asarray(search.x))
+            gain = np.sqrt(before.cost) - np.sqrt(search.cost)
             if gain <= NEGLIGIBLE * np.sqrt(self.measured.size / 2):
-                found = before
+                search = before
                 break
         else:
-            settled(found, "setting whose curve is nearest to the measured one")
-        return whole(np.asarray(found.x, dtype=np.float64))
+            settled(search, "setting whose curve is nearest to the measured one")
+        return whole(np.asarray(search.x, dtype=np.float64))
 
     def slope(self, at: Array, free: Ints) -> Array:
         """Differentiate the curve by coded coordinates, shape (m, f)."""
@@ -241,32 +243,32 @@ class NearestCurves:
 
         def at(value: float, near: Array) -> Array:
             starts = (near.copy(), best.copy())
-            for one in starts:
-                one[j] = value
-            return min((self.fitted(one, others) for one in starts), key=self.rms)
+            for start in starts:
+                start[j] = value
+            return min((self.fitted(start, others) for start in starts), key=self.rms)
 
-        found = [best]
+        path = [best]
         # on the way, so that a bent set is followed
         for share in (0.25, 0.5, 0.75, 1.0):
-            one = at(best[j] + share * (end - best[j]), found[-1])
-            if self.rms(one) > largest:
+            point = at(best[j] + share * (end - best[j]), path[-1])
+            if self.rms(point) > largest:
                 break
-            found.append(one)
+            path.append(point)
         else:
-            return found
-        inner, outer = float(found[-1][j]), float(one[j])
+            return path
+        inner, outer = float(path[-1][j]), float(point[j])
         guesses = (reached - NEAR_END, reached + NEAR_END)
         for _ in range(HALVINGS):
             if max(abs(inner - reached), abs(outer - reached)) < 1.01 * NEAR_END:
                 break
-            between = (one for one in guesses if min(inner, outer) < one < max(inner, outer))
-            middle = at(next(between, 0.5 * (inner + outer)), found[-1])
+            between = (point for point in guesses if min(inner, outer) < point < max(inner, outer))
+            middle = at(next(between, 0.5 * (inner + outer)), path[-1])
             if self.rms(middle) <= largest:
                 inner = float(middle[j])
-                found.append(middle)
+                path.append(middle)
             else:
                 outer = float(middle[j])
-        return found
+        return path
 
     def ends_with_the_runs(self, j: int, at: Array, rms: float, largest: float) -> bool:
         """Whether runs further out might move an end of an input: runs of it, or of another one.
@@ -290,21 +292,21 @@ class NearestCurves:
         # In logarithms the curve is nearly linear about the best setting; along the directions in
         # which it changes much, the set is narrow.
         factors = [self.model.runs.factors[j] for j in loose]
-        if not factors or any(one.low <= 0 for one in factors):
+        if not factors or any(factor.low <= 0 for factor in factors):
             return ()
-        settings = np.array([one.setting(float(at[j]))
-                             for one, j in zip(factors, loose, strict=True)])  # fmt: skip
-        extent = np.log([one.high / one.low for one in factors])
-        by_log = np.array([2.0 / np.log(one.high / one.low) if one.log
-                           else 2.0 * x / (one.high - one.low)
-                           for one, x in zip(factors, settings, strict=True)])  # fmt: skip
+        settings = np.array([factor.setting(float(at[j]))
+                             for factor, j in zip(factors, loose, strict=True)])  # fmt: skip
+        extent = np.log([factor.high / factor.low for factor in factors])
+        by_log = np.array([2.0 / np.log(factor.high / factor.low) if factor.log
+                           else 2.0 * x / (factor.high - factor.low)
+                           for factor, x in zip(factors, settings, strict=True)])  # fmt: skip
         _, strength, directions = np.linalg.svd(self.slope(at, loose) * by_log, full_matrices=False)
         room = np.sqrt(self.measured.size * max(largest**2 - rms**2, 0.0))
         half = room / np.maximum(strength, 1e-12 * strength[0])
         narrow = half < NARROW * 0.5 * (np.abs(directions) @ extent)
         return tuple(
-            self._combination(direction, float(own), settings, loose)
-            for direction, own, is_narrow in zip(directions, half, narrow, strict=True)
+            self._combination(direction, float(half_width), settings, loose)
+            for direction, half_width, is_narrow in zip(directions, half, narrow, strict=True)
             if is_narrow
         )
 
@@ -313,8 +315,8 @@ class NearestCurves:
         names, powers = self.model.runs.names, np.array([*rule.exponents.values()])
         used = [names.index(name) for name in rule.exponents]
         factors = [self.model.runs.factors[j] for j in used]
-        logs = np.log([[f.setting(float(x)) for f, x in zip(factors, one[used], strict=True)]
-                       for one in members])  # fmt: skip
+        logs = np.log([[f.setting(float(x)) for f, x in zip(factors, member[used], strict=True)]
+                       for member in members])  # fmt: skip
         worst = float(np.abs(logs @ powers - np.log(rule.value)).max())
         half = max(worst, float(np.log(rule.ratio)))
         room = np.log([f.high / f.low for f in factors])
@@ -327,8 +329,8 @@ class NearestCurves:
     ) -> FactorCombination:
         counts = np.abs(direction) >= COUNTS * float(np.abs(direction).max())
         unit = direction[int(np.flatnonzero(counts)[0])]
-        own = np.where(counts, direction / unit, 0.0)
-        value = float(np.prod(settings**own))
+        powers = np.where(counts, direction / unit, 0.0)
+        value = float(np.prod(settings**powers))
         names = (self.model.runs.names[j] for j in loose)
-        exponents = {n: float(e) for n, e in zip(names, own, strict=True) if e}
+        exponents = {n: float(e) for n, e in zip(names, powers, strict=True) if e}
         return FactorCombination(exponents, value, float(np.exp(half / abs(unit))))

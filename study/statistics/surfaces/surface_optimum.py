@@ -254,16 +254,16 @@ class ResponseSpread:
     low: float
     high: float
     #: Share of their settings at which the limits hold for the prediction; 1 without limits.
-    kept: float
+    share_within: float
 
 
 def spread_over(
-    model: Model, limits: Sequence[ResponseLimit], found: Optimum, others: Sequence[int]
+    model: Model, limits: Sequence[ResponseLimit], optimum: Optimum, others: Sequence[int]
 ) -> ResponseSpread | None:
     """Vary the factors that nobody chooses over what was run, the others at their best."""
     if not others:
         return None
-    held = found.at.copy()
+    held = optimum.at.copy()
     held[list(others)] = np.nan
     question = _question(model, "minimize", limits, held)
     points = question.space.sample(SAMPLE, corners=True)

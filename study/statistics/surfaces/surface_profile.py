@@ -35,7 +35,7 @@ GRID = 31
 
 
 def profiles(
-    found: SurfaceAnalysis, at: Array | None = None
+    surface: SurfaceAnalysis, at: Array | None = None
 ) -> dict[str, tuple[Array, SurfacePrediction]]:
     """Predict along each factor, the others in the middle of their ranges or at a coded setting.
 
@@ -43,29 +43,31 @@ def profiles(
     that of ``at``, shape (k,), among them.
     """
     made = {}
-    for j, (factor, column) in enumerate(zip(found.runs.factors, found.runs.coded.T, strict=True)):
+    for j, (factor, column) in enumerate(
+        zip(surface.runs.factors, surface.runs.coded.T, strict=True)
+    ):
         along = _coded(column, POINTS)
         if at is not None:
             along = np.union1d(along, at[j])
-        coded = np.tile(np.zeros(len(found.runs.factors)) if at is None else at, (len(along), 1))
+        coded = np.tile(np.zeros(len(surface.runs.factors)) if at is None else at, (len(along), 1))
         coded[:, j] = along
-        value, half = found.model.predict(coded)
+        value, half = surface.model.predict(coded)
         setting = np.array([factor.setting(float(x)) for x in coded[:, j]])
         made[factor.name] = setting, SurfacePrediction(value, value - half, value + half)
     return made
 
 
-def strongest(found: SurfaceAnalysis) -> tuple[str, ...]:
+def strongest(surface: SurfaceAnalysis) -> tuple[str, ...]:
     """Names of the factors, the one that moves the response most first."""
-    if found.sensitivity:
-        return tuple(i.factor for i in sorted(found.sensitivity, key=lambda i: i.rank))
-    sizes = {name: np.ptp(along.value) for name, (_, along) in profiles(found).items()}
+    if surface.sensitivity:
+        return tuple(i.factor for i in sorted(surface.sensitivity, key=lambda i: i.rank))
+    sizes = {name: np.ptp(along.value) for name, (_, along) in profiles(surface).items()}
     return tuple(sorted(sizes, key=lambda name: -sizes[name]))
 
 
-def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> tuple[dict[str, Array], Array]:
+def contour(surface: SurfaceAnalysis, factors: Sequence[str]) -> tuple[dict[str, Array], Array]:
     """Predict over two factors, the others in the middle: columns (m,), and the runs (n, 2)."""
-    runs = found.runs
+    runs = surface.runs
     pair = [runs.names.index(name) for name in factors]
     points = np.zeros((GRID * GRID, len(runs.factors)))
     grid = np.meshgrid(*(_coded(runs.coded[:, j], GRID) for j in pair))
@@ -74,19 +76,21 @@ def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> tuple[dict[str, A
         [np.array([runs.factors[j].setting(float(x)) for x in coded[:, j]]) for j in pair]
         for coded in (points, runs.coded)
     )
-    value, _ = found.model.predict(points)
+    value, _ = surface.model.predict(points)
     return dict(zip(factors, at, strict=True)) | {"value": value}, np.column_stack(ran)
 
 
-def left_out(found: SurfaceAnalysis) -> tuple[Array, Array] | None:
+def left_out(surface: SurfaceAnalysis) -> tuple[Array, Array] | None:
     """Every run and what all the others predict of it; None where no run can be left out."""
-    model = found.model
+    model = surface.model
     if isinstance(model, QuadraticSurface):
         if model.loo is None:
             return None
-        known = np.isfinite(model.loo.errors)
-        return model.loo.observed[known], (model.loo.observed - model.loo.errors)[known]
-    observed = np.concatenate([one.runs.response for one in model.each])
+        is_predicted = np.isfinite(model.loo.errors)
+        return model.loo.observed[is_predicted], (model.loo.observed - model.loo.errors)[
+            is_predicted
+        ]
+    observed = np.concatenate([emulator.runs.response for emulator in model.each])
     return observed, observed - model.loo_errors
 
 
@@ -125,7 +129,7 @@ class CurveEmulator:
 
     def value(self, coded: Array) -> Array:
         """Curves, shape (p, m), at coded points of shape (p, k)."""
-        sizes = np.column_stack([one.value(coded) for one in self.sizes])
+        sizes = np.column_stack([size.value(coded) for size in self.sizes])
         return np.asarray(self.mean + sizes @ self.shapes)
 
 
@@ -133,29 +137,29 @@ def fit_curves(runs: Runs, curves: Array, seed: int = 0) -> CurveEmulator:
     """Emulate curves by their principal components (Higdon et al. 2008, JASA 103, 570)."""
     # Shapes: curves (n, m).
     settings, which = runs.distinct()
-    own = np.zeros((len(settings), curves.shape[1]))
-    np.add.at(own, which, curves)
-    own /= np.bincount(which)[:, None]
-    mean = own.mean(axis=0)
-    _, size, shapes = np.linalg.svd(own - mean, full_matrices=False)
-    if size[0] <= 1e-12 * float(np.abs(own).max()):
+    averaged = np.zeros((len(settings), curves.shape[1]))
+    np.add.at(averaged, which, curves)
+    averaged /= np.bincount(which)[:, None]
+    mean = averaged.mean(axis=0)
+    _, size, shapes = np.linalg.svd(averaged - mean, full_matrices=False)
+    if size[0] <= 1e-12 * float(np.abs(averaged).max()):
         rule = "every run has the same curve"
         raise RefusedError(str(Fault("invert", rule, "no input can be told from it")))
-    kept = shapes[: max(1, min(MOST, int((size > SMALLEST * size[0]).sum())))]
-    scores = (own - mean) @ kept.T
+    retained = shapes[: max(1, min(MOST, int((size > SMALLEST * size[0]).sum())))]
+    scores = (averaged - mean) @ retained.T
     sizes = tuple(
         fit_emulator(Runs(f"shape {j + 1}", runs.factors, settings, column), seed)
         for j, column in enumerate(scores.T)
     )
     # what the shapes leave out is an error, too
-    rest = own - mean - scores @ kept
-    errors = np.column_stack([one.loo_errors for one in sizes]) @ kept + rest
-    q2 = 1.0 - float((errors**2).sum() / ((own - mean) ** 2).sum())
+    rest = averaged - mean - scores @ retained
+    errors = np.column_stack([emulator.loo_errors for emulator in sizes]) @ retained + rest
+    q2 = 1.0 - float((errors**2).sum() / ((averaged - mean) ** 2).sum())
     if not q2 >= GIVEN:
         rule = f"the emulator of the curves has a Q2 of {q2:.2f}, below {GIVEN}"
         raise RefusedError(str(Fault("invert", rule, f"add runs: {2 * len(settings)} in all")))
-    single = Runs("force", runs.factors, settings, own.mean(axis=1))
-    return CurveEmulator(single, mean, kept, sizes, errors, q2)
+    single = Runs("force", runs.factors, settings, averaged.mean(axis=1))
+    return CurveEmulator(single, mean, retained, sizes, errors, q2)
 
 
 # What another level of a factor without numbers changes, over the ranges of the numbers.
@@ -188,13 +192,13 @@ def level_difference(
 ) -> LevelDifference:
     """Compare the emulators of two levels."""
     points = box_points(len(models[0].runs.factors), SETTINGS)
-    told = [one.predict(points) for one in models]
-    change = told[0][0] - told[1][0]
-    half = np.hypot(told[0][1], told[1][1])
-    largest = [float(np.abs(one.loo_errors).max()) for one in models]
+    predictions = [model.predict(points) for model in models]
+    change = predictions[0][0] - predictions[1][0]
+    half = np.hypot(predictions[0][1], predictions[1][1])
+    largest = [float(np.abs(model.loo_errors).max()) for model in models]
     bound = ERRORS * float(np.hypot(largest[0], largest[1])) + u
     verdict: Verdict = "cannot tell"
-    if practical is not None and all(one.gate == "given" for one in models):
+    if practical is not None and all(model.gate == "given" for model in models):
         if float(np.quantile(np.abs(change), SHARE)) - bound > practical:
             verdict = "matters"
         elif float((np.abs(change) + half).max()) + u < practical:
@@ -248,7 +252,7 @@ class FittedSurface(Keyed):
     response: str
     unit: str
     #: The surface; None where the runs cannot carry one.
-    found: SurfaceAnalysis | None
+    surface: SurfaceAnalysis | None
     refused: str = ""
     #: Levels of the other factors: every combination of them has a surface of its own.
     labels: Mapping[str, str] = field(default_factory=dict)
@@ -271,7 +275,7 @@ class FittedSurface(Keyed):
     def verdicts(self) -> list[dict[str, object]]:
         """One row a numeric factor, with the keys of a study's verdicts."""
         rows: list[dict[str, object]] = []
-        for item in () if self.found is None else self.found.sensitivity:
+        for item in () if self.surface is None else self.surface.sensitivity:
             effect = item.range
             low = 0.0 if effect is None else max(0.0, effect.value - effect.bound)
             rows.append({
@@ -291,19 +295,19 @@ class FittedSurface(Keyed):
     @property
     def unconfirmed(self) -> list[Mapping[str, float]]:
         """Settings whose runs would confirm what is said of the factors, each once."""
-        judged = () if self.found is None else self.found.sensitivity
+        judged = () if self.surface is None else self.surface.sensitivity
         every = [at for item in judged for at in item.confirm]
-        return list({tuple(one.items()): one for one in every}.values())
+        return list({tuple(setting.items()): setting for setting in every}.values())
 
     def keyed(self) -> dict[str, object]:
         """Give what stands under every key: the response, where the others are, the surface."""
-        if self.found is None:
+        if self.surface is None:
             screened = {"screened": [vars(e) for e in self.screened]} if self.screened else {}
             none: dict[str, object] = {"surface": None, "sensitivity": [], "refused": self.refused}
             return super().keyed() | none | screened
-        told = super().keyed() | self.found.keyed()
+        keys = super().keyed() | self.surface.keyed()
         if self.labels:
-            told["differences"] = self.differences
+            keys["differences"] = self.differences
         if self.uncertain is not None:
-            told["uncertainty"] = self.uncertain.keyed() | {"distributions": self.inputs}
-        return told
+            keys["uncertainty"] = self.uncertain.keyed() | {"distributions": self.inputs}
+        return keys

@@ -67,7 +67,7 @@ class Sensitivity(Keyed):
     @property
     def verdict(self) -> str:
         """Whether it matters, and what that still waits for."""
-        return "cannot tell" if self.range is None else self.range.told
+        return "cannot tell" if self.range is None else self.range.words
 
 
 @dataclass(frozen=True)
@@ -114,10 +114,10 @@ class SurfaceAnalysis(Keyed):
 def analysis_of(model: Model, practical: float | None = None, u: float = 0.0) -> SurfaceAnalysis:
     """Say what a surface means; of an emulator all that its Q2 allows."""
     if isinstance(model, QuadraticSurface):
-        judged, said = _of_quadratic(model, practical, u)
+        judged, notes = _of_quadratic(model, practical, u)
     else:
-        judged, said = _of_emulator(model, practical, u)
-    return SurfaceAnalysis(model, judged, *extremes(model), tuple(said))
+        judged, notes = _of_emulator(model, practical, u)
+    return SurfaceAnalysis(model, judged, *extremes(model), tuple(notes))
 
 
 def _judged(
@@ -138,42 +138,42 @@ def _judged(
 
 
 def _of_quadratic(
-    found: QuadraticSurface, practical: float | None, u: float
+    model: QuadraticSurface, practical: float | None, u: float
 ) -> tuple[tuple[Sensitivity, ...], list[str]]:
     """Judge the factors of a quadratic where a practical difference is given, with notes."""
-    said = [*found.notes, *never_run(found.runs)]
-    point = found.stationary
+    notes = [*model.notes, *never_run(model.runs)]
+    point = model.stationary
     if point is None or not point.established:
-        said.append(
+        notes.append(
             "no stationary point established inside the region; confirm the best predicted "
             "setting by a run there"
         )
     if practical is None:
-        return (), said
-    names = found.runs.names
-    ranges = found.ranges(practical, u)
-    sizes = [i.value for i in effect_ranges(found.value, found.runs, [0.0] * len(names), None, 0.0)]
+        return (), notes
+    names = model.runs.names
+    ranges = model.ranges(practical, u)
+    sizes = [i.value for i in effect_ranges(model.value, model.runs, [0.0] * len(names), None, 0.0)]
     ranks = 1 + np.argsort(np.argsort([-size for size in sizes]))
     if ranges is None:
-        said.append("no factor is judged: a quadratic does not carry these runs, or fits them all")
-    return _judged(found.runs, ranks.tolist(), (), ranges), said
+        notes.append("no factor is judged: a quadratic does not carry these runs, or fits them all")
+    return _judged(model.runs, ranks.tolist(), (), ranges), notes
 
 
 def _of_emulator(
-    found: Emulator | BlockedEmulator, practical: float | None, u: float
+    model: Emulator | BlockedEmulator, practical: float | None, u: float
 ) -> tuple[tuple[Sensitivity, ...], list[str]]:
     """Ask an emulator for all that its Q2 allows, with notes."""
-    unrun = never_run(found.runs)
-    twice = 2 * found.runs.response.size
-    if found.gate == "refused":
-        return (), [f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all", *unrun]
-    indices = found.indices()
+    unrun = never_run(model.runs)
+    twice = 2 * model.runs.response.size
+    if model.gate == "refused":
+        return (), [f"Q2 {model.q2:.2f} is below .7: no indices; add runs, {twice} in all", *unrun]
+    indices = model.indices()
     order = np.argsort([-index.total for index in indices]).tolist()
     ranks = [order.index(j) + 1 for j in range(len(order))]
-    if found.gate == "ranking only":
-        note = f"Q2 {found.q2:.2f} is below .9: ranking only; add runs, {twice} in all"
-        return _judged(found.runs, ranks), [note, *unrun]
-    judged = _judged(found.runs, ranks, indices, found.ranges(practical, u))
+    if model.gate == "ranking only":
+        note = f"Q2 {model.q2:.2f} is below .9: ranking only; add runs, {twice} in all"
+        return _judged(model.runs, ranks), [note, *unrun]
+    judged = _judged(model.runs, ranks, indices, model.ranges(practical, u))
     notes = [
         *unrun,
         "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings",
@@ -194,12 +194,12 @@ OWN_SAMPLE = 11
 
 
 @dataclass(frozen=True)
-class Told:
+class PropagatedNumber:
     """A number of the response's distribution, and what the surface may err in it."""
 
     value: float
     #: Half width of an interval of about 95 % for the surface's own error, in that unit.
-    own: float
+    error: float
 
 
 @dataclass(frozen=True)
@@ -223,9 +223,9 @@ class Propagated(Keyed):
 
     KEYS = "mean sd percentiles=by_percent inputs fixed cut"
 
-    mean: Told
-    sd: Told
-    percentiles: Mapping[float, Told]
+    mean: PropagatedNumber
+    sd: PropagatedNumber
+    percentiles: Mapping[float, PropagatedNumber]
     #: The one that is worth measuring most first.
     inputs: tuple[InputShare, ...]
     #: Settings of the factors that are not uncertain.
@@ -234,13 +234,13 @@ class Propagated(Keyed):
     cut: Mapping[str, float]
 
     @property
-    def by_percent(self) -> dict[str, Told]:
+    def by_percent(self) -> dict[str, PropagatedNumber]:
         """Percentiles by how they are written."""
-        return {f"{percent:g}": one for percent, one in self.percentiles.items()}
+        return {f"{percent:g}": value for percent, value in self.percentiles.items()}
 
 
 def propagate(
-    found: SurfaceAnalysis,
+    surface: SurfaceAnalysis,
     inputs: Mapping[str, InputDistribution],
     fixed: Mapping[str, float],
     seed: int = 0,
@@ -248,28 +248,28 @@ def propagate(
     """Carry the distributions of inputs through a surface."""
     from scipy.stats import qmc
 
-    model = found.model
+    model = surface.model
     q2 = model.q2
     if not q2 >= RANKED:
         rule = f"Q2 is {q2:.2f}, below {RANKED}: nothing is said of uncertain inputs"
         raise RefusedError(str(Fault("uncertainty", rule, "add runs")))
-    own = _Inputs(found.runs, dict(inputs), dict(fixed))
+    distributed = _Inputs(surface.runs, dict(inputs), dict(fixed))
     u = qmc.Sobol(len(inputs), seed=seed).random_base2(SAMPLE)
-    values = model.value(own.coded(u))
-    told, errors = _numbers(values[:, None])[:, 0], _own(model, own, seed)
-    each = [Told(float(v), float(e)) for v, e in zip(told, errors, strict=True)]
+    values = model.value(distributed.coded(u))
+    responses, errors = _numbers(values[:, None])[:, 0], _own(model, distributed, seed)
+    each = [PropagatedNumber(float(v), float(e)) for v, e in zip(responses, errors, strict=True)]
     shares: Sequence[SobolIndex | None] = [None] * len(inputs)
     if q2 >= GIVEN:
-        shares = _shares(model, own, q2, seed)
+        shares = _shares(model, distributed, q2, seed)
     rows, sd = [], each[1].value
     for name, share in zip(inputs, shares, strict=True):
-        halved = float(model.value(own.halved(name).coded(u)).std())
+        halved = float(model.value(distributed.halved(name).coded(u)).std())
         rows.append(InputShare(name, share, halved, 1.0 - halved / sd if sd > 0 else 0.0))
     return Propagated(
         each[0],
         each[1],
         dict(zip(PERCENTILES.tolist(), each[2:], strict=True)),
-        tuple(sorted(rows, key=lambda one: one.halved)),
+        tuple(sorted(rows, key=lambda row: row.halved)),
         dict(fixed),
         {name: spread.outside for name, spread in inputs.items()},
     )
@@ -321,14 +321,16 @@ def _own(model: Model, inputs: _Inputs, seed: int) -> Array:
         return np.full(2 + PERCENTILES.size, 2.0 * rms)
     u = qmc.Sobol(len(inputs.spreads), seed=seed + 1).random_base2(OWN_SAMPLE)
     if isinstance(model, BlockedEmulator):
-        told = np.column_stack([_numbers(e.value(inputs.coded(u))[:, None]) for e in model.each])
-        blocks = told.shape[1]
+        responses = np.column_stack(
+            [_numbers(e.value(inputs.coded(u))[:, None]) for e in model.each]
+        )
+        blocks = responses.shape[1]
         t = float(stdtrit(blocks - 1, 0.975))
-        scatter = t * told.std(axis=1, ddof=1) / np.sqrt(blocks)
+        scatter = t * responses.std(axis=1, ddof=1) / np.sqrt(blocks)
         return np.asarray(scatter + np.mean([_own(e, inputs, seed) for e in model.each], axis=0))
     paths = model.scale * model.paths(seed)(inputs.unit(u))
-    told = _numbers(paths)
-    scatter = np.sqrt(np.mean((told[:, 1:] - told[:, :1]) ** 2, axis=1))
+    responses = _numbers(paths)
+    scatter = np.sqrt(np.mean((responses[:, 1:] - responses[:, :1]) ** 2, axis=1))
     least = np.full(scatter.shape, model.loo_rms)
     least[:2] /= np.sqrt(model.runs.response.size)
     return np.asarray(1.96 * np.maximum(model.widening * scatter, least))
