@@ -321,8 +321,8 @@ def _checks_of_fits(
     yield Check(
         "constants are identifiable", "caution" if vague else "pass",
         f"{len(fits) - len(vague)} {of} determine every constant",
-        "a constant that the data do not determine has no meaning of its own; the force curve and "
-        "the initial shear modulus have" if vague else "each has a meaning of its own",
+        "rely on the force curve and the initial shear modulus, not on constants"
+        if vague else "each has a meaning of its own",
     )  # fmt: skip
     loose = [fit for fit in every if not fit.get("stable", True)]
     finding = f"{len(fits) - len(loose)} {of} are stable over the range"
@@ -464,7 +464,7 @@ def _energy(solved: Sequence[Record]) -> Check:
     )
     return Check(
         name, "caution", finding,
-        "beyond a snap the force depends on the mesh; see whether a finer mesh snaps as well",
+        "the force beyond a snap depends on the mesh; look at a finer one",
     )  # fmt: skip
 
 

@@ -595,7 +595,7 @@ def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
             holds = f"Effects hold in all {plural_of(unit)} alike."
             yield Check(name, "pass", f"not {finding}", holds)
         else:
-            mend = f"Effects grow or shrink with the level of the {unit}: consider the log."
+            mend = f"Effects scale with the level of the {unit}: consider the log."
             yield Check(name, "caution", finding, mend)
     bounded = [effect for effect in facts.effects if effect.u_num is not None]
     if bounded or not data.is_table:  # a table has no mesh
@@ -638,12 +638,8 @@ def _normality(facts: Facts, alpha: float) -> Check:
     finding = f"rejected by Ryan-Joiner{p}"
     if not effect_words.rejects_normality(facts, alpha):
         return Check(name, "pass", f"not {finding}", "The p-values may be read as they are.")
-    approximate = (
-        "Small p-values are approximate; the verdicts rest on the size of the effect "
-        "against what matters."
-    )
-    mend = "" if facts.ratio else " The log of a positive response often helps."
-    return Check(name, "caution", finding, approximate + mend)
+    mend = "" if facts.ratio else "; the log of the response may help"
+    return Check(name, "caution", finding, f"Small p-values are approximate{mend}.")
 
 
 def _spread(facts: Facts, alpha: float) -> Check:

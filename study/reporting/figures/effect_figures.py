@@ -285,7 +285,7 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     firsts = np.flatnonzero(np.diff(group, prepend=-1)) if several else ()
     heads = [(places[k] - 1, str(frame["response"].iloc[k])) for k in firsts]
     height = max(places) + 1
-    figure, ax = style.one_panel(0.75 + 0.27 * height)
+    figure, ax = style.one_panel(0.75 + 0.25 * height)
     limited = bool(frame["limited"].all())
     if limited:
         ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)

@@ -146,14 +146,14 @@ def curves(panels: CurvePanels, data: ReportData) -> str:
     worst = panels.frame.iloc[int(np.nanargmax(gap.to_numpy()))]
     held = listing([f"{name_of(k, data.labels)} = {clean(v)}" for k, v in panels.fixed.items()])
     text = (
-        f"force above, predicted minus measured below, over the whole of each measurement; the "
-        f"largest residual is {quantity(float(gap.max()), 'N')} ({clean(worst['line'])}, "
+        "force above, predicted minus measured below; the largest residual is "
+        f"{quantity(float(gap.max()), 'N')} ({clean(worst['line'])}, "
         f"{block_name(str(worst['block']), data)})"
     )
     if panels.is_relative:
         text += (
-            ". Forces differ too much for one axis in N: each panel is in percent of its largest "
-            "measured force, so that residuals can be compared"
+            ". Each panel is in percent of its largest measured force, since forces differ too "
+            "much for one axis in N"
         )
     if panels.frame["predicted_N"].isna().any():
         text += ". A line that ends early belongs to a simulation that stopped there"

@@ -193,9 +193,14 @@ def in_few(lines: Iterable[str]) -> tuple[str, ...]:
 
 
 def report_card(checks: Iterable[Check], data: ReportData) -> Card:
-    """Return one line a check, the worst first, and one for the notes of the second page."""
+    """Return one line a check, the worst first, and one for the notes of the second page.
+
+    A check that does not apply, and changes nothing, stands on the second page alone.
+    """
     lines = []
     for group in analysis_content.by_name(checks):
+        if group[0].outcome == "not applicable" and not group[0].consequence:
+            continue
         worst = [check for check in group if check.outcome == group[0].outcome]
         meaning = worst[0].consequence or worst[0].finding
         named = listing([check.of for check in worst if check.of])
