@@ -173,9 +173,10 @@ def test_files_of_another_kind_are_named():
 
 
 def test_plausibility_warns_of_units():
-    wrong = PROBLEM.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"')
+    right = PROBLEM.replace('"1.5 mm"', '"0.9 mm"')
+    wrong = right.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"')
     told, none = (
-        plausibility.cautions_of(loaded.problem) for loaded in map(loads_problem, (wrong, PROBLEM))
+        plausibility.cautions_of(loaded.problem) for loaded in map(loads_problem, (wrong, right))
     )
     assert "is the unit right?" in told[0]
     assert none == ()

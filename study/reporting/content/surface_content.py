@@ -86,9 +86,9 @@ def uncertainty_lines(fit: FittedSurface, data: ReportData) -> tuple[str, ...]:
     unit = clean(fit.unit)
     ends = spread.percentiles
     lines = [
-        f"The surface itself may be off by {quantity(spread.mean.error, unit, 2)} in the mean, "
-        f"{quantity(spread.sd.error, unit, 2)} in the standard deviation and "
-        f"{quantity(max(t.error for t in ends.values()), unit, 2)} in the percentiles of the "
+        f"The surface itself may be off by {quantity(spread.mean.own, unit, 2)} in the mean, "
+        f"{quantity(spread.sd.own, unit, 2)} in the standard deviation and "
+        f"{quantity(max(t.own for t in ends.values()), unit, 2)} in the percentiles of the "
         "uncertain inputs' response; that is no part of these."
     ]
     if spread.fixed:
@@ -522,7 +522,7 @@ def _recommendation(recommended: Recommendation) -> Iterator[Block]:
     if recommended.bounds:
         yield from _limits(recommended)
     if (spread := recommended.spread) is not None:
-        share = f"; the limits hold at {100 * spread.share_within:.0f} % of them"
+        share = f"; the limits hold at {100 * spread.kept:.0f} % of them"
         yield Sentence(
             f"over what was run of the inputs that are not chosen, {recommended.response} there "
             f"goes from {spread.low:.3g} to {spread.high:.3g}{unit}"

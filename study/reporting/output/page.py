@@ -242,7 +242,7 @@ class StudyProgress:
 
     done: int
     total: int
-    words: str
+    said: str
 
 
 @dataclass(frozen=True)

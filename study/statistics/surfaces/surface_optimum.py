@@ -254,7 +254,7 @@ class ResponseSpread:
     low: float
     high: float
     #: Share of their settings at which the limits hold for the prediction; 1 without limits.
-    share_within: float
+    kept: float
 
 
 def spread_over(

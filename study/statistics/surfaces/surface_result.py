@@ -199,7 +199,7 @@ class PropagatedNumber:
 
     value: float
     #: Half width of an interval of about 95 % for the surface's own error, in that unit.
-    error: float
+    own: float
 
 
 @dataclass(frozen=True)
