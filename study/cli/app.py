@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import signal
@@ -217,6 +218,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
         # the reader has gone (study plan | head): nothing is wrong, and nothing may be printed
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        # every question about such a file raises, whether it is there or a folder
+        name = str(error.filename)
+        rule = f"a name of {len(name)} characters is too long for this system"
+        complain(InputError(Fault(f"{name[:40]}...", rule, "shorten it")))
+        return 2
     except Exception as error:
         if not (hasattr(error, "show") and hasattr(error, "exit_code")):
             raise

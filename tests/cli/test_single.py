@@ -197,6 +197,18 @@ def test_solve_refuses_a_file_that_cannot_be_written_before_it_solves(home, monk
     assert (home / "link").is_symlink()
 
 
+def test_a_name_that_is_too_long_is_told(home):
+    long = "x" * 300
+    for words in (
+        ("solve", "problem.toml", "--vtu", long),
+        ("analyze", long, "--response", "y", "--factors", "a"),
+        ("converge", long),
+        ("demo", "--results", long),
+    ):
+        assert "too long" in refusal(*words).err
+    assert not any(path.name.startswith("x") for path in home.iterdir())
+
+
 BONDED = (
     "-s", 'test.interface="bonded"', "-s", "test.steps=2", "-s", 'model.mesh_size="4 mm"',
 )  # fmt: skip
