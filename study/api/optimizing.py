@@ -373,6 +373,8 @@ FEWEST = 3
 
 #: most times that the true model is run at the best setting, the emulator learning from each
 ROUNDS = 4
+#: share of the runs' largest force up to which a measured curve has none
+NO_FORCE = 1e-9
 
 #: rows below which nothing is said of their correlation
 _TOO_FEW = 8
@@ -506,13 +508,15 @@ def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal
 
 def _covered(curve: Curve, records: Sequence[Record], source: Path) -> tuple[Curve, list[str]]:
     """Rows that every run reaches, and what is to be said of the others."""
-    ends = [
-        float(curve_of_run.displacement_mm[-1])
-        for r in records
-        if (curve_of_run := r.first_prediction())
-    ]
-    if not ends:
+    predicted = [curve_of_run for r in records if (curve_of_run := r.first_prediction())]
+    if not predicted:
         raise InputError(Fault(str(source), "no run has a curve to compare with"))
+    ends = [float(curve_of_run.displacement_mm[-1]) for curve_of_run in predicted]
+    largest = float(np.abs(curve.force_N).max())
+    of_runs = max(float(np.abs(curve_of_run.force_N).max()) for curve_of_run in predicted)
+    if largest <= NO_FORCE * of_runs:
+        rule = f"its largest force, {largest:.3g} N, is none beside the {of_runs:.3g} N of the runs"
+        raise InputError(Fault(str(source), rule, "check --columns and --units"))
     inside = curve.displacement_mm <= min(ends) * (1 + 1e-9)
     if int(inside.sum()) < FEWEST:
         rule = f"has {int(inside.sum())} rows up to {min(ends):.4g} mm, where the runs end"

@@ -231,11 +231,13 @@ def test_an_inversion_that_has_not_settled_says_so(monkeypatch):
 def test_what_cannot_be_inverted_is_refused(here):
     (here / "back.csv").write_text("displacement_mm,force_N\n1,1\n2,2\n1.5,1\n")
     (here / "far.csv").write_text("displacement_mm,force_N\n1,1\n4,2\n5,3\n")
+    (here / "none.csv").write_text("displacement_mm,force_N\n1,1e-300\n2,2e-300\n3,3e-300\n")
     (here / "stiff.csv").write_text("displacement_mm,force_N\n1,10\n2,20\n3,30\n")
     every = KNOWN + ", material.C10=7 kPa"
     for arguments, code, said in (
         (("back.csv",), 2, "back.csv:4: column 'displacement_mm': displacements must increase"),
         (("far.csv",), 2, "where the runs end"),
+        (("none.csv",), 2, "its largest force, 3e-300 N, is none beside the"),
         (("stiff.csv", "--within", "2 %"), 3, "no curve inside of what was run agrees"),
         (("m.csv", "--at", every), 2, "holds every number"),
         (("m.csv", "--at", "specimen.heigth=3 mm"), 2, "specimen.height"),
