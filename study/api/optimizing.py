@@ -374,7 +374,7 @@ FEWEST = 3
 #: most times that the true model is run at the best setting, the emulator learning from each
 ROUNDS = 4
 #: share of the runs' largest force up to which a measured curve has none
-NO_FORCE = 1e-9
+NEGLIGIBLE_FORCE = 1e-9
 
 #: rows below which nothing is said of their correlation
 _TOO_FEW = 8
@@ -514,7 +514,7 @@ def _covered(curve: Curve, records: Sequence[Record], source: Path) -> tuple[Cur
     ends = [float(curve_of_run.displacement_mm[-1]) for curve_of_run in predicted]
     largest = float(np.abs(curve.force_N).max())
     of_runs = max(float(np.abs(curve_of_run.force_N).max()) for curve_of_run in predicted)
-    if largest <= NO_FORCE * of_runs:
+    if largest <= NEGLIGIBLE_FORCE * of_runs:
         rule = f"its largest force, {largest:.3g} N, is none beside the {of_runs:.3g} N of the runs"
         raise InputError(Fault(str(source), rule, "check --columns and --units"))
     inside = curve.displacement_mm <= min(ends) * (1 + 1e-9)

@@ -262,11 +262,11 @@ def adequacy(
     findings += _of_bounds(fit)
     robust = {test.label for test in measured if test.loss != "linear"}
     recordings = [
-        _Recording(item.label, number, rows, force, weight, slopes)
-        for item, curve, number in zip(
+        _Recording(test.label, number, rows, force, weight, slopes)
+        for test, curve, number in zip(
             measured, fit.curves, tests or range(len(measured)), strict=True
         )
-        for weight, rows, force, slopes in recorded_rows(item, curve, fit.names)
+        for weight, rows, force, slopes in recorded_rows(test, curve, fit.names)
     ]
     # a robust loss may leave out single rows, and no line that they follow
     judged = [r.without_far() if r.label in robust else r for r in recordings]
@@ -282,8 +282,8 @@ def adequacy(
         findings.append((1, f"{why}: take an energy with more constants", ()))
     if not findings:
         return Adequacy("describes")
-    findings.sort(key=lambda item: -item[0])
-    rows = {(row.label, row.row): row for item in findings for row in item[2]}
+    findings.sort(key=lambda finding: -finding[0])
+    rows = {(row.label, row.row): row for _, _, suspects in findings for row in suspects}
     return Adequacy(
         _GRADES[findings[0][0]],
         tuple(dict.fromkeys(why for _, why, _ in findings)),

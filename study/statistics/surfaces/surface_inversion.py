@@ -128,12 +128,12 @@ def agreeing(
     whole = points[[int(np.argmin(points[:, loose])), int(np.argmax(points[:, loose]))]]
     alone = ~(is_open[0] | is_open[1])
     loose_ones = np.array([j for j in space.free if not alone[j]], dtype=np.int64)
-    rules_nearby = nearest.combinations(at, rms, largest, loose_ones)
+    near_best = nearest.combinations(at, rms, largest, loose_ones)
     # a profile follows the best settings; others agree as well, and a rule is for all of them
     around = space.sample(SAMPLE)
     agree = np.vstack([points, around[nearest.each_rms(around) <= largest]])
     rules = tuple(
-        rule for point in rules_nearby if (rule := nearest.holding(point, agree)) is not None
+        widened for rule in near_best if (widened := nearest.holding(rule, agree)) is not None
     )
     return InversionAgreement(
         at, rms, largest, low, high, is_open[0], is_open[1], points, whole, rules
