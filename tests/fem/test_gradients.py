@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
@@ -120,3 +121,17 @@ def test_derivatives_that_do_not_converge_are_said(monkeypatch):
     )
     monkeypatch.setattr(sensitivity, "_CORRECTIONS", 0)
     assert "steps did not converge: at" in solve(problem).message
+
+
+@pytest.mark.parametrize("radius_mm", [0.1, 0.02])
+def test_the_slope_of_a_slender_column_is_that_of_its_curve(radius_mm):
+    """600 and 3000 elements along the axis: a small residual allowed slopes twice as steep."""
+    column = Cylinder(radius_mm, 30.0)
+    problem = compression(
+        column, 6.0, material=MATERIALS[1], steps=12, mesh_size_mm=0.5 * radius_mm
+    )
+    curve = solve(problem).curve
+    d, f, k = curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm
+    slope = CubicSpline(np.r_[0.0, d], np.r_[0.0, f])(d, 1)
+    np.testing.assert_allclose(k[2:-2], slope[2:-2], rtol=1e-4)
+    assert len(d) == 12

@@ -3,16 +3,24 @@
 import numpy as np
 import pytest
 
+from study.api.folders import demo_design
 from study.ground.curve import Curve
+from study.ground.errors import InputError
 from study.harness.design.cell import CellProblem
+from study.harness.design.study_file import Virtual
+from study.harness.runner import virtual_specimens
 from study.harness.runner.virtual_specimens import (
     Generator,
     _csv,
     _files,
     generate,
+    reference_curve,
     truth,
+    write_virtual,
 )
 from study.mechanics.forward import finite_element
+from study.mechanics.material.homogeneous import LOADINGS
+from study.mechanics.material.material import Material
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 
 D = np.linspace(0.1, 6.2, 62)
@@ -96,3 +104,26 @@ def test_a_stiffer_specimen_sags_less():
     apart = abs(naive.force_N[-1] - exact)
     assert apart > 1e-3 * exact  # what is left without it
     assert weighed.force_N[-1] == pytest.approx(exact, abs=0.1 * apart)
+
+
+def slender(radius):
+    shape = [f'specimen.radius="{radius}"', 'specimen.height="30 mm"']
+    return demo_design(shape)
+
+
+def test_a_specimen_that_is_a_thread_is_refused_before_it_is_solved(tmp_path):
+    with pytest.raises(InputError, match="specimen.height: 30 mm is 3e.06 times half the width"):
+        write_virtual(slender("0.00001 mm"), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_slender_specimen_has_the_force_of_a_bar():
+    """The plates hold a radius of the length each: what is between them is uniaxial."""
+    design = slender("0.005 mm")
+    ((_, problem),) = virtual_specimens._sources(design)
+    curve = reference_curve(
+        problem, truth("yeoh"), 0.4995, as_designed=False, virtual=Virtual(steps=4)
+    )
+    solid = Material("reduced-polynomial", truth("yeoh").constants, poisson_ratio=0.4995)
+    bar = LOADINGS["uniaxial"].nominal(solid, 1 - curve.displacement_mm / 30)
+    np.testing.assert_allclose(curve.force_N, -np.pi * 0.005**2 * bar.stress, rtol=2e-3)

@@ -22,6 +22,7 @@ from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import csv_text
 from study.ground.units import parse
 from study.harness.design.cell import CellProblem
+from study.harness.design.plausibility import half_width
 from study.harness.design.spec import Design
 from study.harness.design.study_file import Virtual
 from study.harness.record.atomic_files import write_atomic, write_new
@@ -42,6 +43,13 @@ TRUTH = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)
 
 #: standard deviation of the noise, kPa: 0.6 % of the largest stress
 NOISE_KPA = 0.5
+
+#: elements along the axis of a compressed column: its plates matter within a radius, and the force
+#: between them, to (radius / height)^2
+_ALONG = 500
+
+#: length of such an element over half the width beyond which no solution is tried
+_SLENDEREST = 20.0
 
 _SEED = 20261123
 _LENGTH_MM = 25.0
@@ -183,7 +191,18 @@ def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> Model
         space="3d" if solid else "axisymmetric", element_order=cast(Order, virtual.element_order)
     )
     if not as_designed and not virtual.chooses_mesh:
-        return replace(model, mesh="fine")
+        from study.mechanics.mesh.mesher import mesh_size
+
+        model = replace(model, mesh="fine")
+        height = getattr(setup.specimen, "height_mm", 0.0)
+        coarsest = height / _ALONG if setup.kind.compresses else 0.0
+        half = half_width(setup.specimen)
+        if half is not None and coarsest > _SLENDEREST * half:
+            rule = f"{height:g} mm is {height / half:.3g} times half the width ({half:.3g} mm)"
+            raise InputError(Fault("specimen.height", rule, "check the units of both"))
+        if coarsest > mesh_size(replace(setup, model=model)):
+            return replace(model, mesh_size_mm=coarsest)
+        return model
     model = replace(model, mesh_ratio=designed.mesh_ratio)
     if virtual.mesh_size_mm is not None:
         return replace(model, mesh_size_mm=virtual.mesh_size_mm)

@@ -22,6 +22,10 @@ from study.mechanics.solver.system import Assembly, State, System
 #: precision, and has as many
 _CORRECTIONS = 12
 
+#: energy of the error of the loading's rates over theirs, which is the relative error of dF/dd: of
+#: a column of a thousand elements along its axis, a small residual allows an error of its size
+_ENERGY_TOLERANCE = 1e-7
+
 #: and how many before single precision is held to be too dull
 _DULL = 7
 
@@ -102,8 +106,10 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
     if not older:
         system.factorize()
     loaded, sizes, most = np.zeros(x.shape[1]), list[Array](), _CORRECTIONS
+    energies = [0.0, 0.0]  # of each correction of the loading's rates, N/mm
     for corrections in itertools.count():
-        left = loads.right - np.column_stack([system.tangent_product(column) for column in x.T])
+        product = np.column_stack([system.tangent_product(column) for column in x.T])
+        left = loads.right - product
         if corrections == 0:
             loaded = np.linalg.norm(left[free], axis=0)
         for each in closed:
@@ -111,7 +117,12 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
         size = np.linalg.norm(left[free], axis=0)
         forces = [loaded, *(each.force(each.carried(x)) for each in closed)]
         allowed = tolerance * np.max(forces, axis=0)
-        if (size <= allowed).all() or corrections == 2 * _CORRECTIONS:
+        is_small = bool((size <= allowed).all())
+        # the next correction's energy by the last two; the first one has that of the lift, which
+        # is far more than the energy of the rates where a column is long
+        energy = abs(float(x[:, 0] @ product[:, 0]))
+        is_settled = energies[-1] ** 2 <= _ENERGY_TOLERANCE * energy * min(energies[-2], energy)
+        if (is_small and is_settled) or corrections == 2 * _CORRECTIONS:
             break
         sizes.append(size)
         if corrections == _CORRECTIONS:
@@ -122,10 +133,12 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
             older = False
         elif corrections >= _DULL and not system.solver.exact:
             left_to_try = (most - corrections) * x.shape[1]
-            if _cost_ahead(sizes, allowed, springs) > left_to_try:
+            if is_small or _cost_ahead(sizes, allowed, springs) > left_to_try:
                 system.factorize(exact=True)
                 older = False
-        x[free] += system.back_substitute(left[free])
+        correction = system.back_substitute(left[free])
+        energies.append(abs(float(left[free, 0] @ correction[:, 0])))
+        x[free] += correction
         for each in closed:
             each.pressure[:] = each.carried(x)
     for each in closed:
