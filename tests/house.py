@@ -385,6 +385,7 @@ def shared_class_names(root: Path) -> dict[str, list[str]]:
 
 #: words that do not say which quantity or thing a name holds
 VAGUE = {"asked", "beside", "found", "kept", "known", "one", "own", "said", "told", "wanted"}
+VAGUE |= {"made", "place"}
 
 
 def vague_names(root: Path) -> list[str]:

@@ -316,9 +316,9 @@ def test_rules_see_deep_empty_and_namesake_modules_and_classes(house):
 
 
 def test_rules_see_a_name_that_says_nothing(house):
-    plant(house, "ground/units.py", "\n\ndef told(x, one):\n    found = x\n    return found\n")
-    named = [place.rpartition(" ")[2] for place in rules.vague_names(house)]
-    assert sorted(named) == ["found", "one", "told"]
+    plant(house, "ground/units.py", "\n\ndef told(x, one):\n    made = x\n    return made\n")
+    named = [where.rpartition(" ")[2] for where in rules.vague_names(house)]
+    assert sorted(named) == ["made", "one", "told"]
 
 
 def test_rules_see_a_name_that_nobody_uses(house):

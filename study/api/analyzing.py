@@ -169,8 +169,8 @@ def analyze(
         source = read_tidy_csv(
             Path(source), str(response), columns, blocks, unit, decimal, sheet=sheet
         )
-    made = anova(source, str(response), columns, **options)
-    return TableAnalysis.of(made.warn(*number_levels(source, factors)))
+    analysis = anova(source, str(response), columns, **options)
+    return TableAnalysis.of(analysis.warn(*number_levels(source, factors)))
 
 
 def analyze_summary(
@@ -195,7 +195,7 @@ def analyze_summary(
     mean, sd, n = (table.numbers(name) for name in columns)
     labels = list(zip(*(table.text(name) for name in factors), strict=True))
     faults = [
-        Fault(table.place(i, columns[k]), rule)
+        Fault(table.cell_name(i, columns[k]), rule)
         for i in range(len(labels))
         for k, ok, rule in (
             (1, sd[i] > 0, "a standard deviation is positive"),

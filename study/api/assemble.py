@@ -457,10 +457,10 @@ def _energy(solved: Sequence[Record]) -> Check:
             mend = "raise test.steps: the force between the load steps is not certain"
         return Check(name, "pass" if good else "caution", finding, mend)
     first = snapped[0]
-    place = ", ".join(f"{d:.3g}" for d in first.solver["snaps_mm"])
+    snaps = ", ".join(f"{d:.3g}" for d in first.solver["snaps_mm"])
     finding += (
         f"; in {count(len(snapped), 'case')} the surface snaps to another equilibrium, for "
-        f"example past {place} mm in {' / '.join(first.levels.values())}"
+        f"example past {snaps} mm in {' / '.join(first.levels.values())}"
     )
     return Check(
         name, "caution", finding,

@@ -292,14 +292,14 @@ def explain(
     if now["cases"].get(name) == record.input_hash:
         use = "the study uses it" + (", though other libraries made it" if others else "")
         return CaseState(record, use, (), others)
-    made = next((run for run in runs if run["cases"].get(name) == record.input_hash), None)
-    if made is None:
+    run_of_record = next((run for run in runs if run["cases"].get(name) == record.input_hash), None)
+    if run_of_record is None:
         use = "the study does not use it; the run that made it left no manifest"
         # where nothing else is known the version of the code is compared with today's
         then, today = record.versions.get("study"), versions()["study"]
         code = () if then == today else (Change("code", "version of study", (then, today)),)
         return CaseState(record, use, code, others)
-    changes = run_changes(made, now)
+    changes = run_changes(run_of_record, now)
     what = "has this case no more" if name not in now["cases"] else "makes it of other inputs now"
     return CaseState(record, f"the study {what}", changes, others)
 

@@ -72,10 +72,10 @@ def loaded_problem(source: str | Path | Tables, overrides: Sequence[str] = ()) -
     if isinstance(source, Mapping):
         if "displacement_mm" in table_of(source, "test"):
             return LoadedProblem(CellProblem.of(source))
-        loaded, place = loads_problem(from_tables(source), "problem", overrides), Path("problem")
+        loaded, path = loads_problem(from_tables(source), "problem", overrides), Path("problem")
     else:
-        loaded, place = load_problem(source, overrides), Path(source)
-    problem = located(loaded.problem, folders(place, data_root(place)))
+        loaded, path = load_problem(source, overrides), Path(source)
+    problem = located(loaded.problem, folders(path, data_root(path)))
     return replace(loaded, problem=problem)
 
 

@@ -302,12 +302,12 @@ def export(
             f"{100 * tolerance:.2g} %: a finer mesh bends the curve less where contact begins"
         )
     folder = Path(out)
-    made = haptic_export.files(law, folder)
-    for path, text in made.items():
+    texts = haptic_export.files(law, folder)
+    for path, text in texts.items():
         write_atomic(path, text.encode())
     question = "How does the force follow from displacement and constants?"
     page = write_force_law(law, question, folder, tuple(warnings))
-    return _exported(law.to_json(), law.sentences(), (*made, page), warnings, law)
+    return _exported(law.to_json(), law.sentences(), (*texts, page), warnings, law)
 
 
 # What the sensors of a test must be for constants as accurate as wanted.
@@ -409,17 +409,17 @@ def export_surface(
     if not good:
         rule = "has no surface that could be a function"
         raise InputError(Fault(study.design.name, rule, chosen[0].refused))
-    made = tuple(haptic_export.surface_function(study.design.name, fitted) for fitted in good)
+    functions = tuple(haptic_export.surface_function(study.design.name, fitted) for fitted in good)
     folder = Path(out)
-    texts = {place: text for function in made for place, text in function.files(folder).items()}
-    for place, text in texts.items():
-        write_atomic(place, text.encode())
+    texts = {file: text for function in functions for file, text in function.files(folder).items()}
+    for file, text in texts.items():
+        write_atomic(file, text.encode())
     missing = tuple(
         f"{surface.response}: {surface.refused}" for surface in chosen if surface.surface is None
     )
-    paths = {"files": [str(place) for place in texts], "warnings": list(missing)}
-    content = {"functions": [function.to_json() for function in made], **paths}
-    lines = tuple(sentence for function in made for sentence in function.sentences())
+    paths = {"files": [str(file) for file in texts], "warnings": list(missing)}
+    content = {"functions": [function.to_json() for function in functions], **paths}
+    lines = tuple(sentence for function in functions for sentence in function.sentences())
     return Export(content, lines, tuple(texts), missing)
 
 

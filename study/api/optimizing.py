@@ -499,7 +499,7 @@ def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal
     if falls.size:
         rule = "displacements must increase from row to row"
         mend = "keep the loading of one test, or average repeats"
-        raise InputError(Fault(table.place(int(falls[0]) + 1, columns[0]), rule, mend))
+        raise InputError(Fault(table.cell_name(int(falls[0]) + 1, columns[0]), rule, mend))
     if displacement.size < FEWEST or displacement[0] < 0:
         rule = f"needs at least {FEWEST} rows, with displacements from 0 on"
         raise InputError(Fault(str(source), rule))

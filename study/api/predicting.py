@@ -289,7 +289,7 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
         if seconds > LONG and max(counts) <= LARGEST:
             announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
     difference = surface_fitting.difference_of(practical, runs)
-    sizes = [len({place[name] for place in places}) for name in factors]
+    sizes = [len({labels[name] for labels in places}) for name in factors]
     each = surface_fitting.surfaces_at(
         FittedSurface(runs.name, "", None, practical=difference), places, sizes, surface,
         [partial(some_runs, runs, here) for here in rows], difference,

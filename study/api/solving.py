@@ -157,13 +157,13 @@ def solve(
     >>> [round(float(force), 4) for force in found.curve.force_N]
     [0.993, 2.1022]
     """
-    made = _problem(problem, overrides)
-    if follow and not made.setup.has_no_elements:
+    resolved_problem = _problem(problem, overrides)
+    if follow and not resolved_problem.setup.has_no_elements:
         from study.mechanics.solver.finite_element_solution import follow as behind_instability
 
-        solution = behind_instability(made, gradients=gradients, progress=progress)
+        solution = behind_instability(resolved_problem, gradients=gradients, progress=progress)
         return SolvedProblem.of(solution)
-    return SolvedProblem.of(at_steps(made, gradients=gradients, progress=progress))
+    return SolvedProblem.of(at_steps(resolved_problem, gradients=gradients, progress=progress))
 
 
 def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, ...]:

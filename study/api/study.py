@@ -473,10 +473,10 @@ def _check_records(folder: Path, verification: Verification) -> None:
 
 
 def _compare_report(home: Path, folder: Path, verification: Verification) -> None:
-    with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
+    with tempfile.TemporaryDirectory(prefix="study-verify-") as temporary:
         formats = ["html", *(["tex"] if list(home.glob("*.tex")) else [])]
         again = report(
-            load_study(folder, tell_unfinished=False), reports=Path(place), formats=formats
+            load_study(folder, tell_unfinished=False), reports=Path(temporary), formats=formats
         )
         if again.report is None:
             raise InputError(f"{folder}: {'; '.join(again.warnings)}")
@@ -501,8 +501,8 @@ def _solve_again(
     size = min(count, len(solved))
     drawn = sorted(np.random.default_rng(seed).choice(len(solved), size, replace=False).tolist())
     part = replace(work, jobs=tuple(solved[k] for k in drawn))
-    with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
-        again = Store(Path(place))
+    with tempfile.TemporaryDirectory(prefix="study-verify-") as temporary:
+        again = Store(Path(temporary))
         run_batch(part, again, processes(1))
         fresh = again.by_case(part.input_hashes)
     for job in part.jobs:

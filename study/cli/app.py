@@ -65,8 +65,8 @@ def new(
         output.next_step(f"{file} runs as it is; edit it later", written("calibrate", file))
         return
     print(f"{file} runs as it is, with measurements of virtual specimens; edit it later")
-    made = written("virtual", "measurements", options={"--from": file})
-    output.next_step("make the measurements, then plan", f"{made}\n  {written('plan', file)}")
+    command = written("virtual", "measurements", options={"--from": file})
+    output.next_step("make the measurements, then plan", f"{command}\n  {written('plan', file)}")
 
 
 def virtual(

@@ -398,14 +398,14 @@ def export(
     from study import api
 
     if form == "emulator":
-        made = api.export_surface(source, response=response, out=reports, results=results)
+        files = api.export_surface(source, response=response, out=reports, results=results)
     else:
-        made = api.export(
+        files = api.export(
             source, form=form, case=case, test=test, tolerance=tolerance,
             overrides=settings or (), out=reports, progress=_say,
         )  # fmt: skip
     output.show(
-        made.document, as_json, lambda _: _files(made.sentences, *made.paths), made.warnings
+        files.document, as_json, lambda _: _files(files.sentences, *files.paths), files.warnings
     )
 
 

@@ -267,11 +267,11 @@ def import_(
     """Make a study of runs that were made elsewhere, and report it."""
     from study import api
 
-    made = api.import_runs(
+    imported = api.import_runs(
         file, factors, responses, failed=failed, block=block, name=name, decimal=decimal,
         practical=practical, results=results, numeric=numeric,
     )  # fmt: skip
-    _finish(api.report(made.folder, reports=reports), as_json, _folders(results, reports))
+    _finish(api.report(imported.folder, reports=reports), as_json, _folders(results, reports))
 
 
 #: a word of Python, so that the function cannot bear the name of its verb

@@ -232,17 +232,17 @@ def decoded(data: bytes, source: str, declared: str = "") -> tuple[str, str]:
         text = data.decode(codec)
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        place, rule = f"{source}:{line}", f"byte {data[error.start]:#04x} is not {encoding}"
+        where, rule = f"{source}:{line}", f"byte {data[error.start]:#04x} is not {encoding}"
         mend = "save the file as UTF-8"
         if declared:
             rule += ", which is declared"
             mend = "leave measurements.encoding out: it is found"
         if encoding != "UTF-8" or not data.decode("utf-8", "ignore").isascii():
-            raise InputError(Fault(place, rule, mend)) from error
+            raise InputError(Fault(where, rule, mend)) from error
         try:
             text, encoding = data.decode("cp1252"), "Windows-1252"
         except UnicodeDecodeError:
-            raise InputError(Fault(place, f"{rule} and not Windows-1252", mend)) from error
+            raise InputError(Fault(where, f"{rule} and not Windows-1252", mend)) from error
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise InputError(Fault(f"{source}:{line}", "holds a NUL character: this is not a CSV file"))

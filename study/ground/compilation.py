@@ -43,42 +43,42 @@ def private_folder() -> Path | None:
     cache = os.environ.get("XDG_CACHE_HOME", "")
     home = os.path.expanduser(os.path.join("~", ".cache"))
     temporary = os.environ.get("TMPDIR", "")
-    for place in [
+    for folder in [
         Path(cache if os.path.isabs(cache) else home, "study"),
         Path(temporary if os.path.isabs(temporary) else "/tmp", f"study-{os.geteuid()}"),
     ]:
         try:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.mkdir(mode=0o700, exist_ok=True)
-            fault = fault_of(place)
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o700, exist_ok=True)
+            fault = fault_of(folder)
         except OSError:  # a home that cannot be written
             continue
-        if fault is None and os.access(place, os.W_OK | os.X_OK):
-            return place
+        if fault is None and os.access(folder, os.W_OK | os.X_OK):
+            return folder
         if fault is not None and multiprocessing.current_process().name == "MainProcess":
-            print(f"warning: the cache {place} is not used: {fault}", file=sys.stderr)
+            print(f"warning: the cache {folder} is not used: {fault}", file=sys.stderr)
     return None
 
 
-def fault_of(place: Path) -> str | None:
+def fault_of(folder: Path) -> str | None:
     """Say what lets others put files into a folder, and how to mend it; None if nothing does."""
-    real = place.resolve()
-    for path in dict.fromkeys([place, real, *place.absolute().parents, *real.parents]):
+    real = folder.resolve()
+    for path in dict.fromkeys([folder, real, *folder.absolute().parents, *real.parents]):
         status = path.lstat()
-        is_leaf, is_link = path in (place, real), stat.S_ISLNK(status.st_mode)
+        is_leaf, is_link = path in (folder, real), stat.S_ISLNK(status.st_mode)
         trusted = {os.geteuid()} if is_leaf else {os.geteuid(), 0, _UNMAPPED}
         if status.st_uid not in trusted:
-            return f"{path} belongs to another user\n    {_mend(place, path)}"
+            return f"{path} belongs to another user\n    {_mend(folder, path)}"
         others = 0o077 if is_leaf else 0o002 if status.st_gid == os.getgid() else 0o022
         is_sticky = not is_leaf and status.st_mode & stat.S_ISVTX
         if status.st_mode & others and not is_link and not is_sticky:
             mode = stat.S_IMODE(status.st_mode)
-            return f"others have rights in {path} (mode {mode:o})\n    {_mend(place, path)}"
+            return f"others have rights in {path} (mode {mode:o})\n    {_mend(folder, path)}"
     return None
 
 
-def _mend(place: Path, path: Path) -> str:
-    if path in (place, place.resolve()):
+def _mend(folder: Path, path: Path) -> str:
+    if path in (folder, folder.resolve()):
         return f"remove it, it is made again: rm -r {path}"
     return f"chmod go-w {path}, or name another folder: XDG_CACHE_HOME=/a/folder/of/yours"
 

@@ -49,10 +49,10 @@ def section(declared: type[Kind]) -> type[Kind]:
         extra="forbid", validate_by_name=True, validate_by_alias=False, defer_build=True,
         alias_generator=AliasGenerator(validation_alias=_without_unit),
     )  # fmt: skip
-    made: type[Kind] = pydantic_dataclass(frozen=True, config=config)(declared)  # type: ignore[assignment]
-    fields: Mapping[str, FieldInfo] = made.__pydantic_fields__  # type: ignore[attr-defined]
-    _DECLARED[made] = tuple(_key(name, field) for name, field in fields.items())
-    return made
+    frozen_class: type[Kind] = pydantic_dataclass(frozen=True, config=config)(declared)  # type: ignore[assignment]
+    fields: Mapping[str, FieldInfo] = frozen_class.__pydantic_fields__  # type: ignore[attr-defined]
+    _DECLARED[frozen_class] = tuple(_key(name, field) for name, field in fields.items())
+    return frozen_class
 
 
 @dataclass(frozen=True)

@@ -183,10 +183,10 @@ def read_text(path: str | Path) -> str:
     except UnreadableError as error:
         raise InputError(Fault(repr(source), error.rule)) from error
     if raw is None:
-        place = Path(path)
-        names = sorted(p.name for p in place.parent.glob(f"*{place.suffix}") if p.is_file())[:20]
+        file = Path(path)
+        names = sorted(p.name for p in file.parent.glob(f"*{file.suffix}") if p.is_file())[:20]
         mend = "study new FILE writes a design to start from"
-        mend = nearest(place.name, names) if names else mend
+        mend = nearest(file.name, names) if names else mend
         raise InputError(Fault(source, "there is no such file", mend))
     return decode(raw, source)
 

@@ -119,7 +119,7 @@ class CsvTable:
             raise InputError(_no_column(f"{self.source}:1", name, self.columns))
         return self.columns[name]
 
-    def place(self, row: int, name: str) -> str:
+    def cell_name(self, row: int, name: str) -> str:
         """Name a cell in a message: file, line and column."""
         return f"{self.source}:{self.lines[row]}: column {name!r}"
 
@@ -138,7 +138,7 @@ class CsvTable:
     def _cell_faults(self, name: str, cells: Sequence[str], rows: Sequence[int]) -> list[Fault]:
         faults = [
             Fault(
-                self.place(k, name),
+                self.cell_name(k, name),
                 f"must be a finite number, got {_short(cells[k])}",
                 _number_mend(cells[k], self.decimal, self.declared_by),
             )
@@ -475,7 +475,7 @@ def read_tidy_csv(
     table = table.without_units(measured)
     labels = list(dict.fromkeys([*factors, *others]))
     faults = [
-        Fault(table.place(k, name), "the level is empty")
+        Fault(table.cell_name(k, name), "the level is empty")
         for name in labels
         for k, cell in enumerate(table.text(name))
         if not cell
@@ -539,4 +539,4 @@ def _check_clash(table: CsvTable, name: str) -> None:
                 f"the level {label!r} and the level {first!r} of line {table.lines[at]} differ in "
                 "blanks alone"
             )
-            raise InputError(Fault(table.place(row, name), rule, "write both the same way"))
+            raise InputError(Fault(table.cell_name(row, name), rule, "write both the same way"))

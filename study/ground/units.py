@@ -167,8 +167,8 @@ def converted(value: float, unit: str, into: str) -> float:
         if text and not is_known(text):
             raise _fault(f"has the unknown unit {text!r}", "write a unit such as kg, N/m or Pa s")
     try:
-        made = _registry().Quantity(value, _registry().parse_units(first or "1"))
-        return float(made.to(_registry().parse_units(second or "1")).magnitude)
+        quantity = _registry().Quantity(value, _registry().parse_units(first or "1"))
+        return float(quantity.to(_registry().parse_units(second or "1")).magnitude)
     except pint.PintError as error:
         rule = f"is in {first or 'no unit'}, which is not of the kind of {second or 'no unit'}"
         raise _fault(rule, f"write it in {second or 'a plain number'}") from error

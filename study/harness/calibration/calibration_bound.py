@@ -113,12 +113,12 @@ def numerical_bound(
     model = simulated[0].problem.model
     base, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
     # from coarse to fine, and the own mesh again with more steps
-    made = [[_on_level(part, step) for part in parts] for step in levels]
-    made.append([_with_more_steps(part) for part in parts])
+    parts_by_fit = [[_on_level(part, step) for part in parts] for step in levels]
+    parts_by_fit.append([_with_more_steps(part) for part in parts])
     search = StagedSearch(names, fit_task.fitted_model, bounds, progress)
     solutions = []
-    for number, changed_parts in enumerate(made):
-        stage = f"numerical bound, fit {number + 1} of {len(made)}"
+    for number, changed_parts in enumerate(parts_by_fit):
+        stage = f"numerical bound, fit {number + 1} of {len(parts_by_fit)}"
         done = single_stage(stage, changed_parts, start, search).fit
         if not done.converged:
             why = f"{stage}, gave no constants ({done.message})"
@@ -230,8 +230,8 @@ def _order(part: FitPart, names: tuple[str, ...], values: Array) -> float | None
     return formal_order(part.problem.at(constants, depth)).order
 
 
-def _u(sizes: Sequence[float], values: Array, place: int, order: float | None) -> float:
+def _u(sizes: Sequence[float], values: Array, level: int, order: float | None) -> float:
     """Half-width of one constant on one of the meshes."""
     noise = _SEARCH * float(np.abs(values).max())
     result = grid_convergence(sizes, values, formal_order=order, tolerance=noise)
-    return float(result.bound_of(float(values[place])) or noise)
+    return float(result.bound_of(float(values[level])) or noise)

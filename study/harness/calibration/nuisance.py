@@ -35,10 +35,10 @@ def parameters_of(
 ) -> tuple[NuisanceParameter, ...]:
     """Nuisance parameters of a fit."""
     units: dict[tuple[str, str], list[int]] = {}
-    for place, curve in enumerate(curves):
+    for index, curve in enumerate(curves):
         for key, declared in tests[curve.test].nuisance.items():
             unit = {"curve": curve.label, "test": f"tests[{curve.test}]", "all": ""}[declared.each]
-            units.setdefault((key, unit), []).append(place)
+            units.setdefault((key, unit), []).append(index)
     count = {key: sum(other == key for other, _ in units) for key, _ in units}
     return tuple(
         _parameter(tests, curves, key, key if count[key] == 1 else f"{key} [{unit}]", places)
@@ -53,7 +53,7 @@ def _parameter(
     name: str,
     places: list[int],
 ) -> NuisanceParameter:
-    owners = [tests[curves[place].test] for place in places]
+    owners = [tests[curves[index].test] for index in places]
     declared = owners[0].nuisance[key]
     expected = [_expected(test, key) for test in owners]
     if max(expected) - min(expected) > 1e-12 * max(map(abs, expected)):
@@ -445,18 +445,18 @@ def with_nuisance(
     if not parameters or not first_fit.converged:
         return first_fit
     simulated = any(part.method == "inverse-fem" for part in predictions.parts)
-    made = _NuisanceFit(
+    nuisance_fit = _NuisanceFit(
         predictions, curves, first_fit.names, bounds,
         simulated or any(param.key == FRICTION for param in parameters),
         [param for param in parameters if param.is_fitted],
         [param for param in parameters if not param.is_fitted],
     )  # fmt: skip
-    plain, joint = made.settled(first_fit)
+    plain, joint = nuisance_fit.settled(first_fit)
     if not joint.converged:
         return replace(_part(joint, first_fit.names), joint=joint)
-    moved = made.moved(joint)
+    moved = nuisance_fit.moved(joint)
     joint = with_serial_correlation(plain, curves, moved @ moved.T)
-    estimates = tuple(made.estimate(param, plain, joint, moved) for param in parameters)
+    estimates = tuple(nuisance_fit.estimate(param, plain, joint, moved) for param in parameters)
     return replace(_part(joint, first_fit.names), joint=joint, nuisance=estimates)
 
 

@@ -282,9 +282,9 @@ class Cell:
 
     def changed(self, change: Callable[[CellProblem], CellProblem]) -> Cell:
         """Copy with a change of its test, and of that which it is fitted to."""
-        problems = (self.problem, self.fitted_elsewhere)
-        made = [change(p) if isinstance(p, CellProblem) else p for p in problems]
-        return replace(self, problem=made[0], fitted_elsewhere=made[1])  # type: ignore[arg-type]
+        pair = (self.problem, self.fitted_elsewhere)
+        problems = [change(p) if isinstance(p, CellProblem) else p for p in pair]
+        return replace(self, problem=problems[0], fitted_elsewhere=problems[1])  # type: ignore[arg-type]
 
     def sized(self, mesh_size_mm: float) -> Cell:
         """Copy with elements of another size."""

@@ -139,12 +139,12 @@ class Adaptive(Sequential):
         seed = request.seed if self.seed is None else self.seed
         shares = _start(factors, self.start // math.prod(others), seed)
         every = np.vstack([shares, *(np.array([c]) for c in self.added)])
-        made, rows = placed(factors, every, each_alone=True)
+        factors, rows = placed(factors, every, each_alone=True)
         if len(set(rows)) < len(rows):
             request.fault("added", "two cells are the same", "leave it to `study run`")
         note = "cells are added where an emulator is least sure: see the surface"
         settings = replace(self, seed=seed)
-        return made, Scheme(self.kind, rows, self._summary(seed), (note,), sequential=settings)
+        return factors, Scheme(self.kind, rows, self._summary(seed), (note,), sequential=settings)
 
     def _summary(self, seed: int) -> str:
         goal = (
@@ -233,11 +233,11 @@ def scheme_from(
     if excluding and kind not in ("full", "listed"):
         faults.add("exclude", f"a {kind} design cannot lose runs", 'use kind = "full", or none')
     layout = read_table(LAYOUTS[kind], written, "design", faults)
-    made = factors, Scheme()
+    factors_and_scheme = factors, Scheme()
     # of a key that nobody declares the others do not depend
     if all(fault.rule == "unknown key" for fault in faults[before:]):
-        made = layout.make(Request(factors, seed, faults))
-    return (_few(factors), Scheme()) if len(faults) > before else made
+        factors_and_scheme = layout.make(Request(factors, seed, faults))
+    return (_few(factors), Scheme()) if len(faults) > before else factors_and_scheme
 
 
 def _few(factors: tuple[Factor, ...]) -> tuple[Factor, ...]:

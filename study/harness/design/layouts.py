@@ -73,11 +73,11 @@ def placed(
     With ``each_alone`` a level is written by its own share alone, so that a cell stays what it is
     when more are added.
     """
-    made, columns = [], []
+    placed_factors, columns = [], []
     for factor, column in zip(factors, shares.T, strict=True):
         count, span = len(factor.levels), factor.span
         if span is None:
-            made.append(factor)
+            placed_factors.append(factor)
             columns.append([min(int(x * count), count - 1) for x in column])
             continue
         if each_alone:
@@ -89,9 +89,9 @@ def placed(
         else:
             values, inverse = np.unique(np.round(column, 12), return_inverse=True)
             levels, index = levels_at(factor.name, span, values.tolist()), inverse.tolist()
-        made.append(replace(factor, levels=levels))
+        placed_factors.append(replace(factor, levels=levels))
         columns.append(index)
-    return tuple(made), tuple(zip(*columns, strict=True))
+    return tuple(placed_factors), tuple(zip(*columns, strict=True))
 
 
 #: of designs over ranges
@@ -103,10 +103,10 @@ AT_EVERY_SETTING = (
 
 def _sampled(request: Request, kind: str, shares: Array, summary: str, note: str) -> Made:
     """Design of runs that are shares of each range, no two of which may be one cell."""
-    made, rows = placed(request.factors, shares)
+    factors, rows = placed(request.factors, shares)
     if len(set(rows)) < len(rows):
         request.fault("runs", "two runs are the same cell", "use another seed or fewer")
-    return made, Scheme(kind, rows, summary, (note,))
+    return factors, Scheme(kind, rows, summary, (note,))
 
 
 # Full factorials, also with factors that change together or are nested; and listed cells.
@@ -261,10 +261,10 @@ class Listed:
     def make(self, request: Request) -> Made:
         """Look up the levels of every treatment."""
         read = partial(_treatments, request.factors)
-        made = noted(read, self.treatments, "design.treatments", request.faults)
-        if made is None:
+        factors_and_rows = noted(read, self.treatments, "design.treatments", request.faults)
+        if factors_and_rows is None:
             return request.nothing
-        factors, rows = made
+        factors, rows = factors_and_rows
         if any(factor.span for factor in factors):
             return factors, Scheme(self.kind, rows, f"{len(rows)} listed", (AT_EVERY_SETTING,))
         count = math.prod(len(factor.levels) for factor in factors)
@@ -286,10 +286,10 @@ def _treatments(
     columns = [_levels_listed(factor, [cell[factor.name] for cell in cells]) for factor in factors]
     factors, rows = tuple(f for f, _ in columns), list(zip(*(at for _, at in columns), strict=True))
     first: dict[tuple[int, ...], int] = {}
-    for place, row in enumerate(rows):
-        first.setdefault(row, place)
+    for index, row in enumerate(rows):
+        first.setdefault(row, index)
     if len(first) < len(rows):
-        again = next(first[row] for place, row in enumerate(rows) if first[row] < place) + 1
+        again = next(first[row] for index, row in enumerate(rows) if first[row] < index) + 1
         raise Bad(f"treatment {again} stands twice", "the same simulation is no replicate")
     for f, column in zip(factors, zip(*rows, strict=True), strict=True):
         if len(set(column)) < len(f.levels):
@@ -310,7 +310,7 @@ def _levels_listed(factor: Factor, given: Sequence[object]) -> tuple[Factor, lis
         factor = replace(
             factor, levels=tuple(sorted(unsorted.levels, key=lambda level: setting[level.label]))
         )
-    places = {label: place for place, label in enumerate(factor.labels)}
+    places = {label: index for index, label in enumerate(factor.labels)}
     return factor, [places[label] for label in labels]
 
 
@@ -582,10 +582,10 @@ class Morris:
             return request.nothing
         count, seed = len(request.factors), request.seed if self.seed is None else self.seed
         shares = generators.trajectories(count, self.trajectories, self.levels, seed)
-        if (made := len(shares) // (count + 1)) < self.trajectories:
-            rule = f"{made} trajectories without a common run fit {self.levels} levels"
+        if (trajectory_count := len(shares) // (count + 1)) < self.trajectories:
+            rule = f"{trajectory_count} trajectories without a common run fit {self.levels} levels"
             request.fault("trajectories", rule, "ask for fewer, or for more levels")
-        summary = f"Morris: {made} trajectories of {count + 1} cells, seed {seed}"
+        summary = f"Morris: {trajectory_count} trajectories of {count + 1} cells, seed {seed}"
         note = "elementary effects rank the factors: they screen, and give no verdict"
         return _sampled(request, self.kind, shares, summary, note)
 

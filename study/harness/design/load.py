@@ -164,9 +164,9 @@ def _places(design: Design, levels: Sequence[Level], presets: Presets) -> dict[s
 
 
 def _moved(fault: Fault, places: Mapping[str, str]) -> Fault:
-    for key, place in places.items():
+    for key, moved_key in places.items():
         if fault.where == key or fault.where.startswith((f"{key}.", f"{key}[")):
-            return Fault(place + fault.where.removeprefix(key), fault.rule, fault.mend)
+            return Fault(moved_key + fault.where.removeprefix(key), fault.rule, fault.mend)
     return fault
 
 
@@ -219,11 +219,11 @@ def _check_marked(name: str, where: str, cells: Sequence[Cell], faults: Faults) 
 
 def _check_place(name: str, where: str, cells: Sequence[Cell], faults: Faults) -> None:
     """Check that every cell is pressed as far as a response looks."""
-    place = simulated_at(name)[1]
+    displacement_mm = simulated_at(name)[1]
     depths = [c.problem.depth_mm for c in cells]
     least = min((depth for depth in depths if depth is not None), default=None)
-    if place is not None and least is not None and place > least * (1 + 1e-9):
-        rule = f"is {place:g} mm, and a cell is pressed {least:g} mm only"
+    if displacement_mm is not None and least is not None and displacement_mm > least * (1 + 1e-9):
+        rule = f"is {displacement_mm:g} mm, and a cell is pressed {least:g} mm only"
         faults.add(where, rule, "take it inside the test of every cell, or press deeper")
 
 

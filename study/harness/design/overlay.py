@@ -78,16 +78,16 @@ WHOLE = ("forward.files", "forward.curve", "forward.values")
 ANY = "parameter"
 #: keys that may differ between the cells of a design, as they are suggested
 VARYING = (
-    *(f"{name}.{key}" for name, place in PLACES.items() for key in place.keys),
+    *(f"{name}.{key}" for name, varying in PLACES.items() for key in varying.keys),
     *(f"material.{key}" for key in _CONSTANTS),
 )
 _REPLACED = r"calibration\.problem\."
 #: what the value of a key measures, as its declaration says
 _DIMENSIONS = {
     key.written: key.reads.dimension
-    for name, place in PLACES.items()
+    for name, varying in PLACES.items()
     if name != "measurements"  # how a file is read is no input with an uncertainty
-    for table in place.sections
+    for table in varying.sections
     for key in keys_of(table)
     if key.reads is not None and key.reads.dimension
 }
@@ -152,13 +152,13 @@ def _copied(value: object) -> object:
 def _make_room(merged: dict[str, object], key: str, value: object) -> None:
     table, _, last = key.rpartition(".")
     name = re.sub(f"^{_REPLACED}", "", table)
-    place, node = PLACES.get(name), value_at(merged, table)
-    if place is None or not isinstance(node, dict):
+    varying_table, node = PLACES.get(name), value_at(merged, table)
+    if varying_table is None or not isinstance(node, dict):
         return
-    if last in place.alternatives:
-        for other in place.alternatives:
+    if last in varying_table.alternatives:
+        for other in varying_table.alternatives:
             node.pop(other, None)
-    if last == place.ruling:
+    if last == varying_table.ruling:
         for other in [k for k in node if not _belongs(name, value, k)]:
             del node[other]
 

@@ -75,15 +75,15 @@ def _changes(design: Design, t: Treatment, factor: str, key: Key) -> bool:
     """Whether another level of one factor alone changes the key of a cell."""
     # A part of the full factorial may hold no two cells that differ in one factor only, so the
     # other cell is made for the comparison.
-    own_key, place = key(t.cell), [f.name for f in design.factors].index(factor)
+    own_key, index = key(t.cell), [f.name for f in design.factors].index(factor)
     levels = [f.levels[f.labels.index(t.levels[f.name])] for f in design.factors]
-    factor_levels = design.factors[place].levels
-    if design.factors[place].span is not None and len(factor_levels) > 3:  # a sampled range
+    factor_levels = design.factors[index].levels
+    if design.factors[index].span is not None and len(factor_levels) > 3:  # a sampled range
         factor_levels = tuple(factor_levels[i] for i in (0, len(factor_levels) // 2, -1))
     for other in factor_levels:
         faults = Faults()
-        made = design.resolved([*levels[:place], other, *levels[place + 1 :]], faults)
-        if not faults and key(made) != own_key:
+        other_cell = design.resolved([*levels[:index], other, *levels[index + 1 :]], faults)
+        if not faults and key(other_cell) != own_key:
             return True
     return False
 

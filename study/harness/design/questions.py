@@ -122,15 +122,15 @@ def _response(
 
 def _name(table: ResponseSpec, where: str, faults: Faults) -> str:
     """Name of a response; one at a displacement carries it, so that every table says it."""
-    name, place = table.name or "", table.displacement
+    name, displacement_mm = table.name or "", table.displacement
     if name in AT_DISPLACEMENT:
         at = f"{where}.displacement"
-        if place is None:
+        if displacement_mm is None:
             if all(fault.where != at for fault in faults):
                 faults.add(at, "is missing", 'for example displacement = "2 mm"')
             return ""
-        return f"{name}_{place:g}_mm"
-    if name and place is not None:
+        return f"{name}_{displacement_mm:g}_mm"
+    if name and displacement_mm is not None:
         rule = f"{name} is not taken at a displacement"
         mend = f"leave it out, or ask for {' or '.join(AT_DISPLACEMENT)}"
         faults.add(f"{where}.displacement", rule, mend)

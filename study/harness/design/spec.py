@@ -245,13 +245,13 @@ class Design:
 
     def resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
         """Resolve one cell, once where it is sound; faults name the keys of the merged file."""
-        sound, place = self._sound, tuple(map(id, levels))
-        if place in sound:
-            return sound[place]
+        sound, level_ids = self._sound, tuple(map(id, levels))
+        if level_ids in sound:
+            return sound[level_ids]
         cell_faults = Faults()
         cell = self._resolved(levels, cell_faults)
         if not cell_faults:
-            sound[place] = cell
+            sound[level_ids] = cell
         for fault in cell_faults:
             faults.add(fault.where, fault.rule, fault.mend)
         return cell

@@ -63,9 +63,9 @@ AT_DISPLACEMENT = ("force_at", "stiffness_at")
 def simulated_at(name: str) -> tuple[str, float | None]:
     """Split the name of a response at a displacement into the response and the place in mm."""
     for start in AT_DISPLACEMENT:
-        place = name.removeprefix(f"{start}_").removesuffix("_mm")
-        if name == f"{start}_{place}_mm":
-            return start, float(place)
+        displacement = name.removeprefix(f"{start}_").removesuffix("_mm")
+        if name == f"{start}_{displacement}_mm":
+            return start, float(displacement)
     return name, None
 
 

@@ -202,7 +202,7 @@ class Processes:
 
     def perform(
         self,
-        place: tuple[str, int],
+        run_slot: tuple[str, int],
         perform: Perform,
         payloads: Sequence[object],
         limit_s: float | None,
@@ -213,34 +213,34 @@ class Processes:
             if not self._is_watched:
                 self._is_watched = True
                 self._prepare()
-            is_idle = self._idle_since.pop(place, None) is not None
-            process = self._processes[place] if is_idle else Process(perform)
-            self._processes[place] = process
+            is_idle = self._idle_since.pop(run_slot, None) is not None
+            process = self._processes[run_slot] if is_idle else Process(perform)
+            self._processes[run_slot] = process
         try:
             return _watched(process, payloads, limit_s, unwanted)
         finally:
             with self._lock:
-                is_ours = self._processes.get(place) is process
+                is_ours = self._processes.get(run_slot) is process
                 if is_ours:
-                    self._idle_since[place] = time.monotonic()
+                    self._idle_since[run_slot] = time.monotonic()
             if not is_ours:  # the run has ended, or its slot began anew beside a task given up
                 process.kill()
 
     def end(self, run: str) -> None:
         """Kill the processes of a run and no other's."""
-        self._end(lambda place: place[0] == run)
+        self._end(lambda run_slot: run_slot[0] == run)
 
     def end_idle(self, idle_s: float = IDLE_S) -> None:
         """Kill the processes that had nothing to do for longer than so many seconds."""
         now = time.monotonic()
-        self._end(lambda place: now - self._idle_since.get(place, now) > idle_s)
+        self._end(lambda run_slot: now - self._idle_since.get(run_slot, now) > idle_s)
 
     def _end(self, is_over: Callable[[tuple[str, int]], bool]) -> None:
         with self._lock:
-            ended = [place for place in self._processes if is_over(place)]
-            processes = [self._processes.pop(place) for place in ended]
-            for place in ended:
-                self._idle_since.pop(place, None)
+            ended = [run_slot for run_slot in self._processes if is_over(run_slot)]
+            processes = [self._processes.pop(run_slot) for run_slot in ended]
+            for run_slot in ended:
+                self._idle_since.pop(run_slot, None)
         for process in processes:
             process.kill()
 
@@ -249,7 +249,7 @@ class Processes:
         # workers of a cluster are children of their nannies, which may have none of their own
         multiprocessing.current_process().daemon = False
         # not atexit: such a child runs none of its functions, and waits for its own children
-        Finalize(None, self._end, (lambda place: True,), exitpriority=FIRST)
+        Finalize(None, self._end, (lambda _: True,), exitpriority=FIRST)
         threading.Thread(target=self._watch, daemon=True).start()
 
     def _watch(self) -> None:
@@ -325,7 +325,7 @@ def with_copies(value: object, copies: Mapping[str, str]) -> object:
 
 
 def serve(
-    place: tuple[str, int], perform: Perform, payloads: Sequence[object], limit_s: float | None
+    run_slot: tuple[str, int], perform: Perform, payloads: Sequence[object], limit_s: float | None
 ) -> tuple[str, str]:
     """Do some tasks on a worker: what the cluster calls."""
     from distributed import get_worker
@@ -337,9 +337,9 @@ def serve(
         task = worker.state.tasks.get(key)
         return task is None or task.state in ("cancelled", "released", "forgotten")
 
-    copies = _COPIES.get(place[0], ("", {}))[1]
+    copies = _COPIES.get(run_slot[0], ("", {}))[1]
     there = [with_copies(payload, copies) for payload in payloads] if copies else payloads
-    answer = HERE.perform(place, perform, there, limit_s, unwanted)
+    answer = HERE.perform(run_slot, perform, there, limit_s, unwanted)
     return answer.text, answer.death
 
 
@@ -391,7 +391,7 @@ class RemoteSlot:
 
     def begin(self) -> None:
         """Send what waits to a worker, if there is one."""
-        if self.waiting is None or (worker := self.crew.place(self)) is None:
+        if self.waiting is None or (worker := self.crew.worker_for(self)) is None:
             return
         (payloads, done, ticket), self.waiting = self.waiting, None
         answered: list[bool] = []
@@ -483,7 +483,7 @@ class Crew:
         self.slots += [RemoteSlot(self, k) for k in range(count, max(self.capacity, count))]
         return self.slots[count:]
 
-    def place(self, slot: RemoteSlot) -> ClusterWorker | None:
+    def worker_for(self, slot: RemoteSlot) -> ClusterWorker | None:
         """Find a worker for a slot: its own, unless it is gone or another has more room."""
         best = max(self.workers.values(), key=lambda worker: worker.free, default=None)
         old = slot.worker

@@ -64,8 +64,8 @@ def _within_limits(call: Callable[..., Given], *arguments: object) -> Given:
     if threading.current_thread() is threading.main_thread():
         return _limited(_MOST_SECONDS, call, *arguments)
     try:
-        made: Future[Given] = _helper().submit(_limited, _MOST_SECONDS, call, *arguments)
-        return made.result()
+        future: Future[Given] = _helper().submit(_limited, _MOST_SECONDS, call, *arguments)
+        return future.result()
     except BrokenExecutor as error:
         _helper.cache_clear()
         raise MemoryError("the process that computed it has died") from error
@@ -164,12 +164,12 @@ def _template(text: str) -> Template:
 def rendered(text: str, context: Mapping[str, object], source: str) -> str:
     """Text of a template over a case; an unknown name is an :class:`InputError` with its line."""
     try:
-        made = _within_limits(_rendered, text, context, source)
+        text_or_fault = _within_limits(_rendered, text, context, source)
     except (TimeoutError, MemoryError) as error:
-        made = _fault(error, source)
-    if isinstance(made, Fault):
-        raise InputError(made)
-    return made
+        text_or_fault = _fault(error, source)
+    if isinstance(text_or_fault, Fault):
+        raise InputError(text_or_fault)
+    return text_or_fault
 
 
 def _fault(error: BaseException, source: str) -> Fault:
@@ -331,14 +331,14 @@ def column_of(header: list[str], rows: list[list[str]], column: str | int, name:
         if header.count(column) != 1:
             columns = ", ".join(header[:20]) or "numbers alone, without a header"
             raise NoAnswer("failed", f"{name} needs one column {column!r}, it has {columns}")
-        place = header.index(column)
+        index = header.index(column)
     else:
-        place = column - 1
+        index = column - 1
     values = []
     for number, row in enumerate(rows, 2 if header else 1):
-        if place >= len(row):
-            raise NoAnswer("failed", f"{name}:{number}: has {len(row)} columns, not {place + 1}")
-        values.append(_number(row[place], f"{name}:{number}"))
+        if index >= len(row):
+            raise NoAnswer("failed", f"{name}:{number}: has {len(row)} columns, not {index + 1}")
+        values.append(_number(row[index], f"{name}:{number}"))
     return np.array(values, dtype=float)
 
 
@@ -378,9 +378,9 @@ def values_of_files(value_file: ValueFile | None, folder: Path, output: str) -> 
     values = {}
     for name, unit, pattern, file, written in value_file.names:
         if pattern:
-            place = file or (value_file.file if not tables else "")
-            text, place = (read_text(folder, place) if place else output), place or "output"
-            values[name] = converted(_logged(text, pattern, place, name), written, unit, place)
+            source = file or (value_file.file if not tables else "")
+            text, source = (read_text(folder, source) if source else output), source or "output"
+            values[name] = converted(_logged(text, pattern, source, name), written, unit, source)
         elif name not in tables:
             mend = nearest(name, list(tables)[:50])
             raise NoAnswer("failed", f"{value_file.file} has no value {name!r} ({mend})")
@@ -450,14 +450,14 @@ def _last_in(text: str, pattern: str) -> str | None:
     return last
 
 
-def _logged(text: str, pattern: str, place: str, name: str) -> float:
+def _logged(text: str, pattern: str, source: str, name: str) -> float:
     """Last number that a pattern has in a log."""
     try:
         last = _within_limits(_last_in, text, pattern)
     except TimeoutError as error:
-        rule = f"{place}: looking for {name} with {pattern[:80]!r} {error}"
+        rule = f"{source}: looking for {name} with {pattern[:80]!r} {error}"
         raise NoAnswer("failed", f"{rule}: write it without a repeat within a repeat") from None
     if last is None:
         shown = pattern.replace(NUMBER_PATTERN, NUMBER)[:80]
-        raise NoAnswer("failed", f"{place} has no {name}: nothing fits {shown!r}")
-    return _number(last, f"{name} of {place}")
+        raise NoAnswer("failed", f"{source} has no {name}: nothing fits {shown!r}")
+    return _number(last, f"{name} of {source}")

@@ -454,11 +454,11 @@ class External:
     def rendered(self, case: Mapping[str, object]) -> tuple[dict[str, str], dict[str, str]]:
         """Files of the folder of a case, and those that were rendered."""
         templates = dict(map(target_and_source, self.section.files))
-        made = {
+        rendered_files = {
             target: rendered(self.contents[target], case, templates[target])
             for target in self.section.rendered
         }
-        return {**self.contents, **made}, made
+        return {**self.contents, **rendered_files}, rendered_files
 
 
 @functools.lru_cache(maxsize=1000)  # it is asked for several times a case

@@ -251,8 +251,8 @@ def _python_function_columns(
         given = {DISPLACEMENT: given.displacement_mm, FORCE: given.force_N, **slopes}
     elif not isinstance(given, Mapping):
         given = {FORCE: given}
-    made: Mapping[str, ArrayLike] = {DISPLACEMENT: displacement_mm, **given}
-    columns = {name: np.asarray(values, dtype=float) for name, values in made.items()}
+    given_columns: Mapping[str, ArrayLike] = {DISPLACEMENT: displacement_mm, **given}
+    columns = {name: np.asarray(values, dtype=float) for name, values in given_columns.items()}
     if FORCE not in columns:
         raise NoAnswer("failed", f"the function gives no {FORCE}")
     size = columns[DISPLACEMENT].shape

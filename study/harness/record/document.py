@@ -377,11 +377,11 @@ def fault_of(content: object, kind: type) -> str:
         _adapter(kind).validate_python(content, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        place = ".".join(map(str, first["loc"]))
+        key = ".".join(map(str, first["loc"]))
         if first["type"] == "missing":
-            return f"it has no {place}"
+            return f"it has no {key}"
         _, _, expectation = first["msg"].partition("Input should ")
-        whose = f"its {place}" if place else "its content"
+        whose = f"its {key}" if key else "its content"
         return f"{whose} should {expectation}" if expectation else f"{whose} has another length"
     return ""
 

@@ -23,11 +23,11 @@ def own_folder(root: Path, name: str) -> Path:
 
 def inside(root: Path, below: Sequence[str], outside: str) -> Path:
     """Place below a folder; refuse one that a link leads out of it."""
-    places, place = [], str(root)
+    places, nested = [], str(root)
     for part in below:
-        place = os.path.join(place, part)
-        places.append(place)
-    path = Path(place)
+        nested = os.path.join(nested, part)
+        places.append(nested)
+    path = Path(nested)
     if not any(map(os.path.islink, places)):
         return path
     try:

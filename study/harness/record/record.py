@@ -321,11 +321,11 @@ def write_csv(frame: DataFrame, path: Path) -> None:
         texts += [(f"column {name}", value) for value in values]
     faults = [
         Fault(
-            f"{path.name}: {place}",
+            f"{path.name}: {where}",
             f"a spreadsheet would run {text[:40]!r} as a formula",
             "rename it so that it does not begin with = + - @ or a control character",
         )
-        for place, text in texts
+        for where, text in texts
         if is_formula(text)
     ]
     if faults:

@@ -203,7 +203,7 @@ def _chosen(
     ]  # fmt: skip
     # cells of each combination in the unit box, those without an answer too
     cells = [[cell.levels for cell in at_levels(design.treatments, labels)] for labels in places]
-    made = [0.5 * (coded_settings(ranges_of(design), some) + 1.0) for some in cells]
+    run_points = [0.5 * (coded_settings(ranges_of(design), some) + 1.0) for some in cells]
     points = [candidates(size, rule.seed + n) for n in range(len(places))]
     at = qmc.Sobol(size, seed=rule.seed + len(places)).random_base2(REFERENCES)
     # where nothing could be fitted comes first: it needs runs most
@@ -211,11 +211,11 @@ def _chosen(
     undecided = blind or [n for n, (_, names) in enumerate(fitted) if names]
     chosen = []
     for turn in range(count):
-        nexts = [(n, *next_run(unsure[n], points[n], at, made[n])) for n in undecided]
+        nexts = [(n, *next_run(unsure[n], points[n], at, run_points[n])) for n in undecided]
         if blind:
             nexts = [nexts[turn % len(nexts)]]
         n, best, _ = max(nexts, key=lambda item: item[2])
-        made[n] = np.vstack([made[n], points[n][best]])
+        run_points[n] = np.vstack([run_points[n], points[n][best]])
         chosen.append(_cell(design, places[n], points[n][best]))
     return chosen
 
@@ -263,7 +263,7 @@ def code_of(manifest: Mapping[str, object]) -> str:
     return str(versions.get("study")) if isinstance(versions, Mapping) else ""
 
 
-def place(design: Design, settings: Mapping[str, float | str]) -> Design:
+def single_cell_design(design: Design, settings: Mapping[str, float | str]) -> Design:
     """Make a design of one cell, by numbers in its ranges and labels of the others."""
     factors = tuple(_single(factor, settings[factor.name]) for factor in design.factors)
     scheme = replace(design.scheme, rows=((0,) * len(factors),), sequential=None)
@@ -293,7 +293,7 @@ def confirm(  # noqa: PLR0913  # a study, a setting, and what its run may use
     if code_of(manifest) != code_version():
         rule = "was computed by another version of this program: a new run does not belong to it"
         raise RefusedError(str(Fault(design.name, rule, "run the study again first")))
-    single = place(design, settings)
+    single = single_cell_design(design, settings)
     forward = single.treatments[0].cell.problem.forward
     if forward is not None and forward.model == "python" and allowed.function is None:
         rule = "is computed by a Python function, which is not at hand for a confirming run"

@@ -130,8 +130,8 @@ def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob,
             what = "computed with nothing else beside it"
     if cell is job.case.cell:
         return job, what
-    made = case_job(replace(job.case, cell=cell), work, job.origin)
-    return replace(made, input_hash=job.input_hash), what
+    changed_job = case_job(replace(job.case, cell=cell), work, job.origin)
+    return replace(changed_job, input_hash=job.input_hash), what
 
 
 #: what may go better next time: memory and time depend on the machine

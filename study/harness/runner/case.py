@@ -263,8 +263,8 @@ def _of_parameters(job: CaseJob) -> tuple[Record, bytes]:
     for name, unit in job.units.items():
         value = values.get(name)
         if value is None and len(curve) and is_simulated(name):
-            place, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
-            if place is not None and place > end * (1 + 1e-9):
+            displacement_mm, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
+            if displacement_mm is not None and displacement_mm > end * (1 + 1e-9):
                 raise NoAnswer("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
             value = response.simulated(name, curve)
         if value is None:
@@ -417,7 +417,7 @@ def _solver(predictions: Sequence[PredictedCurve]) -> SolverDocument:
     if shares:
         facts["stabilization_share"] = max(shares)
     if "snaps_mm" in facts:
-        facts["snaps_mm"] = sorted({place for each in every for place in each.get("snaps_mm", ())})
+        facts["snaps_mm"] = sorted({snap for each in every for snap in each.get("snaps_mm", ())})
     return facts
 
 

@@ -199,7 +199,7 @@ class CaseSeries:
             return {}
         forces = np.array([force_at_places(record) for _, record in good])
         sizes, formal = self.sizes([record for _, record in good]), self.formal.order
-        u = np.array([self.half_width(list(place), sizes, formal)[1] for place in forces.T])
+        u = np.array([self.half_width(list(by_mesh), sizes, formal)[1] for by_mesh in forces.T])
         if self._again is not None:
             reference = forces[0 if self.study_mesh == "coarsest" else -1]
             u = np.hypot(u, CAUTIOUS * np.abs(force_at_places(self._again) - reference))

@@ -57,20 +57,20 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
     if not count:
         return tuple((case, Origin()) for case in distinct)
     _check_count(len(distinct) * count)
-    made = []
+    repeats = []
     for case in distinct:
         content = [design.seed, case.cell.document()]
         for number, name in enumerate(numbered(content, count, 8), 1):
             seed = int(name, 16)
             if replicates.key is None:
                 again = repeated(case, ["mesh seed", seed], meshed(case.cell, seed))
-                made.append((again, Origin(mesh_seed=number)))
+                repeats.append((again, Origin(mesh_seed=number)))
             else:  # of a stochastic simulation, which no two cells share
                 problem = case.problem.with_parameter(replicates.key.partition(".")[2], seed)
                 cell = replace(case.cell, problem=problem)
                 again = repeated(case, ["replicate", number, seed], cell)
-                made.append((again, Origin(replicate=number)))
-    return tuple(made)
+                repeats.append((again, Origin(replicate=number)))
+    return tuple(repeats)
 
 
 def meshed(cell: Cell, seed: int) -> Cell:
@@ -127,10 +127,10 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     jobs_of: dict[int, Callable[[Case, Origin], CaseJob]] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
-        place = id(case.cell)  # one for all blocks of a cell, kept alive by its cases
-        if place not in jobs_of:
-            jobs_of[place] = _jobs_of_cell(_located(case, places, model_of), data, design, units)
-        return jobs_of[place](case, origin)
+        cell_id = id(case.cell)  # one for all blocks of a cell, kept alive by its cases
+        if cell_id not in jobs_of:
+            jobs_of[cell_id] = _jobs_of_cell(_located(case, places, model_of), data, design, units)
+        return jobs_of[cell_id](case, origin)
 
     # a replicate is named by what was written, not by where its surface was found
     jobs = _anchored(job(case, origin) for case, origin in planned(design, blocks))
@@ -200,9 +200,9 @@ def _distinct(repeated_cases: Sequence[Case]) -> tuple[Case, ...]:
     seen: set[str] = set()
     out = []
     for case in repeated_cases:
-        made = repeated(case, [case.levels]) if case.case_id in seen else case
-        seen.add(made.case_id)
-        out.append(made)
+        named_case = repeated(case, [case.levels]) if case.case_id in seen else case
+        seen.add(named_case.case_id)
+        out.append(named_case)
     return tuple(out)
 
 

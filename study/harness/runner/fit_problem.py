@@ -261,8 +261,8 @@ def surface_notes(cells: Iterable[Cell]) -> tuple[str, ...]:
         if isinstance(cell.problem, CellProblem) and isinstance(cell.problem.specimen, Surface):
             from study.mechanics.surface.closed_surface import body
 
-            made = cell.problem.setup.specimen
-            notes |= dict.fromkeys(body(made).notes if isinstance(made, Enclosed) else ())
+            specimen = cell.problem.setup.specimen
+            notes |= dict.fromkeys(body(specimen).notes if isinstance(specimen, Enclosed) else ())
     return tuple(notes)
 
 

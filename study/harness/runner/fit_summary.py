@@ -290,7 +290,7 @@ def prediction_of(solution: Solution, seconds: float = 0.0) -> PredictedCurve:
         "min_j": float(solution.min_j),
         "energy_mismatch": float(solution.energy.largest_mismatch),
         "stabilization_share": float(solution.energy.stabilization_share),
-        "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
+        "snaps_mm": [float(jump_mm) for jump_mm in solution.energy.jumps_mm],
         "penetration_mm": max((contact.penetration_mm for contact in touching), default=0.0),
         "gap_mm": max((contact.gap_mm for contact in touching), default=0.0),
     }

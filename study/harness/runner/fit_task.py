@@ -469,8 +469,8 @@ def refitted(job: FitJob) -> FitResult:
     ]
     drawn = (_drawn(*each, *job.noise) for each in zip(measured, residuals, strict=True))
     again = parts_of(replace(job, measured=tuple(drawn)))
-    made = iter(models)
-    done = single_stage("resampled", again, start, StagedSearch(names, lambda *_: next(made)))
+    queue = iter(models)
+    done = single_stage("resampled", again, start, StagedSearch(names, lambda *_: next(queue)))
     document = _described(done.fit, again[0].problem.material, residuals)
     document.update({"method": job.problem.method, "seconds": time.perf_counter() - began})
     return FitResult(status_of(done.fit), document)

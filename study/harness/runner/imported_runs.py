@@ -131,7 +131,7 @@ def _check(
             rule = f"{name!r} cannot be a factor beside the others"
             faults.append(Fault(table.source, rule, "rename the column, without a dot"))
         faults += [
-            Fault(table.place(k, name), label_fault(cell) or "is empty", "name the level")
+            Fault(table.cell_name(k, name), label_fault(cell) or "is empty", "name the level")
             for k, cell in enumerate(table.text(name))
             if not cell or label_fault(cell)
         ][:20]
@@ -216,8 +216,8 @@ def _design(
         raise InputError(Fault(source, f"{few[0]} is the same in all runs", mend))
     presets: dict[str, object] = {}
     parameters: dict[str, object] = {}
-    for place, (column, levels) in enumerate(labels.items()):
-        key, numbers = f"factor_{place + 1}", _numbers(levels)
+    for index, (column, levels) in enumerate(labels.items()):
+        key, numbers = f"factor_{index + 1}", _numbers(levels)
         if numbers:  # numbers stay numbers, in their order
             levels.sort(key=numbers.__getitem__)
         presets[column] = {

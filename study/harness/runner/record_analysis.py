@@ -258,15 +258,15 @@ def without_gaps(
     fine = None if mesh is None or not order else (factors.index(mesh), order[-1])
     notes = []
     while (worst := _worst(designed, answered, terms, fine)) is not None:
-        place, level = worst
-        cells_here = [cell for cell in designed if cell[place] == level]
+        factor_index, level = worst
+        cells_here = [cell for cell in designed if cell[factor_index] == level]
         has = sum(cell in answered for cell in cells_here)
         notes.append(
-            f"{level} ({factors[place]}) has an answer in {has} of {len(cells_here)} cells: it is "
-            "left out of this analysis"
+            f"{level} ({factors[factor_index]}) has an answer in {has} of {len(cells_here)} cells: "
+            "it is left out of this analysis"
         )
-        designed = [cell for cell in designed if cell[place] != level]
-        table = table[table[factors[place]].astype(str) != level]
+        designed = [cell for cell in designed if cell[factor_index] != level]
+        table = table[table[factors[factor_index]].astype(str) != level]
     return table, tuple(notes)
 
 
@@ -282,13 +282,13 @@ def _worst(
     for term in terms:
         has = {tuple(cell[i] for i in term) for cell in answered_cells}
         for empty in {tuple(cell[i] for i in term) for cell in designed} - has:
-            for place, level in zip(term, empty, strict=True):
-                if len({cell[place] for cell in designed}) > _FEWEST:
-                    cells = [cell for cell in designed if cell[place] == level]
+            for factor_index, level in zip(term, empty, strict=True):
+                if len({cell[factor_index] for cell in designed}) > _FEWEST:
+                    cells = [cell for cell in designed if cell[factor_index] == level]
                     on_finest = [cell for cell in cells if fine and cell[fine[0]] == fine[1]]
                     share = sum(cell in answered for cell in cells) / len(cells)
                     if share <= 0.5 or (on_finest and answered.isdisjoint(on_finest)):
-                        shares[place, level] = 1 - share
+                        shares[factor_index, level] = 1 - share
     return max(sorted(shares), key=lambda key: shares[key], default=None)
 
 
@@ -416,8 +416,8 @@ def surfaces(
     kind = design.analysis.surface
     if kind == "auto" and design.scheme.kind == "morris":
         kind = "morris"
-        place = {frozenset(t.levels.items()): n for n, t in enumerate(design.treatments)}
-        originals.sort(key=lambda record: place[frozenset(record.levels.items())])
+        treatment_index = {frozenset(t.levels.items()): n for n, t in enumerate(design.treatments)}
+        originals.sort(key=lambda record: treatment_index[frozenset(record.levels.items())])
     units_of = {name: span.unit for name, span in design.ranges.items()}
     surfaces_fitted: list[FittedSurface] = []
     for response in design.responses:

@@ -799,12 +799,12 @@ def meshes(
     return list(drawn.values()), window
 
 
-def near(made: Problem) -> Array:
+def near(problem: Problem) -> Array:
     """Corner that matters, (2, 2), mm: under an indenter, or where plate and side meet."""
-    height, area = height_and_area(made.specimen)
+    height, area = height_and_area(problem.specimen)
     radius = float(np.sqrt(area / np.pi))
-    if made.test.indenter is not None:
-        reach = min(max(3 * made.test.depth_mm, 0.1 * radius), radius, height)
+    if problem.test.indenter is not None:
+        reach = min(max(3 * problem.test.depth_mm, 0.1 * radius), radius, height)
         return np.array([[0.0, height - reach], [reach, height]])
     reach = 0.4 * min(radius, height / 2)
     return np.array([[radius - reach, height - reach], [radius, height]])

@@ -64,10 +64,10 @@ _POINTS = 400
 
 def simulated(response: str, curve: Curve) -> float:
     """Value of a response of a predicted curve alone; one at a displacement has it in its name."""
-    name, place = simulated_at(response)
-    if place is not None:
+    name, displacement_mm = simulated_at(response)
+    if displacement_mm is not None:
         ordinate = curve.stiffness_at if name == "stiffness_at" else curve.force_at
-        return float(ordinate(place))
+        return float(ordinate(displacement_mm))
     if name in CONTACT:  # another program or a closed form gives none
         values = curve.quantities.get(name, np.full(1, np.nan))
         return float(np.max(values))

@@ -547,7 +547,7 @@ def _looked_for(parts: Sequence[FitPart], start: Array, search: StagedSearch) ->
     looks = [look for look in energy.looks(names) if set(look) == plain] if plain else []
     if not looks:
         return []
-    free = [made for part in parts if (made := _at_equal_strain(part)) is not None]
+    free = [equal_strain for part in parts if (equal_strain := _at_equal_strain(part)) is not None]
     if not free:
         free = [cheaper(part) or part for part in parts if part.method == "inverse-fem"]
         step = math.ceil(len(looks) / _SIMULATED)

@@ -272,13 +272,13 @@ def shifted(problem: ForwardCell, key: str, amount: float) -> ForwardCell:
 
 def _fixed_range(problem: ForwardCell) -> ForwardCell:
     """Say the measured range in mm, so that another height does not move it."""
-    made = problem.measurements
+    spec = problem.measurements
     height = problem.height_mm if isinstance(problem, CellProblem) else None
-    if made is None or height is None or made.range is None or made.range.kind == "mm":
+    if spec is None or height is None or spec.range is None or spec.range.kind == "mm":
         return problem
-    low, high = made.range.in_mm(height)
-    in_mm = replace(made.range, kind="mm", low=low, high=high)
-    return replace(problem, measurements=replace(made, range=in_mm))
+    low, high = spec.range.in_mm(height)
+    in_mm = replace(spec.range, kind="mm", low=low, high=high)
+    return replace(problem, measurements=replace(spec, range=in_mm))
 
 
 def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict[Physics, Array]:

@@ -91,17 +91,17 @@ def computing_on(
     return engine
 
 
-def limit_of(place: Executor) -> float | None:
+def limit_of(executor: Executor) -> float | None:
     """Wall-clock limit of one task of an executor in seconds; None where there is none."""
-    return place.limit_s if isinstance(place, Loky | Cluster) else None
+    return executor.limit_s if isinstance(executor, Loky | Cluster) else None
 
 
-def adapted(place: Executor, longer: float = 1.0, alone: bool = False) -> Executor:
+def adapted(executor: Executor, longer: float = 1.0, alone: bool = False) -> Executor:
     """Copy an executor with a longer limit, or with one task at a time."""
-    if not isinstance(place, Loky | Cluster):
-        return place
-    limit = None if place.limit_s is None else longer * place.limit_s
-    longest = replace(place, limit_s=limit)
+    if not isinstance(executor, Loky | Cluster):
+        return executor
+    limit = None if executor.limit_s is None else longer * executor.limit_s
+    longest = replace(executor, limit_s=limit)
     return replace(longest, jobs=1) if alone else longest
 
 

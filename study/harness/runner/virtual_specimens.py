@@ -166,12 +166,12 @@ def reference_curve(
     volume = Compressibility(poisson_ratio=poisson_ratio)
     solid = MaterialSection(truth.model, None, truth.constants, volume)
     model = _reference_model(setup, virtual, as_designed)
-    made = replace(loaded.alone(), material=solid, model=model, forward=None)
+    loaded = replace(loaded.alone(), material=solid, model=model, forward=None)
     finer = as_designed and not virtual.chooses_mesh and not setup.is_homogeneous
     if refined := finer - coarser:  # no cell of the design generates its own data
-        made = made.on_mesh(mesh_size_mm=mesh_size(made.setup) / model.mesh_ratio**refined)
+        loaded = loaded.on_mesh(mesh_size_mm=mesh_size(loaded.setup) / model.mesh_ratio**refined)
     # in a worker of one thread
-    ((_, result),) = by_workers(processes(1))([SolveTask(made, gradients=not coarser)])
+    ((_, result),) = by_workers(processes(1))([SolveTask(loaded, gradients=not coarser)])
     if not result.converged:
         what = "the reference curve" + " on the next coarser mesh" * coarser
         raise InputError(Fault("virtual specimens", f"{what} failed: {result.message}"))

@@ -70,14 +70,14 @@ def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
     columns = [law.displacement_mm, law.force.values, law.force.slopes]
     columns += [table.values for table in law.gradients.values()]
     rows = (list(map(_number, row)) for row in zip(*columns, strict=True))
-    made = {"json": text, "csv": csv_text(header, rows)}
-    made |= {  # a Python module without imports, a C header without includes
+    texts = {"json": text, "csv": csv_text(header, rows)}
+    texts |= {  # a Python module without imports, a C header without includes
         suffix: rendered(
             f"force_law.{suffix}.j2", law=law, name=law.name, stem=stem, sentences=law.sentences()
         )
         for suffix in ("py", "h")
     }
-    return {folder / f"{stem}.{suffix}": content for suffix, content in made.items()}
+    return {folder / f"{stem}.{suffix}": content for suffix, content in texts.items()}
 
 
 def rendered(template: str, **content: object) -> str:
@@ -605,9 +605,8 @@ def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
         )
         return SurfaceFunction(name, fitted, inputs, 0.0, (), products, bound)
     each = model.each if isinstance(model, BlockedEmulator) else (model,)
-    made = [_part(emulator, len(each)) for emulator in each]
-    constant = sum(level for level, _ in made)
-    return SurfaceFunction(name, fitted, inputs, constant, tuple(p for _, p in made), (), bound)
+    levels, parts = zip(*(_part(emulator, len(each)) for emulator in each), strict=True)
+    return SurfaceFunction(name, fitted, inputs, sum(levels), parts, (), bound)
 
 
 def _part(emulator: Emulator, blocks: int) -> tuple[float, dict[str, object]]:

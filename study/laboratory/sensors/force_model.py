@@ -151,7 +151,7 @@ def _notes(solution: Solution) -> tuple[str, ...]:
     """Say where the force is no smooth function of the constants."""
     if not solution.energy.jumps_mm:
         return ()
-    places = ", ".join(f"{place:.3g}" for place in sorted(solution.energy.jumps_mm))
+    places = ", ".join(f"{jump_mm:.3g}" for jump_mm in sorted(solution.energy.jumps_mm))
     return (
         f"past {places} mm the surface snaps to another equilibrium: there the force is no smooth "
         "function of the constants; press less deep, or refine the mesh",

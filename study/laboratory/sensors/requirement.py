@@ -254,8 +254,8 @@ def simulate(
     say = progress or (lambda text: None)
     # a closed form is done before processes have started
     simulated = not file.fitted.setup.is_homogeneous
-    place: Executor = Loky(perform, jobs) if simulated else Inline(perform)
-    for done, outcome in enumerate(place.run(tasks), start=1):
+    executor: Executor = Loky(perform, jobs) if simulated else Inline(perform)
+    for done, outcome in enumerate(executor.run(tasks), start=1):
         answers[owners[outcome.key]] += _answers(outcome.result)
         if done * TOLD // len(tasks) > (done - 1) * TOLD // len(tasks):
             say(f"{done} of {len(tasks)} parts of the simulated tests")

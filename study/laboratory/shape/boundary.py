@@ -104,10 +104,10 @@ def symmetry_of(mesh: DeformedMesh) -> Symmetry:
     axis = 1 if mesh.is_section else 2
     lowest = float(mesh.points[:, axis].min())
 
-    def is_plane(k: int, place: float) -> bool:
-        on = np.abs(mesh.points[:, k] - place) < SAME_PLACE * size
+    def is_plane(k: int, level: float) -> bool:
+        on = np.abs(mesh.points[:, k] - level) < SAME_PLACE * size
         still = np.abs(mesh.displacement[on, k]).max(initial=0.0) < SAME_PLACE * size
-        return bool(mesh.points[:, k].min() > place - SAME_PLACE * size and on.sum() > 2 and still)
+        return bool(mesh.points[:, k].min() > level - SAME_PLACE * size and on.sum() > 2 and still)
 
     half = lowest > SAME_PLACE * size and is_plane(axis, lowest)
     quarter = (False, False) if mesh.is_section else (is_plane(0, 0.0), is_plane(1, 0.0))
@@ -217,10 +217,10 @@ def _joined(points: Array, displacement: Array, triangles: Ints) -> BodySurface:
     group, first = joined(points, SAME_PLACE * size)
     cells = group[triangles]
     cells = cells[(cells != np.roll(cells, 1, axis=1)).all(axis=1)]
-    _, place, count = np.unique(
+    _, unique_index, count = np.unique(
         np.sort(cells, axis=1), axis=0, return_inverse=True, return_counts=True
     )
-    used, cells = np.unique(cells[count[place.ravel()] == 1], return_inverse=True)
+    used, cells = np.unique(cells[count[unique_index.ravel()] == 1], return_inverse=True)
     cells = cells.reshape(-1, 3)
     count = Edges.of(cells).count
     if (count != 2).any():

@@ -347,7 +347,7 @@ def _compared(
 
 def _drift(recording: TrackerRecording, samples: Array, means: Array, alpha: float) -> Drift | None:
     """Slope over time of visit means less their stage's mean, or of blocks of one visit."""
-    place = np.arange(len(samples)) / 1000 if recording.time_s is None else recording.time_s / 3600
+    time = np.arange(len(samples)) / 1000 if recording.time_s is None else recording.time_s / 3600
     unit = "mm per 1000 samples" if recording.time_s is None else "mm/h"
     if len(recording.visits) == 1:
         visits = _blocks(recording.visits[0], samples)
@@ -355,7 +355,7 @@ def _drift(recording: TrackerRecording, samples: Array, means: Array, alpha: flo
     else:
         visits = recording.visits
     stages = np.array([visit.stage for visit in visits], dtype=object)
-    when = np.array([place[visit.rows].mean() for visit in visits])
+    when = np.array([time[visit.rows].mean() for visit in visits])
     levels = np.unique(stages.astype(str))
     freedom = len(visits) - len(levels) - 1
     if len(visits) < FEWEST_FOR_DRIFT or freedom < 3:

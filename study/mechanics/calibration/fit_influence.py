@@ -163,9 +163,9 @@ def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Arr
 
     Shapes: by_point (p, m); places (m,), mm; rows (n,); returns (p, n).
     """
-    place = np.interp(places, rows, np.arange(rows.size, dtype=float))
-    left = np.minimum(place.astype(int), max(rows.size - 2, 0))
-    share = place - left
+    position = np.interp(places, rows, np.arange(rows.size, dtype=float))
+    left = np.minimum(position.astype(int), max(rows.size - 2, 0))
+    share = position - left
     right = np.minimum(left + 1, rows.size - 1)
     return np.array([
         np.bincount(left, values * (1 - share), rows.size)

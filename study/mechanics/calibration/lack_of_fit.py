@@ -439,7 +439,7 @@ def _steps(residual: Array, places: NDArray[np.intp]) -> list[int]:
         ends = max(abs(float(residual[k]) - level), abs(float(residual[k + 1]) - beyond))
         if abs(beyond - level) > 0.5 * jump and ends < 0.3 * jump:
             steps.append(k)
-    is_all = all(any(-_SIDE < place - k <= _SIDE for k in steps) for place in places.tolist())
+    is_all = all(any(-_SIDE < row - k <= _SIDE for k in steps) for row in places.tolist())
     return steps if is_all else []
 
 

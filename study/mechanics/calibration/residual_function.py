@@ -179,8 +179,8 @@ class Prior:
 
 def pseudo_rows(priors: Sequence[Prior], names: Sequence[str], values: Array) -> Array:
     """Residuals of the pseudo-observations, shape (k,). Shapes: values (p,)."""
-    place = {name: i for i, name in enumerate(names)}
-    return np.array([prior.weight * (values[place[prior.name]] - prior.mean) for prior in priors])
+    index = {name: i for i, name in enumerate(names)}
+    return np.array([prior.weight * (values[index[prior.name]] - prior.mean) for prior in priors])
 
 
 def pseudo_jacobian(priors: Sequence[Prior], names: Sequence[str]) -> Array:

@@ -129,20 +129,20 @@ class ContactPoints:
 
     def meet(self, nodes: Array, u: Array, displacement_mm: float) -> Meeting:
         """Where the points are at displacements ``u`` (n_nodes, dim), as seen by the surface."""
-        place, moved = self.interpolated(nodes), self.interpolated(u)
+        reference, moved = self.interpolated(nodes), self.interpolated(u)
         if self.small_strain:
-            gap, normal = self.surface.reference_gap(place, moved, displacement_mm)
-            hessian = np.zeros((self.size, place.shape[1], place.shape[1]))
+            gap, normal = self.surface.reference_gap(reference, moved, displacement_mm)
+            hessian = np.zeros((self.size, reference.shape[1], reference.shape[1]))
         else:
-            gap, normal, hessian = self.surface.gap(place + moved, displacement_mm)
+            gap, normal, hessian = self.surface.gap(reference + moved, displacement_mm)
         direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
         return Meeting(gap + self.allowance_mm, direction, hessian)
 
-    def distance(self, place: Array, moved: Array, displacement_mm: float) -> Array:
+    def distance(self, reference: Array, moved: Array, displacement_mm: float) -> Array:
         """Gap of any places of the specimen, shape (n,); before and by the deformation (n, dim)."""
         if self.small_strain:
-            return self.surface.reference_gap(place, moved, displacement_mm)[0]
-        return self.surface.gap(place + moved, displacement_mm)[0]
+            return self.surface.reference_gap(reference, moved, displacement_mm)[0]
+        return self.surface.gap(reference + moved, displacement_mm)[0]
 
     def evaluate(
         self, met: Meeting, multiplier: Array, closed: Flags | None = None, glue: Glue | None = None
@@ -355,9 +355,9 @@ def hold(
     # Shapes: nodes, u (n_nodes, dim), mm; rates (n_nodes, dim).
     points, pressure = contact[0], touching[0].pressure
     new = touching[0].active
-    place = points.interpolated(nodes + u)
-    place[:, -1] += displacement_mm  # as seen from the indenter, which moves against the axis
-    anchor = np.where(new[:, None], place, glue.anchor)
+    position = points.interpolated(nodes + u)
+    position[:, -1] += displacement_mm  # as seen from the indenter, which moves against the axis
+    anchor = np.where(new[:, None], position, glue.anchor)
     moved = {
         name: np.where(new[:, None], points.interpolated(rate), glue.rate(name))
         for name, rate in rates.items()

@@ -367,20 +367,20 @@ def slabs(space: Discretization) -> tuple[Slabs, ...]:
     places = space.nodes[space.element_nodes].mean(axis=1).T
     for count in _COUNTS:
         if space.weights.size >= count * _WORTH:
-            cuts = [(cut[::2], cut[1::2]) for cut in (_cut(place, count) for place in places)]
+            cuts = [(cut[::2], cut[1::2]) for cut in (_cut(x, count) for x in places)]
             separating = [cut for cut in cuts if all(_apart(phase, space) for phase in cut)]
             if separating:
                 return min(separating, key=_gaps)
     if space.weights.size >= 2 * _WORTH:
-        halves = [_halves(_cut(place, 2), space) for place in places]
+        halves = [_halves(_cut(x, 2), space) for x in places]
         return min(halves, key=lambda phases: phases[1][0].size)
     return ((np.arange(space.n_elements, dtype=np.uint32),),)
 
 
-def _cut(place: Array, count: int) -> Slabs:
-    """Slabs of as many elements along ``place``, shape (n_elements,)."""
-    slab = np.empty(place.size, dtype=np.int64)
-    slab[np.argsort(place, kind="stable")] = count * np.arange(place.size) // place.size
+def _cut(x: Array, count: int) -> Slabs:
+    """Slabs of as many elements along ``x``, shape (n_elements,)."""
+    slab = np.empty(x.size, dtype=np.int64)
+    slab[np.argsort(x, kind="stable")] = count * np.arange(x.size) // x.size
     return tuple(np.flatnonzero(slab == i).astype(np.uint32) for i in range(count))
 
 

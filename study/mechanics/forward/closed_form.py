@@ -133,15 +133,15 @@ def between_rows(setup: Setup, material: Material, displacement_mm: Array) -> Cu
     node, weight = gauss_points(_PLACES)
     begin, width = np.append(0.0, d)[:-1], np.diff(d, prepend=0.0)
     inside = begin[:, None] + width[:, None] * (1 + node) / 2
-    rows_needed, place = np.unique(
+    rows_needed, inverse = np.unique(
         np.concatenate([d, first, second, inside.ravel()]), return_inverse=True
     )
     every = at_rows(setup, material, Curve(rows_needed, np.empty(0)))
-    force, first_force, two, along = np.split(every.force_N[place], d.size * np.arange(1, 4))
+    force, first_force, two, along = np.split(every.force_N[inverse], d.size * np.arange(1, 4))
     # at the unloaded end a parabola through two places ahead, else both neighbors
     tangent = np.where(d > h, two - first_force, 4 * two - first_force - 3 * force) / (2 * h)
     work = np.cumsum(along.reshape(inside.shape) @ weight * width / 2)
-    return replace(every.at_points(place[: d.size]), stiffness_N_per_mm=tangent, work_Nmm=work)
+    return replace(every.at_points(inverse[: d.size]), stiffness_N_per_mm=tangent, work_Nmm=work)
 
 
 def _elastic(setup: Setup, material: Material, d: Array) -> Curve:

@@ -80,9 +80,9 @@ class Anchors:
         if anchor.group == self._group:
             return
         self._solution = None  # its memory goes before the next one comes
-        made = _cold(problem_at(anchor.constants), gradients=True)
-        self._group, self._seconds = anchor.group, made.cold_seconds
-        self._solution = made.solution if made.solution.status == "converged" else None
+        prediction = _cold(problem_at(anchor.constants), gradients=True)
+        self._group, self._seconds = anchor.group, prediction.cold_seconds
+        self._solution = prediction.solution if prediction.solution.status == "converged" else None
 
 
 def _cold(problem: Problem, *, gradients: bool) -> Prediction:

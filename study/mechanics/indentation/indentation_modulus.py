@@ -433,8 +433,8 @@ def indentation_modulus(
     """Young's modulus of every curve of a test and their median, and notes on the files."""
     height = test.layer.height_mm
     curves, notes = read_curves(test.spec, root, height, test.displacement_mm)
-    made = [curve for _, curve in curves if not isinstance(curve, str)]
-    deepest = max(float(curve.displacement_mm[-1]) for curve in made)
+    usable_curves = [curve for _, curve in curves if not isinstance(curve, str)]
+    deepest = max(float(curve.displacement_mm[-1]) for curve in usable_curves)
     law = force_law(
         test.indenter, test.layer, _DEEPER * deepest, theory=test.theory, paraboloid=test.paraboloid
     )

@@ -384,27 +384,27 @@ def _contact(d: Array, f: Array, way: float, where: str) -> float:
     row = float(moved[following] - moved[last])
     # scatter hides the first rise: the rows about it tell where it was, unless one shows it clearly
     is_clear = hidden < _SHOWN * float(f[following] - base.mean())
-    place, _ = _refined(moved, f, float(moved[last]) if is_clear or corner is None else corner)
-    is_row = is_clear and abs(place - float(moved[last])) <= _AT_ROW * row
-    return float(d[last]) if is_row else way * place
+    onset, _ = _refined(moved, f, float(moved[last]) if is_clear or corner is None else corner)
+    is_row = is_clear and abs(onset - float(moved[last])) <= _AT_ROW * row
+    return float(d[last]) if is_row else way * onset
 
 
-def _refined(moved: Array, f: Array, place: float) -> tuple[float, float]:
+def _refined(moved: Array, f: Array, onset: float) -> tuple[float, float]:
     """Place at which a level meets a parabola by least squares from a first guess, and its error.
 
     The error of a place that no noise tells is that of a place between two rows.
 
     Shapes: moved, f (rows,), mm, rising from the first row on, N.
     """
-    peak, begun = int(np.argmax(f)), place
-    near = moved[: peak + 1] <= place + _BEGINNING * float(moved[peak] - place)
+    peak, begun = int(np.argmax(f)), onset
+    near = moved[: peak + 1] <= onset + _BEGINNING * float(moved[peak] - onset)
     x, y = moved[: peak + 1][near], f[: peak + 1][near]
     spacing = float(np.ptp(x)) / max(x.size - 1, 1)
     error = spacing / math.sqrt(12.0)
     if x.size <= _UNKNOWNS:
         return begun, error
     for _ in range(_REFINEMENTS):
-        beyond = np.maximum(x - place, 0.0)
+        beyond = np.maximum(x - onset, 0.0)
         basis = np.column_stack([np.ones_like(x), beyond, beyond**2])
         constants: Array = np.asarray(np.linalg.lstsq(basis, y, rcond=None)[0], dtype=np.float64)
         slope = -np.where(beyond > 0, constants[1] + 2.0 * constants[2] * beyond, 0.0)
@@ -414,12 +414,12 @@ def _refined(moved: Array, f: Array, place: float) -> tuple[float, float]:
         if not curvature > 0:
             return begun, error
         noise = math.sqrt(float(rest @ rest) / (x.size - _UNKNOWNS) / curvature)
-        place = float(np.clip(place + float(across @ rest) / curvature, x[0], x[-1]))
+        onset = float(np.clip(onset + float(across @ rest) / curvature, x[0], x[-1]))
     # a force that sets in without a slope has no corner to be brought to
-    secant = float(f[peak] - constants[0]) / max(float(moved[peak] - place), 1e-300)
+    secant = float(f[peak] - constants[0]) / max(float(moved[peak] - onset), 1e-300)
     if constants[1] < _AT_ONCE * secant:
-        return begun, max(noise, error, abs(place - begun))
-    return place, noise if noise > _ROUNDING * spacing else error
+        return begun, max(noise, error, abs(onset - begun))
+    return onset, noise if noise > _ROUNDING * spacing else error
 
 
 def _is_flat(moved: Array, f: Array, end: float) -> bool:
@@ -443,9 +443,9 @@ def slack_end(moved: Array, f: Array) -> float | None:
     """
     end = _corner_end(moved, f)
     travel = float(moved[int(np.argmax(f))] - moved[0])
-    for place in moved[0] + _LONG_APPROACHES * travel:
-        if end is None and _is_level(moved, f, place):
-            rows = slice(int(np.argmax(moved > place)), None)
+    for start in moved[0] + _LONG_APPROACHES * travel:
+        if end is None and _is_level(moved, f, start):
+            rows = slice(int(np.argmax(moved > start)), None)
             end = _corner_end(moved[rows], f[rows])
     return end
 
@@ -495,13 +495,13 @@ def _corner_end(moved: Array, f: Array) -> float | None:
         return None  # it lies beyond these places
     step = float(places[1] - places[0])
     finer = np.linspace(max(coarse - step, x[1]), coarse + step, _PLACES // 2)
-    left, place, level, slope = corner(finer)
+    left, onset, level, slope = corner(finer)
     smooth = float(_least_squares(x[None, :, None] ** np.arange(4), y)[0][0])
     rounding = x.size * (1e-6 * float(f[peak])) ** 2
     is_corner = x.size * math.log((smooth + rounding) / (left + rounding)) > _CORNER
-    secant = (float(f[peak]) - level) / (1 - place)
-    is_late = place > _SLACK and slope > _AT_ONCE * secant
-    return float(moved[0]) + place * travel if is_corner and is_late else None
+    secant = (float(f[peak]) - level) / (1 - onset)
+    is_late = onset > _SLACK and slope > _AT_ONCE * secant
+    return float(moved[0]) + onset * travel if is_corner and is_late else None
 
 
 def _least_squares(bases: Array, y: Array) -> tuple[Array, Array]:

@@ -568,7 +568,7 @@ def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
         ("delimiter", block.delimiter, is_odd),
         ("comment", block.comment, bool(block.comment)),
     )
-    made = {key: value for key, value, is_said in keys if is_said}
+    layout = {key: value for key, value, is_said in keys if is_said}
     if block.others and not block.comment:
         shown = ", ".join(map(str, block.others[:6]))
         notes.append(f"lines among or below the rows that are no rows: {shown}: delete them")
@@ -576,8 +576,8 @@ def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
     other = _thousands(block.decimal)
     if any(other in cell for cell in cells) and not any(block.decimal in cell for cell in cells):
         notes.append(f"{other!r} may part thousands or be the decimal mark: thousands are assumed")
-        made["thousands"] = other
-    return made
+        layout["thousands"] = other
+    return layout
 
 
 # Where the specimen begins, which way it is loaded, and its branches.

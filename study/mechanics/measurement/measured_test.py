@@ -269,15 +269,15 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
     named: dict[str, None] = {}
     for test in measurements.tests:
         rows = test.recorded if measurements.own_rows else measurements
-        places = rows.displacement_mm
-        place, force = float(places[len(places) // 2]), float(test.force_N[len(places) // 2])
-        modulus = apparent_modulus(setup, place, force) if place > 0 and force > 0 else None
+        middle = len(rows.displacement_mm) // 2
+        d, force = float(rows.displacement_mm[middle]), float(test.force_N[middle])
+        modulus = apparent_modulus(setup, d, force) if d > 0 and force > 0 else None
         if modulus is not None and not low <= modulus <= high:
-            odd.append((place, force, modulus))
+            odd.append((d, force, modulus))
             named |= dict.fromkeys([test.groups[measurements.block]] if measurements.block else [])
     if not odd:
         return measurements
-    place, force, modulus = odd[0]
+    d, force, modulus = odd[0]
     factor = _THOUSAND if modulus < low else 1 / _THOUSAND
     likely = low <= modulus * factor <= high
     size = "1000 times larger" if factor > 1 else "1000 times smaller"
@@ -286,7 +286,7 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
     several = len(measurements.tests) > len(odd)
     which = f", of {measurements.block} {', '.join(named)}" if several and named else ""
     sentence = (
-        f"{', '.join(sorted(measurements.files)[:2])}: {force:.4g} N at {place:.4g} mm means a "
+        f"{', '.join(sorted(measurements.files)[:2])}: {force:.4g} N at {d:.4g} mm means a "
         f"Young's modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ("
         f"{_in_words(low)} to {_in_words(high)}; in {len(odd)} of {len(measurements.tests)} "
         f"tests{which}){hint}: check "

@@ -129,9 +129,9 @@ def specimens(
     moved, notes = _in_place(recording, rules)
     d, f = displacement_and_force(moved, gauge)
     if recording.time_s is not None:
-        made = condition_course(d, f, recording.time_s, rules, recording.where)
+        conditioned = condition_course(d, f, recording.time_s, rules, recording.where)
     else:
-        made = condition(d, f, rules, recording.where)
+        conditioned = condition(d, f, rules, recording.where)
     longest = 1.0
     if gauge is not None and gauge.mode != "simple-shear":
         longest = 1 + float((gauge.sense * d).max()) / gauge.length_mm
@@ -140,11 +140,11 @@ def specimens(
             f"{recording.where}: a stretch of {longest:.4g} is unusual: {kinematic}, "
             f'{PERCENT} Then write units = {{ {kinematic} = "%" }}'
         )
-    rows = made.rows // recording.directions
-    specimen = replace(made.specimen, recording=recording)
-    made = replace(made, rows=rows, specimen=specimen, groups=recording.groups)
-    chosen = [p for p in made.specimen.phases if made.specimen.fate[p.rows].min() == 0]
-    if recording.time_s is None and (branch != "auto" or len(made.specimen.phases) > 1):
+    rows = conditioned.rows // recording.directions
+    specimen = replace(conditioned.specimen, recording=recording)
+    conditioned = replace(conditioned, rows=rows, specimen=specimen, groups=recording.groups)
+    chosen = [p for p in specimen.phases if specimen.fate[p.rows].min() == 0]
+    if recording.time_s is None and (branch != "auto" or len(specimen.phases) > 1):
         lines = recording.lines
         words = " and ".join(
             p.words + (f" (lines {lines[p.first]} to {lines[p.last]})" if lines else "")
@@ -152,7 +152,7 @@ def specimens(
         )
         how = "" if branch == "auto" else f", branch = {branch}"
         notes.append(f"{recording.where}: {words}{how}")
-    return made, notes
+    return conditioned, notes
 
 
 def _folded(recording: Recording) -> Recording:

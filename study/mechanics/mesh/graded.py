@@ -201,9 +201,9 @@ def _depths(plane: Array, depth: Array, field: SizeField) -> Array:
     rho, steps = np.hypot(*plane.T), depth.size - 1
     radii = np.linspace(0, rho.max(), _COLUMNS)
     depths = np.array([_even(field.top_mm, steps, partial(_below, field, at)) for at in radii])
-    place = rho / rho.max() * (_COLUMNS - 1)
-    low = np.minimum(place.astype(int), _COLUMNS - 2)
-    part = (place - low)[:, None]
+    column = rho / rho.max() * (_COLUMNS - 1)
+    low = np.minimum(column.astype(int), _COLUMNS - 2)
+    part = (column - low)[:, None]
     return np.asarray(
         (1 - _BENT) * depth + _BENT * ((1 - part) * depths[low] + part * depths[low + 1])
     )
@@ -359,8 +359,8 @@ def generated(gmsh: ModuleType, dim: int) -> tuple[Array, Ints]:
     used = np.unique(cells)  # nodes of embedded construction points may belong to no cell
     number[used] = np.arange(used.size)
     order = np.argsort(tags)
-    place = np.searchsorted(np.asarray(tags)[order], used)
-    points = np.asarray(coordinates).reshape(-1, 3)[order][place]
+    index = np.searchsorted(np.asarray(tags)[order], used)
+    points = np.asarray(coordinates).reshape(-1, 3)[order][index]
     return points, number[cells]
 
 

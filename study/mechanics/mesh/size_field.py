@@ -166,8 +166,8 @@ def size_callback(dim: int) -> CFunction:
         rho, height = (x, y) if plane else (math.hypot(x, y), z)
         return float(_size(rho, height, carray(numbers, (10,), np.float64)))
 
-    made: CFunction = size
-    return made
+    size_function: CFunction = size
+    return size_function
 
 
 def reference_field(
@@ -271,9 +271,9 @@ class SizeTable:
 @part()
 def _cell(x: float, origin: float, step: float, n: int) -> tuple[int, float]:
     """Grid cell of a coordinate, and how far into it that is."""
-    place = min(max((x - origin) / step, 0.0), n - 1.0)
-    low = min(int(place), n - 2)
-    return low, place - low
+    position = min(max((x - origin) / step, 0.0), n - 1.0)
+    low = min(int(position), n - 2)
+    return low, position - low
 
 
 @functools.cache
@@ -298,8 +298,8 @@ def table_callback() -> CFunction:
                 total += (u if a else 1.0 - u) * (v if b else 1.0 - v) * line
         return total
 
-    made: CFunction = size
-    return made
+    size_function: CFunction = size
+    return size_function
 
 
 def graded_table(body: Body, size_mm: float, plates: tuple[float, ...]) -> SizeTable:

@@ -144,12 +144,12 @@ def spread(s: Array, count: Array, n: int) -> Array:
     return np.asarray(points)
 
 
-def line_about(length: float, size: Callable[[Array], Array], place: float) -> Array:
-    """Points from 0 to ``length``, one at ``place``, where their spacing is ``size(place)``."""
-    # Units: place mm.
-    inner = line_from(place, lambda s: size(place - s))
-    outer = line_from(length - place, lambda s: size(place + s))
-    return np.concatenate([place - inner[::-1], place + outer[1:]])
+def line_about(length: float, size: Callable[[Array], Array], center: float) -> Array:
+    """Points from 0 to ``length``, one at ``center``, where their spacing is ``size(center)``."""
+    # Units: center mm.
+    inner = line_from(center, lambda s: size(center - s))
+    outer = line_from(length - center, lambda s: size(center + s))
+    return np.concatenate([center - inner[::-1], center + outer[1:]])
 
 
 def half_hexagon(side: float, halvings: int) -> tuple[Array, Ints, Ints]:

@@ -479,8 +479,8 @@ def contact_gap(system: System, state: State) -> Array:
         if isinstance(points, TiedPoints):
             continue
         nodes = np.unique(points.nodes)
-        place, moved = system.space.nodes[nodes], system.displacements(state.x)[nodes]
-        gap[nodes] = np.fmin(gap[nodes], points.distance(place, moved, state.displacement_mm))
+        reference, moved = system.space.nodes[nodes], system.displacements(state.x)[nodes]
+        gap[nodes] = np.fmin(gap[nodes], points.distance(reference, moved, state.displacement_mm))
     return gap
 
 
@@ -508,8 +508,8 @@ def contact_figures(
         k = facets.shape[1]
         inner = [] if dim == 2 and k == 3 else [_MIDDLE[k]]  # such an edge has a node there
         for local in (*np.eye(k), *inner):
-            place, moved = (np.einsum("a,faj->fj", local, v[facets]) for v in (space.nodes, u))
-            off = points.distance(place, moved, state.displacement_mm)
+            reference, moved = (np.einsum("a,faj->fj", local, v[facets]) for v in (space.nodes, u))
+            off = points.distance(reference, moved, state.displacement_mm)
             depth = max(depth, float(-off.min(initial=0.0)))
             gap = max(gap, float(off[amid].max(initial=0.0)))
     held = at_level(space, system.mesh, system.mesh.height_mm)

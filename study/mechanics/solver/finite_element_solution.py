@@ -357,13 +357,13 @@ class Fields:
         """Mirror the part at its planes of symmetry; an axisymmetric one becomes its section."""
         if not self.planes:
             return self
-        body, made = self, "the whole body"
+        body, extent = self, "the whole body"
         if not self.points[:, 2].any():  # either side of the axis carries half of a ring's force
             nodal = self.nodal | {"reaction_N": self.nodal["reaction_N"] / 2}
-            body, made = replace(self, nodal=nodal), "the section through the axis"
+            body, extent = replace(self, nodal=nodal), "the section through the axis"
         for axis, level in self.planes:
             body = body._mirrored(axis, level)
-        return replace(body, symmetry=f"{made}, mirrored", planes=(), share=1.0)
+        return replace(body, symmetry=f"{extent}, mirrored", planes=(), share=1.0)
 
     def _mirrored(self, axis: int, level: float) -> Fields:
         points, cells, beyond = mirror(self.points, self.cells, self.kind, axis, level)

@@ -222,7 +222,7 @@ class LoadPath:
 
     def _advance(self, target: float, halvings: int) -> bool:
         """Reach a displacement and write it down, in halves where energy does not add up."""
-        place, snaps = self._place(), len(self.snaps)
+        start, snaps = self._place(), len(self.snaps)
         result, spent = self._reach(target)
         if result is None:
             return False
@@ -232,8 +232,8 @@ class LoadPath:
         snapped = len(self.snaps) > snaps
         jumped = not snapped and self._jumped_to(step)
         if jumped and halvings and not self.system.sticks:
-            there, middle = self._place(), 0.5 * (place[0].displacement_mm + target)
-            self._return_to(place)
+            there, middle = self._place(), 0.5 * (start[0].displacement_mm + target)
+            self._return_to(start)
             if self._advance(middle, halvings - 1) and self._advance(target, halvings - 1):
                 return True
             self._return_to(there)  # smaller steps found nothing
@@ -305,7 +305,7 @@ class LoadPath:
         share = k0 / (k0 - k1) if k1 < 0 < k0 else 1.0
         self.instability = Instability(a + share * (b - a), a, b, sway, mode, parity)
         del self.steps[int(np.searchsorted(self._reached, b * (1 - 1e-12))) :]
-        self.snaps = [place for place in self.snaps if place < b]
+        self.snaps = [snap_mm for snap_mm in self.snaps if snap_mm < b]
         self.reason, self.state = self.instability.sentence, before
         self.J = self.system.volume_ratios(before.x)
         self.min_j = float(self.J.min())
@@ -313,9 +313,9 @@ class LoadPath:
     def _place(self) -> _Place:
         return self.state, self.previous, self.J, self.step_mm, self.min_j
 
-    def _return_to(self, place: _Place) -> None:
+    def _return_to(self, start: _Place) -> None:
         """Go back; what was found in between is no start for the steps to come."""
-        self.state, self.previous, self.J, self.step_mm, self.min_j = place
+        self.state, self.previous, self.J, self.step_mm, self.min_j = start
         self.reason = ""
         # the way that led past the last step written down is given up, and its jumps with it
         last_mm = self._reached[-1] if self._reached else 0.0

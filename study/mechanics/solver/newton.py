@@ -320,22 +320,22 @@ def solve_through(
     """Equilibrium at ``guess.displacement_mm``, however far from the last one."""
     weights = _weights(system, lifted_from or guess)
     rough = replace(settings.passing(), max_iterations=_ITERATIONS, max_switching=_SWITCHING)
-    (place, lift), spent = _lifted(system, guess, rough, lifted_from)
+    (state, lift), spent = _lifted(system, guess, rough, lifted_from)
     drag, trials = _FIRST, 0
     for _ in range(_STEPS):
-        dragged = replace(system, drag=Drag(drag * weights, place.x), latest=replace(system.latest))
-        result = solve_step(dragged, place, rough, lifted_from=lift)
+        dragged = replace(system, drag=Drag(drag * weights, state.x), latest=replace(system.latest))
+        result = solve_step(dragged, state, rough, lifted_from=lift)
         spent += result.iterations
         if not result.converged:
             drag *= _MUCH_MORE
             if drag > _MOST:
                 break
             continue
-        moved = float(np.abs(result.state.x - place.x)[: system.space.n_displacement].max())
-        place, lift = replace(result.state, closed=()), None
+        moved = float(np.abs(result.state.x - state.x)[: system.space.n_displacement].max())
+        state, lift = replace(result.state, closed=()), None
         still = drag <= _FIRST and moved < _STILL * system.mesh.contact_size_mm
         if drag < _LITTLE or still:
-            result = solve_step(system, place, settings)
+            result = solve_step(system, state, settings)
             spent, trials = spent + result.iterations, trials + 1
             if result.converged or trials == _TRIALS:
                 return replace(result, iterations=spent)

@@ -119,7 +119,7 @@ def balanced(
     for k, (before, after) in enumerate(pairwise(steps), start=1):
         missing[k] = unexplained_work(before, after)
         ends_mm = before.state.displacement_mm, after.state.displacement_mm
-        holds_jump = any(ends_mm[0] <= place < ends_mm[1] for place in jumps_mm)
+        holds_jump = any(ends_mm[0] <= jump_mm < ends_mm[1] for jump_mm in jumps_mm)
         if holds_jump or jumped(before, after, whole_mm, share):
             lost[k] = missing[k]
     largest = float(total.max())

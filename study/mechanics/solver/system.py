@@ -61,10 +61,10 @@ class State:
 
 @dataclass(frozen=True)
 class Drag:
-    """Resistance to leaving a place: ``weights`` (n,) times the motion from ``place`` (n,)."""
+    """Resistance to leaving a place: ``weights`` (n,) times the motion from ``center`` (n,)."""
 
     weights: Array
-    place: Array
+    center: Array
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ class System:
             if tangent:
                 blocks.fill(points.stiffness(touch), self.data)
         if self.drag is not None:
-            residual += self.drag.weights * (state.x - self.drag.place)
+            residual += self.drag.weights * (state.x - self.drag.center)
             if tangent:  # rows begin with their diagonal
                 self.data[self.pattern.indptr[:-1]] += self.drag.weights[self.pattern.free]
         touching = [t.active for t in contacts]

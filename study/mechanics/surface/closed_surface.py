@@ -57,9 +57,9 @@ class Edges:
         low, high = directed.min(axis=1), directed.max(axis=1)
         # one number for both ends: rows take ten times as long to sort
         size = int(high.max(initial=0)) + 1
-        keys, place, count = np.unique(low * size + high, return_inverse=True, return_counts=True)
+        keys, inverse, count = np.unique(low * size + high, return_inverse=True, return_counts=True)
         ends = np.column_stack([keys // size, keys % size])
-        order = np.argsort(place, kind="stable")
+        order = np.argsort(inverse, kind="stable")
         begins = np.concatenate([[0], np.cumsum(count)[:-1]])
         first = begins[count == 2]
         sides = np.column_stack([order[first], order[first + 1]])
@@ -130,9 +130,9 @@ def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
         raise InputError(Fault(where, rule, "save the surface again"))
     # one point of those at one place: an STL file repeats the corners of every triangle
     used, corner = np.unique(triangles, return_inverse=True)
-    distinct, place = np.unique(points[used], axis=0, return_inverse=True)
+    distinct, inverse = np.unique(points[used], axis=0, return_inverse=True)
     group, first_of = joined(distinct, _MERGE * float(np.ptp(distinct, axis=0).max()))
-    points, triangles = distinct[first_of], group[place.ravel()[corner].reshape(-1, 3)]
+    points, triangles = distinct[first_of], group[inverse.ravel()[corner].reshape(-1, 3)]
     surface, extent = Triangles(points, triangles), float(np.ptp(points, axis=0).max())
     along = surface.corners - np.roll(surface.corners, 1, axis=1)
     sides = np.linalg.norm(along, axis=2).max(axis=1)
@@ -262,8 +262,8 @@ def _crossing(points: Array, triangles: Ints, unit: str) -> Iterator[tuple[str, 
     crossing = first_intersection(points, triangles)
     if crossing is None:
         return
-    a, b, place, count = crossing
-    rule = f"passes through itself: triangles {a + 1} and {b + 1} meet near {_place(place, unit)}"
+    a, b, point, count = crossing
+    rule = f"passes through itself: triangles {a + 1} and {b + 1} meet near {_place(point, unit)}"
     rule += f" ({count} such pairs)" if count > 1 else ""
     yield rule, "repair the surface (remove self-intersections)"
 
@@ -287,8 +287,8 @@ def first_intersection(points: Array, triangles: Ints) -> tuple[int, int, Array,
     a, b, count = _sweep(corners, sides, normals, low, high, order, axis, tolerance)
     if not count:
         return None
-    place = (np.maximum(low[a], low[b]) + np.minimum(high[a], high[b])) / 2
-    return int(min(a, b)), int(max(a, b)), place, int(count)
+    point = (np.maximum(low[a], low[b]) + np.minimum(high[a], high[b])) / 2
+    return int(min(a, b)), int(max(a, b)), point, int(count)
 
 
 @kernel()

@@ -525,36 +525,36 @@ def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> list[Check]:
     """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
     # controls that pass stand under numerical credibility alone
     bad = (check for check in data.controls if check.outcome in ("fail", "caution"))
-    made = [*data.checks, *bad]
+    every = [*data.checks, *bad]
     if data.retried:
         finding = tables.retried_sentence(data.retried)
         where = "They are listed among the failures."
-        made.append(Check("Cases with other settings", "caution", finding, where))
+        every.append(Check("Cases with other settings", "caution", finding, where))
     for facts in all_facts:
         if facts.terms:
-            made += [replace(check, of=facts.title) for check in _of_response(facts, data)]
+            every += [replace(check, of=facts.title) for check in _of_response(facts, data)]
         elif not data.surfaces:
             why = next(iter(facts.warnings), "no reason was recorded")
-            made.append(Check("Analysis", "fail", why, _NO_VERDICT, facts.title))
-    return [*made, *(_surface(surface, data) for surface in data.surfaces)]
+            every.append(Check("Analysis", "fail", why, _NO_VERDICT, facts.title))
+    return [*every, *(_surface(surface, data) for surface in data.surfaces)]
 
 
 _NO_VERDICT = "No verdict for this response."
 _OUTCOMES = ("fail", "caution", "not applicable", "pass")
 
 
-def by_name(made: Iterable[Check]) -> list[list[Check]]:
+def by_name(every: Iterable[Check]) -> list[list[Check]]:
     """Gather checks of the same name, the worst outcome first, in and among the groups."""
-    ranked = sorted(made, key=lambda check: _OUTCOMES.index(check.outcome))
+    ranked = sorted(every, key=lambda check: _OUTCOMES.index(check.outcome))
     return list(gathered((check.name, check) for check in ranked).values())
 
 
-def check_table(made: Iterable[Check], name: str) -> Table:
+def check_table(every: Iterable[Check], name: str) -> Table:
     """List every check, named in the first of its rows: outcome, finding, what follows."""
     rows = [
         ("" if k else sentence(check.name).rstrip("."), check.outcome, clean(check.of),
          sentence(clean(check.finding)), sentence(clean(check.consequence)))
-        for group in by_name(made)
+        for group in by_name(every)
         for k, check in enumerate(group)
     ]  # fmt: skip
     columns = ("check", "outcome", "response", "finding", "what follows")

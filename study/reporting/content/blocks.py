@@ -113,9 +113,9 @@ class Table:
     anchors: tuple[str, ...] = ()
     links: tuple[str, ...] = ()
 
-    def is_number(self, place: int) -> bool:
+    def is_number(self, column: int) -> bool:
         """Whether a column holds numbers."""
-        return self.left <= place < len(self.columns) - self.tail
+        return self.left <= column < len(self.columns) - self.tail
 
     def groups(self) -> list[tuple[str, list[tuple[tuple[str, ...], str, str]]]]:
         """Rows with their anchor and link, by the first cell where rows are grouped."""

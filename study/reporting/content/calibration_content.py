@@ -186,10 +186,10 @@ def comparison_blocks(document: Document) -> Iterator[Block]:
             "-" if group["detectable"] is None else f"{general(100 * group['detectable'], 3)} %"
         ),
     }
-    made = Table.of(document["model"], document["groups"], columns)
+    test_table = Table.of(document["model"], document["groups"], columns)
     common = (with_error(document["common"][name]) for name in heads)
-    rows = (*made.rows, ("common", "", *common, "", "", ""))
-    yield Table(made.name, made.columns, rows)
+    rows = (*test_table.rows, ("common", "", *common, "", "", ""))
+    yield Table(test_table.name, test_table.columns, rows)
     yield Verbatim(f"{document['verdict']}: {document['sentence']}")
 
 

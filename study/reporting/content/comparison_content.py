@@ -185,14 +185,14 @@ def table(comparison: Beside, labels: Labels = None) -> Table:
     # the short table has the factors, and interactions that matter in one of the studies
     rows_shown = (row for group in groups for row in group if row.is_main or _strong(row))
     main = _sides(rows_shown, comparison)
-    made = Table.of("beside", main, columns, left=5, tail=1, grouped=True)
+    whole = Table.of("beside", main, columns, left=5, tail=1, grouped=True)
     every = _sides((row for group in groups for row in group), comparison)
-    rows = tuple((row[0], "", "", *row[3:]) if k % 2 else row for k, row in enumerate(made.rows))
+    rows = tuple((row[0], "", "", *row[3:]) if k % 2 else row for k, row in enumerate(whole.rows))
     # columns that hold dashes alone are left out: a terminal is narrow
     held = [k for k in range(len(columns)) if any(row[k] != MISSING for row in rows) or not rows]
     return replace(
-        made,
-        columns=tuple(made.columns[k] for k in held),
+        whole,
+        columns=tuple(whole.columns[k] for k in held),
         rows=tuple(tuple(row[k] for k in held) for row in rows),
         tail=int(len(columns) - 1 in held),
         raw=tuple(map(_raw, every)),

@@ -407,9 +407,9 @@ def surface_answer(fit: FittedSurface, data: ReportData, *, is_short: bool = Fal
         refusal = f"the emulator ranks the factors, and says no more: {listing(ranked)}"
     else:
         sizes = [
-            f"{name_of(name, data.labels)} {'changes it ' if not place else ''}by up to "
+            f"{name_of(name, data.labels)} {'changes it ' if not rank else ''}by up to "
             f"{quantity(size, clean(fit.unit))}"
-            for place, (name, size) in enumerate(moved.items())
+            for rank, (name, size) in enumerate(moved.items())
         ]
         less = [f"{len(sizes) - _NAMED} more by less"] if is_short and sizes[_NAMED:] else []
         refusal = f"over its range, {listing([*sizes[: _NAMED if less else None], *less])}"

@@ -208,7 +208,7 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
         for effect in (*facts.effects, *facts.interactions)
         if effect.is_main or effect.strength == "matters"
     ]
-    made = Table.of(
+    term_table = Table.of(
         "verdicts",
         judged,
         {
@@ -234,7 +234,7 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
             "scale": "ratio" if of[1].is_ratio else "difference",
         },
     )  # fmt: skip
-    return replace(made, raw=(*made.raw, *_surface_verdicts(data)))
+    return replace(term_table, raw=(*term_table.raw, *_surface_verdicts(data)))
 
 
 _STORED = ("low", "high", "practical", "u_num", "effect_over_u_num", "p", "p_holm")
@@ -290,13 +290,13 @@ def anova(facts: Facts, data: ReportData, name: str = "") -> Table:
     if strata:
         columns["tested against"] = lambda row: term_name(row.error or "", names)
     note = " ".join(_anova_notes(facts, data))
-    made = Table.of(name or f"{facts.name}-anova", rows, columns, tail=int(strata), note=note)
-    made = replace(made, raw=tuple(map(plain, facts.rows)))
+    sources = Table.of(name or f"{facts.name}-anova", rows, columns, tail=int(strata), note=note)
+    sources = replace(sources, raw=tuple(map(plain, facts.rows)))
     if table is None or table.ss_total is None:
-        return made
+        return sources
     sums = significant(table.ss_total, digits)
     total = ("total", f"{table.df_total}", sums, *[""] * (len(columns) - 3))
-    return replace(made, rows=(*made.rows, total))
+    return replace(sources, rows=(*sources.rows, total))
 
 
 def _anova_notes(facts: Facts, data: ReportData) -> Iterator[str]:
@@ -489,7 +489,7 @@ def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
 
 def tests(pattern: FailurePattern, labels: Mapping[str, str]) -> Table:
     """Test of every factor: failed cases by level, p, and p adjusted for their number."""
-    made = Table.of(
+    test_table = Table.of(
         "failure_tests",
         pattern.tests,
         {
@@ -510,7 +510,7 @@ def tests(pattern: FailurePattern, labels: Mapping[str, str]) -> Table:
         for test in pattern.tests
         for level, (bad, total) in test.counts.items()
     )  # fmt: skip
-    return replace(made, raw=raw)
+    return replace(test_table, raw=raw)
 
 
 def retried_sentence(items: Sequence[Record]) -> str:

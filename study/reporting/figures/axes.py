@@ -54,13 +54,13 @@ def name_rows(
     at = list(places)
     ax.set_yticks(at, [""] * len(at))
     ax.tick_params(axis="y", length=0)  # a tick would touch the name that ends at the axis
-    for place, name in zip(at, names, strict=True):
+    for y, name in zip(at, names, strict=True):
         lines = name.split("\n")
         for number, line in enumerate(lines):
             higher = 1.2 * fontsize * ((len(lines) - 1) / 2 - number)
             edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
             look = {"ha": "right", "va": "center_baseline", "fontsize": fontsize} | edge
-            note(ax, line, (0, place), (-3.5, higher), **look)
+            note(ax, line, (0, y), (-3.5, higher), **look)
 
 
 def log_ticks(ax: Axes, axes: str = "xy", label: Callable[[float], str] = "{:g}".format) -> None:
@@ -73,8 +73,8 @@ def log_ticks(ax: Axes, axes: str = "xy", label: Callable[[float], str] = "{:g}"
         # within a decade powers of ten are too few
         steps = (1.0, 2.0, 5.0) if high < 1000 * low else (1.0,)
         locator = LogLocator(subs=steps, numticks=9) if high > 10 * low else MaxNLocator(4)
-        places = [place for place in locator.tick_values(low, high) if low <= place <= high]
-        axis.set_ticks(places, labels=[label(place) for place in places])
+        places = [tick for tick in locator.tick_values(low, high) if low <= tick <= high]
+        axis.set_ticks(places, labels=[label(tick) for tick in places])
         axis.set_minor_formatter(NullFormatter())
 
 
@@ -304,7 +304,7 @@ def make(name: str, plot: Plot) -> Figure:
     return Figure(name, title, words, svg, frame)
 
 
-def made(plots: Mapping[str, Plot], stem: str, of: str) -> dict[str, Figure]:
+def figures_of(plots: Mapping[str, Plot], stem: str, of: str) -> dict[str, Figure]:
     """Make the figures of one response or surface: its name stands in their titles."""
     return {
         kind: make(f"{stem}-{kind}", (f"{title}: {of}", points, draw, caption))

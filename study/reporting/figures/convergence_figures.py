@@ -113,7 +113,7 @@ def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
 def _free(h: Array, v: Array) -> float:
     """Height at the right of a panel, top or bottom, that is farther from all its points."""
     across, up = h / h.max(), (v - v.min()) / (float(np.ptp(v)) or 1.0)
-    room = [float(np.min(np.hypot(across - 0.85, up - place))) for place in (0.0, 1.0)]
+    room = [float(np.min(np.hypot(across - 0.85, up - height))) for height in (0.0, 1.0)]
     return 0.07 if room[0] >= room[1] else 0.93
 
 

@@ -54,14 +54,14 @@ def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
     rows = -(-len(panels) // columns)
     figure = style.canvas(0.5 + 3.0 * rows, style.WIDTH_IN if columns > 1 else 0.6 * style.WIDTH_IN)
     axes = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2.4, 1.0] * rows)
-    for place in range(rows * columns):
-        r, c = divmod(place, columns)
+    for index in range(rows * columns):
+        r, c = divmod(index, columns)
         force, residual = axes[2 * r][c], axes[2 * r + 1][c]
-        if place >= len(panels):
+        if index >= len(panels):
             force.set_axis_off()
             residual.set_axis_off()
             continue
-        _fit_panel(force, residual, panels[place])
+        _fit_panel(force, residual, panels[index])
         if c == 0:
             force.set_ylabel("force (N)")
             residual.set_ylabel("fit - meas. (N)")
@@ -156,14 +156,14 @@ def layer_points(data: ReportData) -> pd.DataFrame:
     rows = [
         {
             "state": of["state"], "group": clean(next(iter(case.levels.values()), "all"), 30),
-            "cell": " / ".join(case.levels.values()), "place": place, "layer": layer,
+            "cell": " / ".join(case.levels.values()), "place": index, "layer": layer,
             "error_mm": math.nan if error is None else error, "floor_mm": of["floor_mm"],
         }
         for case in data.markers
         for of in case.markers
         # the last of the fits to all markers has the freest plate
         for fit in [fit for fit in of["fits"] if fit["fitted"] == "all"][-1:]
-        for place, (layer, error) in enumerate(fit["error_by_layer_mm"].items())
+        for index, (layer, error) in enumerate(fit["error_by_layer_mm"].items())
     ]  # fmt: skip
     if not rows:
         raise ValueError("no marker has a layer")
@@ -380,8 +380,8 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
     top = 1.06 * (frame[["measured_N", "predicted_N"]].max().max() or 1.0)
     wide = 1.1 * (np.nanmax([gap.max(), frame["scatter_N"].max()]) or 1.0)
     ends = frame.groupby("panel")["displacement_mm"].max()
-    for place, ((block, level), title) in enumerate(zip(panels.panels, titles, strict=True)):
-        row, column = divmod(place, columns)
+    for index, ((block, level), title) in enumerate(zip(panels.panels, titles, strict=True)):
+        row, column = divmod(index, columns)
         force = figure.add_subplot(grid[3 * row + 1, column])
         residual = figure.add_subplot(grid[3 * row + 2, column], sharex=force)
         lines = frame[(frame["block"] == block) & (frame["panel"] == level)]
@@ -398,7 +398,7 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
             ax.locator_params(axis="x", nbins=4)
             ax.grid(axis="y")
             # numbers at the outer axes hold for all panels of a row or a column
-            is_lowest = ax is residual and place + columns >= number
+            is_lowest = ax is residual and index + columns >= number
             ax.tick_params(labelleft=column == 0, labelbottom=is_lowest)
     figure.text(0.5, 0.08 / height, "displacement (mm)", ha="center", fontsize=8.5)
     corner = (0.5 / style.WIDTH_IN, 1.0)

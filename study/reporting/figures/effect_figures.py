@@ -76,11 +76,11 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
         ax.plot(range(len(means)), means, marker="o", color=color, markersize=5.5)
         ax.vlines(range(len(means)), group["low"], group["high"], colors=color, linewidth=1.1)
         around = [*means[1:2], *means, *means[-2:-1]] if means[1:] else means * 3
-        for place, mean in enumerate(means):
+        for at, mean in enumerate(means):
             # on the side of the point that no line meets
-            is_above = 2 * mean >= around[place] + around[place + 2]
+            is_above = 2 * mean >= around[at] + around[at + 2]
             look = {"ha": "left", "va": "bottom" if is_above else "top"}
-            style.note(ax, significant(mean), (place, mean), (3, 4 if is_above else -4), **look)
+            style.note(ax, significant(mean), (at, mean), (3, 4 if is_above else -4), **look)
         names = [style.wrap(level, 12, 40) for level in group["level"]]
         ax.set_xticks(range(len(names)), names, fontsize=7.5)
         ax.set_xlim(-0.5, len(names) - 0.5)
@@ -114,8 +114,8 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
         style.above(ax, "as good as the best", best + sign * practical / 2)
     means = frame.drop_duplicates("rank")
     _mark_cells(ax, frame, means)
-    for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
-        style.at_right(ax, significant(float(mean)), float(place))
+    for mean, rank in zip(means["cell_mean"], means["rank"], strict=True):
+        style.at_right(ax, significant(float(mean)), float(rank))
     style.name_rows(ax, means["rank"], [style.wrap(label, 56, 130) for label in means["label"]])
     ax.set_ylim(count - 0.4, -0.8)
     ax.set(xlabel=style.labeled(facts.title, facts.unit), ylabel="")
@@ -191,7 +191,7 @@ def _connect_pairs(
 
     numbers = range(len(levels))
     sns.pointplot(
-        x=pair["other_level"].map({level: place for place, level in enumerate(across)}),
+        x=pair["other_level"].map({level: rank for rank, level in enumerate(across)}),
         y=pair["mean"],
         hue=pair["level"].map({level: number for number, level in enumerate(levels)}),
         hue_order=numbers,
@@ -295,14 +295,14 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     ax.axvline(0, color=style.MUTED, linewidth=0.7)
     _mark_multiples(ax, frame, places)
     by_name = {facts.name: facts for facts in all_facts}
-    for place, response in heads:
+    for y, response in heads:
         edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
         bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
-        style.note(ax, clean(by_name[response].title, 60), (0, place), (-3.5, 0), **bold)
+        style.note(ax, clean(by_name[response].title, 60), (0, y), (-3.5, 0), **bold)
     style.name_rows(ax, places, [style.wrap(name, 40, 80) for name in frame["name"]], 8)
-    for place, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
+    for y, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
         style.at_right(
-            ax, f"{verdict}:  {words}" if verdict else words, place, _WORD_COLOR.get(verdict)
+            ax, f"{verdict}:  {words}" if verdict else words, y, _WORD_COLOR.get(verdict)
         )
     ax.set_ylim(height - 0.4, -0.7)
     _scale_of_multiples(ax, frame, limited, all_facts)
@@ -321,10 +321,10 @@ def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> Non
     low, high = np.where(np.isnan(low), size_of, low), np.where(np.isnan(high), size_of, high)
     ax.hlines(at, low - bound, high + bound, colors=colors, linewidth=0.8)
     ax.hlines(at, low, high, colors=colors, linewidth=2.6)
-    for place, verdict, color, x in zip(places, verdicts, colors, size_of.tolist(), strict=True):
+    for y, verdict, color, x in zip(places, verdicts, colors, size_of.tolist(), strict=True):
         face = color if verdict in _VERDICT_MARKER else "white"
         ax.plot(
-            [x], [place], _VERDICT_MARKER.get(verdict, "o"), color=color, markerfacecolor=face,
+            [x], [y], _VERDICT_MARKER.get(verdict, "o"), color=color, markerfacecolor=face,
             markersize=6.5, markeredgewidth=1.4,
         )  # fmt: skip
 

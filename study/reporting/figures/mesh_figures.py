@@ -106,8 +106,8 @@ def _solid(points: Array, faces: Ints, displacement: Array) -> Canvas:
     grid = figure.add_gridspec(2 if is_whole else 1, 6)
     places = (grid[0, :3], grid[0, 3:], *(grid[-1, k : k + 2] for k in (0, 2, 4)))
     panels: list[Axes] = []
-    for place, (words, shape, color, view) in zip(places, views, strict=False):
-        ax: Axes3D = figure.add_subplot(place, projection="3d", proj_type="ortho")
+    for position, (words, shape, color, view) in zip(places, views, strict=False):
+        ax: Axes3D = figure.add_subplot(position, projection="3d", proj_type="ortho")
         thin = 0.35 if len(faces) < 3000 else 0.15
         drawn = Poly3DCollection(
             shape[faces],

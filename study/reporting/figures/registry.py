@@ -43,7 +43,7 @@ from study.reporting.figures import (
     residual_figures,
     study_figures,
 )
-from study.reporting.figures.axes import Plot, made, make
+from study.reporting.figures.axes import Plot, figures_of, make
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
@@ -280,7 +280,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         "front": bool(facts.better) and timed,
     }
     chosen = {k: plot for k, plot in plots.items() if has.get(k, True) and k not in without}
-    return made(chosen, slug(facts.name), facts.title)
+    return figures_of(chosen, slug(facts.name), facts.title)
 
 
 def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:

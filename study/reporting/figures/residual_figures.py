@@ -150,11 +150,11 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
     for number, (factor, levels) in enumerate(data.factors.items()):
         if factor not in frame:
             continue
-        for place, level in enumerate(levels, 1):
+        for index, level in enumerate(levels, 1):
             values = frame.loc[frame[factor].astype(str) == level, "residual"]
-            across = start + place + rng.uniform(-0.18, 0.18, len(values))
+            across = start + index + rng.uniform(-0.18, 0.18, len(values))
             ax.scatter(across, values, s=7, alpha=0.7, linewidth=0, color=style.color_of(number))
-            names[start + place] = clean(level, 20)
+            names[start + index] = clean(level, 20)
         name = style.wrap(name_of(factor, data.labels), 16, 24)
         bold = {"color": style.word_color_of(number), "fontweight": "bold"}
         style.above(ax, name, start + (len(levels) + 1) / 2, **bold)

@@ -27,13 +27,13 @@ def constant_points(data: ReportData) -> pd.DataFrame:
         raise ValueError("no constant was fitted")
     every = dict.fromkeys(tuple(fit.levels.items()) for fit in fits)
     ranked = sorted(every, key=lambda levels: fit_rank(dict(levels), data))
-    place = {levels: i for i, levels in enumerate(ranked)}
+    rank_of = {levels: i for i, levels in enumerate(ranked)}
     columns = (
         "constant", "block", "specimen", "value", "low", "high", "standard_error", "unit",
         "identifiable",
     )  # fmt: skip
     frame = pd.DataFrame(
-        {"row": fit_name(fit, data), "place": place[tuple(fit.levels.items())]}
+        {"row": fit_name(fit, data), "place": rank_of[tuple(fit.levels.items())]}
         | {name: getattr(fit, name) for name in columns}
         for fit in fits
     )
@@ -59,9 +59,9 @@ def draw_constants(frame: pd.DataFrame) -> Canvas:
 
 
 def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
-    for place, group in frame.groupby("place"):
+    for row, group in frame.groupby("place"):
         # fits of one row stand below each other, so that their intervals can be read
-        y = float(str(place)) + np.linspace(-0.3, 0.3, len(group) + 2)[1:-1]
+        y = float(str(row)) + np.linspace(-0.3, 0.3, len(group) + 2)[1:-1]
         ax.hlines(y, group["low"], group["high"], color=color, linewidth=0.8)
         sure = group["identifiable"].to_numpy(bool)
         ax.plot(group["value"][sure], y[sure], "o", color=color, markersize=2.8)

@@ -102,10 +102,10 @@ def scan_tables(deviation: ShapeDeviation) -> list[Table]:
     }  # fmt: skip
     rows = tuple((name, significant(value)) for name, value in values.items())
     raw = tuple({"statistic": name, "mm": value} for name, value in values.items())
-    made = [Table("Deviation of the scan", ("statistic", "mm"), rows, raw=raw)]
+    tables = [Table("Deviation of the scan", ("statistic", "mm"), rows, raw=raw)]
     if deviation.markers is not None:
-        made.append(_marker_table(deviation.markers))
-    return made
+        tables.append(_marker_table(deviation.markers))
+    return tables
 
 
 def _marker_table(markers: MarkerDeviation) -> Table:

@@ -35,7 +35,7 @@ from study.reporting.content.blocks import (
 from study.reporting.content.effect_words import normality_phrase
 from study.reporting.content.report_facts import Facts, facts
 from study.reporting.content.text import clean, count, listing, sentence, slug
-from study.reporting.figures.axes import Plot, made
+from study.reporting.figures.axes import Plot, figures_of
 from study.reporting.output import study_page, write
 from study.reporting.output.page import Pages, replace_file
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
@@ -197,7 +197,7 @@ def _figures(
             lambda _: residual_figures.influence_caption(points, limit),
         ),
     }
-    return drawn | made(plots, slug(item.name), item.title)
+    return drawn | figures_of(plots, slug(item.name), item.title)
 
 
 #: tables that LaTeX has

@@ -44,7 +44,7 @@ from study.reporting.content.text import (
     sentence,
     slug,
 )
-from study.reporting.figures.axes import made
+from study.reporting.figures.axes import figures_of
 from study.reporting.output.page import Page, Pages, page_names
 from study.reporting.results.study_result import FITTED_CURVE, Check, ReportData
 
@@ -64,7 +64,7 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     of_each = {item.name: registry.of_response(data, item) for item in all_facts}
     shapes = {surface_content.title(fit, data): fit for fit in data.surfaces}
     over = {
-        title: made(surface_figures.drawings(fit, data), f"surface-{slug(title)}", title)
+        title: figures_of(surface_figures.drawings(fit, data), f"surface-{slug(title)}", title)
         for title, fit in shapes.items()
     }
     effects = registry.overview(data, all_facts)

@@ -57,14 +57,14 @@ def _print_table(block: Table, file: TextIO | None, *, has_title: bool) -> None:
     *_, last = (group for group, _ in block.groups())
     for group, rows in block.groups():
         title = group if block.grouped else "" if has_title else block.name
-        made = rich.table.Table(
+        printed_table = rich.table.Table(
             title=escape(title) or None, title_justify="left", box=None, pad_edge=False
         )
         for name in block.columns[first:]:
-            made.add_column(escape(_plain(name)), overflow="fold")
+            printed_table.add_column(escape(_plain(name)), overflow="fold")
         for row, *_ in rows:
-            made.add_row(*(escape(_plain(cell)) for cell in row[first:]))
-        console.print(made)
+            printed_table.add_row(*(escape(_plain(cell)) for cell in row[first:]))
+        console.print(printed_table)
         if block.note and group == last:
             print(_folded_to_width(block.note), file=file)
         print(file=file)

@@ -432,9 +432,9 @@ def _density(y: Array, cell: Ints, counts: Ints, wide: Array, spread: Array) -> 
     """
     start = np.searchsorted(cell, np.arange(spread.size))
     above = (y - y[np.minimum(start, y.size - 1)][cell]) / spread[cell]
-    place = 3e6 * cell + np.minimum(above, 1e6)
+    position = 3e6 * cell + np.minimum(above, 1e6)
     rows = np.append(0, np.cumsum(counts))
-    to = np.searchsorted(place, place + wide[cell], side="right")
+    to = np.searchsorted(position, position + wide[cell], side="right")
     within = counts * (rows[to] - rows[1:])
     return np.bincount(cell, within, minlength=spread.size).astype(float)
 

@@ -408,15 +408,15 @@ def fit_sources(data: Data, fixed: Factored, sources: Sequence[Term]) -> Restric
     codes = [np.unique(data.layout.cell(term), return_inverse=True)[1] for term in sources]
     faults = []
     for term, code in zip(sources, codes, strict=True):
-        place, levels = f"random factor {term_name(term)!r}", int(code.max()) + 1
+        where, levels = f"random factor {term_name(term)!r}", int(code.max()) + 1
         if levels < FEWEST_LEVELS:
             rule = f"has {levels} levels: the scatter over them needs {FEWEST_LEVELS}"
             pairs = _recurring_numbers(data.layout, sources)
             anew = [_numbered_anew(*pair) for pair in pairs if term == pair[1:]]
-            faults.append(Fault(place, rule, *anew[:1]))
+            faults.append(Fault(where, rule, *anew[:1]))
         elif levels == data.y.size:
             rule = "has a level of its own in every row, so it is the scatter within"
-            faults.append(Fault(place, rule, "leave it out"))
+            faults.append(Fault(where, rule, "leave it out"))
     if faults:
         raise InputError(faults)
     crossed = Likelihood(fixed.q, data.y, tuple(codes)).crossed_levels
@@ -577,21 +577,21 @@ def _with_columns(matrix: ModelMatrix, values: Mapping[str, Array]) -> ModelMatr
 
 def _numbers(table: pd.DataFrame, name: str, data: Data) -> Array:
     """Values of a covariate in the rows that entered."""
-    place = f"covariate {name!r}"
+    where = f"covariate {name!r}"
     if name not in table.columns:
         columns = [str(column) for column in table.columns]
-        raise InputError(Fault(place, "no such column", nearest(name, columns)))
+        raise InputError(Fault(where, "no such column", nearest(name, columns)))
     if name in {*data.factors, *data.blocks}:
-        raise InputError(Fault(place, "is a factor or the block already", "name it once"))
+        raise InputError(Fault(where, "is a factor or the block already", "name it once"))
     try:
         values = np.asarray(table[name].to_numpy()[data.rows], dtype=float)
     except (TypeError, ValueError):
-        raise InputError(Fault(place, "holds text", "a covariate is a column of numbers")) from None
+        raise InputError(Fault(where, "holds text", "a covariate is a column of numbers")) from None
     if not np.isfinite(values).all():
         row = int(data.rows[np.flatnonzero(~np.isfinite(values))[0]]) + 1
-        raise InputError(Fault(f"row {row}, {place}", "is missing", "leave such rows out"))
+        raise InputError(Fault(f"row {row}, {where}", "is missing", "leave such rows out"))
     if not np.ptp(values):
-        raise InputError(Fault(place, "never changes", "leave it out"))
+        raise InputError(Fault(where, "never changes", "leave it out"))
     return values
 
 

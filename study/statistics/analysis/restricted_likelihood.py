@@ -123,8 +123,8 @@ def _crossed(codes: Sequence[Ints], groups: int) -> _Crossed:
     label = sparse.csgraph.connected_components(z.T @ z, directed=False)[1]
     number = np.bincount(label)
     order = np.lexsort((np.arange(q), label, number[label]))
-    place = np.empty(q, dtype=np.int64)
-    place[order] = np.arange(q)
+    rank = np.empty(q, dtype=np.int64)
+    rank[order] = np.arange(q)
     size = number[label][order]
     # entries of the same label stand together: the first of them
     starts = np.flatnonzero(np.concatenate([[True], np.diff(label[order]) != 0]))
@@ -137,7 +137,7 @@ def _crossed(codes: Sequence[Ints], groups: int) -> _Crossed:
             _RowBatch(slice(here[0], here[-1] + 1), slice(entry, entry + here.size * s), int(s))
         )
         entry += here.size * int(s)
-    columns = place[raw]
+    columns = rank[raw]
     inside = columns - first[columns]
     position = [
         offset[columns[i]] + inside[i] * size[columns[i]] + inside[j]

@@ -148,14 +148,14 @@ def split_plot(out: AnalysisResult, plots: Plots) -> AnalysisResult:
     kind, out = kind_of(out, all(s.fit.is_orthogonal() for s in strata))
     complete = {s.term: s.df for s in term_sums(whole, "III")}
     sums = {s.name: term_sums(s.fit, kind) for s in strata}
-    place = {t.term: s for s in strata for t in sums[s.name] if t.df and t.df == complete[t.term]}
+    by_term = {t.term: s for s in strata for t in sums[s.name] if t.df and t.df == complete[t.term]}
     rows = []
     for s in strata:
-        tested = [t for t in sums[s.name] if place.get(t.term) is s]
+        tested = [t for t in sums[s.name] if by_term.get(t.term) is s]
         rows += [term_row(t, s.df, s.fit.rss, whole.tss, s.name) for t in tested]
         if s.df or s.fit.rank:  # a block that is itself one whole plot holds none
             rows.append(Row(s.name, s.df, s.fit.rss, s.fit.rss / s.df if s.df else None))
-    lost = [term_name(term) for term in out.terms if term not in place]
+    lost = [term_name(term) for term in out.terms if term not in by_term]
     rows += [Row(name, 0, 0.0) for name in lost]
     out = out.warn(*(f"{name}: is in no stratum whole; no test" for name in lost))
     sample = _over_strata(whole, strata, alpha)
@@ -170,13 +170,13 @@ def split_plot(out: AnalysisResult, plots: Plots) -> AnalysisResult:
     simple = judge_factors(out, data.layout, whole, sample, rivals)
     effects, p = [], {row.term: row.p for row in rows}
     for term in out.terms:
-        stratum = place.get(term)
+        stratum = by_term.get(term)
         fit, df = (whole, 0) if stratum is None else (stratum.fit, stratum.df)
         estimate = pooled_estimate(data.layout, fit, term, df, p[term_name(term)], alpha, fit.rss)
         of_means = sampled_estimate(data.layout, whole, term, None, sample)
         estimate = replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half)
         effects.append(size(estimate, out.scale, simple))
-    df_of = {term_name(t): float(place[t].df) for t in complete if t in place}
+    df_of = {term_name(t): float(by_term[t].df) for t in complete if t in by_term}
     error = error_of_strata(str(data.block), plots, "the pooled scatter within whole plots", df_of)
     anova = Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss)
     judged = error_ledger.within_fit(data, out.y, plots=plots.code)

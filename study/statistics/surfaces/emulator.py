@@ -78,9 +78,9 @@ def is_confirmed(runs: Runs, j: int, least: float) -> bool:
     import pandas as pd
 
     others = np.round(np.delete(runs.coded, j, axis=1) / SAME_PLACE)
-    place = np.unique(others, axis=0, return_inverse=True)[1].ravel()
+    group = np.unique(others, axis=0, return_inverse=True)[1].ravel()
     block = runs.blocks or ("",) * runs.size
-    rows = {"place": place, "at": runs.coded[:, j].round(3), "block": block, "y": runs.response}
+    rows = {"place": group, "at": runs.coded[:, j].round(3), "block": block, "y": runs.response}
     # one column a block, NaN where it has no run there
     means = pd.DataFrame(rows).pivot_table("y", ["place", "at"], "block")
     means = means[means.index.get_level_values(0).duplicated(keep=False)]
@@ -555,9 +555,9 @@ def fit_blocks_together(
     }
     return tuple(
         BlockedEmulator(
-            response, {name: by_response[place] for name, by_response in emulators.items()}
+            response, {name: by_response[index] for name, by_response in emulators.items()}
         )
-        for place, response in enumerate(runs)
+        for index, response in enumerate(runs)
     )
 
 
@@ -602,16 +602,16 @@ class Unsure:
     #: 1 to lower the mean squared error, more to go where left-out runs were missed most.
     power: float = 1.0
 
-    def gains(self, x: Array, at: Array, made: Array) -> Array:
+    def gains(self, x: Array, at: Array, run_points: Array) -> Array:
         """Drop of the summed variance that a run at each candidate would bring, shape (m,)."""
-        # Shapes: x (m, k); at (r, k); made (n, k).
+        # Shapes: x (m, k); at (r, k); run_points (n, k).
         fitted = self.process.hyperparameters
         kernel, nugget = fitted.kernel, fitted.nugget
-        matrix = kernel.correlation(made, made)
+        matrix = kernel.correlation(run_points, run_points)
         matrix[np.diag_indices_from(matrix)] += max(nugget, 1e-10)
         factor = linalg.cholesky(matrix, lower=True)
-        half_x = linalg.solve_triangular(factor, kernel.correlation(made, x), lower=True)
-        half_at = linalg.solve_triangular(factor, kernel.correlation(made, at), lower=True)
+        half_x = linalg.solve_triangular(factor, kernel.correlation(run_points, x), lower=True)
+        half_at = linalg.solve_triangular(factor, kernel.correlation(run_points, at), lower=True)
         shared = kernel.correlation(x, at) - half_x.T @ half_at
         variance = np.maximum(1.0 - (half_x**2).sum(axis=0), 0.0) + max(nugget, 1e-10)
         # square of the misfit of the runs near each point, over that which the process expects
@@ -623,12 +623,12 @@ class Unsure:
         return np.asarray(fitted.variance * gains / at.shape[0])
 
 
-def next_run(unsure: Sequence[Unsure], x: Array, at: Array, made: Array) -> tuple[int, float]:
+def next_run(unsure: Sequence[Unsure], x: Array, at: Array, run_points: Array) -> tuple[int, float]:
     """Candidate with the largest gain over all emulators, and that gain."""
     if not unsure:
-        apart = np.min(np.abs(x[:, None, :] - made[None, :, :]).sum(axis=2), axis=1)
+        apart = np.min(np.abs(x[:, None, :] - run_points[None, :, :]).sum(axis=2), axis=1)
         best = int(apart.argmax())
         return best, float(apart[best])
-    gains = np.sum([model.gains(x, at, made) for model in unsure], axis=0)
+    gains = np.sum([model.gains(x, at, run_points) for model in unsure], axis=0)
     best = int(gains.argmax())
     return best, float(gains[best])

@@ -78,10 +78,10 @@ class CategoryCorrelation:
 
     @cached_property
     def _logarithms(self) -> list[Array]:
-        made = [-(distance[:, None] + distance) for distance in self.distances]
-        for logarithm in made:
+        logarithms = [-(distance[:, None] + distance) for distance in self.distances]
+        for logarithm in logarithms:
             np.fill_diagonal(logarithm, 0.0)
-        return made
+        return logarithms
 
 
 def fitted(sizes: Sequence[int]) -> int:

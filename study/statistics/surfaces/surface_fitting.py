@@ -248,8 +248,8 @@ def surfaces_at(
                 continue
             fit = fit_quadratic if kind_of(runs, surface) == "quadratic" else fit_own
             model = fit(runs) if together is None else together[k]
-            made = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
-            each.append(replace(fitted_here, surface=made))
+            analysis = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
+            each.append(replace(fitted_here, surface=analysis))
         except StudyError as error:
             if not labels and not blank.units:
                 raise
@@ -270,14 +270,14 @@ def places_of(
     every = np.ones(answered.sum(), dtype=bool)
     named = (dict(zip(factors, levels_of, strict=True)) for levels_of in itertools.product(*levels))
     rows_of = [
-        (place, np.all([every, *(columns[name] == at for name, at in place.items())], axis=0))
-        for place in named
+        (labels, np.all([every, *(columns[name] == at for name, at in labels.items())], axis=0))
+        for labels in named
     ]
-    rows_of = [(place, here) for place, here in rows_of if here.any()]
+    rows_of = [(labels, here) for labels, here in rows_of if here.any()]
     if len(rows_of) > MOST_COMBINATIONS:
         rule = f"make {len(rows_of)} combinations, and each gets a surface of its own"
         raise InputError(Fault("--factors", rule, f"at most {MOST_COMBINATIONS}: name fewer"))
-    return [place for place, _ in rows_of], [here for _, here in rows_of]
+    return [labels for labels, _ in rows_of], [here for _, here in rows_of]
 
 
 def noted(
@@ -302,7 +302,7 @@ def _differences(
     fitted: FittedSurface, each: Sequence[FittedSurface]
 ) -> tuple[LevelDifference, ...]:
     """Compare a surface with those at the first levels of the other factors, one at a time."""
-    made = []
+    differences = []
     for name, base in each[0].labels.items():
         labels_wanted = {**fitted.labels, name: base}
         # runs at some combinations of labels may be missing
@@ -313,5 +313,5 @@ def _differences(
         limits = [s.practical for s in (fitted, other) if s.practical is not None]
         limit = min(limits) if limits else None
         names = (name, fitted.labels[name], base)
-        made.append(level_difference(names, (mine, theirs), limit, fitted.bound or 0.0))
-    return tuple(made)
+        differences.append(level_difference(names, (mine, theirs), limit, fitted.bound or 0.0))
+    return tuple(differences)

@@ -42,7 +42,7 @@ def profiles(
     Settings are those that were run, from the lowest to the highest, in the factor's unit, with
     that of ``at``, shape (k,), among them.
     """
-    made = {}
+    by_factor = {}
     for j, (factor, column) in enumerate(
         zip(surface.runs.factors, surface.runs.coded.T, strict=True)
     ):
@@ -53,8 +53,8 @@ def profiles(
         coded[:, j] = along
         value, half = surface.model.predict(coded)
         setting = np.array([factor.setting(float(x)) for x in coded[:, j]])
-        made[factor.name] = setting, SurfacePrediction(value, value - half, value + half)
-    return made
+        by_factor[factor.name] = setting, SurfacePrediction(value, value - half, value + half)
+    return by_factor
 
 
 def strongest(surface: SurfaceAnalysis) -> tuple[str, ...]:

@@ -286,13 +286,13 @@ class _Inputs:
     def coded(self, shares: Array) -> Array:
         """Coded points (m, k) of shares (m, inputs) of the distributions."""
         columns = dict(zip(self.spreads, shares.T, strict=True))
-        made = [
+        coded_columns = [
             f.coded(self.spreads[f.name].quantile(columns[f.name]))
             if f.name in columns
             else np.full(len(shares), float(f.coded(np.array([self.fixed[f.name]]))[0]))
             for f in self.runs.factors
         ]
-        return np.column_stack(made)
+        return np.column_stack(coded_columns)
 
     def unit(self, shares: Array) -> Array:
         """Give the same in the unit box."""
