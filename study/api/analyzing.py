@@ -229,7 +229,7 @@ def asked_of(formula: Formula) -> AnovaOptions:
     return options
 
 
-# Tests that are adjusted together: those of a response, those declared, those of a whole study.
+# Families of tests adjusted together: of one response, of declared tests, of a whole study.
 
 
 def adjusted(

@@ -213,8 +213,8 @@ def compare_tests(
 ) -> ModelComparison:
     """Fit every test of a calibration for itself; Wald test that all have the same constants.
 
-    The power is that of seeing the moduli of one test off by the share ``difference``; ``zero`` is
-    the standard uncertainty of the zero of a test's force, over its largest force.
+    The power is for moduli of one test off by the share ``difference``; ``zero`` is the standard
+    uncertainty of the zero of a test's force, over its largest force.
     """
     if not 0 < difference < 1:
         rule = f"must lie between 0 and 1, got {difference:g}"

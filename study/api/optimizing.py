@@ -507,7 +507,7 @@ def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal
 
 
 def _covered(curve: Curve, records: Sequence[Record], source: Path) -> tuple[Curve, list[str]]:
-    """Rows that every run reaches, and what is to be said of the others."""
+    """Measured rows inside the range of every run, and warnings about the rows outside."""
     predicted = [curve_of_run for r in records if (curve_of_run := r.first_prediction())]
     if not predicted:
         raise InputError(Fault(str(source), "no run has a curve to compare with"))

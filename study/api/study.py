@@ -270,7 +270,7 @@ def _compute(
 
 
 def _finish(store: Store, work: Work, timings: Mapping[str, float], computed: int) -> None:
-    """Make the run the one that is read from; one that computed nothing leaves what is known."""
+    """Publish this run to all readers; one without a new result keeps stored times and versions."""
     meta, manifest = manifest_of(work), store.read_manifest()
     if manifest is not None and is_same(manifest, meta):
         spent = dict(manifest.get("timings", {}))

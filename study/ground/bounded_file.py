@@ -217,9 +217,9 @@ ENCODINGS = {
 def decoded(data: bytes, source: str, declared: str = "") -> tuple[str, str]:
     """Text of a file and its encoding: UTF-8, UTF-16 with a byte order mark, or Windows-1252.
 
-    Windows-1252 is what instruments write that know no UTF-8; it is taken only where no other
-    character of the file is UTF-8, for then the damage of one byte is the likelier reading. One
-    of :data:`ENCODINGS` that is declared is taken, whatever the file looks like.
+    Instruments without UTF-8 write Windows-1252. It is taken only where no other character of the
+    file is UTF-8; where some are, one damaged byte is the likelier cause. A declared encoding, one
+    of :data:`ENCODINGS`, is taken without a look at the file.
     """
     encoding = "UTF-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "UTF-8"
     codec = "utf-16" if encoding == "UTF-16" else "utf-8-sig"

@@ -180,7 +180,7 @@ class Curve:
         allowed = error**2 * self._mean_square_force()
         if squares.sum() <= allowed:
             return []
-        # an interval in halves keeps a part of its error: half of what is allowed is for those
+        # an interval in halves keeps a part of its error: half of the tolerance is left for that
         worst = order[: int(np.argmax(left <= 0.5 * allowed)) + 1]
         knots = self._with_origin()[0]
         return [float(0.5 * (knots[k] + knots[k + 1])) for k in worst]
@@ -198,8 +198,8 @@ class Curve:
     def with_tangents(self) -> Curve:
         """Return the curve with tangents and work of a cubic spline through its points and origin.
 
-        Where somebody else computed forces alone, this is what is known between them: an error
-        of fourth order in their distance, chords have one of second. Unchanged where tangents are
+        For forces that another program computed without tangents. The error between points is of
+        fourth order in their distance, that of chords of second order. Unchanged where tangents are
         known, where the force is one over time, and with fewer than three points.
         """
         from scipy.interpolate import CubicSpline

@@ -65,8 +65,8 @@ class Reads:
     dimension: str = ""
     #: What to write where the key is missing; a key that has it must stand in a file.
     mend: str = ""
-    #: Value given in Python, in internal units, to the one that is kept; raises :class:`Bad`.
-    #: Without it the value is kept as it is.
+    #: Converts a value given in Python, in internal units, to the stored value; raises
+    #: :class:`Bad`. None stores the value as it is.
     given: Read | None = None
 
     def __call__(self, value: object) -> object:

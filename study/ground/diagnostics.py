@@ -268,7 +268,7 @@ def _unfit(tables: Tables) -> str:
 def flatten(
     table: Mapping[str, object], prefix: str = "", whole: Collection[str] = ()
 ) -> dict[str, object]:
-    """Dotted keys of nested tables; an empty table stays, as does one that is a whole value."""
+    """Dotted keys of nested tables; empty tables, and tables that are one value, stay."""
     flat: dict[str, object] = {}
     for key, value in _leaves(table, prefix, whole):
         if key in flat:

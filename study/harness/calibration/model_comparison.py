@@ -149,11 +149,11 @@ class ModelComparison(Keyed):
     #: By test: standard uncertainties of its constants that all its points share, by the mesh and
     #: by the zero of the force; shape (p,), MPa (exponents plain).
     systematic: Mapping[str, tuple[Array, Array]]
-    #: Share by which the moduli of one test are off in what the power is stated for.
+    #: Relative error of the moduli of one test for which the power is stated.
     difference: float
-    #: By the test that is off: probability that the Wald test says so.
+    #: By the deviating test: probability that the Wald test detects it.
     power: Mapping[str, float]
-    #: By the test that is off: share that is seen with a power of 80 %.
+    #: By the deviating test: relative error detected with a power of 80 %.
     detectable: Mapping[str, float]
     #: {"wald", "score"}: whether slopes are those at each test's own constants, or at the common
     #: ones.

@@ -296,7 +296,7 @@ _NOISELESS = 1e-9
 
 @dataclass(frozen=True)
 class _NuisanceFit:
-    """Fits of one calibration to constants and to what is not known exactly."""
+    """Fits of one calibration to its constants and its nuisance parameters."""
 
     predictions: NuisancePredictions
     measured: Sequence[MeasuredCurve]
@@ -393,7 +393,7 @@ class _NuisanceFit:
         return max(float(deviation), _NOISELESS * self.largest)
 
     def moved(self, joint: Fit) -> Array:
-        """Change of the estimates by a standard uncertainty of what is propagated, (p, k)."""
+        """Change of the estimates by one standard uncertainty of each propagated input, (p, k)."""
         if not self.carried:
             return np.zeros((joint.values.size, 0))
         values = np.r_[joint.values, [param.expected for param in self.carried]]

@@ -49,7 +49,7 @@ STRESS_MPA = 1.0
 TIMES_MEASURED = 3.0
 #: strain to which tests are compared where the measured ones did not go as far
 USUAL_STRAIN = 0.4
-#: strains of a search for the one that a test must reach
+#: number of strains tried in the search for the strain that a test must reach
 _STRAINS = 80
 #: cross-section where no measured specimen has any, mm^2
 _AREA = 100.0
@@ -242,7 +242,7 @@ def next_tests(
 
 @dataclass(frozen=True)
 class _TestSearch:
-    """Tests to weigh beside what is known (information matrix) of constants (values)."""
+    """Candidate tests, the constants' values, and the information matrix of the tests made."""
 
     values: Array
     material: Material
@@ -333,7 +333,7 @@ def _information(fit: Fit, jacobian: Array, left: Array, worth: float) -> Array:
 
 
 def _covariance(information: Array) -> Array:
-    """Inverse of an information matrix; infinite variance of what it does not determine."""
+    """Inverse of an information matrix; undetermined directions have infinite variance."""
     size = np.sqrt(np.diag(information))
     scale = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))

@@ -212,5 +212,5 @@ class CalibrationDesign:
         return [self.bounds.get(name) or self.material.bounds(name) for name in names]
 
     def pooled(self) -> CalibrationDesign:
-        """Copy of which nothing but the constants of all specimens together is asked."""
+        """Copy that fits one set of constants to all specimens together, and nothing else."""
         return replace(self, fitting=with_values(self.fitting, specimens="pooled", leave_out=None))

@@ -141,7 +141,7 @@ class CellProblem(ForwardCell):
         return self.setup.problem(self.material.material(constants), depth_mm)
 
     def with_placeholder(self, depth_mm: float | None = None, C10_MPa: float = 1.0) -> Problem:  # noqa: N803
-        """Problem with a neo-Hookean material in place of one that has yet to be found."""
+        """Problem with a neo-Hookean material in place of the material to be fitted."""
         solid = replace(self.material, model="neo-hookean", order=None, constants={})
         return self.setup.problem(solid.material({"C10": C10_MPa}), depth_mm)
 
@@ -154,7 +154,7 @@ class CellProblem(ForwardCell):
         return replace(self, test=replace(self.test, **changes))  # type: ignore[arg-type]
 
     def alone(self) -> Self:
-        """Copy without what is measured: the problem that a solver gets."""
+        """Copy without measurements and markers: the problem that a solver gets."""
         return replace(self, measurements=None, markers=None, parameters={}, units={})
 
     def value_at(self, key: str) -> float | None:
@@ -251,7 +251,7 @@ def _material(section: MaterialSection) -> Config:
 
 
 def _model(model: Model) -> Config:
-    """Discretization with one size: that of its elements, or that of a named mesh."""
+    """Discretization with one size: the element size in mm, or the name of a mesh."""
     named = ("mesh", "mesh_ratio") if model.mesh_size_mm is None else ("mesh_size_mm",)
     seeded = () if model.mesh_seed is None else ("mesh_seed",)
     keys = ("space", "element_order", "element_shape", "formulation", *named, *seeded)
@@ -281,7 +281,7 @@ class Cell:
         return self.method != "none"
 
     def changed(self, change: Callable[[CellProblem], CellProblem]) -> Cell:
-        """Copy with a change of its test, and of that which it is fitted to."""
+        """Copy with the change made to its test and to the test that it is fitted to."""
         pair = (self.problem, self.fitted_elsewhere)
         problems = [change(p) if isinstance(p, CellProblem) else p for p in pair]
         return replace(self, problem=problems[0], fitted_elsewhere=problems[1])  # type: ignore[arg-type]

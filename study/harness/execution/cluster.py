@@ -31,7 +31,7 @@ from study.harness.execution.local import Process
 from study.harness.execution.supervisor import Answer, Done, ReadyQueue, Supervisor
 from study.harness.execution.task import Outcome, Perform, Results, Task, check_limit, stopped_late
 
-#: seconds to reach a scheduler, and those after which one that is silent is taken for gone
+#: seconds to reach a scheduler; a scheduler silent for as long is taken for gone
 PATIENCE_S = 30.0
 
 
@@ -245,7 +245,7 @@ class Processes:
             process.kill()
 
     def _prepare(self) -> None:
-        """Make this process one that may have others, and that does not leave them behind."""
+        """Let this process have child processes, and end them with it."""
         # workers of a cluster are children of their nannies, which may have none of their own
         multiprocessing.current_process().daemon = False
         # not atexit: such a child runs none of its functions, and waits for its own children

@@ -139,7 +139,7 @@ class ReadyQueue:
         heapq.heappush(self._fronts, (number, group))
 
     def _first_free(self) -> int | None:
-        """First ready task without a group, or of one that no worker holds."""
+        """First ready task without a group, or of a group that no worker holds."""
         while self._fronts:
             number, group = heapq.heappop(self._fronts)
             ready = self._ready[group]
@@ -156,11 +156,11 @@ class ReadyQueue:
 MAX_DEATHS = 2
 #: longest wait in seconds, so that Ctrl-C is seen at once on every system
 LONGEST_WAIT_S = 0.5
-#: predicted seconds up to which tasks are handed out several at a time, and those of all together:
-#: a way to a worker and back costs a thousandth of a second, and each of the owner's waits too
+#: tasks of at most so many predicted seconds are handed out several at a time, up to so many
+#: seconds together: a way to a worker and back costs 1 ms, and each wait of the owner too
 SHORT_S = 0.05
 TOGETHER_S = 0.4
-#: hand-outs to each slot into which what is left is divided at least, so that none waits long
+#: the remaining tasks are divided into at least so many hand-outs a slot, so that none waits long
 SHARES = 4
 #: seconds within which a worker is up, or never will be: it imports nothing until then
 START_LIMIT_S = 60.0

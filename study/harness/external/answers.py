@@ -58,8 +58,8 @@ def _helper() -> ProcessPool:
 def _within_limits(call: Callable[..., Given], *arguments: object) -> Given:
     """Make a call that a text of a stranger decides on, with limits of its time and memory.
 
-    Signals reach the main thread of a process alone, that of a command and of a worker; any other
-    one, such as those of Dask or of a notebook's widgets, has the call made by a process beside it.
+    Signals reach only the main thread of a process: the thread of a command or a worker. Other
+    threads, such as Dask's or a notebook's widgets', have the call made by a helper process.
     """
     if threading.current_thread() is threading.main_thread():
         return _limited(_MOST_SECONDS, call, *arguments)

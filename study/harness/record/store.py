@@ -219,7 +219,7 @@ class Store:
         self._warn = warn
         self._system = system or FileSystem()
         self._locked = False
-        #: files that wait for the one that follows them
+        #: files that wait for the file written after them
         self._batch = Batch(self._system)
         self._forget()
 
@@ -277,7 +277,7 @@ class Store:
         followed: bool = False,
         then: Callable[[], None] | None = None,
     ) -> None:
-        """Write a file, and those that it follows; one that is followed waits to be in place."""
+        """Write a file and those that wait for it; one ``followed`` by another waits."""
         self._batch.add(path, data, then)
         if not followed:
             self._batch.finish()
@@ -386,7 +386,7 @@ class Store:
         self._finished_cases = None
 
     def finish_run(self, meta: ManifestDocument) -> None:
-        """Make a run the one that is read from, with what it found besides its records."""
+        """Publish a run to all readers, with its results besides the records."""
         before = dict(self._finished)
         # A crash anywhere leaves one of the two readable, and running again finishes.
         done: ManifestDocument = {**meta, "finished": True}

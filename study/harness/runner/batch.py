@@ -156,7 +156,7 @@ class Progress:
 
     @property
     def seconds_left(self) -> float:
-        """Seconds of what is not done at the rate of what is."""
+        """Seconds for the cases left, at the mean time of the finished ones."""
         return self.seconds / max(self.done, 1) * (self.total - self.done)
 
     @property

@@ -351,7 +351,7 @@ class FitProblem:
     #: That of its test, ``"together"`` of several, or ``"none"``.
     method: str
     tests: tuple[FitPart, ...] = ()
-    #: Whether the calibrated test is also the one that is scored.
+    #: Whether the calibrated test is also the scored test.
     shares_scored_problem: bool = False
 
     @property

@@ -90,7 +90,7 @@ def _asked(
     factors: Sequence[str],
     options: AnovaOptions,
 ) -> tuple[pd.DataFrame, AnalysisRequest, tuple[str, ...]]:
-    """Rows to analyze, what is asked of them, and what was left out of them."""
+    """Rows to analyze, the request of the analysis, and notes on rows left out."""
     if not any(record.converged for record in records):
         raise InputError(f"no case has an answer for {response.name}")
     spec, blocks = design.analysis, {record.block for record in records} - {None}
@@ -479,7 +479,7 @@ def _half_width(
 def _finished(
     design: Design, fitted: FittedSurface, lost: int, ends: Sequence[str]
 ) -> FittedSurface:
-    """Add what is to be said of the runs, and what uncertain inputs do."""
+    """Add notes on the runs, and the effect of uncertain inputs."""
     if fitted.surface is None:
         return fitted
     left_out = f"{counted(lost)} without an answer left out; nothing is put in the place"

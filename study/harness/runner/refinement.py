@@ -457,8 +457,8 @@ def _source(source: str, name: str, good: Sequence[tuple[float, SolveResult]]) -
     return ErrorSource(source, name, unit, settings, values, u, relative)
 
 
-#: what is said of a source whose error is too large beside that of the mesh, and what it is
-#: multiplied by for that
+#: by source of error: factor on its error before it is compared with the error of the mesh, and
+#: the remark where it is the larger one
 _REMARKS = {
     "solver tolerance": (
         ALGEBRAIC,

@@ -412,9 +412,9 @@ _LOOKED = 6
 _LOOKED_OF_SEVERAL = 3
 #: looks that are simulated at most, where no test has a closed form
 _SIMULATED = 10
-#: sum of squares of a start on a cheaper mesh over that of the fit, from which it ends there
+#: a start ends on the cheaper mesh where its sum of squares is so many times that of the fit
 _HOPELESS_START = 2.0
-#: sum of squares over the least one, up to which interpolation may hide which minimum is the least
+#: minima within this factor of the least sum of squares: interpolation may hide which is least
 _NEAR_LEAST = 2.0
 #: relative difference of constants from which two minima are two
 _APART = 0.02

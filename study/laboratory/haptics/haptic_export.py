@@ -238,8 +238,8 @@ def _deviation(
 # Slopes of a monotone cubic Hermite interpolant (Fritsch and Carlson 1980, SIAM J. Numer. Anal.
 # 17, 238-246).
 
-#: Slopes up to this multiple of that of the chord make a monotone cubic, whatever the other one is
-#: below it (Fritsch and Carlson 1980, section 4).
+#: A cubic is monotone where the slopes at both of its ends are at most this multiple of the
+#: chord's slope (Fritsch and Carlson 1980, section 4).
 STEEPEST = 3.0
 
 

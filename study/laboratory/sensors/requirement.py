@@ -511,7 +511,7 @@ class SensorRequirement(Keyed):
         ]  # fmt: skip
 
     def sentences(self) -> list[str]:
-        """Say what is known how well, what it needs, and where first order holds."""
+        """Say how well every modulus is known, what that needs, and where first order holds."""
         worst, k = self.propagation.worst, self.coverage
         times = f"{self.needed_multiple:.3g} times as large"
         needed = (

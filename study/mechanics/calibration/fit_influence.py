@@ -1,4 +1,4 @@
-"""From the errors of recorded rows to those of constants, whatever grid the fit was made on.
+"""Errors of fitted constants from the errors of recorded rows, on any grid of the fit.
 
 A curve that was interpolated at 1,000 displacements from 60 rows holds 60 errors, each of which
 moves many of its points. The estimates are linear in the rows to first order; their influence is

@@ -141,7 +141,7 @@ _SIDE = 3
 _DRIFTS = 0.02
 #: share of a column beside those of the constants below which it is rounding
 _ROUNDING = 1e-6
-#: factor by which forces of repeats on one specimen differ from their median where one is another's
+#: a repeat whose forces differ from the median by this factor is taken for another specimen's
 _REPEATS_APART = 1.5
 #: the same of specimens of one test
 _SPECIMENS_APART = 4.0
@@ -254,7 +254,7 @@ def adequacy(
     """Judge whether a fit describes the data that it was made to.
 
     ``tests`` numbers the test of every curve: curves of one test are repeats or specimens, and
-    what they differ by is noise. ``more`` are reasons that others have, with their verdicts.
+    their differences are noise. ``more`` are reasons that others have, with their verdicts.
     """
     if not fit.status.usable:
         return Adequacy("does not describe", (f"the search has no minimum: {fit.message}",))

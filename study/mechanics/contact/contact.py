@@ -139,7 +139,7 @@ class ContactPoints:
         return Meeting(gap + self.allowance_mm, direction, hessian)
 
     def distance(self, reference: Array, moved: Array, displacement_mm: float) -> Array:
-        """Gap of any places of the specimen, shape (n,); before and by the deformation (n, dim)."""
+        """Gap of points, shape (n,), from reference positions and displacements (n, dim)."""
         if self.small_strain:
             return self.surface.reference_gap(reference, moved, displacement_mm)[0]
         return self.surface.gap(reference + moved, displacement_mm)[0]

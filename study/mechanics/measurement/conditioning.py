@@ -308,7 +308,7 @@ _AT_ZERO = 0.05
 _RISEN = 0.02
 #: standard errors from which a rise is none of noise
 _CLEAR = 4.0
-#: shares of the travel that an approach may fill at least, and slope of one over that of contact
+#: an approach fills one of these shares of the travel; its slope over the slope in contact is below
 _APPROACHES = (0.1, 0.05, 0.02)
 _FLAT = 0.05
 #: shares of the travel that a longer approach may fill, and slope of one over that of contact

@@ -183,7 +183,7 @@ Column = Annotated[str | None, Reads(name)]
 
 @section
 class Columns:
-    """Columns of a measured file: one that says how far, one that says how hard.
+    """Columns of a measured file: how far, and how hard, the specimen was deformed.
 
     The pair is displacement and force, or measures of strain and stress
     (:mod:`study.mechanics.measurement.recording`). A third one may say when.

@@ -40,7 +40,7 @@ from study.mechanics.surface.closed_surface import Body, body
 #: binary digits of the rounded coordinates: 2e-7 of the extent, below the digits of a scan and far
 #: above rounding; more where corners would fall together
 _DIGITS = (22, 32, 42)
-#: the extent is taken so much larger, lest one that is a power of two is at a border
+#: factor on the extent: an extent of a power of two would lie at a border of rounding
 _LARGER = 1.37
 #: share of its sum of weights from which an angular moment gives the orientation, and the highest
 _CLEAR = 0.01
@@ -57,8 +57,8 @@ _COMPARED = 16
 class StandardFrame:
     """A body as gmsh is given it, and the way back.
 
-    ``cosine`` and ``sine`` are those of the turn from the body to its standard orientation, and
-    ``stretch`` is the rounded height over that of the body.
+    ``cosine`` and ``sine`` of an angle turn the body to its standard orientation; ``stretch`` is
+    the rounded height over the height of the body.
     """
 
     body: Body

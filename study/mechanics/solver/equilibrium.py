@@ -309,7 +309,7 @@ class ContactFigures(NamedTuple):
 class Equilibria:
     """Equilibria of the points of a curve: what holds them, what touches, whether they stand."""
 
-    #: Of the plate or indenter that moves, and of what is below, one a point.
+    #: Resultants on the moving plate or indenter, and on the base, one for each displacement.
     plate: tuple[Resultant, ...] = ()
     base: tuple[Resultant, ...] = ()
     contact: tuple[ContactFigures, ...] = ()
@@ -354,7 +354,7 @@ class Equilibria:
 
 
 def nodal_reactions(system: System, assembly: Assembly) -> tuple[Array, Array]:
-    """Split the forces on nodes into those of what moves and of what is below, (n_nodes, dim)."""
+    """Split nodal forces into those of the plate or indenter and of the base, (n_nodes, dim)."""
     space, mesh, held = system.space, system.mesh, system.constraints
     dim, above, below = space.dim, np.zeros(space.n_displacement), np.zeros(space.n_displacement)
     top = np.zeros(len(space.nodes), dtype=bool)
@@ -374,7 +374,7 @@ def nodal_reactions(system: System, assembly: Assembly) -> tuple[Array, Array]:
 def resultants(
     system: System, state: State, forces: tuple[Array, Array], sense: float
 ) -> tuple[Resultant, Resultant]:
-    """Add up the forces on the nodes by what moves and by what is below."""
+    """Sum of the forces on the nodes from the moving plate or indenter, and from the base."""
     space, mesh, dim = system.space, system.mesh, system.space.dim
     sector = system.force_scale / (2.0 if mesh.half_height else 1.0)
     moved = 0.0 if system.material.small_strain else system.displacements(state.x)
@@ -411,7 +411,7 @@ _MIDDLE = {
 
 
 def _stretched_areas(system: System, u: Array) -> Array:
-    """Area around every node of the boundary over what it was, shape (n_nodes,); 1 elsewhere."""
+    """Deformed over reference area around every boundary node, shape (n_nodes,); 1 elsewhere."""
     space, dim = system.space, system.space.dim
     if system.material.small_strain:
         return np.ones(len(space.nodes))

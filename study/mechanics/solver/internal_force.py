@@ -172,8 +172,7 @@ class Internal:
     def volume_ratios(self, material: Material, x: Array) -> Array:
         """J at every quadrature point, shape (n_elements, n_quadrature); 1 for small strain.
 
-        What it is compared with is whether elements are about to be inverted, of which a
-        linear body knows nothing.
+        It shows elements about to be inverted. A linear body has no such elements.
         """
         J = np.ones(self.space.weights.shape)
         if not material.small_strain:

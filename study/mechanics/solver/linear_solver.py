@@ -176,7 +176,7 @@ _NEGATIVE = 23
 _ENTRIES = 18
 _MILLIONS = 19
 
-#: the one that asks for single precision
+#: index of the parameter that asks for single precision
 _PRECISION = 28
 
 #: phases: analysis, factorization, solution, release of all memory
@@ -404,7 +404,7 @@ Operator = Callable[[Array], Array]
 #: iterations worth less than this are no gain over factorizing: small systems never reuse
 _WORTH = 6.0
 
-#: of what slowed the last solve down, the part that is believed after one that was not tried
+#: factor on the expected slowing of the iteration, each time that the iteration is not tried
 _FADES = 0.8
 
 #: residual of a Newton step that tells as little of the next as a smaller one

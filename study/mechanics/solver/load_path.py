@@ -783,5 +783,5 @@ class LoadPath:
 
 
 def _near(result: NewtonResult, J: Array) -> bool:
-    """Whether a state has still much of the ``J`` of the one that it was reached from."""
+    """Whether every J is above a quarter of its value in the state before."""
     return bool((_LEAPT * J < result.J).all())

@@ -296,7 +296,7 @@ _FIRST = 0.05
 _LITTLE = 1e-4
 _MOST = 1e3
 
-#: it falls after an easy step, grows after a hard one and more so after one that failed
+#: iterations of an easy and a hard step; factors on the drag after each, and after a failed step
 _EASY = 6
 _HARD = 10
 _LESS = 0.25

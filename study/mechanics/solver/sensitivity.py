@@ -87,7 +87,7 @@ class Rates:
     left: Array
     #: With the rates ``c`` of their pressures.
     contact: tuple[ClosedPoints, ...]
-    #: Largest residual over the one that the tolerance allows: at most 1 where all converged.
+    #: Largest residual over the allowed residual: at most 1 where all converged.
     excess: float
 
 
@@ -213,7 +213,7 @@ class StepGradients:
     #: but of a plate that also moves sideways.
     work_N: float
     work_slope_N_per_mm: float
-    #: Residual of the derivatives over what is allowed: at most 1 where they converged.
+    #: Residual of the derivatives over the allowed residual: at most 1 where they converged.
     excess: float
 
 

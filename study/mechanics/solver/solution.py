@@ -173,7 +173,7 @@ class Warm:
 
 @dataclass(frozen=True)
 class Solution:
-    """Result of one forward simulation; without its status nearly nothing of one that never began.
+    """Result of one forward simulation; nearly empty, but for its status, where none began.
 
     Points and cells are the vertices of the mesh in mm, ``displacement`` is theirs at the last
     converged step.

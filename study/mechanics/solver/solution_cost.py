@@ -178,7 +178,7 @@ _UNKNOWNS = {
     (3, "tensor", "quadratic"): (28.0, 24.0), (3, "tensor", "linear"): (4.0, 3.0),
 }  # fmt: skip
 
-#: largest mesh size that is tried, over the one that does not fit
+#: largest mesh size tried, over the mesh size whose solution does not fit into memory
 _LARGEST = 1e12
 
 

@@ -197,7 +197,8 @@ def _not_one(points: Array, triangles: Ints, edges: Edges, unit: str) -> Iterato
     if not (edges.count > 2).any() and count > 1:
         sizes = np.bincount(labels)
         places = [_place(points[triangles[labels == k]].mean(axis=(0, 1)), unit) for k in (0, 1)]
-        rule = f"holds {count} separate surfaces, with {_listed(sizes)} triangles "
+        listed = ", ".join(map(str, sizes[:4].tolist())) + (", ..." if sizes.size > 4 else "")
+        rule = f"holds {count} separate surfaces, with {listed} triangles "
         rule += f"(the first two about {places[0]} and {places[1]})"
         yield rule, "keep one body without cavities; join touching ones in the modelling program"
     elif not (edges.count != 2).any():
@@ -209,11 +210,6 @@ def _not_one(points: Array, triangles: Ints, edges: Edges, unit: str) -> Iterato
     first, second = np.split(_cover(triangles, edges), 2)
     if (first == second).any():
         yield "has one side only, as a Moebius strip: inside and outside are not defined", ""
-
-
-def _listed(sizes: Ints) -> str:
-    shown = ", ".join(str(int(v)) for v in sizes[:4])
-    return shown + (", ..." if sizes.size > 4 else "")
 
 
 def _pinched(triangles: Ints, edges: Edges) -> Ints:

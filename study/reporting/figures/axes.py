@@ -195,6 +195,7 @@ def load_libraries() -> None:
 def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
     """Draw and return an inline ``<svg>`` element, the same bytes for the same data."""
     import matplotlib as mpl
+    from matplotlib.artist import ArtistInspector
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     look = _look({"svg.hashsalt": name})
@@ -206,18 +207,9 @@ def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
         buffer = io.StringIO()
         sheet: Any = FigureCanvasSVG(figure)
         sheet.print_svg(buffer, metadata=nothing)
-    _forget_artists()
-    return _inline(buffer.getvalue(), name, title)
-
-
-def _forget_artists() -> None:
-    """Let go of drawings that are done: matplotlib's cache of the setters of artists holds them.
-
-    Without that every report left 2 to 7 MB behind in its process.
-    """
-    from matplotlib.artist import ArtistInspector
-
+    # matplotlib's cache of the setters of artists would hold 2 to 7 MB of drawings a report
     getattr(ArtistInspector.is_alias, "cache_clear", lambda: None)()
+    return _inline(buffer.getvalue(), name, title)
 
 
 def shown(draw: Callable[[], Canvas], name: str, title: str) -> Canvas:

@@ -189,7 +189,7 @@ def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
     )
 
 
-#: cells of which the spread is drawn, those of the largest
+#: number of cells drawn, of the largest spread
 MOST_SPREAD = 60
 
 

@@ -471,7 +471,7 @@ def _version(name: str) -> str:
 
 #: differences that are told one by one
 MOST_TOLD = 50
-#: bytes that a file of a report may have besides twice those of the one that is written again
+#: largest stored file of a report: twice the bytes of the file written again, and so many more
 _SPARE_BYTES = 65_536
 #: kinds of files of a report by the beginning of their names
 _KINDS = {"figures": "figure-", "curves": "curves"}

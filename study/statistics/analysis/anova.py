@@ -558,7 +558,7 @@ def _with_empty_cells(
 
 
 def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:
-    """Tell what the rows of one cell are, from what was said or from the columns."""
+    """Say what the rows of one cell are, as declared, or as the columns show."""
     if request.layout.replicates != "auto":
         return request.layout.replicates
     for column, kind in _SEED_COLUMNS.items():

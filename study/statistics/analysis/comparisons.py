@@ -303,7 +303,7 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
 
 
 def _largest_of_many(z: Array, blocks: int, seed: int) -> Array:
-    """Largest |t| with so many blocks that only the margins differ from those of normals.
+    """Largest |t| for many blocks: normal contrasts with Student's margins.
 
     Of 200 contrasts in 50 blocks the .96 quantile then covers .956 to .960 (20,000 draws of the
     blocks themselves, contrasts alike or apart), in 100 blocks .958 to .960.

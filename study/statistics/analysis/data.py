@@ -327,7 +327,7 @@ def _step_of_readings(data: Data) -> float:
         for level in np.flatnonzero(count * (finest - most) > -math.log10(_CHANCE / count.size)):
             here = code == level
             unit = 10.0 ** -float(most[level])
-            # an instrument reads in steps of 1, 2 or 5; a wider one is that of what was measured
+            # an instrument reads in steps of 1, 2 or 5; a wider step is the measured quantity's
             of_unit = resolution(data.y[here], decimals[here]) / unit
             if np.ptp(data.y[here]):
                 steps[here] = np.maximum(steps[here], unit * math.gcd(round(of_unit), 10))

@@ -290,7 +290,7 @@ def own_variances(y: Array, cell: Ints, shrinkage: float = 0.0) -> tuple[Array, 
     return variance, np.where(count > 1, (1 + shrinkage) * df, total)
 
 
-#: part of the pooled variance below which one that is estimated beside blocks is not believed
+#: least variance of a cell estimated beside blocks, over the pooled variance
 _LEAST_PART = 0.01
 #: p below which a cell beside blocks is taken to scatter more than the others
 VOLATILE = 0.10

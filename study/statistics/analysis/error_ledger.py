@@ -341,7 +341,7 @@ def _by_pseudo_error(
 ) -> tuple[list[TermEstimate], dict[str, SimpleEffects]]:
     """Give estimates of two-level factors Lenth's margins, and judge the factors by them.
 
-    ``fits`` are that of all terms asked for, and that of the terms that the runs tell apart.
+    ``fits``: of all requested terms, and of the terms that the runs can separate.
     """
     layout, alpha, seed = out.data.layout, out.request.alpha, out.request.interval_seed
     _, contrasts, is_orthogonal = unreplicated.saturated_contrasts(out.data, out.terms)

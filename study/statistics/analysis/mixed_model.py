@@ -254,7 +254,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     )
 
 
-#: Refit of the rows with other columns, of which those of the factors stand first.
+#: Refits the rows with other columns; the columns of the factors stand first.
 Refit = Callable[[ModelMatrix, ModelMatrix], "MixedCells | None"]
 
 

@@ -473,7 +473,7 @@ def _rows(contrasts: Mapping[str, Array], tolerance: float) -> tuple[list[tuple[
 
 
 def _once(units: Array) -> list[int]:
-    """Rows that are no copy of an earlier one that is kept."""
+    """Rows that copy no earlier kept row."""
     alike: dict[int, list[int]] = {}
     for start in range(0, len(units), _AT_ONCE):
         same = np.abs(units[start : start + _AT_ONCE] @ units.T) > _DUPLICATE

@@ -218,7 +218,7 @@ LARGEST = 2000
 SECONDS_1000 = 40.0
 #: fewest runs a factor where a design does not fill the box
 RUNS_A_FACTOR = 10
-#: fewest runs of one combination of categories beside those of the others
+#: fewest different runs of each combination of categories
 FEWEST_OWN = 5
 #: fewest settings of a factor
 FEWEST_SETTINGS = 4
@@ -614,7 +614,7 @@ class Unsure:
         half_at = linalg.solve_triangular(factor, kernel.correlation(run_points, at), lower=True)
         shared = kernel.correlation(x, at) - half_x.T @ half_at
         variance = np.maximum(1.0 - (half_x**2).sum(axis=0), 0.0) + max(nugget, 1e-10)
-        # square of the misfit of the runs near each point, over that which the process expects
+        # squared leave-one-out error of the runs near each point, over the variance of the process
         ratios = (self.process.loo_errors / self.process.loo_deviations) ** 2
         near = kernel.correlation(at, self.process.x)
         local = near @ ratios + PRIOR_RUNS * float(ratios.mean())

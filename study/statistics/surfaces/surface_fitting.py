@@ -123,7 +123,7 @@ def counted(runs: int) -> str:
 def runs_of(
     table: CsvTable, response: str, numeric: Sequence[str], block: str | None
 ) -> tuple[Runs, Flags, list[str]]:
-    """Rows that have a response, which these are, and what is to be said of the others."""
+    """Find the runs with a response, the mask of their rows, and notes on the other rows."""
     if not numeric:
         raise InputError(Fault("--numeric", "is missing", "name the columns of the factors"))
     values = table.numbers(response, missing=MISSING)
@@ -283,7 +283,7 @@ def places_of(
 def noted(
     each: Sequence[FittedSurface], of_table: Sequence[str], surface: str
 ) -> list[FittedSurface]:
-    """Add what is to be said of every surface, and of their table once, with the first."""
+    """Add its notes to every surface, and the notes on their table to the first."""
     noted, left = [], of_table
     for fitted in each:
         fit = fitted.surface

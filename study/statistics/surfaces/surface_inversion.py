@@ -71,15 +71,15 @@ class InversionAgreement:
 
     #: shape (k,); coded settings of the best curve.
     at: Array
-    #: Root mean square of what it misses, in the curve's unit.
+    #: Root mean square residual of the best curve, in the curve's unit.
     rms: float
-    #: The same at which a curve no longer agrees.
+    #: Root mean square residual from which a curve no longer agrees.
     limit: float
     #: shape (k,); ends of every setting inside of the set, coded.
     low: Array
     high: Array
-    #: shape (k,); whether the set goes on there to the end of what was run, of this input or of one
-    #: that makes up for it, and maybe beyond.
+    #: shape (k,); whether the set reaches the end of the run range, of this input or of one that
+    #: compensates it, and maybe goes on beyond.
     open_low: Flags
     open_high: Flags
     #: shape (p, k); members of the set, coded: the best setting for values of each input.

@@ -129,7 +129,7 @@ class FreeSettings:
 
 @dataclass(frozen=True)
 class _Question:
-    """What is to be best, within which limits; sign is 1 of what is to be small, else -1."""
+    """Response to optimize, and its limits; sign is 1 to minimize, -1 to maximize."""
 
     model: Model
     sign: float

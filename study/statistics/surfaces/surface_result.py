@@ -187,7 +187,7 @@ def _of_emulator(
 
 #: points of the sample, as a power of two: 8,192
 SAMPLE = 13
-#: what is told of a distribution, in percent
+#: reported percentiles of a distribution, in percent
 PERCENTILES = np.array([2.5, 5.0, 25.0, 50.0, 75.0, 95.0, 97.5])
 #: points at which the surface's own uncertainty is asked: 2,048
 OWN_SAMPLE = 11
