@@ -10,7 +10,7 @@ from study.api.assemble import _checks
 from study.ground.curve import Curve
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
-from study.mechanics.calibration.lack_of_fit import adequacy
+from study.mechanics.calibration.lack_of_fit import adequacy, apart
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
 from tests.calibration.cylinder import predictor
@@ -172,6 +172,21 @@ def test_a_recording_that_is_none_of_the_others_is_named(tmp_path, last, column,
     assert told.verdict == verdict
     named = "a.csv, repeat 3" if "average" in column else "a.csv, 3"
     assert (f"{named}: its forces are" in told.sentence) == (verdict == "doubtful")
+
+
+@pytest.mark.parametrize("specimens", [2, 3, 5])
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_a_specimen_off_by_ten_is_named_beside_ones_that_scatter(specimens, factor):
+    """Of 500 draws with the scatter of a fifth that specimens have, 4 in 10 of three were not."""
+    rng = np.random.default_rng(8)
+    named, sound = 0, 0
+    for _ in range(500):
+        sizes = dict(enumerate(np.exp(0.2 * rng.normal(size=specimens))))
+        most = 4.0 if specimens > 2 else 6.0
+        sound += bool(apart(sizes, most))
+        named += bool(apart({**sizes, 1: factor * sizes[1]}, most))
+    assert named / 500 > 0.92
+    assert sound / 500 < 0.01
 
 
 def test_specimens_that_differ_more_than_their_repeats_are_no_lack_of_fit(tmp_path):
