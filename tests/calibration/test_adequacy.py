@@ -189,6 +189,38 @@ def test_a_specimen_off_by_ten_is_named_beside_ones_that_scatter(specimens, fact
     assert sound / 500 < 0.01
 
 
+@pytest.mark.parametrize("second", [1.0, 1.1, 0.8])
+def test_tests_that_ask_for_different_constants_are_told(tmp_path, second):
+    """Equibiaxial forces 10 % too large gave a C01 of 13.6 [11.5, 15.7] kPa of 10, and described.
+
+    Each test alone follows the energy; both together do with the right forces alone.
+    """
+    rng, far = np.random.default_rng(9), np.linspace(0, 8, 41)
+    stretch = 1 + far / 20
+    forces = {
+        "tension": 160 * (0.02 + 0.01 / stretch) * (stretch - stretch**-2),
+        "equibiaxial": second * 160 * (0.02 + 0.01 * stretch**2) * (stretch - stretch**-5),
+    }
+    text = (
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
+        '[material]\nmodel = "mooney-rivlin"\nincompressible = true\n'
+    )
+    for kind, force in forces.items():
+        rows = zip(far, force + 0.02 * rng.normal(size=41), strict=True)
+        (tmp_path / f"{kind}.csv").write_text(
+            "d,f\n" + "".join(f"{d:.6f},{f:.6f}\n" for d, f in rows)
+        )
+        text += (
+            f'[[tests]]\ntest = {{ kind = "{kind}" }}\nmeasurements = {{ file = "{kind}.csv", '
+            'columns = { displacement = "d", force = "f" }, '
+            'units = { displacement = "mm", force = "N" } }\n'
+        )
+    (tmp_path / "c.toml").write_text(text)
+    judged = study.calibrate(tmp_path / "c.toml", data=tmp_path).adequacy
+    assert judged.verdict == ("describes" if second == 1 else "doubtful")
+    assert ("the tests ask for different constants" in judged.sentence) == (second != 1)
+
+
 def test_specimens_that_differ_more_than_their_repeats_are_no_lack_of_fit(tmp_path):
     """Three specimens of 18, 20 and 22 kPa, two repeats of each: every one is neo-Hookean."""
     rng, rows = np.random.default_rng(4), []

@@ -343,6 +343,7 @@ def adequacy(
         for finding in _of_rows(part)
     ]
     findings += _of_trend(fit, groups)
+    findings += _of_conflict(fit, groups)
     # what specimens of one test differ by is no lack of fit of each
     is_pooled = len(set(tests)) < len(tests)
     if lack and not is_pooled and max(lack.p_independent, lack.p_dependent) < _CLEAR:
@@ -538,6 +539,47 @@ def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding
     # each direction of a biaxial test has a load cell of its own
     drifts = [_drift_of_one(fit, r) for r in alone if not out and r.states is None]
     return [*out, *((1, why, ()) for why in drifts if why)]
+
+
+def _of_conflict(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
+    """Find tests that each follow the energy, with constants of its own alone.
+
+    The trend of a test alone leaves out what its constants explain. Here it is what constants of
+    its own explain beside the common ones. Rows count by the noise of their test.
+    """
+    from scipy.linalg import block_diag
+
+    free = np.isfinite(fit.standard_error)
+    recordings = [group[0] for group in groups]
+    if len(groups) < 2 or max(map(len, groups)) > 1 or not free.any():
+        return []
+    if any(recording.noise is None for recording in recordings):
+        return []
+    deviations = [r.noise.deviation for r in recordings if r.noise is not None]
+    pairs = list(zip(recordings, deviations, strict=True))
+    jacobians = [r.slopes[:, free] / deviation[:, None] for r, deviation in pairs]
+    if not np.linalg.norm(np.concatenate(jacobians), axis=0).all():
+        return []
+    series = [Series(r.residual / s, j, j.T) for (r, s), j in zip(pairs, jacobians, strict=True)]
+    blocks = np.asarray(block_diag(*jacobians))
+    columns = blocks[:, np.linalg.norm(blocks, axis=0) > 0]
+    ends = np.cumsum([deviation.size for deviation in deviations])[:-1]
+    p, line = trend(series, np.split(columns, ends))
+    shares = [
+        math.sqrt(float(np.mean((part * s) ** 2) / np.mean(r.rows.force_N**2)))
+        for (r, s), part in zip(pairs, np.split(line, ends), strict=True)
+    ]
+    if p >= _CLEAR or max(shares) < _NAMED:
+        return []
+    named = ", ".join(
+        f"{r.label} {100 * share:.2g} %" for r, share in zip(recordings, shares, strict=True)
+    )
+    why = (
+        f"the tests ask for different constants ({p_phrase(p)}): those of all miss what each alone "
+        f"would follow, by shares of its RMS force of {named}: fit each alone, and compare units, "
+        "zeros and specimens; if all are right, take another energy"
+    )
+    return [(1, why, ())]
 
 
 def _by_noise(fit: Fit, recording: _Recording) -> tuple[Array, Series] | None:
