@@ -103,3 +103,49 @@ def test_an_odd_number_of_stretches_is_no_biaxial_test():
         LOADINGS["biaxial"].nominal(
             Material("neo-hookean", {"C10": 1.0}, incompressible=True), np.ones(3)
         )
+
+
+NOISE = 0.25  # kPa, .5 % of the largest stress
+COLUMNS = 'stress_1 = "P1", stress_2 = "P2"'
+
+
+def noisy(folder, order, changed=("", "")):
+    """Calibrate 60 rows: of stretches drawn at random, or of five ratios one after the other."""
+    random = np.random.default_rng(11)
+    if order == "random":
+        one, other = (np.r_[1.0, random.uniform(0.8, 1.6, 59)] for _ in range(2))
+    else:
+        way = np.linspace(0, 0.6, 12)
+        ratios = ((1, 1), (1, 0.75), (1, 0.5), (0.75, 1), (0.5, 1))
+        one, other = (np.concatenate([1 + r[k] * way for r in ratios]) for k in (0, 1))
+    forces = [
+        1e3 * s + NOISE * random.normal(size=60) for s in (stress(one, other), stress(other, one))
+    ]
+    rows = zip(one, other, *forces, strict=True)
+    text = "".join(",".join(f"{v:.9f}" for v in row) + "\n" for row in rows)
+    (folder / "b.csv").write_text("l1,l2,P1,P2\n" + text)
+    (folder / "c.toml").write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "10 mm^2"\nlength = "20 mm"\n'
+        '[material]\nmodel = "mooney-rivlin"\nincompressible = true\n'.replace(*changed)
+        + '[[tests]]\ntest = { kind = "biaxial" }\n'
+        + TABLE.replace(*changed)
+    )
+    return study.calibrate(folder / "c.toml", data=folder)
+
+
+@pytest.mark.parametrize("order", ["random", "ratios"])
+@pytest.mark.parametrize(
+    "changed",
+    [
+        (COLUMNS, 'stress_1 = "P2", stress_2 = "P1"'),
+        ("mooney-rivlin", "neo-hookean"),
+    ],
+)
+def test_a_misfit_is_seen_in_any_order_of_the_rows(tmp_path, order, changed):
+    """Exchanged columns, and an energy that lacks C01, in rows whose neighbors are far apart."""
+    document = noisy(tmp_path, order, changed).to_json()
+    assert document["fit"]["verdict"] != "describes"
+    right = noisy(tmp_path, order).to_json()
+    assert right["fit"]["verdict"] == "describes"
+    low, high = right["parameters"]["C10"]["ci95"]
+    assert low <= 1e3 * C10 <= high

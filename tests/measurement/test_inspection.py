@@ -388,3 +388,30 @@ def test_a_sheet_of_a_workbook_is_analyzed(tmp_path):
     assert CliRunner().invoke(app, [*asked, "--sheet", "Run 3"]).exit_code == 0
     with pytest.raises(InputError, match="holds several sheets"):
         study.analyze(tmp_path / "b.xlsx", "y", ["group"])
+
+
+@pytest.mark.parametrize("unit", ["in/in", "mm/mm", "in./in.", "m/m", "µm/µm"])
+@pytest.mark.parametrize("name", ["Strain {}", "Tensile strain ({})", "strain_{}", "Strain, {}"])
+def test_lengths_over_lengths_are_strains(tmp_path, name, unit):
+    """``Strain mm/mm`` was read as a displacement in mm: 481 kPa of 30, and it described."""
+    rows = zip(UP / LENGTH, force(UP) / AREA, strict=True)
+    text = "".join(f"{e:.6f}\t{s:.9f}\n" for e, s in rows)
+    (tmp_path / "a.csv").write_text(f"{name.format(unit)}\tStress (MPa)\n{text}")
+    looked = inspect(tmp_path / "a.csv")
+    assert looked.measurements["units"] == {"strain": "1", "stress": "MPa"}
+    (tmp_path / "c.toml").write_text(calibration(looked.toml, "tension"))
+    fitted = study.calibrate(tmp_path / "c.toml", data=tmp_path).fit
+    assert fitted.values == pytest.approx([C10], rel=1e-4)
+
+
+def test_the_column_of_remarks_that_no_row_has(tmp_path):
+    """LabVIEW names a last column Comment, which its rows leave out."""
+    rows = zip(TIME, UP, force(UP), strict=True)
+    text = "".join(f"{t:.6f}\t{d:.6f}\t{f:.6f}\n" for t, d, f in rows)
+    names = "X_Value\tPosition (mm)\tForce (N)\tComment\n"
+    (tmp_path / "a.lvm.txt").write_text("LabVIEW Measurement\n***End_of_Header***\n" + names + text)
+    looked = inspect(tmp_path / "a.lvm.txt")
+    assert looked.measurements["columns"] == {"displacement": "2", "force": "3"}
+    (tmp_path / "c.toml").write_text(calibration(looked.toml, "tension"))
+    fitted = study.calibrate(tmp_path / "c.toml", data=tmp_path).fit
+    assert fitted.values == pytest.approx([C10], rel=1e-4)

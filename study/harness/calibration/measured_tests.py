@@ -85,7 +85,7 @@ def read_tests(
             weight = _weight(test.weight, mean, f"tests[{number}]")
             label = test.file if specimen is None else f"{test.file}, {specimen}"
             curve = FitCurve(
-                label, mean.curve, weight,
+                label, mean.curve, weight, directions=mean.directions,
                 test=number, file=test.file, specimen=specimen, measured=mean, role=test.role,
             )  # fmt: skip
             curves.append(_with_loss(curve, loss))

@@ -8,7 +8,7 @@ verdict is given for both ends: as many as points, and one a curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -131,6 +131,8 @@ _CLEARER = 0.0005
 _FEWEST_TERMS = 3
 #: coefficients of a trend at most
 _MOST_TERMS = 4
+#: the same of a biaxial test, both directions together
+_STATE_TERMS = 12
 #: rows for each coefficient of a trend
 _ROWS_A_TERM = 5
 #: share of the largest force by which a single row must be off to be named
@@ -145,10 +147,12 @@ _ROUNDING = 1e-6
 _REPEATS_APART = 1.5
 #: the same of specimens of one test
 _SPECIMENS_APART = 4.0
-#: the same over the scatter of their logarithms (1.48 times the median distance). 20,000 draws of 3
-#: to 12 sound ones: repeats that scatter by 10 % are called so in at most .06 %, specimens that
-#: scatter by 30 % never, by 50 % in .9 %
+#: the same over the scatter of their logarithms (1.48 times the median distance)
 _BEYOND_OTHERS = 6.0
+#: factor from which the scatter of all, which is hardly known of few, is no excuse, but that of the
+#: others times this is
+_FAR_APART = 6.0
+_BEYOND_REST = 3.5
 
 
 @dataclass(frozen=True)
@@ -204,6 +208,47 @@ class _Recording:
     predicted_N: Array  # noqa: N815
     weight: Array
     slopes: Array
+    #: Whether single rows count for little.
+    is_robust: bool = False
+    #: shape (n, 3); direction (0 or 1) of a biaxial row, its elongation and that across it; none
+    #: where there is one direction.
+    states: Array | None = None
+
+    @cached_property
+    def parts(self) -> tuple[_Recording, ...]:
+        """Recordings of each direction: only their rows follow each other."""
+        if self.states is None:
+            return (self,)
+        return tuple(
+            replace(self._at(rows), label=f"{self.label}, direction {k}", states=None)
+            for k, rows in enumerate(self.places_by_direction, 1)
+        )
+
+    @property
+    def places_by_direction(self) -> list[NDArray[np.intp]]:
+        """Places of the rows of each direction."""
+        if self.states is None:
+            return [np.arange(self.residual.size)]
+        return [np.flatnonzero(self.states[:, 0] == k) for k in (0, 1)]
+
+    def trend_columns(self, most: int) -> Array:
+        """Columns of a smooth misfit, shape (n, m): over the rows, or over both stretches.
+
+        Rows of a biaxial test may come in any order of the stretches, in which a misfit looks like
+        noise: it is a polynomial of the first degree in both, of the second where rows are many,
+        for each direction.
+        """
+        n = self.residual.size
+        if self.states is None:
+            return np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, n), most - 1))
+        direction, *stretched = self.states.T
+        middle = [np.ptp(x) / 2 + x.min() for x in stretched]
+        x, y = (x - at for x, at in zip(stretched, middle, strict=True))
+        columns = [np.ones(n), x, y]
+        if n >= _ROWS_A_TERM * _STATE_TERMS:
+            columns += [x * x, x * y, y * y]
+        both = np.hstack([np.column_stack(columns) * (direction == k)[:, None] for k in (0, 1)])
+        return np.asarray(both[:, np.linalg.norm(both, axis=0) > 0])
 
     @property
     def residual(self) -> Array:
@@ -220,6 +265,9 @@ class _Recording:
     @cached_property
     def far(self) -> NDArray[np.intp]:
         """Places of rows far from their neighbors."""
+        if self.states is not None:
+            pairs = zip(self.parts, self.places_by_direction, strict=True)
+            return np.concatenate([rows[part.far] for part, rows in pairs])
         if (noise := self.noise) is None:
             return np.zeros(0, dtype=int)
         size = np.abs(noise.distance * noise.deviation)
@@ -233,11 +281,18 @@ class _Recording:
 
     def without_far(self) -> _Recording:
         """Copy without them."""
-        near = np.delete(np.arange(self.residual.size), self.far)
+        return self._at(np.delete(np.arange(self.residual.size), self.far))
+
+    def _at(self, rows: NDArray[np.intp]) -> _Recording:
+        """Copy of some of the rows, given by their places."""
         return replace(
-            self, rows=self.rows.at_points(near), predicted_N=self.predicted_N[near],
-            weight=self.weight[near], slopes=self.slopes[near],
-        )  # fmt: skip
+            self,
+            rows=self.rows.at_points(rows),
+            predicted_N=self.predicted_N[rows],
+            weight=self.weight[rows],
+            slopes=self.slopes[rows],
+            states=None if self.states is None else self.states[rows],
+        )
 
 
 _Finding = tuple[int, str, tuple[SuspectRow, ...]]
@@ -260,21 +315,35 @@ def adequacy(
         return Adequacy("does not describe", (f"the search has no minimum: {fit.message}",))
     findings: list[_Finding] = [(_GRADES.index(grade), why, ()) for grade, why in more]
     findings += _of_bounds(fit)
-    robust = {test.label for test in measured if test.loss != "linear"}
     recordings = [
-        _Recording(test.label, number, rows, force, weight, slopes)
+        _Recording(
+            test.label,
+            number,
+            rows,
+            force,
+            weight,
+            slopes,
+            is_robust=test.loss != "linear",
+            states=test.states if len(rows) == len(test.curve) else None,
+        )  # fmt: skip
         for test, curve, number in zip(
             measured, fit.curves, tests or range(len(measured)), strict=True
         )
         for weight, rows, force, slopes in recorded_rows(test, curve, fit.names)
     ]
     # a robust loss may leave out single rows, and no line that they follow
-    judged = [r.without_far() if r.label in robust else r for r in recordings]
+    judged = [r.without_far() if r.is_robust else r for r in recordings]
     groups = [[r for r in judged if r.test == t] for t in dict.fromkeys(r.test for r in judged)]
     findings += _of_strays(fit, measured, tests)
     findings += _of_size(fit, groups)
-    findings += [finding for recording in recordings for finding in _of_rows(recording, robust)]
+    findings += [
+        finding
+        for recording in recordings
+        for part in recording.parts
+        for finding in _of_rows(part)
+    ]
     findings += _of_trend(fit, groups)
+    findings += _of_conflict(fit, groups)
     # what specimens of one test differ by is no lack of fit of each
     is_pooled = len(set(tests)) < len(tests)
     if lack and not is_pooled and max(lack.p_independent, lack.p_dependent) < _CLEAR:
@@ -304,23 +373,30 @@ def _of_strays(fit: Fit, measured: Sequence[MeasuredCurve], tests: Sequence[int]
             )
             for number, rows in enumerate(test.curve.recorded, 1)
         }
-        out += _apart(repeats, _REPEATS_APART)
+        out += apart(repeats, _REPEATS_APART)
         of_test = specimens.setdefault(tests[k] if tests else k, {})
         of_test[test.label] = float(share @ test.curve.force_N)
     for scales in specimens.values():
-        out += _apart(scales, _SPECIMENS_APART) if len(scales) > 2 else []
+        out += apart(scales, _SPECIMENS_APART if len(scales) > 2 else _FAR_APART)
     return out
 
 
-def _apart(scales: Mapping[str, float], most: float) -> list[_Finding]:
+def apart(scales: Mapping[str, float], most: float) -> list[_Finding]:
+    """Name those whose size is a multiple of the others', beyond what these scatter by."""
     sizes = np.array(list(scales.values()))
     # of two, nothing tells which is right
     usual = 0.0 if sizes.size < 2 else float(sizes[0] if sizes.size == 2 else np.median(sizes))
     if not usual > 0:
         return []
-    apart = np.abs(np.log(np.maximum(sizes / usual, _ROUNDING)))
-    scatter = 0.0 if sizes.size == 2 else 1.48 * float(np.median(apart))
-    (places,) = np.nonzero(apart > max(math.log(most), _BEYOND_OTHERS * scatter))
+    logarithms = np.log(np.maximum(sizes / usual, _ROUNDING))
+    scatter = 0.0 if sizes.size == 2 else 1.48 * float(np.median(np.abs(logarithms)))
+    places = []
+    for k, logarithm in enumerate(logarithms):
+        others = np.delete(logarithms, k)
+        rest = float(np.std(others, ddof=1)) if others.size > 1 else 0.0
+        excused = max(math.log(_FAR_APART), _BEYOND_REST * rest)
+        if abs(logarithm) > max(math.log(most), min(_BEYOND_OTHERS * scatter, excused)):
+            places.append(k)
     mend = "check units, sign and specimen of its rows, or leave it out"
     labels = tuple(scales)
     return [
@@ -378,7 +454,7 @@ def _on_one_grid(group: Sequence[_Recording]) -> tuple[Array, Array]:
     return grid, np.array([np.interp(grid, r.rows.places, r.weight * r.residual) for r in group])
 
 
-def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
+def _of_rows(recording: _Recording) -> list[_Finding]:
     """Single rows far from their neighbors, or a step at which forces jump."""
     noise, places = recording.noise, recording.far
     if noise is None or not places.size:
@@ -404,11 +480,9 @@ def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
         ), rows)]  # fmt: skip
     gone = float(np.sum(recording.residual[places] ** 2) / np.sum(recording.residual**2))
     mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
-    if recording.label in robust:
-        mend = "the loss lets them count for little"
-    grade = (
-        0 if recording.label in robust else 2 if gone > 0.5 and size.max() > 0.2 * largest else 1
-    )
+    grade = 2 if gone > 0.5 and size.max() > 0.2 * largest else 1
+    if recording.is_robust:
+        mend, grade = "the loss lets them count for little", 0
     is_one = places.size == 1
     shown = f"{100 * gone:.0f}" if gone > 0.1 else f"{100 * gone:.2g}"
     why = (
@@ -462,8 +536,50 @@ def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding
             f"neither noise nor drift ({p_phrase(p)}): take another energy, or a shorter range"
         )
         out.append((grade, why, ()))
-    drifts = [] if out else [_drift_of_one(fit, recording) for recording in alone]
+    # each direction of a biaxial test has a load cell of its own
+    drifts = [_drift_of_one(fit, r) for r in alone if not out and r.states is None]
     return [*out, *((1, why, ()) for why in drifts if why)]
+
+
+def _of_conflict(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
+    """Find tests that each follow the energy, with constants of its own alone.
+
+    The trend of a test alone leaves out what its constants explain. Here it is what constants of
+    its own explain beside the common ones. Rows count by the noise of their test.
+    """
+    from scipy.linalg import block_diag
+
+    free = np.isfinite(fit.standard_error)
+    recordings = [group[0] for group in groups]
+    if len(groups) < 2 or max(map(len, groups)) > 1 or not free.any():
+        return []
+    if any(recording.noise is None for recording in recordings):
+        return []
+    deviations = [r.noise.deviation for r in recordings if r.noise is not None]
+    pairs = list(zip(recordings, deviations, strict=True))
+    jacobians = [r.slopes[:, free] / deviation[:, None] for r, deviation in pairs]
+    if not np.linalg.norm(np.concatenate(jacobians), axis=0).all():
+        return []
+    series = [Series(r.residual / s, j, j.T) for (r, s), j in zip(pairs, jacobians, strict=True)]
+    blocks = np.asarray(block_diag(*jacobians))
+    columns = blocks[:, np.linalg.norm(blocks, axis=0) > 0]
+    ends = np.cumsum([deviation.size for deviation in deviations])[:-1]
+    p, line = trend(series, np.split(columns, ends))
+    shares = [
+        math.sqrt(float(np.mean((part * s) ** 2) / np.mean(r.rows.force_N**2)))
+        for (r, s), part in zip(pairs, np.split(line, ends), strict=True)
+    ]
+    if p >= _CLEAR or max(shares) < _NAMED:
+        return []
+    named = ", ".join(
+        f"{r.label} {100 * share:.2g} %" for r, share in zip(recordings, shares, strict=True)
+    )
+    why = (
+        f"the tests ask for different constants ({p_phrase(p)}): those of all miss what each alone "
+        f"would follow, by shares of its RMS force of {named}: fit each alone, and compare units, "
+        "zeros and specimens; if all are right, take another energy"
+    )
+    return [(1, why, ())]
 
 
 def _by_noise(fit: Fit, recording: _Recording) -> tuple[Array, Series] | None:
@@ -487,9 +603,9 @@ def _trend_of_one(fit: Fit, recording: _Recording) -> tuple[float, Array]:
         return 1.0, np.zeros(0)
     size, series = counted
     terms = min(_MOST_TERMS, max(_FEWEST_TERMS, size.size // _ROWS_A_TERM))
-    places = np.linspace(-1, 1, size.size)
-    columns = size[:, None] * np.polynomial.legendre.legvander(places, terms - 1)
-    p, line = trend([series], [columns])
+    columns = size[:, None] * recording.trend_columns(terms)
+    places = recording.places_by_direction
+    p, line = trend([series.at(rows) for rows in places], [columns[rows] for rows in places])
     return p, recording.weight * line / size
 
 
@@ -537,10 +653,8 @@ def _common_trend(group: Sequence[_Recording]) -> tuple[float, Array]:
     grid, rows = _on_one_grid(group)
     if grid.size < FEWEST_ROWS:
         return 1.0, np.zeros(0)
-    terms = _FEWEST_TERMS
-    basis, _ = np.linalg.qr(
-        np.polynomial.legendre.legvander(np.linspace(-1, 1, grid.size), terms - 1)
-    )
+    left, lengths, _ = np.linalg.svd(group[0].trend_columns(_FEWEST_TERMS), full_matrices=False)
+    basis = left[:, lengths > _ROUNDING * lengths[0]]
     shares = rows @ basis
     mean, count = shares.mean(axis=0), len(group)
     within = float(np.sum((shares - mean) ** 2)) / (count - 1)

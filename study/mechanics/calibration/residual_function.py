@@ -90,6 +90,8 @@ class MeasuredCurve:
     #: How residuals count, and shape (n,): the residual in N up to which they count by squares.
     loss: Loss = "linear"
     limit_N: float | Array = math.inf  # noqa: N815
+    #: 2 where the points of a second direction follow those of the first, row for row.
+    directions: int = 1
 
     def robust(self, residual: Array) -> tuple[Array, Array]:
         """Residual whose square is the loss, and its derivative; both shape (n,) of used rows."""
@@ -116,6 +118,15 @@ class MeasuredCurve:
     def weights(self) -> Array:
         """Weight of every point, shape (n,)."""
         return np.broadcast_to(np.asarray(self.weight, float), (len(self.curve),))
+
+    @property
+    def states(self) -> Array | None:
+        """Direction (0 or 1) of every biaxial point, its elongation and that across, (n, 3)."""
+        if self.directions == 1:
+            return None
+        along = self.curve.displacement_mm.reshape(self.directions, -1)
+        direction = np.repeat(np.arange(self.directions), along.shape[1])
+        return np.column_stack([direction, along.ravel(), along[::-1].ravel()])
 
     def slopes(self, predicted: Curve, names: Sequence[str]) -> Array:
         """Differentiate the weighted residual of every used point by constants, shape (n, p)."""

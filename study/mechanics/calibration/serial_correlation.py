@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from study.ground.arrays import Array
 
@@ -134,6 +135,10 @@ class Series:
     jacobian: Array
     #: shape (p, n); change of the estimates by a change of the weighted error of every row.
     influence: Array
+
+    def at(self, rows: NDArray[np.intp]) -> Series:
+        """Return some of its rows, given by their places."""
+        return Series(self.residual[rows], self.jacobian[rows], self.influence[:, rows])
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ _SYMBOLS = {
 }  # fmt: skip
 #: how files write units that the program knows by another name
 _ALIASES = {
-    "g": "gf", "sec": "s", "S": "s", "mm/mm": "1", "-": "1", "µm": "um",
+    "g": "gf", "sec": "s", "S": "s", "-": "1", "µm": "um",
     "μm": "um", "µN": "uN", "μN": "uN", "percent": "%", "pct": "%", "N/mm²": "N/mm^2",
     "N/mm2": "N/mm^2", "newton": "N", "millimeter": "mm", "inch": "in",
     "gram": "gf", "gram-force": "gf", "g-force": "gf", "kg": "kgf",
@@ -83,7 +83,7 @@ _NOT_PERCENT = 1.0
 _PERCENT = 5.0
 _NAMED_UNIT = re.compile(
     r"^(?P<name>.*?)[\s_]*(?:[\[(/]\s*(?P<in>[^\[\]()]{1,12})\s*[\])]?"
-    r"|_(?P<after>[A-Za-zµμ%-]{1,14})|\s(?P<apart>[A-Za-zµμ%.]{1,14}))$"
+    r"|_(?P<after>[A-Za-zµμ%./-]{1,14})|\s(?P<apart>[A-Za-zµμ%.][A-Za-zµμ%./^²\d]{0,13}))$"
 )
 _RATES = re.compile(r"rate|speed|velocity")
 #: digits in groups of three with points between them
@@ -213,7 +213,8 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     table |= _layout(block, notes)
     chosen = _pair(columns, notes)
     units = {q: _unit_for(columns[k], q, numbers_of[k], words[k], notes) for q, k in chosen.items()}
-    if max(Counter(filter(None, block.names)).values(), default=0) > 1:
+    is_twice = max(Counter(filter(None, block.names)).values(), default=0) > 1
+    if is_twice or len(block.names) > max(map(len, block.rows)):
         columns = _numbered(columns, chosen, block, table, notes)
     table["columns"] = {q: columns[k].name for q, k in chosen.items()}
     table["units"] = {quantity: unit for quantity, unit in units.items() if unit}
@@ -367,7 +368,9 @@ def _with_names(
     width = max(map(len, cells))
     above = [k for k in range(rows[0] - 1, -1, -1) if lines[k].strip(" \t,;")][:2]
     split = {k: _trimmed(_split(lines[k], delimiter)) for k in above}
-    named = [k for k in above if 2 <= len(split[k]) <= width]
+    # a last column of remarks may be empty in every row
+    most = width if delimiter == "space" else width + 1
+    named = [k for k in above if 2 <= len(split[k]) <= most]
     # below the names, as instruments write them, or above
     units = next((k for k in named if len(named) > 1 and _are_units(split[k])), None)
     header = next((k for k in named if k != units), None)
@@ -403,6 +406,9 @@ def _are_units(cells: Sequence[str]) -> bool:
 def _known_unit(word: str) -> tuple[str, str] | None:
     """Give the unit as the program writes it, and its dimension."""
     plain = word.strip()
+    length, _, over = plain.partition("/")
+    if length == over and _known_unit(length):  # mm/mm, in./in.: a strain
+        plain = "1"
     forms = (plain, plain.lower(), plain.lower().removesuffix("s"))
     unit = next((_ALIASES[form] for form in forms if form in _ALIASES), plain)
     for dimension in RECORDED:
@@ -491,7 +497,7 @@ def _numbered(
     columns: Sequence[InspectedColumn], chosen: Mapping[str, int], block: _Block,
     table: dict[str, object], notes: list[str],
 ) -> list[InspectedColumn]:  # fmt: skip
-    """Columns by their number, for a header that gives a name twice: tests side by side."""
+    """Columns by their number: tests side by side have names twice, or rows lack the last one."""
     table |= {"header": False, "skip_lines": block.at[0] - 1}
     table.pop("unit_row", None)
     taken = " and ".join(str(k + 1) for k in chosen.values())
@@ -500,10 +506,16 @@ def _numbered(
         for k, column in enumerate(columns)
         if column.quantity in chosen and k not in chosen.values()
     ]
-    notes.append(
-        f"the header gives a name twice, so that columns are named by their number: {taken} are "
-        f"taken; {', '.join(others) or 'no others'} hold the same of other tests"
-    )
+    if len(block.names) > max(map(len, block.rows)):
+        notes.append(
+            f"the header names {len(block.names)} columns where rows have "
+            f"{len(block.names) - 1}, so that columns are named by their number: {taken} are taken"
+        )
+    else:
+        notes.append(
+            f"the header gives a name twice, so that columns are named by their number: {taken} "
+            f"are taken; {', '.join(others) or 'no others'} hold the same of other tests"
+        )
     return [replace(column, name=str(k + 1)) for k, column in enumerate(columns)]
 
 

@@ -72,6 +72,12 @@ class MeasuredTest:
         """Number of tests averaged."""
         return len(self.tests)
 
+    @property
+    def directions(self) -> int:
+        """2 where rows of a second direction follow those of the first."""
+        recording = self.tests[0].specimen.recording
+        return 1 if recording is None else recording.directions
+
 
 @dataclass(frozen=True)
 class Measurements:
