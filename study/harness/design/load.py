@@ -16,7 +16,7 @@ from typing import Generic, TypeVar
 
 from study.ground import diagnostics
 from study.ground.contrast import sides_of
-from study.ground.declaration import table_of
+from study.ground.declaration import Bad, table_of
 from study.ground.diagnostics import (
     Faults,
     Table,
@@ -42,7 +42,7 @@ from study.harness.design.factors import (
 )
 from study.harness.design.forward_section import ValueFile
 from study.harness.design.layout_kinds import scheme_from
-from study.harness.design.parameters import check_names, checked, stands_alone
+from study.harness.design.parameters import check_names, checked, overridden, stands_alone
 from study.harness.design.questions import (
     analysis_from,
     expected_from,
@@ -332,6 +332,8 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
             path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
         _check_override(tables, path)
         current = tables.get(path[0])
+        if path[0] == "parameters" and len(path) == 2 and isinstance(current, dict):
+            value = _parameter(path[1], value, current)
         if path[0] in ("factors", "uncertainty") and len(path) > 1 and isinstance(current, dict):
             tables[path[0]] = set_whole(current, path[1], value)
         elif path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
@@ -339,6 +341,14 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
         else:
             diagnostics.set_value(tables, path, value)
     return _joined(tables, source)
+
+
+def _parameter(name: str, raw: object, table: Table) -> object:
+    """Value that replaces a parameter of the file."""
+    try:
+        return overridden(name, raw, table)
+    except Bad as bad:
+        raise InputError(Fault(f"-s parameters.{name}", bad.rule, bad.mend)) from None
 
 
 def _joined(tables: Tables, source: str) -> Tables:
