@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 import study
-from study.ground.errors import InputError
 
 ROOT = Path(__file__).resolve().parent.parent
 PUBLIC = {
@@ -53,31 +52,3 @@ def test_unknown_name_is_an_attribute_error():
 def test_version_is_the_same_everywhere():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert study.__version__ == project["version"] == importlib.metadata.version("study")
-
-
-def test_a_name_that_is_too_long_is_bad_input_of_every_function(tmp_path):
-    long = "x" * 300
-    asked = {
-        "load": (long,),
-        "load_design": (long,),
-        "run": (long,),
-        "report": (long,),
-        "solve": (long,),
-        "calibrate": (long,),
-        "inspect": (long,),
-        "converge": (long,),
-        "analyze": (long, "y", ["a"]),
-        "predict": (long, {"a": 1}),
-        "invert": (long, long),
-        "power": (long,),
-        "require": (long,),
-        "tracking": (long,),
-        "export": (long,),
-        "shape": (long, long),
-    }
-    for name, arguments in asked.items():
-        with pytest.raises(InputError, match="too long"):
-            getattr(study, name)(*arguments)
-    with pytest.raises(InputError, match="too long"):
-        study.optimize(long, minimize="y")
-    assert study.run is study.run

@@ -45,6 +45,6 @@ def __getattr__(name: str) -> Any:
 
 
 @cache
-def _verb(function: Callable[..., Any]) -> Callable[..., Any]:
+def _verb(function: Callable[..., object]) -> Callable[..., object]:
     """Verb that refuses a name of a file that is too long; one object for one function."""
     return names_in_bounds()(function)

@@ -233,6 +233,22 @@ def test_a_report_agrees_with_its_records_whatever_run_wrote_it(tmp_path):
     assert api.verify("spring", **places).differences == []
 
 
+def test_why_says_what_no_manifest_holds(tmp_path):
+    """A program edited after its run; a function, which the file alone does not give."""
+    places = {"results": tmp_path / "results"}
+    design = program(tmp_path)
+    made = api.run(design, allow_commands=True, jobs=1, reports=None, **places)
+    case = made.records[0].case_id
+    assert api.explain(case, study=design, **places).use == "the study uses it"
+    (tmp_path / "spring.py").write_text(CODE + "\n")
+    use = api.explain(case, study=design, **places).use
+    assert use.startswith("the study makes it of other inputs now: a program, a file beside it")
+    design.write_text(HEAD + '[forward]\nmodel = "python"\n' + FACTORS + RESPONSES)
+    made = api.run(design, forward=spring, version="1", jobs=1, reports=None, **places)
+    case = made.records[0].case_id
+    assert api.explain(case, study=design, **places).use == "the study uses it"
+
+
 def test_an_override_of_a_parameter_is_read_in_the_unit_of_the_file(tmp_path):
     """The program gets a number alone: of 0.1 kN beside 50 N it is 100."""
     design = program(tmp_path)

@@ -16,7 +16,7 @@ from typing import Generic, TypeVar
 
 from study.ground import diagnostics
 from study.ground.contrast import sides_of
-from study.ground.declaration import Bad, table_of
+from study.ground.declaration import table_of
 from study.ground.diagnostics import (
     Faults,
     Table,
@@ -325,7 +325,7 @@ def _shape(tables: Table) -> str:
 
 def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
     """Tables of a text with dotted keys joined and the overrides laid over."""
-    tables = _joined(diagnostics.parse_toml(text, source), source)
+    tables, faults = _joined(diagnostics.parse_toml(text, source), source), Faults()
     for override in overrides:
         path, value = diagnostics.parse_override(override)
         if path[0] in ("factors", "uncertainty"):
@@ -333,22 +333,17 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
         _check_override(tables, path)
         current = tables.get(path[0])
         if path[0] == "parameters" and len(path) == 2 and isinstance(current, dict):
-            value = _parameter(path[1], value, current)
+            read = partial(overridden, path[1], table=current)
+            value = noted(read, value, f"-s parameters.{path[1]}", faults)
         if path[0] in ("factors", "uncertainty") and len(path) > 1 and isinstance(current, dict):
             tables[path[0]] = set_whole(current, path[1], value)
         elif path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
             tables = overlay.lay(tables, {".".join(path): value})
         else:
             diagnostics.set_value(tables, path, value)
+    if faults:
+        raise InputError(list(faults))
     return _joined(tables, source)
-
-
-def _parameter(name: str, raw: object, table: Table) -> object:
-    """Value that replaces a parameter of the file."""
-    try:
-        return overridden(name, raw, table)
-    except Bad as bad:
-        raise InputError(Fault(f"-s parameters.{name}", bad.rule, bad.mend)) from None
 
 
 def _joined(tables: Tables, source: str) -> Tables:

@@ -404,9 +404,9 @@ def made_of(results: Path, options: Sequence[str], versions: Mapping[str, str]) 
 def is_kept(folder: Path, name: str, made_from: str) -> bool:
     """Whether the report there was made from just this, and is as it was written."""
     with suppress(OSError, StoreError):
-        told = _noted(folder, name)
-        told.pop("warnings", None)
-        return told == _told(folder, name, made_from)
+        note = _noted(folder, name)
+        note.pop("warnings", None)
+        return note == _told(folder, name, made_from)
     return False
 
 
@@ -443,8 +443,8 @@ def arithmetic_of(folder: Path, name: str) -> str:
 def warnings_of_run(folder: Path, name: str) -> tuple[str, ...]:
     """Read the warnings of a report that its run gave and no record holds."""
     with suppress(StoreError):
-        told = _noted(folder, name).get("warnings")
-        return tuple(map(str, told)) if isinstance(told, list) else ()
+        of_run = _noted(folder, name).get("warnings")
+        return tuple(map(str, of_run)) if isinstance(of_run, list) else ()
     return ()
 
 

@@ -570,15 +570,7 @@ def _warnings(h: Array, f: Array, limit: float | None) -> Iterator[str]:
 def judged_numbers(
     sizes: ArrayLike, values: ArrayLike, formal_order: float | None, tolerance: float
 ) -> ConvergenceResult:
-    """Judge numbers that were typed, and warn where these look mistaken.
-
-    Shapes: sizes (n,), values (n,).
-
-    Examples
-    --------
-    >>> judged_numbers([1, 2, 4], [3.0, 3.0, 3.0], None, 0.0).warnings[0][:32]
-    'equal values show no error, nor '
-    """
+    """Judge numbers that were typed, shape (n,), and warn where these look mistaken."""
     result = grid_convergence(sizes, values, formal_order=formal_order, tolerance=tolerance)
     return replace(result, warnings=(*result.warnings, *_mistaken(result)))
 
