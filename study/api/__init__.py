@@ -6,7 +6,11 @@ Names are loaded on first use, so that each verb imports what it needs and no mo
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
+from functools import cache
 from typing import Any
+
+from study.ground.errors import names_in_bounds
 
 #: names by their modules
 _NAMES = {
@@ -37,4 +41,10 @@ __all__ = list(_HOME)  # noqa: PLE0605
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'study.api' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+    return _verb(getattr(importlib.import_module(_HOME[name]), name))
+
+
+@cache
+def _verb(function: Callable[..., object]) -> Callable[..., object]:
+    """Verb that refuses a name of a file that is too long; one object for one function."""
+    return names_in_bounds()(function)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from study.ground.arrays import gathered
 from study.ground.curve import Curve
-from study.ground.diagnostics import flatten
+from study.ground.diagnostics import dump_toml, flatten, parse_toml
 from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.runner.case_series import stored_convergence
 from study.mechanics.material.material import is_dimensionless
@@ -131,8 +131,9 @@ def _inputs(design: Design) -> dict[str, str]:
 
 
 def _written(design: Design) -> dict[str, object]:
-    """Give the inputs of a design by dotted key."""
-    return flatten({name: v for name, v in design.config.items() if name not in _HIDDEN})
+    """Give the inputs of a design by dotted key, in the order of the design that is stored."""
+    tables = {name: v for name, v in design.config.items() if name not in _HIDDEN}
+    return flatten(parse_toml(dump_toml(tables), design.source))
 
 
 def _assumed(design: Design) -> dict[str, str]:

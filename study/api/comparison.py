@@ -18,6 +18,7 @@ from study.harness.record.record import Record
 from study.harness.record.store import Store, differences
 from study.harness.runner.batch import manifest_of, read_truths
 from study.harness.runner.expansion import expand
+from study.harness.runner.fit_problem import externals
 from study.harness.runner.provenance import versions
 from study.reporting.content.comparison_content import summary
 from study.reporting.results import study_answers
@@ -301,6 +302,8 @@ def explain(
         return CaseState(record, use, code, others)
     changes = run_changes(run_of_record, now)
     what = "has this case no more" if name not in now["cases"] else "makes it of other inputs now"
+    if not changes and record.solver.get("program"):  # no manifest holds what they contain
+        what += ": a program, a file beside it, or the version of the function is another one"
     return CaseState(record, f"the study {what}", changes, others)
 
 
@@ -311,9 +314,12 @@ def _design_now(study: str | Path | None, data: str | Path | None) -> ManifestDo
         return None
     try:
         design = load(path)
-        return manifest_of(expand(design, design_root(design, data)))
+        work = expand(design, design_root(design, data))
     except MissingDataError:
         return None  # it is compared with what was run
+    models = externals(job.case.problem for job in work.jobs)
+    # nor is a function known here, whose version is part of every input
+    return None if any(model.is_function_missing for model in models) else manifest_of(work)
 
 
 def _only_case(case: str, folders: Sequence[Path], results: str | Path) -> tuple[Store, str]:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, cast
-
-import numpy as np
 
 from study.api.folders import RESULTS, design_root, loaded_problem
 from study.api.opened_study import load as load_study
@@ -38,7 +36,7 @@ from study.mechanics.setup.setup import Tables
 from study.reporting.figures.axes import shown
 from study.reporting.output.convergence_page import series_blocks, write_convergence
 from study.reporting.output.page import Shown
-from study.statistics.convergence.grid_convergence import grid_convergence, observed_order
+from study.statistics.convergence.grid_convergence import judged_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -225,9 +223,7 @@ def converge(
         if not len(values) or not len(sizes):
             mend = "give a file, or --values and --sizes"
             raise InputError(Fault("converge", "needs something to judge", mend))
-        return _cautioned(
-            grid_convergence(sizes, values, formal_order=formal_order, tolerance=tolerance)
-        )
+        return judged_numbers(sizes, values, formal_order, tolerance)
     if len(values) or len(sizes):
         raise InputError(Fault("converge", "takes a file or numbers, not both"))
     if not isinstance(source, Mapping) and not Path(source).is_file():
@@ -249,30 +245,6 @@ def converge(
         rule = "is not taken where a design has measurements: its cases run as a study's do"
         raise InputError(Fault("--memory", rule, "leave it out, or use fewer --jobs"))
     return measured_cells(design, design_root(design, data), workers, results, say, reports=reports)
-
-
-#: order of the values against the sizes turned round from which these seem to be in wrong order
-_TURNED_ORDER = 0.8
-
-
-def _cautioned(result: ConvergenceResult) -> ConvergenceResult:
-    """Warn of numbers that look mistaken: equal ones, and sizes the other way round."""
-    warnings = list(result.warnings)
-    if result.u_num == 0:
-        warnings.append(
-            "equal values show no error, nor that there is none: state with --tolerance what a "
-            "value may be off by, such as half of its last digit"
-        )
-    if result.extrapolated is None and len(result.value) >= refinement.FEWEST:
-        turned = 1 / np.array(result.mesh_size[::-1])
-        order = float(observed_order(turned, np.array(result.value[::-1])))
-        if order >= _TURNED_ORDER:
-            warnings.append(
-                f"the values converge towards the largest size, with order {order:.3g}: are the "
-                "sizes numbers of elements, or in another order than the values? Give for every "
-                "value the size of the elements that it was computed with"
-            )
-    return replace(result, warnings=tuple(warnings))
 
 
 def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:

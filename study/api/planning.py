@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,13 @@ from study.harness.runner.adaptive_cells import continued
 from study.harness.runner.batch import missing, open_fits
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import externals
-from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
+from study.harness.runner.study_refinement import (
+    in_blocks,
+    input_work,
+    own_series,
+    refinement_work,
+    upcoming,
+)
 from study.harness.runner.tasks import Costs, default_jobs, program_calls
 
 if TYPE_CHECKING:
@@ -171,15 +177,19 @@ def _counted(
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
     controls = upcoming(plain, store.by_case(hashes), store)
     seconds = costs.total_seconds(fits, todo, workers)
-    if not own_series(plain):  # else the cells themselves are a series of meshes
-        finer = missing(refinement_work(plain), store)
-        seconds += Costs().total_seconds(open_fits(finer, store), finer, workers)
+    # none where the cells themselves are a series of meshes
+    refining = replace(plain, jobs=()) if own_series(plain) else refinement_work(plain)
+    finer = missing(refining, store)
+    if work.design.uncertainty and work.design.is_measured:
+        finer += missing(input_work(plain), store)
+    seconds += Costs().total_seconds(open_fits(finer, store), finer, workers)
     each = Costs()
     solved = [each.solve_seconds(job.case.tested, job.depth_mm) for job in controls]
     seconds += max(sum(solved) / workers, max(solved, default=0.0))  # the longest takes its time
     most, rule = None, work.design.scheme.sequential
     if rule is not None:  # all cells that may be added are like those that it has
         whole = Costs().total_seconds(work.fits.values(), work.jobs, workers)
+        whole += Costs().total_seconds(refining.fits.values(), refining.jobs, workers)
         most = seconds + whole * (rule.budget / len(work.design.treatments) - 1)
     found_models = externals(job.case.problem for job in work.jobs)
     commands = [program for program in found_models if program.section.model == "command"]
@@ -189,7 +199,7 @@ def _counted(
     return Plan(
         work.design, described, work.blocks, survey.counts | {"missing": len(todo)}, len(fits),
         seconds, memory, workers, tuple(warnings),
-        len(controls), program_calls(fits, todo),
+        len(controls), program_calls(fits, todo) + program_calls(open_fits(finer, store), finer),
         tuple(line for program in commands for line in program.lines()), common_digest(commands),
         most,
     )  # fmt: skip

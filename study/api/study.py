@@ -349,7 +349,7 @@ def report(
             timings["statistics"] = clock.parts["statistics"]
         try:
             folder = own_folder(Path(reports), study.design.name)
-            written = _written(study, timings, folder, formats_asked, worker)
+            written = _written(study, timings, folder, formats_asked, worker, extra_warnings)
         except (InputError, RefusedError):
             raise
         except Exception as error:  # noqa: BLE001 - drawing must never cost the numbers (F38)
@@ -365,6 +365,7 @@ def _written(
     folder: Path,
     formats: Sequence[str],
     worker: Worker | None,
+    of_run: Sequence[str] = (),
 ) -> Path:
     """Write a report and name its main file; one that would be the same again stays as it is."""
     name, formats_checked = study.design.name, checked_formats(formats)
@@ -377,7 +378,7 @@ def _written(
     data = replace(report_data(study), timings=timings, depths=depths)
     written = write(data, folder, formats_checked, worker)
     if study.beside is None:
-        provenance.keep(folder, name, made_from)
+        provenance.keep(folder, name, made_from, of_run)
     return written
 
 
@@ -437,7 +438,7 @@ def verify(
         tolerance = 0.0 if then == provenance.arithmetic() else OTHER_ARITHMETIC
     verification = Verification(tolerance=tolerance)
     _check_records(folder, verification)
-    _compare_report(page.parent, folder, verification)
+    _compare_report(page, folder, verification)
     if resolve > 0:
         _solve_again(folder, verification, resolve, seed, data, Allowed(allow_commands))
     return verification
@@ -472,15 +473,16 @@ def _check_records(folder: Path, verification: Verification) -> None:
         verification.differences += [differs] if differs else []
 
 
-def _compare_report(home: Path, folder: Path, verification: Verification) -> None:
+def _compare_report(page: Path, folder: Path, verification: Verification) -> None:
     with tempfile.TemporaryDirectory(prefix="study-verify-") as temporary:
-        formats = ["html", *(["tex"] if list(home.glob("*.tex")) else [])]
+        formats = ["html", *(["tex"] if list(page.parent.glob("*.tex")) else [])]
         again = report(
-            load_study(folder, tell_unfinished=False), reports=Path(temporary), formats=formats
-        )
+            load_study(folder, tell_unfinished=False), reports=Path(temporary), formats=formats,
+            extra_warnings=provenance.warnings_of_run(page.parent, page.stem),
+        )  # fmt: skip
         if again.report is None:
             raise InputError(f"{folder}: {'; '.join(again.warnings)}")
-        provenance.compare_reports(home, again.report.parent, verification)
+        provenance.compare_reports(page.parent, again.report.parent, verification)
 
 
 def _solve_again(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import gc
 import os
 import signal
@@ -19,7 +18,7 @@ from typer.main import get_command
 from study.cli import output, single_commands, statistics_commands, study_commands
 from study.cli.output import argument, complain, interrupted, is_resumable, option, written
 from study.cli.study_commands import REPORTS, RESULTS, Reports, Results, Set
-from study.ground.errors import Fault, InputError, StoppedError, StudyError
+from study.ground.errors import Fault, InputError, StoppedError, StudyError, names_in_bounds
 from study.ground.working_folder import leave
 
 # The verb that shows studies in a browser.
@@ -204,7 +203,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     typed = list(sys.argv[1:] if arguments is None else arguments)
     try:
         given = [_with_digest(word) for word in typed]
-        code = _parser(app)(given, prog_name="study", standalone_mode=False)
+        with names_in_bounds():
+            code = _parser(app)(given, prog_name="study", standalone_mode=False)
     except StudyError as error:
         complain(error)
         if not isinstance(error, StoppedError) or not is_resumable(typed):
@@ -218,14 +218,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         # the reader has gone (study plan | head): nothing is wrong, and nothing may be printed
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except OSError as error:
-        if error.errno != errno.ENAMETOOLONG:
-            raise
-        # every question about such a file raises, whether it is there or a folder
-        name = str(error.filename)
-        rule = f"a name of {len(name)} characters is too long for this system"
-        complain(InputError(Fault(f"{name[:40]}...", rule, "shorten it")))
-        return 2
     except Exception as error:
         if not (hasattr(error, "show") and hasattr(error, "exit_code")):
             raise

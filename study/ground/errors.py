@@ -22,7 +22,9 @@ record, never an exception that leaves ``runner``.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import errno
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -56,6 +58,22 @@ class InputError(StudyError):
             faults = Fault("input", faults)
         self.faults: tuple[Fault, ...] = (faults,) if isinstance(faults, Fault) else tuple(faults)
         super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+@contextmanager
+def names_in_bounds() -> Iterator[None]:
+    """Context, or decorator, in which a name of a file that is too long is bad input.
+
+    Every question about such a file raises, whether it is there or a folder.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        name = str(error.filename)
+        rule = f"a name of {len(name)} characters is too long for this system"
+        raise InputError(Fault(f"{name[:40]}...", rule, "shorten it")) from error
 
 
 class MissingDataError(InputError):

@@ -172,6 +172,14 @@ def test_bad_input(sizes, values, match):
         grid_convergence(sizes, values)
 
 
+@pytest.mark.parametrize("order", [0, -1, 2000, np.inf, np.nan])
+def test_an_order_that_no_scheme_has_is_refused(order):
+    """2**2000 overflows: the bound of two values that differ by a third was zero."""
+    with pytest.raises(InputError, match="above 0 and at most 20"):
+        grid_convergence([1, 2], [3.0, 4.0], formal_order=order)
+    assert grid_convergence([1, 2], [3.0, 4.0], formal_order=20).u_num > 0
+
+
 # Generated series of known kind, and published examples to every printed digit.
 
 RATIO = st.floats(1.3, 3.0)

@@ -12,7 +12,7 @@ import pytest
 
 from study import api
 from study.ground.curve import Curve
-from study.ground.errors import WriteError
+from study.ground.errors import InputError, WriteError
 from study.harness.record.atomic_files import write_atomic
 from tests.cli.small import (
     CSV,
@@ -207,6 +207,34 @@ def test_a_name_that_is_too_long_is_told(home):
     ):
         assert "too long" in refusal(*words).err
     assert not any(path.name.startswith("x") for path in home.iterdir())
+
+
+def test_a_name_that_is_too_long_is_bad_input_of_every_function_in_python():
+    long = "x" * 300
+    asked = {
+        "load": (long,),
+        "load_design": (long,),
+        "run": (long,),
+        "report": (long,),
+        "solve": (long,),
+        "calibrate": (long,),
+        "inspect": (long,),
+        "converge": (long,),
+        "analyze": (long, "y", ["a"]),
+        "predict": (long, {"a": 1}),
+        "invert": (long, long),
+        "power": (long,),
+        "require": (long,),
+        "tracking": (long,),
+        "export": (long,),
+        "shape": (long, long),
+    }
+    for name, arguments in asked.items():
+        with pytest.raises(InputError):  # not OSError
+            getattr(api, name)(*arguments)
+    with pytest.raises(InputError, match="a name of 300 characters is too long"):
+        api.converge(long)
+    assert api.run is api.run
 
 
 BONDED = (

@@ -186,6 +186,9 @@ def test_a_program_without_an_answer_is_a_status_of_its_case(tmp_path):
         'json.dump({"peak": "5 kg"}, open("out.json", "w"))': "is in kg",
         'json.dump({"peek": 5}, open("out.json", "w"))': "did you mean 'peek'",
         'open("out.json", "w").write("{}")': "no value 'peak'",
+        # parsers of JSON keep the last of two values without a word
+        """open("out.json", "w").write('{"peak": 1, "peak": 2}')""": "several values of 'peak'",
+        'json.dump({"peak": 10**400}, open("out.json", "w"))': "peak of out.json: is beyond",
         "pass": "wrote no out.json",
         "raise SystemExit(3)": "return code 3",
         'open("out.json", "w").write("[")': "out.json",
@@ -209,6 +212,78 @@ def test_numbers_of_a_table_that_a_program_writes_are_read_whole(tmp_path, monke
     deeds = [f"open('out.csv', 'w').write({table!r})" for table in tables]
     found = with_deeds(tmp_path, deeds)
     assert [record.value("peak") for record in found] == list(tables.values()), found
+
+
+@pytest.mark.drawings
+def test_a_report_agrees_with_its_records_whatever_run_wrote_it(tmp_path):
+    """The order of keys in the file, and what the run warned of, are no difference of numbers."""
+    design = program(tmp_path)
+    # behind a table within the table
+    design.write_text(design.read_text().replace("[factors]", 'seconds = "1 s"\n[factors]'))
+    places = {"results": tmp_path / "results", "reports": tmp_path / "reports"}
+    more = {"allow_commands": True, "jobs": 1, **places}
+    first = api.run(design, **more)
+    assert api.verify("spring", **places).differences == []
+    (tmp_path / "spring.py").write_text(CODE.replace("* (1 +", "* (2 +"))
+    second = api.run(design, **more)
+    peaks = [float(found.table["peak"].sum()) for found in (first, second)]
+    static = 1e3 * float(first.table["static"].sum())  # of m
+    assert peaks[1] - peaks[0] == pytest.approx(static, rel=1e-9)
+    assert any("come from another version of the program" in line for line in second.warnings)
+    assert api.verify("spring", **places).differences == []
+
+
+def test_why_says_what_no_manifest_holds(tmp_path):
+    """A program edited after its run; a function, which the file alone does not give."""
+    places = {"results": tmp_path / "results"}
+    design = program(tmp_path)
+    made = api.run(design, allow_commands=True, jobs=1, reports=None, **places)
+    case = made.records[0].case_id
+    assert api.explain(case, study=design, **places).use == "the study uses it"
+    (tmp_path / "spring.py").write_text(CODE + "\n")
+    use = api.explain(case, study=design, **places).use
+    assert use.startswith("the study makes it of other inputs now: a program, a file beside it")
+    design.write_text(HEAD + '[forward]\nmodel = "python"\n' + FACTORS + RESPONSES)
+    made = api.run(design, forward=spring, version="1", jobs=1, reports=None, **places)
+    case = made.records[0].case_id
+    assert api.explain(case, study=design, **places).use == "the study uses it"
+
+
+def test_an_override_of_a_parameter_is_read_in_the_unit_of_the_file(tmp_path):
+    """The program gets a number alone: of 0.1 kN beside 50 N it is 100."""
+    design = program(tmp_path)
+    text = design.read_text().replace("[parameters]", "[parameters]\nwet = true")
+    design.write_text(text)
+    plain, other = (
+        api.load_design(design, overrides).treatments[0].cell.problem.parameters
+        for overrides in ((), ("parameters.force=0.1 kN", "parameters.wet=false"))
+    )
+    assert (plain["force"], plain["wet"]) == (50, True)
+    assert (other["force"], other["wet"]) == (pytest.approx(100, rel=1e-12), False)
+    for override, said in {
+        "parameters.wet=False": "is a text here and a flag",
+        "parameters.force=5 mm": "not of the kind of N|must be a force",
+        "parameters.force=100": "in no unit",
+        "parameters.forse=1 N": "is no parameter of the file\n    did you mean 'force'",
+    }.items():
+        with pytest.raises(errors.InputError, match=said):
+            api.load_design(design, (override,))
+
+
+def test_a_plan_counts_the_refined_cases_of_a_program(tmp_path):
+    """4 cells and 2 finer ones of each, of 3 s on one worker; twice as many with the budget."""
+    design = program(tmp_path)
+    text = design.read_text().replace("[factors]", 'seconds = "3 s"\n[factors]')
+    design.write_text(text + '[converge]\nkey = "parameters.mass"\n')
+    plan = api.plan(design, jobs=1)
+    assert plan.program_calls == 12
+    assert plan.predicted_seconds == pytest.approx(36, rel=0.02)
+    ranges = '\n[factors]\nparameters.damping = { low = "12 N s/m", high = "20 N s/m" }\n'
+    adaptive = '[design]\nkind = "adaptive"\nstart = 8\nbudget = 16\n'
+    design.write_text(design.read_text().replace(FACTORS, ranges) + adaptive)
+    plan = api.plan(design, jobs=1)
+    assert plan.program_calls == 24
+    assert plan.most_seconds == pytest.approx(144, rel=0.02)
 
 
 @pytest.mark.parametrize(

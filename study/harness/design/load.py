@@ -42,7 +42,7 @@ from study.harness.design.factors import (
 )
 from study.harness.design.forward_section import ValueFile
 from study.harness.design.layout_kinds import scheme_from
-from study.harness.design.parameters import check_names, checked, stands_alone
+from study.harness.design.parameters import check_names, checked, overridden, stands_alone
 from study.harness.design.questions import (
     analysis_from,
     expected_from,
@@ -325,19 +325,24 @@ def _shape(tables: Table) -> str:
 
 def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
     """Tables of a text with dotted keys joined and the overrides laid over."""
-    tables = _joined(diagnostics.parse_toml(text, source), source)
+    tables, faults = _joined(diagnostics.parse_toml(text, source), source), Faults()
     for override in overrides:
         path, value = diagnostics.parse_override(override)
         if path[0] in ("factors", "uncertainty"):
             path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
         _check_override(tables, path)
         current = tables.get(path[0])
+        if path[0] == "parameters" and len(path) == 2 and isinstance(current, dict):
+            read = partial(overridden, path[1], table=current)
+            value = noted(read, value, f"-s parameters.{path[1]}", faults)
         if path[0] in ("factors", "uncertainty") and len(path) > 1 and isinstance(current, dict):
             tables[path[0]] = set_whole(current, path[1], value)
         elif path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
             tables = overlay.lay(tables, {".".join(path): value})
         else:
             diagnostics.set_value(tables, path, value)
+    if faults:
+        raise InputError(list(faults))
     return _joined(tables, source)
 
 

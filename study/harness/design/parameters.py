@@ -143,13 +143,30 @@ def parameters_from(
     return values, {name: unit for name, (_, unit) in read_all.items() if unit}
 
 
+def overridden(name: str, raw: object, table: Table) -> object:
+    """Value of ``-s parameters.name=..`` as the file would write it: its kind, in its unit.
+
+    Programs get numbers without their unit, so that ``"12 cm"`` over ``"100 mm"`` is 120.
+    """
+    if name not in table:
+        raise Bad("is no parameter of the file", nearest(name, table))
+    try:
+        first = _read(table[name])
+    except Bad:  # told where that stands
+        return raw
+    read = _read(raw)
+    value, unit = _like(read, first, raw)
+    return raw if read[1] == unit else f"{value!r} {unit}"
+
+
 def _like(read: tuple[Value, str], usual: tuple[Value, str], raw: object) -> tuple[Value, str]:
     """Value in the unit of the file's own one, of whose kind it must be."""
     (value, unit), (first, into) = read, usual
     if type(value) is not type(first):
         kinds = {float: "a number", str: "a text", bool: "a flag"}
         rule = f"is {kinds[type(value)]} here and {kinds[type(first)]} in [parameters]"
-        raise Bad(f"{rule}, got {shown(raw)}", "make all its levels one kind")
+        mend = "write true or false" if isinstance(first, bool) else "make all its levels one kind"
+        raise Bad(f"{rule}, got {shown(raw)}", mend)
     if isinstance(value, float):
         try:
             return units.converted(value, unit, into), into

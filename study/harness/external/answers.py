@@ -12,7 +12,7 @@ import re
 import resource
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -349,6 +349,8 @@ def _number(value: object, where: str) -> float:
         if isinstance(text, bool) or not isinstance(text, str | int | float):
             raise ValueError  # noqa: TRY301
         number = float(text)
+    except OverflowError:  # a whole number of more than 308 digits
+        raise NoAnswer("failed", f"{where}: is beyond {LARGEST:g}") from None
     except ValueError:
         shown = json.dumps(value, default=str)[:60]
         raise NoAnswer("failed", f"{where}: is no number: {shown}") from None
@@ -422,7 +424,11 @@ def _table(text: str, name: str) -> Mapping[str, object]:
             raise NoAnswer("failed", str(error)) from error
         if not isinstance(content, dict):
             raise NoAnswer("failed", f"{name} must be an object of names and values")
-        return content
+        # which parsers of JSON pass over: each keeps the last value of a name alone
+        named: dict[str, object] = json.loads(
+            text, object_pairs_hook=lambda pairs: _each_once(pairs, name)
+        )
+        return named
     header, rows = table_rows(text, name)
     if [cell.lower() for cell in header[:2]] == ["name", "value"]:
         pairs: list[tuple[str, object]] = [
@@ -435,6 +441,11 @@ def _table(text: str, name: str) -> Mapping[str, object]:
         raise NoAnswer("failed", f"{name}: {rule}; or write name,value in every row")
     else:
         pairs = list(zip(header, rows[0], strict=True))
+    return _each_once(pairs, name)
+
+
+def _each_once(pairs: Sequence[tuple[str, object]], name: str) -> dict[str, object]:
+    """Names and values of a file, each name once."""
     if len(values := dict(pairs)) < len(pairs):
         twice = next(key for key in values if [k for k, _ in pairs].count(key) > 1)
         rule = f"{name} has several values of {twice!r}: write the one that counts"

@@ -380,6 +380,11 @@ class External:
         )  # fmt: skip
 
     @property
+    def is_function_missing(self) -> bool:
+        """Whether it is a function in Python that nobody has given."""
+        return self.section.model == "python" and self.function is None
+
+    @property
     def missing(self) -> tuple[str, ...]:
         """Programs that are not on this machine."""
         return tuple(name for name, sha in self.programs.items() if not sha)
@@ -471,7 +476,7 @@ def _external(section: ForwardModel) -> External:
 def check_allowed(models: Iterable[External], allowed: bool | str) -> None:
     """Refuse to run what the person at the keyboard did not allow, or what is not there."""
     distinct = list({model.digest: model for model in models}.values())
-    if any(model.section.model == "python" and model.function is None for model in distinct):
+    if any(model.is_function_missing for model in distinct):
         raise RefusedError(
             "forward.model = 'python' stands for a function given in Python:\n"
             '    study.run(design, forward=function, version="1")'

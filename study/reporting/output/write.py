@@ -404,14 +404,15 @@ def made_of(results: Path, options: Sequence[str], versions: Mapping[str, str]) 
 def is_kept(folder: Path, name: str, made_from: str) -> bool:
     """Whether the report there was made from just this, and is as it was written."""
     with suppress(OSError, StoreError):
-        note = read_json(_note(folder, name))
-        return bool(note == _told(folder, name, made_from))
+        note = _noted(folder, name)
+        note.pop("warnings", None)
+        return note == _told(folder, name, made_from)
     return False
 
 
-def keep(folder: Path, name: str, made_from: str) -> None:
-    """Note what a report was made from, once it is written."""
-    note = _told(folder, name, made_from)
+def keep(folder: Path, name: str, made_from: str, of_run: Sequence[str] = ()) -> None:
+    """Note what a report was made from, and warnings of its run that no record holds."""
+    note = _told(folder, name, made_from) | ({"warnings": list(of_run)} if of_run else {})
     replace_file(_note(folder, name), json.dumps(note, indent=1) + "\n")
 
 
@@ -435,9 +436,22 @@ def arithmetic() -> str:
 def arithmetic_of(folder: Path, name: str) -> str:
     """Read what :func:`arithmetic` was for a report, empty where that is not known."""
     with suppress(StoreError):
-        note = read_json(_note(folder, name))
-        return str(note.get("arithmetic", "")) if isinstance(note, dict) else ""
+        return str(_noted(folder, name).get("arithmetic", ""))
     return ""
+
+
+def warnings_of_run(folder: Path, name: str) -> tuple[str, ...]:
+    """Read the warnings of a report that its run gave and no record holds."""
+    with suppress(StoreError):
+        of_run = _noted(folder, name).get("warnings")
+        return tuple(map(str, of_run)) if isinstance(of_run, list) else ()
+    return ()
+
+
+def _noted(folder: Path, name: str) -> dict[str, object]:
+    """Read what was noted beside a report; nothing where that is no table."""
+    note = read_json(_note(folder, name))
+    return dict(note) if isinstance(note, dict) else {}
 
 
 def _told(folder: Path, name: str, made_from: str) -> dict[str, str]:

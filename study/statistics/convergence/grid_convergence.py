@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -49,6 +49,8 @@ NO_ORDER = 1.0
 ASSUMED_SHARE = 0.7
 #: Without a formal order, an observed order above this is limited.
 _HIGHEST_ORDER = 4.0
+#: No scheme promises more; with 1,000 a ratio to this power overflows and the bound is zero.
+HIGHEST_FORMAL = 20.0
 #: An order that the algebraic error moves by more than this is not carried by the data.
 RESOLVED_ORDER = 0.05
 #: Changes that grow are noise of the meshes below this share of the value.
@@ -60,8 +62,12 @@ _VANISHES = 1e-12
 _MIN_RATIO = 1.3
 #: Two triples of meshes that differ by less in order are in the asymptotic range.
 _SAME_ORDER = 0.3
+#: Meshes that show an order.
+_FEWEST_FOR_ORDER = 3
+#: Order of the values against the sizes turned round from which these seem to be in wrong order.
+_TURNED_ORDER = 0.8
+#: Lowest order of the grid that the least squares begin with.
 _LOWEST = 0.05
-_HIGHEST = 20.0
 
 
 def observed_order(h: ArrayLike, f: ArrayLike) -> Array:
@@ -238,7 +244,7 @@ def _weighted_fit(h: Array, f: Array, weight: Array) -> tuple[float, float, floa
         rest = root * y - columns @ coefficients
         return coefficients, float(rest @ rest)
 
-    orders = np.geomspace(_LOWEST, _HIGHEST, 120)
+    orders = np.geomspace(_LOWEST, HIGHEST_FORMAL, 120)
     best = int(np.argmin([solve(p)[1] for p in orders]))
     low, high = orders[max(best - 1, 0)], orders[min(best + 1, orders.size - 1)]
     minimum = minimize_scalar(
@@ -524,8 +530,9 @@ def _checked(
         faults.append(
             Fault("values", f"must be finite numbers, got {f.tolist()}", "drop the failed level")
         )
-    if formal is not None and not (math.isfinite(formal) and formal > 0):
-        faults.append(Fault("formal order", f"must be positive, got {formal!r}"))
+    if formal is not None and not 0 < formal <= HIGHEST_FORMAL:
+        rule = f"must be above 0 and at most {HIGHEST_FORMAL:g}, got {formal!r}"
+        faults.append(Fault("formal order", rule, "2 of linear elements, 1 beside a sharp edge"))
     if not (math.isfinite(tolerance) and tolerance >= 0):
         faults.append(Fault("tolerance", f"must be zero or positive, got {tolerance!r}"))
     if faults:
@@ -558,6 +565,32 @@ def _warnings(h: Array, f: Array, limit: float | None) -> Iterator[str]:
             f"the finest value, {finest:.6g}, is {100 * abs(finest / limit - 1):.3g} % from its "
             f"extrapolated value, {limit:.6g}: refine further before either is used"
         )
+
+
+def judged_numbers(
+    sizes: ArrayLike, values: ArrayLike, formal_order: float | None, tolerance: float
+) -> ConvergenceResult:
+    """Judge numbers that were typed, shape (n,), and warn where these look mistaken."""
+    result = grid_convergence(sizes, values, formal_order=formal_order, tolerance=tolerance)
+    return replace(result, warnings=(*result.warnings, *_mistaken(result)))
+
+
+def _mistaken(result: ConvergenceResult) -> Iterator[str]:
+    """Equal values, and sizes the other way round."""
+    if result.u_num == 0:
+        yield (
+            "equal values show no error, nor that there is none: state with --tolerance what a "
+            "value may be off by, such as half of its last digit"
+        )
+    if result.extrapolated is None and len(result.value) >= _FEWEST_FOR_ORDER:
+        turned = 1 / np.array(result.mesh_size[::-1])
+        order = float(observed_order(turned, np.array(result.value[::-1])))
+        if order >= _TURNED_ORDER:
+            yield (
+                f"the values converge towards the largest size, with order {order:.3g}: are the "
+                "sizes numbers of elements, or in another order than the values? Give for every "
+                "value the size of the elements that it was computed with"
+            )
 
 
 @dataclass(frozen=True)
