@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import functools
 import gzip
 import hashlib
+import io
 import itertools
 import json
 import math
@@ -366,9 +368,14 @@ def of_frame(frame: pd.DataFrame) -> str:
 
 def of_rows(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
     """CSV text of rows of cells."""
-    import pandas as pd
-
-    return of_frame(pd.DataFrame(list(map(list, rows)), columns=list(columns), dtype=object))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([safe_cell(name) for name in columns])
+    safe = zip(*([safe_cell(cell) for cell in row] for row in rows), strict=True)
+    # a column of whole numbers and others has a decimal point in each row
+    made = ([float(x) for x in c] if {*map(type, c)} == {int, float} else c for c in safe)
+    writer.writerows(zip(*made, strict=True))
+    return text.getvalue()
 
 
 # What a report was made from, so that one that would be the same again is not made again.
@@ -392,13 +399,18 @@ _LIBRARIES = ("matplotlib", "seaborn", "pandas", "statsmodels", "jinja2", "pint"
 
 def made_of(results: Path, options: Sequence[str], versions: Mapping[str, str]) -> str:
     """Hash of everything that decides a report."""
-    package = Path(study.__file__).parent
-    code = (path for path in package.rglob("*") if "__pycache__" not in path.parts)
     stored = (path for path in results.rglob("*") if path.name not in _SILENT)
     drawn_by = {name: _version(name) for name in _LIBRARIES}
     text = json.dumps([list(options), dict(versions), drawn_by], sort_keys=True)
-    parts = [text, _content(package, code), _content(results, stored)]
+    parts = [text, _code(), _content(results, stored)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+@functools.cache
+def _code() -> str:
+    """Hash of the package; what a process has loaded stays as it is."""
+    package = Path(study.__file__).parent
+    return _content(package, (p for p in package.rglob("*") if "__pycache__" not in p.parts))
 
 
 def is_kept(folder: Path, name: str, made_from: str) -> bool:
