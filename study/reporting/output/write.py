@@ -353,27 +353,30 @@ def safe_cell(value: object) -> object:
 
 def of_frame(frame: pd.DataFrame) -> str:
     """CSV text of a data frame, without its index: quotes where needed, one newline a row."""
-    import pandas as pd
 
-    def safe_column(column: pd.Series) -> pd.Series:
-        if column.dtype.kind == "f":
-            return column.where(np.isfinite(column))
-        return column if column.dtype.kind in "iub" else column.astype(object).map(safe_cell)
+    def safe(column: pd.Series) -> list[object]:
+        if column.dtype.kind not in "iubf":
+            return [safe_cell(value) for value in column]
+        cells = zip(column, column.isna(), strict=True)
+        return ["" if missing or math.isinf(value) else value for value, missing in cells]
 
-    columns = [safe_column(column) for _, column in frame.items()]
-    safe = pd.concat(columns, axis=1) if columns else frame
-    heads = [str(safe_cell(name)) for name in frame.columns]
-    return safe.to_csv(index=False, header=heads, lineterminator="\n")
+    return _of_columns(frame.columns, [safe(column) for _, column in frame.items()])
 
 
 def of_rows(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
     """CSV text of rows of cells."""
+    safe = [[safe_cell(cell) for cell in row] for row in rows]
+    return _of_columns(columns, zip(*safe, strict=True))
+
+
+def _of_columns(names: Iterable[object], columns: Iterable[Sequence[object]]) -> str:
+    """CSV text of columns of safe cells; whole numbers beside others get a decimal point too."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([safe_cell(name) for name in columns])
-    safe = zip(*([safe_cell(cell) for cell in row] for row in rows), strict=True)
-    # a column of whole numbers and others has a decimal point in each row
-    made = ([float(x) for x in c] if {*map(type, c)} == {int, float} else c for c in safe)
+    writer.writerow([safe_cell(name) for name in names])
+    made = (
+        np.asarray(c, float).tolist() if {*map(type, c)} == {int, float} else c for c in columns
+    )
     writer.writerows(zip(*made, strict=True))
     return text.getvalue()
 
@@ -473,6 +476,7 @@ def _content(root: Path, paths: Iterable[Path]) -> str:
     return sha.hexdigest()
 
 
+@functools.cache
 def _version(name: str) -> str:
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(name)
