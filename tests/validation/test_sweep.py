@@ -163,10 +163,7 @@ def program(*arguments):
         (of_mesh, ("--seed", 1), 2, "line 1: belongs to another seed or other problems"),
     ],
 )
-def test_a_file_is_gone_on_with_unless_it_is_of_another_seed(
-    tmp_path, error, asked, code,
-    line
-):  # fmt: skip
+def test_a_file_is_gone_on_with_unless_it_is_of_another_seed(tmp_path, error, asked, code, line):
     file = tmp_path / "sweep.jsonl"
     row = {"seed": 2011, "number": 0, "problem": repr(PROBLEM)}
     file.write_text(json.dumps(row | sweep.outcome(PROBLEM, solver(error))) + "\n")
