@@ -2,10 +2,6 @@
 
 import threading
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
 
 
 def both_pages(report):

@@ -12,6 +12,7 @@ import sys
 import threading
 import urllib.request
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -173,6 +174,7 @@ class Hostile:
         assert self.opened.names() & self.planted == set()
 
 
+@cache
 def modules():
     """Names of all modules of the standard library and of everything that is installed."""
     return {*sys.stdlib_module_names, *packages_distributions(), *OPTIONAL, "study"} - {"tests"}

@@ -52,11 +52,13 @@ def report_data(study: StudyResult) -> ReportData:
     blocks, spec = tuple(manifest["blocks"]), design.measurements
     markers = design.config.get("markers")
     marked = markers if isinstance(markers, Mapping) else {}
+    table = study.table.copy(deep=False)
+    table.attrs = {}  # each step of pandas would copy the units of its columns in depth
     return ReportData(
         name=design.name,
         question=design.question,
         factors={factor.name: factor.labels for factor in design.factors},
-        table=study.table,
+        table=table,
         block=unit_of(design, manifest) if blocks else "",
         blocks=blocks,
         inputs=_inputs(design),

@@ -76,10 +76,7 @@ def test_the_split_plot_of_oats(rows):
          {"Plant": "Plant"}, "conc"),
     ],
 )  # fmt: skip
-def test_mixed_models(
-    rows, name, response, block, random, model,
-    sds, term
-):  # fmt: skip
+def test_mixed_models(rows, name, response, block, random, model, sds, term):
     table, factors = pd.read_csv(rows / f"{name}.csv"), [term for term in model if ":" not in term]
     found = mixed_model(table, response, factors, block=block, random=random, model=model)
     sd = {c.source: c.sd for c in found.components}

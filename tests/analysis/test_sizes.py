@@ -5,7 +5,6 @@ Every test prints expected, got and error. The studies are null: a test at 5 % m
 """
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -23,7 +22,6 @@ from study.statistics.analysis.normality import (
 from study.statistics.analysis.strata import Crossed, cell_fit, own_tests
 
 pytestmark = [pytest.mark.slow, pytest.mark.verify]
-CROSSED = Path(__file__).resolve().parents[2] / "validation" / "statistics" / "crossed.csv"
 
 
 def report(what, expected, got, unit="%"):

@@ -16,10 +16,7 @@ BLOCKS = ("B1", "B2", "B3", "B4", "B5", "B6")
 
 
 @cache
-def analyzed(
-    material, space, noise, practical, response,
-    rename, transform
-):  # fmt: skip
+def analyzed(material, space, noise, practical, response, rename, transform):
     """Analysis of cell means, once for all studies that are made of it."""
     new = dict(rename)
     rng = np.random.default_rng(3)

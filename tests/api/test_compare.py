@@ -63,10 +63,7 @@ def test_each_number_is_that_of_its_own_study(tmp_path):
         ({"noise": 3.0}, {"noise": 3.0}, None, None, study_answers.NONE_CAN_TELL),
     ],
 )  # fmt: skip
-def test_a_conclusion_of_both(
-    tmp_path, first, second, holds,
-    same_best, conclusion
-):  # fmt: skip
+def test_a_conclusion_of_both(tmp_path, first, second, holds, same_best, conclusion):
     material = row(
         compare(made(tmp_path, **first), made(tmp_path, name="second", **second)), "material"
     )

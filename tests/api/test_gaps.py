@@ -1,7 +1,6 @@
 """Levels that failed in part of their cells, and what an effect is held against."""
 
 import math
-from collections.abc import Callable, Mapping
 from itertools import product
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from tests.pages import both_pages
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
-Lost = Callable[[dict[str, str], int], bool]
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +120,6 @@ SIZES = {
 TRUE = {"neo-hookean": 9.0, "reduced-polynomial-2": 5.0, "mooney-rivlin": 8.0, "ogden-1": 8.5}
 ORDER = 2.0
 PRACTICAL = Threshold(1.0)
-Levels = Mapping[str, str]
 
 
 def records_of(design, error, transform="none"):

@@ -20,8 +20,6 @@ from tests.cli.small import DESIGN, write_files
 from tests.pages import served
 from tests.waiting import CAP_S
 
-Reply = tuple[int, dict[str, str], str]
-
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import shlex
-from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -246,6 +245,3 @@ class Finished:
 
     folder: Path
     answer: Answer
-
-
-Edit = Callable[[str, str], None]

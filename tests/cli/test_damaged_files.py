@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -209,9 +208,6 @@ def test_what_may_not_be_read_is_told(drawn, inside, place, mode, report):
         obey(False)
         os.chmod(place, 0o755)
     assert not wrong
-
-
-Fill = Callable[..., None]
 
 
 @pytest.fixture

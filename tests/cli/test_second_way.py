@@ -5,7 +5,6 @@ import gzip
 import importlib
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -27,8 +26,6 @@ THREE = DESIGN.replace(
     '[[response]]\nname = "peak_force_error"\npractical = "0.1 N"\n'
     '[[response]]\nname = "mu0"\npractical = "5 % of mean"\ntransform = "log"\n[report]',
 )  # fmt: skip
-
-Edit = Callable[[list[dict[str, str]]], None]
 
 
 def fourth_specimen(rows):

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from threading import Timer
@@ -26,7 +25,6 @@ from tests.waiting import CAP_S, is_alive, state_of, until
 LIMIT_S = 4.0
 
 
-Make = Callable[..., Loky | Cluster]
 HERE = partial(Loky, perform)
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.structured import Mesh, extrude, rectangle
@@ -14,8 +13,6 @@ from study.mechanics.setup.geometry import Cone, Cylinder, Flat
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
-
-FloatArray = NDArray[np.float64]
 
 NEO_HOOKEAN = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0)
 MOONEY = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000.0)

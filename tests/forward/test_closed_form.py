@@ -12,7 +12,6 @@ from study.mechanics.setup.geometry import Cylinder, Homogeneous
 from study.mechanics.setup.setup import Model, Problem, Setup
 from study.mechanics.setup.test_kind import Test
 
-Shape = Cylinder | Homogeneous
 STRIP = Homogeneous(100.0, 20.0)
 SOLID = Material("mooney-rivlin", {"C10": 0.1, "C01": 0.05}, incompressible=True)
 GEL = Material("neo-hookean", {"C10": 0.1}, poisson_ratio=0.4)

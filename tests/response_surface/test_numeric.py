@@ -214,13 +214,14 @@ def test_bad_input(tmp_path, numeric, more, code, said):
     assert said in " ".join(answer.err.split())
 
 
+X = functions.hypercube(2, 30, 1)
+
+
 def rows(**columns):
     """Thirty runs in two columns that fill the box, with others beside."""
-    x = functions.hypercube(2, 30, 1)
-    return {"a": x[:, 0], "b": x[:, 1], **columns, "y": np.sin(3 * x[:, 0]) + x[:, 1]}
+    return {"a": X[:, 0], "b": X[:, 1], **columns, "y": np.sin(3 * X[:, 0]) + X[:, 1]}
 
 
-X = functions.hypercube(2, 30, 1)
 WITH_UNITS = [f"{v:.3f} mm" if i % 2 else f"{0.1 * v:.4f} cm" for i, v in enumerate(X[:, 0])]
 
 

@@ -33,10 +33,7 @@ def fake():
 SPECIMEN = Cylinder(25.0, 30.0)
 
 
-def compressed(
-    model, interface, order = None, *, poisson_ratio = 0.4995,
-    steps = 10, **mesh
-):  # fmt: skip
+def compressed(model, interface, order=None, *, poisson_ratio=0.4995, steps=10, **mesh):
     """Document of a cell whose constants are calibrated."""
     return {
         "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},

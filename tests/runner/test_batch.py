@@ -11,12 +11,11 @@ import study
 from study.ground.errors import StoreError
 from study.harness.design.load import loads
 from study.harness.execution.local import Loky
-from study.harness.record.record import Record, table
+from study.harness.record.record import table
 from study.harness.record.store import Store
 from study.harness.runner import batch, provenance
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import Work
 from study.mechanics.forward.closed_form import compression
 
 from . import fake_worker
@@ -36,9 +35,6 @@ def clean(tmp_path_factory):
     work = expand(loads(DESIGN, "small.toml"), make_data(home))
     computed, records = run(work, home / "results")
     return work, home / "results", computed, records
-
-
-Clean = tuple[Work, Path, int, list[Record]]
 
 
 def value(records, name, **levels):

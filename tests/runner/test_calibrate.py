@@ -70,10 +70,7 @@ def write(
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def case(
-    tmp_path, tests, model = "reduced-polynomial",
-    order = "order = 2", more = ""
-):  # fmt: skip
+def case(tmp_path, tests, model="reduced-polynomial", order="order = 2", more=""):
     usual = {"role": "fit", "file": "a.csv", "points": 40, "range": '["1 %", "30 %"]',
              "more": ', average = ["r"]', "weight": '"equal"'}  # fmt: skip
     text = HEAD.format(model=model, order=order)

@@ -19,10 +19,7 @@ NEO_HOOKEAN = 'model = "neo-hookean"\npoisson_ratio = 0.49\n'
 ONE_TERM = NEO_HOOKEAN + 'relaxation = [{ time = "1 s" }]'
 
 
-def course(
-    folder, name, loading, measure, material, noise = 0.0,
-    seed = 0
-):  # fmt: skip
+def course(folder, name, loading, measure, material, noise=0.0, seed=0):
     """Table of a test whose rows have times."""
     exact = 1e3 * relaxing(material, loading, TIME, measure).stress
     rng = np.random.default_rng(seed)

@@ -1,6 +1,5 @@
 """[execution] retry: what is tried of a failed case, its record, and that nothing is silent."""
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -12,12 +11,10 @@ from study.harness.design.load import loads
 from study.harness.execution.local import Loky
 from study.harness.execution.supervisor import Inline
 from study.harness.execution.task import stopped_late
-from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.batch import computed, run_batch
 from study.harness.runner.case_series import refine_cases
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import Work
 from study.harness.runner.study_refinement import study_series
 from tests.pages import both_pages
 
@@ -26,9 +23,6 @@ from .conftest import DESIGN, fake, make_data
 
 def design(policy):
     return f"{DESIGN}\n[execution]\nretry = {{ {policy} }}\n"
-
-
-Ran = Callable[..., tuple[Work, int, dict[str, Record]]]
 
 
 @pytest.fixture

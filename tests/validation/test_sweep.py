@@ -19,32 +19,37 @@ from validation.sweep_problems import (
     references,
 )
 
-DRAWN = [drawn(2011, number) for number in range(80)]
+
+@pytest.fixture(scope="module")
+def problems():
+    return [drawn(2011, number) for number in range(80)]
 
 
-def test_a_problem_is_a_matter_of_its_seed_and_number():
-    assert drawn(2011, 7) == DRAWN[7]
-    assert drawn(2012, 7) != DRAWN[7]
+def test_a_problem_is_a_matter_of_its_seed_and_number(problems):
+    assert drawn(2011, 7) == problems[7]
+    assert drawn(2012, 7) != problems[7]
 
 
-def test_every_kind_of_problem_is_drawn():
-    models = Counter((p.model.space, p.model.element_order, p.model.element_shape) for p in DRAWN)
+def test_every_kind_of_problem_is_drawn(problems):
+    models = Counter(
+        (p.model.space, p.model.element_order, p.model.element_shape) for p in problems
+    )
     assert models == dict.fromkeys(
         ((m.space, m.element_order, m.element_shape) for m in ELEMENTS), 10
     )
-    assert {type(p.specimen) for p in DRAWN} == {Cylinder, Block}
-    assert {type(p.test.indenter) for p in DRAWN} == {type(None), Cone, Sphere, Flat}
-    assert {p.test.interface for p in DRAWN} == {"frictionless", "bonded"}
-    assert {p.material.model for p in DRAWN} == {
+    assert {type(p.specimen) for p in problems} == {Cylinder, Block}
+    assert {type(p.test.indenter) for p in problems} == {type(None), Cone, Sphere, Flat}
+    assert {p.test.interface for p in problems} == {"frictionless", "bonded"}
+    assert {p.material.model for p in problems} == {
         "neo-hookean", "mooney-rivlin", "reduced-polynomial", "ogden",
     }  # fmt: skip
-    assert {p.model.mesh_size_mm is None for p in DRAWN} == {True, False}
+    assert {p.model.mesh_size_mm is None for p in problems} == {True, False}
 
 
-def test_problems_are_wide_and_within_their_ranges():
-    ratio = np.array([_half(p) / p.specimen.height_mm for p in DRAWN])
-    depth = np.array([p.test.displacement_mm / p.specimen.height_mm for p in DRAWN])
-    nu = np.array([p.material.poisson_ratio for p in DRAWN])
+def test_problems_are_wide_and_within_their_ranges(problems):
+    ratio = np.array([_half(p) / p.specimen.height_mm for p in problems])
+    depth = np.array([p.test.displacement_mm / p.specimen.height_mm for p in problems])
+    nu = np.array([p.material.poisson_ratio for p in problems])
     for values, low, high in ((ratio, 0.2, 5.0), (depth, 0.05, 0.5), (nu, 0.45, 0.4999)):
         # three digits of a size move a ratio by a hundredth of itself
         assert 0.98 * low <= values.min()
@@ -57,8 +62,8 @@ def _half(problem):
     return body.radius_mm if isinstance(body, Cylinder) else body.width_mm / 2
 
 
-def test_references_are_finer_quadratic_and_affordable():
-    for problem in DRAWN[:24]:
+def test_references_are_finer_quadratic_and_affordable(problems):
+    for problem in problems[:24]:
         assert expected_unknowns(problem.setup) < MOST_UNKNOWNS[problem.model.space]
         for one in references(problem):
             assert one.model.element_order == "quadratic"
@@ -75,7 +80,7 @@ def test_references_are_finer_quadratic_and_affordable():
 
 # What is found, with a solver whose errors are known
 
-PROBLEM = DRAWN[0]  # a cylinder in the plane: its references are in the plane too
+PROBLEM = drawn(2011, 0)  # a cylinder in the plane: its references are in the plane too
 
 
 def solver(error, message=sweep.NOTHING, status="converged"):
@@ -158,10 +163,7 @@ def program(*arguments):
         (of_mesh, ("--seed", 1), 2, "line 1: belongs to another seed or other problems"),
     ],
 )
-def test_a_file_is_gone_on_with_unless_it_is_of_another_seed(
-    tmp_path, error, asked, code,
-    line
-):  # fmt: skip
+def test_a_file_is_gone_on_with_unless_it_is_of_another_seed(tmp_path, error, asked, code, line):
     file = tmp_path / "sweep.jsonl"
     row = {"seed": 2011, "number": 0, "problem": repr(PROBLEM)}
     file.write_text(json.dumps(row | sweep.outcome(PROBLEM, solver(error))) + "\n")
@@ -171,13 +173,13 @@ def test_a_file_is_gone_on_with_unless_it_is_of_another_seed(
     assert (found.err == "") == (code < 2)
 
 
-def test_a_problem_is_written_as_python():
+def test_a_problem_is_written_as_python(problems):
     found = program("--show", 3)
     assert found.code == 0
     names = {}
     exec(found.out.split("for one in")[0], names)  # its own output, of this very test
-    assert names["problem"] == DRAWN[3]
-    assert names["reference"] == references(DRAWN[3])[0]
+    assert names["problem"] == problems[3]
+    assert names["reference"] == references(problems[3])[0]
 
 
 @pytest.mark.slow

@@ -181,10 +181,12 @@ def comparable(data: ReportData, response: str) -> pd.DataFrame:
     if not data.blocks or "block" not in complete or complete.empty:
         return complete
     factors = list(data.factors)
+    cell, block = cell_names(complete, factors), complete["block"].astype(str)
+    if len({*zip(cell, block, strict=True)}) == len({*cell}) * len({*block}):  # all in each block
+        return complete
     often = answered_often(complete, factors, "block", complete["block"].nunique())
     if not data.is_table and often.any():  # an analysis of a table leaves out none
-        complete = complete[often]
-    cell = cell_names(complete, factors)
+        complete, cell = complete[often], cell[often]
     per_block = cell.groupby(complete["block"].astype(str)).nunique()
     whole = per_block.index[per_block == cell.nunique()]
     if len(whole) in (0, len(per_block)):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import functools
 import gzip
 import hashlib
+import io
 import itertools
 import json
 import math
@@ -351,24 +353,32 @@ def safe_cell(value: object) -> object:
 
 def of_frame(frame: pd.DataFrame) -> str:
     """CSV text of a data frame, without its index: quotes where needed, one newline a row."""
-    import pandas as pd
 
-    def safe_column(column: pd.Series) -> pd.Series:
-        if column.dtype.kind == "f":
-            return column.where(np.isfinite(column))
-        return column if column.dtype.kind in "iub" else column.astype(object).map(safe_cell)
+    def safe(column: pd.Series) -> list[object]:
+        if column.dtype.kind not in "iubf":
+            return [safe_cell(value) for value in column]
+        cells = zip(column, column.isna(), strict=True)
+        return ["" if missing or math.isinf(value) else value for value, missing in cells]
 
-    columns = [safe_column(column) for _, column in frame.items()]
-    safe = pd.concat(columns, axis=1) if columns else frame
-    heads = [str(safe_cell(name)) for name in frame.columns]
-    return safe.to_csv(index=False, header=heads, lineterminator="\n")
+    return _of_columns(frame.columns, [safe(column) for _, column in frame.items()])
 
 
 def of_rows(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
     """CSV text of rows of cells."""
-    import pandas as pd
+    safe = [[safe_cell(cell) for cell in row] for row in rows]
+    return _of_columns(columns, zip(*safe, strict=True))
 
-    return of_frame(pd.DataFrame(list(map(list, rows)), columns=list(columns), dtype=object))
+
+def _of_columns(names: Iterable[object], columns: Iterable[Sequence[object]]) -> str:
+    """CSV text of columns of safe cells; whole numbers beside others get a decimal point too."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([safe_cell(name) for name in names])
+    uniform = (
+        np.asarray(c, float).tolist() if {*map(type, c)} == {int, float} else c for c in columns
+    )
+    writer.writerows(zip(*uniform, strict=True))
+    return text.getvalue()
 
 
 # What a report was made from, so that one that would be the same again is not made again.
@@ -392,13 +402,18 @@ _LIBRARIES = ("matplotlib", "seaborn", "pandas", "statsmodels", "jinja2", "pint"
 
 def made_of(results: Path, options: Sequence[str], versions: Mapping[str, str]) -> str:
     """Hash of everything that decides a report."""
-    package = Path(study.__file__).parent
-    code = (path for path in package.rglob("*") if "__pycache__" not in path.parts)
     stored = (path for path in results.rglob("*") if path.name not in _SILENT)
     drawn_by = {name: _version(name) for name in _LIBRARIES}
     text = json.dumps([list(options), dict(versions), drawn_by], sort_keys=True)
-    parts = [text, _content(package, code), _content(results, stored)]
+    parts = [text, _code(), _content(results, stored)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+@functools.cache
+def _code() -> str:
+    """Hash of the package; what a process has loaded stays as it is."""
+    package = Path(study.__file__).parent
+    return _content(package, (p for p in package.rglob("*") if "__pycache__" not in p.parts))
 
 
 def is_kept(folder: Path, name: str, made_from: str) -> bool:
@@ -475,6 +490,7 @@ def _content(root: Path, paths: Iterable[Path]) -> str:
     return sha.hexdigest()
 
 
+@functools.cache
 def _version(name: str) -> str:
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(name)

@@ -28,7 +28,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import gammaln
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import StudyError
@@ -242,6 +241,8 @@ def _by_order(failed: Array, levels: Ints, cells: Ints, rng: np.random.Generator
 
 def _weight(bad: Array, total: Array) -> Array:
     """Logarithm of the probability of a table, but for a constant: sum of ln C(total, bad)."""
+    from scipy.special import gammaln
+
     logs = gammaln(total + 1) - gammaln(bad + 1) - gammaln(total - bad + 1)
     return np.asarray(np.sum(logs, axis=-1))
 

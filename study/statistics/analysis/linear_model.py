@@ -16,7 +16,7 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, InputError, nearest
@@ -372,7 +372,7 @@ class Factorization:
         """Coefficients from coordinates along ``q``, of minimum norm, shape (p, r)."""
         exact = None
         if self.is_triangular and self.rank >= _MANY_COLUMNS and self._is_block_diagonal:
-            exact = linalg.block_diag(*(_inverse(self.r[b, b]) for b in self.matrix.blocks))
+            exact = scipy.linalg.block_diag(*(_inverse(self.r[b, b]) for b in self.matrix.blocks))
         elif self.is_triangular:
             exact = _inverse(self.r)
         inverse = np.linalg.pinv(self.r, rcond=ALIAS_TOLERANCE) if exact is None else exact
@@ -527,7 +527,7 @@ def _is_regular(r: Array) -> bool:
 
 def _inverse(r: Array) -> Array | None:
     """Inverse of an upper triangle; None where a number on its diagonal is zero."""
-    inverse, info = linalg.lapack.dtrtri(r)
+    inverse, info = scipy.linalg.lapack.dtrtri(r)
     return np.asarray(inverse) if info == 0 and np.isfinite(inverse).all() else None
 
 
@@ -547,7 +547,7 @@ def span(columns: Array) -> Array:
     cells = distinct_rows(columns)
     if cells is not None:
         return cells.spread(span(cells.rows))
-    q, r, _ = linalg.qr(columns, mode="economic", pivoting=True)
+    q, r, _ = scipy.linalg.qr(columns, mode="economic", pivoting=True)
     size = np.abs(np.diag(r))
     return np.asarray(q[:, : size.size][:, size > ALIAS_TOLERANCE * max(1.0, size[0])])
 

@@ -16,7 +16,7 @@ from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import stdtr
+import scipy
 
 from study.ground.arrays import Array, one_thread
 from study.ground.contrast import Setting
@@ -511,7 +511,8 @@ class MixedCells:
             ratio = np.divide(error, estimates.error, out=np.zeros_like(error), where=ok)
             single = np.maximum(single, ratio * t_quantile(self.alpha / 2, df_own))
             # at the error probability that each interval has among all of them
-            every = np.maximum(every, ratio * t_quantile(float(stdtr(df, -wide)), df_own))
+            tail = float(scipy.special.stdtr(df, -wide))
+            every = np.maximum(every, ratio * t_quantile(tail, df_own))
         return Estimates(value, estimates.error, single, every)
 
     def effects(

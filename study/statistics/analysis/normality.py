@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import linalg
 
 from study.ground.arrays import Array, one_thread
 from study.ground.errors import Fault, InputError
@@ -372,7 +372,7 @@ def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> di
         columns = np.ones((layout.n, 1))
         for name in factors:
             k = len(layout.levels[name])
-            code = linalg.helmert(k).T if name in term else np.full((k, 1), k**-0.5)
+            code = scipy.linalg.helmert(k).T if name in term else np.full((k, 1), k**-0.5)
             part = code[layout.codes[name]]
             columns = (columns[:, :, None] * part[:, None, :]).reshape(layout.n, -1)
         contrasts[term_name(term)] = columns.T @ (y - y[0, 0])

@@ -20,8 +20,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from scipy import sparse
-from scipy.special import chdtri, fdtrc
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import RefusedError
@@ -97,7 +95,7 @@ class _Crossed:
     #: Entry of Z'Z that each pair of factors has in each group.
     position: Ints
     #: shape (k, q); ones.
-    z: sparse.csr_array
+    z: scipy.sparse.csr_array
 
     def gram(self, weight: Array) -> Array:
         """Entries of Z' diag(weight) Z."""
@@ -111,7 +109,7 @@ def _crossed(codes: Sequence[Ints], groups: int) -> _Crossed:
     """Order the levels of some factors so that connected ones stand together."""
     if not codes:
         none = np.zeros((0, groups), dtype=np.int64)
-        z = sparse.csr_array((groups, 0), dtype=float)
+        z = scipy.sparse.csr_array((groups, 0), dtype=float)
         return _Crossed(none, none[:, 0], (), none.ravel(), z)
     sizes = [int(code.max()) + 1 for code in codes]
     start = np.cumsum([0, *sizes])
@@ -119,8 +117,8 @@ def _crossed(codes: Sequence[Ints], groups: int) -> _Crossed:
     q = int(start[-1])
     ones = np.ones(raw.size)
     rows = np.tile(np.arange(groups), len(codes))
-    z = sparse.csr_array((ones, (rows, raw.ravel())), shape=(groups, q))
-    label = sparse.csgraph.connected_components(z.T @ z, directed=False)[1]
+    z = scipy.sparse.csr_array((ones, (rows, raw.ravel())), shape=(groups, q))
+    label = scipy.sparse.csgraph.connected_components(z.T @ z, directed=False)[1]
     number = np.bincount(label)
     order = np.lexsort((np.arange(q), label, number[label]))
     rank = np.empty(q, dtype=np.int64)
@@ -204,7 +202,7 @@ class Likelihood:
         both = np.column_stack([self.x, self.y - self.x @ self.least_squares])
         group, first = self._groups
         number = np.bincount(group).astype(float)
-        sums = sparse.csr_array((np.ones(group.size), (group, np.arange(group.size))))
+        sums = scipy.sparse.csr_array((np.ones(group.size), (group, np.arange(group.size))))
         mean = (sums @ both) / number[:, None]
         within = both - mean[group]
         return number, mean, within.T @ within
@@ -523,11 +521,11 @@ class RestrictedFit:
         value = basis.T @ m.beta
         wald = float(value @ np.linalg.solve(basis.T @ self.adjusted @ basis, value)) / count
         f = scaling * wald
-        return FRatioTest(f, float(count), df, float(fdtrc(count, df, f)))
+        return FRatioTest(f, float(count), df, float(scipy.special.fdtrc(count, df, f)))
 
     def interval(self, which: int, alpha: float) -> tuple[float, float]:
         """Interval of a standard deviation by the profile of the restricted likelihood."""
-        limit = math.sqrt(float(chdtri(1, alpha)))
+        limit = math.sqrt(float(scipy.special.chdtri(1, alpha)))
         best, scale = math.sqrt(self.v[which]), self.likelihood.scale
         latest = [self.v]
 
@@ -605,7 +603,8 @@ class Sandwich:
             return 1.0, 1.0
         df1 = trace**2 / float(np.sum(covariance**2))
         df2 = df1 * float(np.diag(covariance) @ df) / trace
-        return df1 / basis.shape[1], float(fdtrc(df1, df2, float(value @ value) / trace))
+        p = scipy.special.fdtrc(df1, df2, float(value @ value) / trace)
+        return df1 / basis.shape[1], float(p)
 
     @cached_property
     def _blocks(self) -> list[tuple[Ints, Array, Array]]:

@@ -10,8 +10,7 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy import linalg
-from scipy.special import stdtrit
+import scipy
 
 from study.ground.arrays import Array, Flags
 from study.ground.canonical import Keyed
@@ -85,7 +84,8 @@ def is_confirmed(runs: Runs, j: int, least: float) -> bool:
     means = pd.DataFrame(rows).pivot_table("y", ["place", "at"], "block")
     means = means[means.index.get_level_values(0).duplicated(keep=False)]
     n = means.shape[1]
-    t = float(stdtrit(n - 1, 0.975)) if n > 2 else math.nan  # two blocks have no interval
+    # two blocks have no interval
+    t = float(scipy.special.stdtrit(n - 1, 0.975)) if n > 2 else math.nan
     for _, at_place in means.groupby(level=0):
         for a, b in combinations(at_place.to_numpy(), 2):
             change = a - b
@@ -530,7 +530,7 @@ class BlockedEmulator(Keyed):
     def _scatter(self, values: Array) -> Array:
         """Half width of the 95 % interval of a mean over blocks, the first axis of the values."""
         b = len(self.each)
-        t = float(stdtrit(b - 1, 0.975))
+        t = float(scipy.special.stdtrit(b - 1, 0.975))
         return np.asarray(t * values.std(axis=0, ddof=1) / np.sqrt(b))
 
 
@@ -609,9 +609,13 @@ class Unsure:
         kernel, nugget = fitted.kernel, fitted.nugget
         matrix = kernel.correlation(run_points, run_points)
         matrix[np.diag_indices_from(matrix)] += max(nugget, 1e-10)
-        factor = linalg.cholesky(matrix, lower=True)
-        half_x = linalg.solve_triangular(factor, kernel.correlation(run_points, x), lower=True)
-        half_at = linalg.solve_triangular(factor, kernel.correlation(run_points, at), lower=True)
+        factor = scipy.linalg.cholesky(matrix, lower=True)
+        half_x = scipy.linalg.solve_triangular(
+            factor, kernel.correlation(run_points, x), lower=True
+        )
+        half_at = scipy.linalg.solve_triangular(
+            factor, kernel.correlation(run_points, at), lower=True
+        )
         shared = kernel.correlation(x, at) - half_x.T @ half_at
         variance = np.maximum(1.0 - (half_x**2).sum(axis=0), 0.0) + max(nugget, 1e-10)
         # squared leave-one-out error of the runs near each point, over the variance of the process

@@ -15,7 +15,6 @@ from typing import Literal
 
 import numpy as np
 import scipy
-from scipy import linalg
 
 from study.ground.arrays import Array, Ints, one_thread
 from study.ground.errors import settled
@@ -242,15 +241,17 @@ class GaussianProcess:
         return level[:, 0], weights[:, 0]
 
     def _weights(self, responses: Array) -> tuple[Array, Array]:
-        level = linalg.solve(self._information, self._constants.T @ responses, assume_a="pos")
+        level = scipy.linalg.solve(self._information, self._constants.T @ responses, assume_a="pos")
         rest = responses - self.hyperparameters.kernel.constants(self.x) @ level
-        return level, linalg.cho_solve((self.factor, True), rest)
+        return level, scipy.linalg.cho_solve((self.factor, True), rest)
 
     @cached_property
     def _constants(self) -> Array:
         """K^-1 times the columns of the constant means, shape (n, p)."""
         return np.asarray(
-            linalg.cho_solve((self.factor, True), self.hyperparameters.kernel.constants(self.x))
+            scipy.linalg.cho_solve(
+                (self.factor, True), self.hyperparameters.kernel.constants(self.x)
+            )
         )
 
     @property
@@ -272,9 +273,10 @@ class GaussianProcess:
     def deviation(self, x: Array) -> Array:
         """Posterior standard deviation, shape (m,), without the nugget, at points (m, k)."""
         k = self.covariance(x)
-        half = linalg.solve_triangular(self.factor, k.T, lower=True)
+        half = scipy.linalg.solve_triangular(self.factor, k.T, lower=True)
         missed = self.hyperparameters.kernel.constants(x) - k @ self._constants
-        mean = (missed * linalg.solve(self._information, missed.T, assume_a="pos").T).sum(axis=1)
+        solved = scipy.linalg.solve(self._information, missed.T, assume_a="pos")
+        mean = (missed * solved.T).sum(axis=1)
         variance = self.hyperparameters.variance - (half**2).sum(axis=0) + mean
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
@@ -329,19 +331,19 @@ def condition(x: Array, y: Array, noise: Array, fitted: Hyperparameters) -> Gaus
     """Condition a process with known hyperparameters on runs."""
     matrix = fitted.variance * fitted.kernel.correlation(x, x)
     matrix[np.diag_indices_from(matrix)] += noise + fitted.variance * fitted.nugget
-    factor = linalg.cholesky(matrix, lower=True)
+    factor = scipy.linalg.cholesky(matrix, lower=True)
     projected = _projected(factor, fitted.kernel.constants(x))
     return GaussianProcess(x, y, noise, fitted, factor, projected, projected @ y)
 
 
 def _projected(factor: Array, constants: Array) -> Array:
     """K^-1 with the columns of the constant means projected out, shape (n, n)."""
-    lower, _ = linalg.lapack.dpotri(factor, lower=1)
+    lower, _ = scipy.linalg.lapack.dpotri(factor, lower=1)
     inverse = lower + lower.T  # the factor has zeros above its diagonal, and so has the inverse
     inverse[np.diag_indices_from(inverse)] = np.diag(lower)
     solved = inverse @ constants
     return np.asarray(
-        inverse - solved @ linalg.solve(constants.T @ solved, solved.T, assume_a="pos")
+        inverse - solved @ scipy.linalg.solve(constants.T @ solved, solved.T, assume_a="pos")
     )
 
 
@@ -356,10 +358,10 @@ def log_likelihood(
     matrix[np.diag_indices_from(matrix)] += noise + at.variance * at.nugget
     constants = at.kernel.constants(x)
     try:
-        factor = linalg.cholesky(matrix, lower=True, check_finite=False)
-        half = linalg.solve_triangular(factor, constants, lower=True)
-        means = linalg.cholesky(half.T @ half, lower=True)
-    except linalg.LinAlgError:
+        factor = scipy.linalg.cholesky(matrix, lower=True, check_finite=False)
+        half = scipy.linalg.solve_triangular(factor, constants, lower=True)
+        means = scipy.linalg.cholesky(half.T @ half, lower=True)
+    except scipy.linalg.LinAlgError:
         return -np.inf, np.zeros_like(theta)
     projected = _projected(factor, constants)
     weights = projected @ y

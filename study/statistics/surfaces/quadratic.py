@@ -9,7 +9,7 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy.special import fdtri, stdtr, stdtrit
+import scipy
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
@@ -293,9 +293,9 @@ def level_limit(k: int, df: int, error: Error) -> float | None:
     gradients of df + 1 blocks have the mean zero by Hotelling's T^2.
     """
     if error != "blocks":
-        return k * float(fdtri(k, df, 0.95))
+        return k * float(scipy.special.fdtri(k, df, 0.95))
     free = df + 1 - k
-    return k * df / free * float(fdtri(k, free, 0.95)) if free > 0 else None
+    return k * df / free * float(scipy.special.fdtri(k, free, 0.95)) if free > 0 else None
 
 
 # A quadratic surface fitted to runs, and what may be said of it.
@@ -393,12 +393,12 @@ class QuadraticSurface(Keyed):
             for d in [rows[a] - rows[b]]
         )
         if self.error != "blocks":
-            return largest * float(np.sqrt(p * fdtri(p, self.df, 0.95)))
+            return largest * float(np.sqrt(p * scipy.special.fdtri(p, self.df, 0.95)))
         free = self.df + 1 - p
         if free > 0:
-            return largest * float(np.sqrt(p * self.df / free * fdtri(p, free, 0.95)))
+            return largest * float(np.sqrt(p * self.df / free * scipy.special.fdtri(p, free, 0.95)))
         # none of 3,000 ranges over 2 or 3 normal blocks went beyond: the largest error serves all
-        return largest * float(stdtrit(self.df, 1 - 0.025 / len(points)))
+        return largest * float(scipy.special.stdtrit(self.df, 1 - 0.025 / len(points)))
 
     @property
     def where_level(self) -> dict[str, object] | None:
@@ -623,10 +623,10 @@ def _surface(
     coefficients = polynomial.coefficients.tolist()
     terms = [SurfaceTerm(label[t], c) for t, c in zip(columns.terms, coefficients, strict=True)]
     if covariance is not None and error != "none":
-        t = float(stdtrit(df, 0.975))
+        t = float(scipy.special.stdtrit(df, 0.975))
         for i, se in enumerate(np.sqrt(np.diag(covariance)).tolist()):
             c = coefficients[i]
-            p = float(2.0 * stdtr(df, -abs(c) / se)) if se > 0 else None
+            p = float(2.0 * scipy.special.stdtr(df, -abs(c) / se)) if se > 0 else None
             terms[i] = replace(terms[i], interval=(c - t * se, c + t * se), p=p)
     aliases = []
     for term, parts in columns.aliases:

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from scipy.special import fdtri
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
@@ -104,7 +103,7 @@ def agreeing(
     rms, p, m = nearest.rms(at), space.free.size, nearest.measured.size
     if largest is None:
         worth = min(max(rows_worth or float(m), p + 1.0), float(m))
-        f = float(fdtri(p, max(m - p, 1), LEVEL))
+        f = float(scipy.special.fdtri(p, max(m - p, 1), LEVEL))
         share = p * f / max(m - p, 1) * m / worth
         largest = float(np.sqrt(rms**2 * (1.0 + share) + (1.96 * model.loo_rms) ** 2))
     is_open = np.zeros((2, at.size), dtype=bool)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import zip_longest
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from study.ground.arrays import Array
 from study.ground.canonical import Keyed
@@ -325,7 +325,7 @@ def _own(model: Model, inputs: _Inputs, seed: int) -> Array:
             [_numbers(e.value(inputs.coded(u))[:, None]) for e in model.each]
         )
         blocks = responses.shape[1]
-        t = float(stdtrit(blocks - 1, 0.975))
+        t = float(scipy.special.stdtrit(blocks - 1, 0.975))
         scatter = t * responses.std(axis=1, ddof=1) / np.sqrt(blocks)
         return np.asarray(scatter + np.mean([_own(e, inputs, seed) for e in model.each], axis=0))
     paths = model.scale * model.paths(seed)(inputs.unit(u))
