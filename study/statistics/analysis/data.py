@@ -149,7 +149,13 @@ def _alike(levels: Sequence[str], name: str) -> list[str]:
             plain = NUMBER.fullmatch(level)
             quantities[level] = (float(level), "") if plain else split(level)
     units = list(dict.fromkeys(unit for _, unit in quantities.values()))
-    by_size = gathered((_size(*of, units), level) for level, of in quantities.items())
+    sizes = dict(quantities)
+    for other, level in product(reversed(units), quantities):
+        # in the first of the units that is of its kind, with the digits that conversion keeps
+        with suppress(UnitError):
+            size = converted(*quantities[level], other)
+            sizes[level] = float(f"{size:.12g}"), other
+    by_size = gathered((size, level) for level, size in sizes.items())
     spelt = by_letters.values()
     alike += [(same, "are one quantity") for same in by_size.values() if same not in spelt]
     return [
@@ -158,14 +164,6 @@ def _alike(levels: Sequence[str], name: str) -> list[str]:
         for same, how in alike
         if len(same) > 1
     ]
-
-
-def _size(value: float, unit: str, units: Sequence[str]) -> tuple[float, str]:
-    """Value in the first of some units that is of its kind, rounded to what conversion keeps."""
-    for other in units:
-        with suppress(UnitError):
-            return float(f"{converted(value, unit, other):.12g}"), other
-    return value, unit
 
 
 def _labels(column: pd.Series, name: str) -> Texts:
