@@ -276,6 +276,7 @@ class MixedOptions(TypedDict, total=False):
     model: Model
     practical: Practical
     contrasts: Sequence[str]
+    copies: str
     alpha: float
 
 
@@ -310,8 +311,9 @@ def fit_mixed_model(
         rule = "a mixed model needs three blocks or more"
         raise InputError(Fault("measurements.block", rule, "add specimens, or leave out reml"))
     model = study.design.analysis.model
-    defaults: MixedOptions = {"block": "block", "model": model if isinstance(model, str | int) else
-                              list(model)}  # fmt: skip
+    declared = model if isinstance(model, str | int) else list(model)
+    # cells of records that agree are one computation, no rows that were typed twice
+    defaults: MixedOptions = {"block": "block", "model": declared, "copies": "independent"}
     options = {**defaults, **options}
     chosen = next((r for r in study.design.responses if r.name == response), None)
     chosen = study.design.responses[0] if response is None else chosen

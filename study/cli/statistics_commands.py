@@ -299,7 +299,7 @@ def refuse_useless(flags: Mapping[str, str | None], used: Container[str], of: st
 #: flags that a mixed model has a use for
 _OF_MIXED = frozenset({
     "--response", "--factors", "--block", "--error", "--model", "--alpha", "--decimal", "--random",
-    "--covariates", "--practical", "--contrast",
+    "--covariates", "--practical", "--contrast", "--copies",
 })  # fmt: skip
 
 
@@ -316,6 +316,7 @@ def _show_mixed(
         "contrasts": contrasts, "alpha": alpha, "model": _model(flags["--model"]),
         "random": listed(flags["--random"]), "covariates": listed(flags["--covariates"]),
         "block": listed(flags["--block"]), "practical": flags["--practical"],
+        "copies": flags["--copies"],
     }))  # fmt: skip
     model = fit_mixed_model(
         source, flags["--response"], listed(flags["--factors"]), options, results=results,

@@ -58,6 +58,15 @@ MEASURED_COMMA = 'decimal = "," in [measurements]'
 TYPED_COMMA = "--decimal ,"
 
 
+_NUMBER_ALONE = "write the number alone, or delete the row"
+#: of a response, whose table without the row would claim more than was measured
+_LEFT_EMPTY = (
+    "write the number alone, or leave the cell empty: its row then counts as missing, and the "
+    "answer says what it could change. Without the row, or with the limit of a reading such as "
+    "'<0.5' in its place, the mean of its cell is another"
+)
+
+
 @dataclass(frozen=True)
 class CsvTable:
     """Text cells of one file, by column."""
@@ -131,16 +140,19 @@ class CsvTable:
         values = parsed_numbers(marked, self.decimal, self.thousands)
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
-            raise InputError(self._cell_faults(name, cells, bad.tolist()))
+            mend = _LEFT_EMPTY if missing else _NUMBER_ALONE
+            raise InputError(self._cell_faults(name, cells, bad.tolist(), mend))
         values[list(absent)] = math.nan
         return values
 
-    def _cell_faults(self, name: str, cells: Sequence[str], rows: Sequence[int]) -> list[Fault]:
+    def _cell_faults(
+        self, name: str, cells: Sequence[str], rows: Sequence[int], mend: str
+    ) -> list[Fault]:
         faults = [
             Fault(
                 self.cell_name(k, name),
                 f"must be a finite number, got {_short(cells[k])}",
-                _number_mend(cells[k], self.decimal, self.declared_by),
+                _number_mend(cells[k], self.decimal, self.declared_by) or mend,
             )
             for k in rows[:MAX_FAULTS]
         ]
@@ -434,7 +446,7 @@ def _number_mend(cell: str, decimal: str, declared_by: str) -> str:
         return "a missing value must be left out, with its row"
     if not cell.isascii() or "_" in cell:
         return "only the digits 0 to 9, one decimal mark and an exponent are read"
-    return "write the number alone, or delete the row"
+    return ""
 
 
 # Tidy tables of responses, read strictly: one row a case, one column a factor.

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 import study
-from study.ground.errors import InputError
+from study.ground.errors import InputError, RefusedError
 from study.statistics.analysis.restricted_likelihood import (
     Likelihood,
     RestrictedFit,
@@ -499,3 +499,95 @@ def test_a_share_of_a_mean_that_blocks_leave_unsure_is_no_limit_of_a_mixed_model
     asked = {"block": "s", "practical": "5 % of mean"}
     model = study.mixed_model(rows.assign(y=y), "y", ["a"], **asked)
     assert "is not known well enough" in model.effects[0].why
+
+
+# Claims of a declared model: copies, rounding, and effects that differ between blocks.
+
+
+def crossed_rows(random, *, blocks, repeats, sd, shift):
+    """Two levels in blocks that cross, whose difference scatters by ``sd`` over the first one."""
+    shape = (*blocks, 2, repeats)
+    place = np.indices(shape).reshape(len(shape), -1)
+    y = 10 + shift * place[-2] + random.normal(0, 0.1, place.shape[1])
+    for at, n in enumerate(blocks):
+        y += random.normal(0, 2, n)[place[at]]
+    y += random.normal(0, sd / np.sqrt(2), (blocks[0], 2))[place[0], place[-2]]
+    names = {f"s{at}": [f"b{v}" for v in place[at]] for at in range(len(blocks))}
+    return pd.DataFrame({**names, "a": np.array(["low", "high"])[place[-2]], "y": y})
+
+
+def claims_at_the_limit(analyze, sets=60, **layout):
+    """Share of tables that claim something of a difference of exactly the practical one."""
+    claimed = 0
+    for seed in range(sets):
+        table = crossed_rows(np.random.default_rng(seed), sd=0.8, shift=1.0, **layout)
+        (effect,) = analyze(table).effects
+        claimed += effect.verdict != "cannot tell"
+    return claimed / sets
+
+
+def test_a_declared_model_makes_no_claim_of_effects_that_differ_between_blocks():
+    """Five blocks know an effect from five differences, however many rows they have.
+
+    Of 60 tables a right rule makes at most 7 false claims in 98 % of cases; the random block alone
+    made 29.
+    """
+    share = claims_at_the_limit(
+        lambda table: study.mixed_model(table, "y", ["a"], block="s0", practical=1.0),
+        blocks=(5,),
+        repeats=4,
+    )
+    assert share <= 7 / 60
+
+
+@pytest.mark.parametrize(("blocks", "repeats"), [((5, 5), 1), ((4, 3), 5)])
+def test_blocks_that_cross_make_no_claim_of_effects_that_differ_between_them(blocks, repeats):
+    share = claims_at_the_limit(
+        lambda table: study.anova(
+            table, "y", ["a"], block=["s0", "s1"], practical=1.0, exact=False
+        ),
+        blocks=blocks,
+        repeats=repeats,
+    )
+    assert share <= 7 / 60
+
+
+def test_effects_alike_in_all_blocks_are_claimed_from_all_rows():
+    table = crossed_rows(np.random.default_rng(1), blocks=(5, 4), repeats=3, sd=0.0, shift=3.0)
+    for result in (
+        study.anova(table, "y", ["a"], block=["s0", "s1"], practical=1.0),
+        study.mixed_model(table, "y", ["a"], block=["s0", "s1"], practical=1.0),
+    ):
+        assert [e.verdict for e in result.effects] == ["matters"]
+
+
+def test_copied_rows_and_blocks_are_refused_by_mixed_models():
+    random = np.random.default_rng(5)
+    table = pd.DataFrame({"a": ["low", "high"] * 5, "x": random.normal(5, 1, 10).round(2)})
+    table["y"] = (10 + table["x"] + random.normal(0, 0.3, 10)).round(3)
+    copied = pd.concat([table] * 3, ignore_index=True)
+    with pytest.raises(RefusedError, match="each row stands 3 times"):
+        study.mixed_model(copied, "y", ["a"], covariates=["x"])
+    once = study.mixed_model(copied, "y", ["a"], covariates=["x"], copies="independent")
+    assert once.effects[0].verdict == "cannot tell"
+    with pytest.raises(InputError, match="copies"):
+        study.mixed_model(copied, "y", ["a"], covariates=["x"], copies="both")
+    blocks = crossed_rows(random, blocks=(4,), repeats=2, sd=0.3, shift=1.0)
+    again = blocks.assign(s0=blocks["s0"] + " again")
+    with pytest.raises(RefusedError, match="b0 again repeats b0"):
+        study.mixed_model(pd.concat([blocks, again]), "y", ["a"], block="s0")
+
+
+def test_skewed_differences_of_complete_blocks_are_no_certain_mean():
+    """Lognormal differences of mean 1, sigma 1.2: their sample means lie far below it."""
+    claimed = 0
+    for seed in range(100):
+        random = np.random.default_rng(seed)
+        apart = random.lognormal(-0.72, 1.2, 8)
+        base = random.uniform(0, 10, 8)
+        y = np.concatenate([base, base + apart]) + random.normal(0, 0.02, 16)
+        blocks = [f"b{k}" for k in range(8)] * 2
+        table = pd.DataFrame({"s": blocks, "a": ["low"] * 8 + ["high"] * 8, "y": y})
+        result = study.mixed_model(table, "y", ["a"], block="s", practical=1.0)
+        claimed += result.effects[0].verdict != "cannot tell"
+    assert claimed <= 10

@@ -1,8 +1,11 @@
 """Strict reading of tidy CSV files."""
 
+import numpy as np
+import pandas as pd
 import pytest
 
-from study.ground.errors import InputError
+import study
+from study.ground.errors import InputError, RefusedError
 from study.ground.tabular import read_tidy_csv as read_csv
 
 GOOD = "a,b,y\nx,1,1.5\nx,2,2.5\nz,1,\nz,2,4e0\n"
@@ -66,3 +69,38 @@ def test_lines_of_a_spreadsheet_without_a_cell_are_left_out(tmp_path):
 def test_missing_file(tmp_path):
     with pytest.raises(InputError, match="there is no such file"):
         read_csv(tmp_path / "none.csv", "y", ["a"])
+
+
+def test_levels_that_are_one_number_or_quantity_are_named():
+    random = np.random.default_rng(4)
+    for levels, named in (
+        (["1", "1.0", "2"], "'1' and '1.0' are one quantity"),
+        (["10 mm", "1 cm", "5 mm"], "'10 mm' and '1 cm' are one quantity"),
+        (["5 mm", "5 cm", "5 N"], ""),
+    ):
+        table = pd.DataFrame({"a": levels * 4, "y": random.normal(10, 0.2, 12)})
+        notes = [note for note in study.anova(table, "y", ["a"]).notes if "one quantity" in note]
+        assert [named in note for note in notes] == [True] * bool(named)
+
+
+def test_blocks_that_were_copied_and_moved_are_refused():
+    """Another zero of the instrument leaves what a block adds to differences as it is."""
+    random = np.random.default_rng(20)
+    y = (10 + random.normal(0, 0.5, (3, 4))).round(3)
+    rows = [(b, a, y[b, a]) for b in range(3) for a in range(4)]
+    table = pd.DataFrame(rows, columns=["s", "a", "y"]).astype({"s": str, "a": str})
+    moved = table.assign(s="again " + table["s"], y=(table["y"] + 5).round(3))
+    assert study.anova(table, "y", ["a"], block="s").effects
+    with pytest.raises(RefusedError, match="again 0 repeats 0"):
+        study.anova(pd.concat([table, moved]), "y", ["a"], block="s")
+
+
+def test_a_mark_among_responses_is_to_be_left_empty_not_deleted(tmp_path):
+    """Without the rows below a limit the mean of what is left lies above it."""
+    file = tmp_path / "runs.csv"
+    for mark in ("<0.5", "n.d."):
+        file.write_text(f"a,y\nA,{mark}\nA,.8\nB,1.1\nB,1.2\n")
+        with pytest.raises(InputError) as refused:
+            study.analyze(file, "y", ["a"])
+        assert "leave the cell empty" in str(refused.value)
+        assert "delete" not in str(refused.value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations, compress, permutations, product
 from typing import TYPE_CHECKING
@@ -12,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array, Ints, gathered
-from study.ground.errors import Fault, InputError, RefusedError
+from study.ground.errors import Fault, InputError, RefusedError, UnitError
 from study.ground.tabular import NUMBER, _check_names, names_of
+from study.ground.units import converted, split
 from study.statistics.analysis.linear_model import CellLayout, Term
 
 if TYPE_CHECKING:
@@ -138,12 +140,28 @@ def _check_range(values: Array, response: str) -> None:
 
 
 def _alike(levels: Sequence[str], name: str) -> list[str]:
-    """Say which levels differ in capitals or spaces alone: perhaps one level, written twice."""
+    """Say which levels may be one level, written twice: by letters, or as a number with a unit."""
     by_letters = gathered(("".join(level.split()).casefold(), level) for level in levels)
+    alike = [(same, "differ in capitals or spaces alone") for same in by_letters.values()]
+    quantities = {}
+    for level in levels:
+        with suppress(UnitError):
+            plain = NUMBER.fullmatch(level)
+            quantities[level] = (float(level), "") if plain else split(level)
+    units = list(dict.fromkeys(unit for _, unit in quantities.values()))
+    sizes = dict(quantities)
+    for other, level in product(reversed(units), quantities):
+        # in the first of the units that is of its kind, with the digits that conversion keeps
+        with suppress(UnitError):
+            size = converted(*quantities[level], other)
+            sizes[level] = float(f"{size:.12g}"), other
+    by_size = gathered((size, level) for level, size in sizes.items())
+    spelt = by_letters.values()
+    alike += [(same, "are one quantity") for same in by_size.values() if same not in spelt]
     return [
-        f"{name}: the levels {' and '.join(map(repr, same))} differ in capitals or spaces alone "
-        "and are taken for different ones: write them the same way if they are one"
-        for same in by_letters.values()
+        f"{name}: the levels {' and '.join(map(repr, same))} {how} and are taken for different "
+        "ones: write them the same way if they are one"
+        for same, how in alike
         if len(same) > 1
     ]
 
@@ -481,9 +499,13 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:
     sd, interaction = (float(np.sqrt(np.nanmean(part**2))) for part in (centred, of_both))
     pairs, step, twins = blocks * (blocks - 1) / 2, _least_step(data.y), []
     for i, j in combinations(range(blocks), 2):
-        apart = np.abs(table[i] - table[j])
+        apart = table[i] - table[j]
         both = int(np.isfinite(apart).sum())
-        farthest = float(np.nanmax(apart)) if both > 1 else math.inf
+        farthest = float(np.nanmax(np.abs(apart))) if both > 1 else math.inf
+        if both > 1 and farthest > _FARTHEST * interaction:
+            # one that was copied and moved, as by another zero, keeps its interaction
+            farthest = float(np.nanmax(np.abs(apart - np.nanmedian(apart))))
+            farthest = max(farthest, float(np.spacing(np.abs(data.y).max())))
         if farthest == 0:
             chance = (3 * chance_of_tie(step, sd)) ** both
         else:

@@ -41,6 +41,7 @@ from study.statistics.analysis.linear_model import (
     term_name,
     terms_of,
 )
+from study.statistics.analysis.mixed_model import rivals_beside_crossing_blocks
 from study.statistics.analysis.simple_effects import CANNOT_TELL, SimpleEffects
 from study.statistics.analysis.sums_of_squares import (
     Factored,
@@ -198,6 +199,8 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
     elif df or out.scale.deterministic:
         sample = with_pooled_error(judged, error_rss, df, alpha, seed)
         rivals, notes = rivals_of_rows(out, judged, error_rss, df, sample) if df else ([], [])
+        of_blocks, seen = rivals_beside_crossing_blocks(out, judged)
+        rivals, notes = rivals + of_blocks, notes + seen
         rivals = [refusal(untested), *rivals] if untested else rivals
         out = out.warn(*notes)
         simple = judge_factors(out, data.layout, judged, sample, rivals)

@@ -245,7 +245,7 @@ def rivals_over_groups(
     if reading and out.replicates == "runs":
         rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
     if out.replicates != "noise":
-        rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, y))
+        rivals.append(any_shape(alpha, seed, sample, lambda rows: rows @ added, groups, y))
         rivals += limit_rivals(out.request.scale, out.request.alpha, sample, y.mean(axis=0))
     return rivals
 
@@ -417,7 +417,8 @@ def _rivals_of_cells(
     if counts.max() >= FEWEST_FOR_SHAPE and counts.min() >= 2 and is_small:
         groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts)[:-1])
         added = (fit.inverse @ fit.q.T) * (out.y - fit.shift)
-        rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, out.y))
+        alpha, seed = out.request.alpha, out.request.interval_seed
+        rivals.append(any_shape(alpha, seed, sample, lambda rows: rows @ added, groups, out.y))
     return rivals
 
 
@@ -449,7 +450,8 @@ def _with_scatter(sample: Sample, largest: float) -> Sample:
 
 
 def any_shape(
-    out: AnalysisResult,
+    alpha: float,
+    seed: int | None,
     sample: Sample,
     values: Callable[[Array], Array],
     groups: Sequence[Ints],
@@ -464,7 +466,6 @@ def any_shape(
     blocks have one sign, beyond chance, may be as large as the mean of a lognormal (upper limit by
     Cox's method; Zhou and Gao 1997, Statist. Med. 16, 783-790).
     """
-    alpha, seed = out.request.alpha, out.request.interval_seed
     rounding = _ROUNDING * float(np.abs(y).max())
 
     def estimate(differences: Differences) -> Estimates:

@@ -23,9 +23,7 @@ from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
 from study.statistics.analysis.data import blocks_that_lack_cells
 from study.statistics.analysis.gate import (
-    COARSE,
     Rival,
-    any_shape,
     block_means,
     every_term,
     judge_factors,
@@ -33,9 +31,13 @@ from study.statistics.analysis.gate import (
     reading_error,
 )
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
-from study.statistics.analysis.mixed_model import MixedCells, rivals_of_lack
+from study.statistics.analysis.mixed_model import (
+    MixedCells,
+    rival_of_rounding,
+    rival_of_shape,
+    rivals_of_lack,
+)
 from study.statistics.analysis.restricted_likelihood import Sandwich, SingularError, fit_restricted
-from study.statistics.analysis.simple_effects import Differences, Estimates
 from study.statistics.analysis.strata import Plots
 from study.statistics.analysis.sums_of_squares import (
     alias_warnings,
@@ -116,22 +118,8 @@ def _rivals(
     )
     notes: list[str] = []
     if reading := reading_error(out):
-
-        def coarse(differences: Differences) -> Estimates:
-            estimates = model.sample(differences)
-            least = reading * np.linalg.norm(model.along(differences.rows), axis=1)
-            error = least if estimates.error is None else np.maximum(estimates.error, least)
-            return replace(estimates, error=error)
-
-        rivals.insert(0, Rival(COARSE, coarse))
-
-    def of_blocks(rows: Array) -> Array:
-        along = model.along(rows)
-        parts = sandwich.parts(along)[0]
-        return parts.T + (along @ model.fit.moments.beta)[:, None] / len(parts)
-
-    blocks = [np.arange(int(sandwich.block.max()) + 1)]
-    rivals.append(any_shape(out, model.sample, of_blocks, blocks, out.y))
+        rivals.insert(0, rival_of_rounding(model, reading))
+    rivals.append(rival_of_shape(model, sandwich))
     full = every_term(out, out.data.layout)
     if full is None:
         return rivals, notes

@@ -8,6 +8,7 @@ standard deviations those of the profile of the restricted likelihood.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -24,18 +25,21 @@ from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
 from study.ground.units import p_phrase, unit_of_column
 from study.statistics.analysis.analysis_request import (
+    Blocking,
     Practical,
     ResponseScale,
     alpha_faults,
     threshold,
 )
 from study.statistics.analysis.comparisons import pooled_multiplier, t_quantile
-from study.statistics.analysis.data import Data, prepare
+from study.statistics.analysis.data import Data, prepare, refuse_copied_rows, structure_of
 from study.statistics.analysis.effects import DOUBT, UNEQUAL, Scale, sampled_estimate, size
 from study.statistics.analysis.gate import (
+    COARSE,
     LACK,
     LACK_OF_FIT,
     Rival,
+    any_shape,
     block_means,
     judge_terms,
     limit_rivals,
@@ -67,11 +71,18 @@ from study.statistics.analysis.simple_effects import (
     Estimates,
     SimpleEffects,
 )
-from study.statistics.analysis.sums_of_squares import Factored, factor, term_sums
+from study.statistics.analysis.sums_of_squares import (
+    Factored,
+    FRatioTest,
+    extra_sum,
+    factor,
+    term_sums,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
 
 
@@ -85,6 +96,8 @@ _NOTHING_RANDOM = Fault(
 )
 #: Rows without random factors whose pairs are weighed to judge unequal scatter.
 _MOST_ROWS = 1000
+#: Columns of a model beside which the interactions of factors with blocks are tested.
+_MOST_COLUMNS = 1000
 
 
 @dataclass(frozen=True)
@@ -152,6 +165,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     model: Model = "full",
     practical: Practical = None,
     contrasts: Sequence[str] = (),
+    copies: str = "refuse",
     alpha: float = 0.05,
     seed: int = 2011,
 ) -> MixedModel:
@@ -179,6 +193,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         Smallest difference that matters; see ``threshold``.
     contrasts : sequence of str
         Differences by name: ``"material=stiff - material=soft"``.
+    copies : {"refuse", "independent"}
+        Whether rows or blocks that repeat others in every digit are refused.
     alpha : float
         One minus the level of the intervals.
     seed : int
@@ -195,8 +211,10 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     InputError
         For a random factor with fewer than three levels, terms that the rows cannot tell, or a
         covariate that is no number in some row.
+    RefusedError
+        If rows or blocks are copies of others.
     """
-    if faults := alpha_faults(alpha):
+    if faults := [*alpha_faults(alpha), *Blocking(copies=copies).faults()]:
         raise InputError(faults)
     blocks = names_of(block)
     sources = random_terms(factors, blocks, random)
@@ -205,6 +223,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     columns = list(dict.fromkeys(name for term in sources for name in term if name not in factors))
     fixed_columns, others = (list(factors), columns) if factors else (columns[:1], columns[1:])
     data = prepare(table, response, fixed_columns, others)
+    if factors and copies == "refuse":
+        refuse_copied_rows(data)
     terms = terms_of(factors, model) if factors else ()
     bare = model_matrix(data.layout, terms)
     shift = float(data.y.mean())
@@ -221,14 +241,14 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     scale = Scale("none", difference, None, deterministic=False, specimens=specimens)
     with _determined(sources):
         scatter = components(fit, [*map(term_name, sources), WITHIN], alpha)
-    few = not sources and data.y.size <= _MOST_ROWS
-    rivals = [_unequal_rows(cells, data.y - shift)] if few else []
+    rivals, notes = _rivals_of_scatter(cells, data, sources) if factors else ([], [])
     working = ResponseScale(practical=limit)
     has_blocks = bool(factors) and data.block is not None
     means = block_means(data, data.y) if has_blocks else shift + fixed.residual
     rivals += limit_rivals(working, alpha, cells.sample, means)
     refitted = _refitted(cells, data, sources)
-    lack, notes = _lack_of_fit(cells, terms, factors, refitted)
+    lack, seen = _lack_of_fit(cells, terms, factors, refitted)
+    notes += seen
     for name, x in values.items():
         of_slopes, seen = _unequal_slopes(cells, name, x, refitted)
         lack, notes = lack + of_slopes, notes + seen
@@ -367,6 +387,114 @@ def _recurring_numbers(layout: CellLayout, sources: Sequence[Term]) -> Iterator[
 
 def _numbered_anew(outer: str, inner: str) -> str:
     return f"if it is numbered anew in each {outer}, name it {outer}:{inner}"
+
+
+def _rivals_of_scatter(
+    cells: MixedCells, data: Data, sources: Sequence[Term]
+) -> tuple[list[Rival], list[str]]:
+    """Rivals by rounding, the shape of the scatter and how effects differ between blocks."""
+    rivals: list[Rival] = []
+    if step := structure_of(data).resolution:
+        rivals.append(rival_of_rounding(cells, step / math.sqrt(12)))
+    if data.y.size > _MOST_ROWS:
+        return rivals, []
+    if not sources:
+        return [*rivals, _unequal_rows(cells, data.y - cells.shift)], []
+    if sources == ((data.block,),):
+        block = data.layout.codes[str(data.block)]
+        rivals.append(
+            rival_of_shape(cells, Sandwich(cells.fit, cells.fixed, data.y - cells.shift, block))
+        )
+    of_blocks, notes = rivals_of_unequal_effects(cells, data, data.y - cells.shift, sources)
+    return rivals + of_blocks, notes
+
+
+def rival_of_rounding(cells: MixedCells, reading: float) -> Rival:
+    """Rival whose rows scatter at least by what rounding gives a reading (standard deviation)."""
+
+    def coarse(differences: Differences) -> Estimates:
+        estimates = cells.sample(differences)
+        least = reading * np.linalg.norm(cells.along(differences.rows), axis=1)
+        error = least if estimates.error is None else np.maximum(estimates.error, least)
+        return replace(estimates, error=error)
+
+    return Rival(COARSE, coarse)
+
+
+def rival_of_shape(cells: MixedCells, sandwich: Sandwich) -> Rival:
+    """Rival without a normal distribution of what each block adds to a difference."""
+
+    def of_blocks(rows: Array) -> Array:
+        along = cells.along(rows)
+        parts = sandwich.parts(along)[0]
+        return parts.T + (along @ cells.fit.moments.beta)[:, None] / len(parts)
+
+    blocks = [np.arange(int(sandwich.block.max()) + 1)]
+    y = sandwich.y + cells.shift
+    return any_shape(cells.alpha, cells.seed, cells.sample, of_blocks, blocks, y)
+
+
+def rivals_of_unequal_effects(
+    cells: MixedCells, data: Data, y: Array, sources: Sequence[Term]
+) -> tuple[list[Rival], list[str]]:
+    """Rivals where effects may differ between the levels of a block beyond the rest of the scatter.
+
+    A model without these interactions takes them for scatter of single rows, of which there are
+    many, where an effect is known from as many levels as the block has. Intervals then reach as
+    far as the scatter over these levels tells (CR2).
+    """
+    # what is random counts as fixed: it is no part of what effects differ by
+    dummies = model_matrix(data.layout, [], extra=sources).columns[:, 1:]
+    columns = np.column_stack([cells.fixed.columns, dummies])
+    terms = [term for term in cells.factors.terms if term and set(term) <= set(data.factors)]
+    rivals, notes = [], []
+    for block in (source[0] for source in sources if len(source) == 1):
+        declared = [set(source) - {block} for source in sources if block in source]
+        pairs = [(block, *term) for term in terms if set(term) not in declared]
+        tests = [(_added(columns, data.layout, pair, y), pair) for pair in pairs]
+        seen = [(test.p, test, pair) for test, pair in tests if test is not None]
+        if not seen or (first := min(seen, key=lambda s: s[0]))[0] * len(seen) >= DOUBT:
+            continue
+        _, test, pair = first
+        note = (
+            f"{term_name(pair[1:])} may differ between the levels of {block} "
+            f"(F({test.df:g}, {test.df_error:g}) = {test.f:.4g}, {p_phrase(test.p)}), which the "
+            "model leaves out"
+        )
+        sandwich = Sandwich(cells.fit, cells.fixed, y, data.layout.codes[block])
+        wide = replace(cells, robust=sandwich.errors)
+        rivals.append(
+            Rival(f"{note}: its scatter over {block} does not allow the claim", wide.sample)
+        )
+        notes.append(note)
+    return rivals, notes
+
+
+def rivals_beside_crossing_blocks(
+    out: AnalysisResult, fit: Factored
+) -> tuple[list[Rival], list[str]]:
+    """Rivals of a model of factors and blocks that cross, by how effects differ between blocks."""
+    data, request = out.data, out.request
+    if len(data.blocks) < 2 or not fit.df_residual or out.y.size > _MOST_ROWS:
+        return [], []
+    y = out.y - fit.shift
+    rows = fit_restricted(fit.q, y, [])
+    cells = MixedCells(
+        rows, fit, fit.matrix, data.layout, fit.shift, request.alpha, request.interval_seed
+    )
+    return rivals_of_unequal_effects(cells, data, y, [(name,) for name in data.blocks])
+
+
+def _added(columns: Array, layout: CellLayout, term: Term, y: Array) -> FRatioTest | None:
+    """Test what a term adds to other columns (n, p) of rows y (n,); None where nothing is left."""
+    product = model_matrix(layout, [term]).columns
+    every, k = np.column_stack([columns, product]), columns.shape[1]
+    if every.shape[1] > _MOST_COLUMNS:
+        return None
+    without = factor(ModelMatrix(columns, ((),), (slice(0, k),)), y)
+    whole = factor(ModelMatrix(every, ((), term), (slice(0, k), slice(k, every.shape[1]))), y)
+    df = without.df_residual - whole.df_residual
+    return extra_sum(without.rss - whole.rss, df, whole.rss, whole.df_residual)
 
 
 def _unequal_rows(cells: MixedCells, y: Array) -> Rival:
