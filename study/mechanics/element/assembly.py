@@ -43,9 +43,9 @@ from study.mechanics.element.point_law import (
     add_pressure_tangent,
     cofactor,
     full_tangent,
+    invariants_beyond_rest,
     isochoric,
 )
-from study.mechanics.element.spectral import WORK_ROWS as SPECTRAL_ROWS
 
 
 @part()
@@ -367,10 +367,7 @@ def isochoric_energy(law: int, f: Array, constants: Array, work: Array, stress: 
         return energy
     if law < POLYNOMIAL and law != EXTENDED_TUBE:
         return ogden_energy(work[6, 3:6], constants)
-    invariants = work[SPECTRAL_ROWS + 6 if law == EXTENDED_TUBE else 6]  # I1, I2, J^-2/3, J^-4/3
-    a, b = invariants[2] * invariants[0] - 3.0, 0.0
-    if constants.shape[1] > 1:
-        b = invariants[3] * invariants[1] - 3.0
+    a, b = invariants_beyond_rest(f, work[1])
     if law != EXTENDED_TUBE:
         return invariant_energy(law, constants, a, b)
     tubes = ogden_energy(work[6, 3:6], constants[4:6].reshape(1, 2))

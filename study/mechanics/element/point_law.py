@@ -7,6 +7,8 @@ tensor.
 
 from __future__ import annotations
 
+import math
+
 from study.ground.arrays import Array
 from study.ground.compilation import FAST, part
 from study.mechanics.element.invariant_law import (
@@ -228,6 +230,34 @@ def _add_second_invariant(f: Array, plane: bool, work: Array, tangent: Array) ->
                 if k >= i:
                     tangent[n, 3 * k + j] -= 2.0 * slope * left[3 * i + k]
             tangent[n, n] += 2.0 * slope * I1
+
+
+@part()
+def invariants_beyond_rest(f: Array, d: Array) -> tuple[float, float]:
+    """I1bar - 3 and I2bar - 3, by F - 1: they are squares of strains, and 3 would leave rounding.
+
+    With D = F'F - 1 these are I1 - 3 = tr D, I2 - 3 = 2 tr D + II(D), J^2 - 1 = tr D + II(D) +
+    det D.
+
+    Shapes: f (9,); d (9,), which receives D.
+    """
+    square = 0.0
+    for i in range(3):
+        for j in range(3):
+            value = f[3 * i + j] + f[3 * j + i] - (2.0 if i == j else 0.0)
+            for k in range(3):
+                along = f[3 * k + i] - (1.0 if k == i else 0.0)
+                value += along * (f[3 * k + j] - (1.0 if k == j else 0.0))
+            d[3 * i + j] = value
+            square += value * value
+    trace = d[0] + d[4] + d[8]
+    second = 0.5 * (trace * trace - square)
+    third = d[0] * (d[4] * d[8] - d[5] * d[7]) - d[1] * (d[3] * d[8] - d[5] * d[6])
+    third += d[2] * (d[3] * d[7] - d[4] * d[6])
+    swollen = math.log1p(trace + second + third) / 3.0  # ln J^(2/3)
+    a = trace * math.exp(-swollen) + 3.0 * math.expm1(-swollen)
+    b = (2.0 * trace + second) * math.exp(-2.0 * swollen) + 3.0 * math.expm1(-2.0 * swollen)
+    return a, b
 
 
 @part()
