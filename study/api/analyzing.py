@@ -8,13 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from study import api
-from study.api.folders import is_table
 from study.ground.errors import Fault, InputError, nearest
-from study.ground.tabular import NUMBER, TYPED_COMMA, names_of, read_csv, read_tidy_csv
+from study.ground.tabular import NUMBER, TYPED_COMMA, is_table, names_of, read_csv, read_tidy_csv
 from study.ground.units import unit_of_column
-from study.harness.design.study_file import SCORED, ResponseSpec, response_unit
-from study.harness.runner.job import held_out
-from study.harness.runner.record_analysis import analyze_records
 from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
 from study.reporting.output.analysis_page import analysis_data, write_page
@@ -142,6 +138,9 @@ def analyze(
         response, factors = parsed.response, factors or parsed.factors
         options = {**asked_of(parsed), **options}
     if isinstance(source, (str, Path)) and not is_table(source):
+        from study.harness.design.study_file import ResponseSpec, response_unit
+        from study.harness.runner.record_analysis import analyze_records
+
         # what is not said is taken from the design
         study = api.load(source, results)
         by_name = {r.name: r for r in study.design.responses}
@@ -332,6 +331,9 @@ _SPECIMENS = ("specimen", "sample", "phantom", "subject", "animal", "donor", "ba
 
 def scored_on(design: Design, response: str, blocks: int) -> tuple[str, bool]:
     """Say what a response was scored on, and whether fits to all others predict each specimen."""
+    from study.harness.design.study_file import SCORED
+    from study.harness.runner.job import held_out
+
     fitted, measured = design.calibration, design.measurements
     if response not in SCORED or measured is None or fitted.method == "none":
         return "", False

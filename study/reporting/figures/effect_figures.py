@@ -26,12 +26,6 @@ from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
-#: how means are joined by lines
-_JOINED = {
-    "native_scale": True, "errorbar": None, "legend": False, "linewidth": 1.4,
-    "markeredgewidth": 1,
-}  # fmt: skip
-
 # Means of levels of every factor, beside the grand mean.
 
 
@@ -126,20 +120,13 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
 
 def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
     """Draw a row of points a cell, its mean on top and the lines of the blocks behind."""
-    import seaborn as sns
-
     if "block" in frame and 0 < frame["block"].nunique() <= 40:
-        thin = {"color": style.MUTED, "alpha": 0.28, "linewidth": 0.5}
-        sns.lineplot(
-            frame, x="value", y="rank", units="block", estimator=None, sort=False, ax=ax, **thin
-        )
-    dots = {"color": "#56B4E9", "size": 3, "alpha": 0.8, "clip_on": False}
-    sns.stripplot(
-        frame, x="value", y="rank", orient="y", native_scale=True, jitter=False, zorder=2.5, ax=ax,
-        **dots,
-    )  # fmt: skip
-    diamonds = {"marker": "D", "color": style.INK, "s": 26, "linewidth": 0}
-    sns.scatterplot(means, x="cell_mean", y="rank", zorder=3, legend=False, ax=ax, **diamonds)
+        for _, rows in frame.groupby("block", sort=False):
+            ax.plot(rows["value"], rows["rank"], color=style.MUTED, alpha=0.28, linewidth=0.5)
+    dots = {"color": "#56B4E9", "s": 9, "alpha": 0.8, "clip_on": False}
+    ax.scatter(frame["value"], frame["rank"], linewidth=0, zorder=2.5, **dots)
+    diamonds = {"marker": "D", "color": style.INK, "s": 26}
+    ax.scatter(means["cell_mean"], means["rank"], linewidth=0, zorder=3, **diamonds)
 
 
 # Interactions: a panel for every pair of factors.
@@ -187,22 +174,19 @@ def _connect_pairs(
     ax: Axes, pair: pd.DataFrame, levels: Sequence[str], across: Sequence[str]
 ) -> None:
     """Draw the lines of a pair; a combination that has no mean is a gap."""
-    import seaborn as sns
-
-    numbers = range(len(levels))
-    sns.pointplot(
-        x=pair["other_level"].map({level: place for place, level in enumerate(across)}),
-        y=pair["mean"],
-        hue=pair["level"].map({level: number for number, level in enumerate(levels)}),
-        hue_order=numbers,
-        order=range(len(across)),
-        palette=[style.color_of(index) for index in numbers],
-        markers=[style.MARKERS[index % 7] for index in numbers],
-        linestyles=[style.DASHES[index % len(style.DASHES)] for index in numbers],
-        markersize=4,
-        ax=ax,
-        **_JOINED | {"native_scale": False},
-    )
+    means = pair.set_index(["level", "other_level"])["mean"]
+    places = range(len(across))
+    for number, name in enumerate(levels):
+        ax.plot(
+            places,
+            [means.get((name, other), np.nan) for other in across],
+            color=style.color_of(number),
+            marker=style.MARKERS[number % 7],
+            linestyle=style.DASHES[number % len(style.DASHES)],
+            markersize=4,
+            markeredgewidth=1,
+        )
+    ax.set_xlim(-0.5, len(across) - 0.5)
 
 
 # The figure of the first page: every effect of every response against what matters.

@@ -195,15 +195,11 @@ MOST_SPREAD = 60
 
 def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
-    import seaborn as sns
-
     frame = frame.head(MOST_SPREAD)
     figure, ax = style.one_panel(0.9 + 0.22 * len(frame))
     places = np.arange(len(frame))
     ax.hlines(places, frame["low"], frame["high"], color=style.color_of(0), linewidth=1.6)
-    sns.scatterplot(
-        x=frame["sd"], y=places, color=style.color_of(0), s=36, linewidth=0, zorder=3, ax=ax
-    )
+    ax.scatter(frame["sd"], places, color=style.color_of(0), s=36, linewidth=0, zorder=3)
     style.name_rows(ax, places, [style.wrap(cell, 70, 70) for cell in frame["cell"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
     ax.set_xlim(left=0)
@@ -309,11 +305,9 @@ def _against(ax: Axes, x: pd.Series, residual: pd.Series) -> None:
 
 
 def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
-    import seaborn as sns
-
     bins = int(np.clip(np.ceil(1 + np.log2(values.size)), 4, 40))  # Sturges 1926
     look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
-    sns.histplot(x=values, bins=bins, alpha=1, ax=ax, **look)
+    ax.hist(values, bins=bins, **look)
     ax.set(title="histogram", xlabel=label, ylabel="rows")
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from study.ground.canonical import Keyed
-from study.harness.design.factors import settings_of
-from study.harness.design.spec import Design, Factor
-from study.harness.record.record import Record
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.failures import CaseFate, cause
 from study.statistics.surfaces.surface_inversion import FactorCombination
 from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
+
+if TYPE_CHECKING:
+    from study.harness.design.spec import Design, Factor
+    from study.harness.record.record import Record
 
 MATTERS = "holds in both: matters"
 NO_DIFFERENCE = "holds in both: no practical difference"
@@ -154,6 +156,8 @@ def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
 
 def parts_of(factor: Factor) -> Mapping[str, str]:
     """Part of a range that the setting of every label lies in, by its ends in words."""
+    from study.harness.design.factors import settings_of
+
     span = factor.span
     if span is None:
         return {}

@@ -220,11 +220,17 @@ def _of_residuals(out: AnalysisResult) -> tuple[AnalysisResult, Assumptions]:
 
 def hc3(fit: Factored) -> dict[str, WaldTest]:
     """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts."""
+    from statsmodels.regression.linear_model import OLS, OLSResults
     from statsmodels.tools.sm_exceptions import ValueWarning
 
     robust = None
     if fit.df_residual > 0 and float(fit.leverage.max()) <= EXACT:
-        robust = fit.ols.get_robustcov_results("HC3", use_t=True)
+        ols = OLS(fit.shifted, fit.q, hasconst=True)
+        # the transpose of orthonormal columns saves the singular value decomposition of OLS.fit:
+        # 3.6 s of 1,000,000 rows and 12 columns, this 0.1 s
+        ols.pinv_wexog, ols.rank = fit.q.T, fit.rank
+        of_model = OLSResults(ols, fit.z, np.eye(fit.rank))
+        robust = of_model.get_robustcov_results("HC3", use_t=True)
     tests = {}
     for s in term_sums(fit, "III"):
         name = term_name(s.term)

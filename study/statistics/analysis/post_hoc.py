@@ -394,7 +394,7 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
     if analysis.request.error != "welch":
         model = analysis.model
         if model is not None and model.df_residual:  # of the means of a nested factor's levels
-            ms = float(model.ols.mse_resid)
+            ms = model.rss / model.df_residual
             return _of_model(model, ms, model.df_residual, analysis, factor, reference)
         rule = "needs two rows or more in some cell: nothing scatters"
         raise InputError(Fault("--reference", rule, "add rows, or leave it out"))
