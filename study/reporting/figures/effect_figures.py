@@ -123,10 +123,13 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
     if "block" in frame and 0 < frame["block"].nunique() <= 40:
         for _, rows in frame.groupby("block", sort=False):
             ax.plot(rows["value"], rows["rank"], color=style.MUTED, alpha=0.28, linewidth=0.5)
-    dots = {"color": "#56B4E9", "s": 9, "alpha": 0.8, "clip_on": False}
-    ax.scatter(frame["value"], frame["rank"], linewidth=0, zorder=2.5, **dots)
-    diamonds = {"marker": "D", "color": style.INK, "s": 26}
-    ax.scatter(means["cell_mean"], means["rank"], linewidth=0, zorder=3, **diamonds)
+    ax.scatter(
+        frame["value"], frame["rank"], s=9, color="#56B4E9", alpha=0.8, linewidth=0, zorder=2.5,
+        clip_on=False,
+    )  # fmt: skip
+    ax.scatter(
+        means["cell_mean"], means["rank"], s=26, color=style.INK, marker="D", linewidth=0, zorder=3
+    )
 
 
 # Interactions: a panel for every pair of factors.
