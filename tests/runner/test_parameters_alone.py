@@ -15,7 +15,6 @@ import pytest
 
 from study import api
 from study.ground import errors
-from study.harness.design.load import template
 from tests.cli.small import study, success
 from tests.pages import both_pages
 
@@ -556,7 +555,9 @@ def test_runs_made_elsewhere_are_neither_confirmed_here_nor_replaced_by_a_run(tm
         api.optimize(made.folder, maximize="peak")
     assert "Python function" not in str(refused.value)
     before = sorted(path.name for path in (made.folder / "cases").iterdir())
-    (tmp_path / "runs.toml").write_text(template().replace("my-study", "runs"))
+    success("new", tmp_path / "runs.toml")
+    design = (tmp_path / "runs.toml").read_text().replace("my-study", "runs")
+    (tmp_path / "runs.toml").write_text(design)
     api.virtual(tmp_path, source=tmp_path / "runs.toml")
     with pytest.raises(errors.InputError, match="holds runs that were imported"):
         api.run(tmp_path / "runs.toml", data=tmp_path, results=tmp_path / "r")

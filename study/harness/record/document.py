@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Annotated, Any, NamedTuple, NotRequired, Required, cast
+from typing import Annotated, NamedTuple, NotRequired, Required, cast
 
 import numpy as np
 from pydantic import AllowInfNan, Field, TypeAdapter, ValidationError
@@ -173,9 +173,9 @@ class ScoreDocument(TypedDict):
 MADE_ELSEWHERE = "made elsewhere"
 
 
-def holds_imported_runs(manifest: Mapping[str, Any] | None) -> bool:
-    """Whether the runs of a study were read from a table."""
-    return manifest is not None and any(MADE_ELSEWHERE in note for note in manifest["notes"])
+def are_imported(notes: Sequence[str]) -> bool:
+    """Whether the runs of a study with these notes were read from a table."""
+    return any(MADE_ELSEWHERE in note for note in notes)
 
 
 class ManifestDocument(TypedDict, total=False):

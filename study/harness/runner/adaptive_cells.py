@@ -18,7 +18,7 @@ from study.harness.design.layout_kinds import share_of
 from study.harness.design.load import dump, loads
 from study.harness.design.spec import Design, Factor
 from study.harness.design.study_file import Sequential
-from study.harness.record.document import AdaptiveStep, ConfirmedRow, holds_imported_runs
+from study.harness.record.document import AdaptiveStep, ConfirmedRow, are_imported
 from study.harness.record.folder import ID
 from study.harness.record.record import Record
 from study.harness.record.store import Store
@@ -293,7 +293,7 @@ def confirm(  # noqa: PLR0913  # a study, a setting, and what its run may use
     if code_of(manifest) != code_version():
         rule = "was computed by another version of this program: a new run does not belong to it"
         raise RefusedError(str(Fault(design.name, rule, "run the study again first")))
-    if holds_imported_runs(manifest):
+    if are_imported(manifest["notes"]):
         rule = "its runs were made elsewhere, so that no model is here for a confirming run"
         mend = (
             "ask without the run (--no-confirm, confirming=False), make one at the setting that\n"

@@ -306,8 +306,7 @@ def _against(ax: Axes, x: pd.Series, residual: pd.Series) -> None:
 
 def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
     bins = int(np.clip(np.ceil(1 + np.log2(values.size)), 4, 40))  # Sturges 1926
-    look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
-    ax.hist(values, bins=bins, **look)
+    ax.hist(values, bins=bins, color=style.color_of(5), edgecolor="white", linewidth=0.6)
     ax.set(title="histogram", xlabel=label, ylabel="rows")
 
 

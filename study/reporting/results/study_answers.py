@@ -156,8 +156,6 @@ def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
 
 def parts_of(factor: Factor) -> Mapping[str, str]:
     """Part of a range that the setting of every label lies in, by its ends in words."""
-    from study.harness.design.factors import settings_of
-
     span = factor.span
     if span is None:
         return {}
@@ -166,7 +164,7 @@ def parts_of(factor: Factor) -> Mapping[str, str]:
     words = [f"{low:.4g} to {high:.4g}{unit}" for low, high in zip(ends, ends[1:], strict=False)]
     return {
         label: words[sum(value >= end for end in ends[1:-1])]
-        for label, value in settings_of(factor).items()
+        for label, value in factor.settings.items()
     }
 
 
