@@ -8,21 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from study import api
-from study.api.folders import is_table
-from study.ground.errors import Fault, InputError, nearest
-from study.ground.tabular import NUMBER, TYPED_COMMA, names_of, read_csv, read_tidy_csv
+from study.ground.errors import Fault, InputError
+from study.ground.tabular import NUMBER, TYPED_COMMA, is_table, names_of, read_csv, read_tidy_csv
 from study.ground.units import unit_of_column
-from study.harness.design.study_file import SCORED, ResponseSpec, response_unit
-from study.harness.runner.job import held_out
-from study.harness.runner.record_analysis import analyze_records
 from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
 from study.reporting.output.analysis_page import analysis_data, write_page
 from study.reporting.output.page import Shown
 from study.reporting.results.study_result import (
-    FITTED_CURVE,
-    OTHER_SPECIMEN,
-    OTHER_TEST,
     ResponseAnalysis,
 )
 from study.statistics.analysis.analysis_request import alpha_faults, threshold
@@ -40,7 +33,6 @@ from study.statistics.analysis.mixed_model import MixedModel, mixed_model, rando
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design
     from study.harness.design.study_file import Analysis as analysis_Analysis
     from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
@@ -143,18 +135,7 @@ def analyze(
         options = {**asked_of(parsed), **options}
     if isinstance(source, (str, Path)) and not is_table(source):
         # what is not said is taken from the design
-        study = api.load(source, results)
-        by_name = {r.name: r for r in study.design.responses}
-        name = response or next(iter(by_name))
-        if not study.records:
-            raise InputError(f"{study.folder}: no case is computed yet")
-        names = list(study.records[0].responses)
-        if name not in names:
-            raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, names)))
-        declared = by_name.get(name) or ResponseSpec(name, unit=response_unit(name) or "")
-        of_records = analyze_records(
-            study.design, study.records, declared, study.numerical, factors, options
-        )
+        of_records = api.load(source, results).analyzed(response, factors, options)
         return TableAnalysis.of(of_records)
     faults = []
     if response is None:
@@ -324,28 +305,3 @@ def fit_mixed_model(
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
     named = str(response) if chosen is None else chosen.name
     return mixed_model(study.table, named, names, **options)
-
-
-# What a response was scored on: the curve that was fitted, or one that the fit never saw.
-
-#: words in the name of a column that tell specimens apart
-_SPECIMENS = ("specimen", "sample", "phantom", "subject", "animal", "donor", "batch")
-
-
-def scored_on(design: Design, response: str, blocks: int) -> tuple[str, bool]:
-    """Say what a response was scored on, and whether fits to all others predict each specimen."""
-    fitted, measured = design.calibration, design.measurements
-    if response not in SCORED or measured is None or fitted.method == "none":
-        return "", False
-    other = fitted.problem is not None
-    kind = held_out(fitted.leave_out, measured.fit, measured.score, blocks, other_test=other)
-    if kind is not None:
-        return OTHER_SPECIMEN if kind == "specimen" else OTHER_TEST, kind == "specimen"
-    if other:
-        return OTHER_TEST, False
-    fit, score = dict(measured.fit or {}), dict(measured.score or measured.fit or {})
-    if fit == score:
-        return FITTED_CURVE, False
-    changed = [name for name in {**fit, **score} if fit.get(name) != score.get(name)]
-    apart = any(word in name.lower() for name in changed for word in _SPECIMENS)
-    return OTHER_SPECIMEN if apart else OTHER_TEST, False

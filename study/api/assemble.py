@@ -316,8 +316,9 @@ def _checks_of_fits(
             use = f"use no constant of {missed}, such as {named}"
         yield Check(
             FITS_DESCRIBE, "caution",
-            f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows, {len(doubtful)} are "
-            f"doubtful, {len(bad)} do not; of {named}, {misfits[first['key']]}",
+            f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows"
+            f"{f', {len(doubtful)} are doubtful' * bool(doubtful)}"
+            f"{f', {len(bad)} do not' * bool(bad)}; of {named}, {misfits[first['key']]}",
             use,
         )  # fmt: skip
     vague = [fit for fit in every if not fit["identifiable"]]

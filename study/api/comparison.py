@@ -237,7 +237,7 @@ def _nothing(studies: _Studies, names: tuple[str, str]) -> Fault:
     """Say why there is nothing to compare, and what each study has."""
     has = []
     for name, study in zip(names, studies, strict=True):
-        responses = ", ".join(_analyzed(study)) or "none analyzed"
+        responses = ", ".join(_analyzed(study)) or "that were analyzed: none"
         factors = ", ".join(f.name for f in study.design.factors if len(f.levels) > 1)
         has.append(f"{name} has responses {responses}; factors {factors or 'none'}")
     refused = [f"{n}: {a.name}: {a.refused}" for n, s in zip(names, studies, strict=True)

@@ -51,14 +51,6 @@ def load_design(
     return load(design, overrides)
 
 
-def is_table(source: str | Path) -> bool:
-    """Whether a table is named, not a study: a file of runs, there or not."""
-    path = Path(source)
-    if path.suffix == ".toml" or path.is_dir():
-        return False
-    return path.is_file() or path.suffix in (".csv", ".gz", ".txt", ".tsv")
-
-
 def demo_design(overrides: Sequence[str] = ()) -> Design:
     """Design of the embedded study."""
     from importlib import resources

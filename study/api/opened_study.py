@@ -10,13 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.analyzing import adjusted, scored_on
+from study.api.analyzing import adjusted
 from study.api.assemble import report_data
 from study.api.folders import RESULTS, finished_manifest, results_folder
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.harness.design.load import dump, loads
 from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Design
+from study.harness.design.study_file import SCORED, ResponseSpec, response_unit
 from study.harness.record import document
 from study.harness.record.record import Record
 from study.harness.record.store import Store
@@ -24,6 +25,7 @@ from study.harness.runner import record_analysis
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.expansion import cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
+from study.harness.runner.job import held_out
 from study.mechanics.measurement.conditioning import is_caution
 from study.reporting import content
 from study.reporting.content.analysis_content import contrasts
@@ -32,7 +34,14 @@ from study.reporting.content.report_facts import facts
 from study.reporting.content.sentences import would_change
 from study.reporting.content.text import THIN, case_counts
 from study.reporting.output.page import Shown
-from study.reporting.results.study_result import ResponseAnalysis, StudyResult, unit_of
+from study.reporting.results.study_result import (
+    FITTED_CURVE,
+    OTHER_SPECIMEN,
+    OTHER_TEST,
+    ResponseAnalysis,
+    StudyResult,
+    unit_of,
+)
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.post_hoc import with_contrasts
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
@@ -46,6 +55,8 @@ if TYPE_CHECKING:
     from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
     from study.reporting.results.study_result import ReportData
+    from study.statistics.analysis.analysis_request import AnovaOptions
+    from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
 
 
@@ -59,6 +70,22 @@ class Study(Shown, StudyResult):
     @cached_property
     def _data(self) -> ReportData:
         return report_data(self)
+
+    def analyzed(
+        self, response: str | None, factors: Sequence[str], options: AnovaOptions
+    ) -> AnalysisResult:
+        """Analyze one response, the first by default; what is not said is that of the design."""
+        by_name = {r.name: r for r in self.design.responses}
+        name = response or next(iter(by_name))
+        if not self.records:
+            raise InputError(f"{self.folder}: no case is computed yet")
+        names = list(self.records[0].responses)
+        if name not in names:
+            raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, names)))
+        declared = by_name.get(name) or ResponseSpec(name, unit=response_unit(name) or "")
+        return record_analysis.analyze_records(
+            self.design, self.records, declared, self.numerical, factors, options
+        )
 
     @property
     def answers(self) -> tuple[str, ...]:
@@ -283,3 +310,28 @@ def _analyses(
             )
         )  # fmt: skip
     return adjusted(analyses, design.analysis)
+
+
+# What a response was scored on: the curve that was fitted, or one that the fit never saw.
+
+#: words in the name of a column that tell specimens apart
+_SPECIMENS = ("specimen", "sample", "phantom", "subject", "animal", "donor", "batch")
+
+
+def scored_on(design: Design, response: str, blocks: int) -> tuple[str, bool]:
+    """Say what a response was scored on, and whether fits to all others predict each specimen."""
+    fitted, measured = design.calibration, design.measurements
+    if response not in SCORED or measured is None or fitted.method == "none":
+        return "", False
+    other = fitted.problem is not None
+    kind = held_out(fitted.leave_out, measured.fit, measured.score, blocks, other_test=other)
+    if kind is not None:
+        return OTHER_SPECIMEN if kind == "specimen" else OTHER_TEST, kind == "specimen"
+    if other:
+        return OTHER_TEST, False
+    fit, score = dict(measured.fit or {}), dict(measured.score or measured.fit or {})
+    if fit == score:
+        return FITTED_CURVE, False
+    changed = [name for name in {**fit, **score} if fit.get(name) != score.get(name)]
+    apart = any(word in name.lower() for name in changed for word in _SPECIMENS)
+    return OTHER_SPECIMEN if apart else OTHER_TEST, False

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.folders import RESULTS, is_table
+from study.api.folders import RESULTS
 from study.api.predicting import (
     Permission,
     fit_surface,
@@ -132,7 +132,7 @@ def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing th
     goal: Goal = "minimize" if minimize is not None else "maximize"
     name = str(minimize if minimize is not None else maximize)
     limits_typed = [subject_to] if isinstance(subject_to, str) else [*subject_to]
-    if isinstance(path, str | Path) and is_table(path):
+    if isinstance(path, str | Path) and tabular.is_table(path):
         table = Path(path)
         fit = cache(lambda y: fit_surface(table, y, numeric, surface=surface, decimal=decimal))
         return (_of_table(fit, goal, name, limits_typed, dict(at or {})),)

@@ -44,6 +44,7 @@ from study.harness.execution.local import Worker
 from study.harness.execution.task import check_limit
 from study.harness.external.command import check_allowed
 from study.harness.external.exchange import Function, PythonFunction
+from study.harness.record.document import are_imported
 from study.harness.record.folder import is_same, own_folder
 from study.harness.record.store import Store
 from study.harness.runner.adaptive_cells import continued, run_adaptive
@@ -200,6 +201,10 @@ def run(
         read = {Path(f.path) for job in work.jobs for f in placed_files(job.case.cell)}
         executor = computing_on(engine, jobs, timeout_s, sorted(read))
     with store.lock():
+        present = store.read_manifest()
+        if present is not None and are_imported(present["notes"]):
+            rule = "holds runs that were imported, which a run of a design would replace"
+            raise InputError(Fault(str(store.path), rule, "give the design another [study] name"))
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
         with _records_written():

@@ -243,6 +243,8 @@ def after_run(study: StudyResult, options: Options) -> tuple[str, str]:
         )
     if study.report is None or study.report.suffix != ".html":
         page_options = {**folders, "--format": "html"}
+        if study.report is None:  # the folder that was named cannot be written to
+            page_options["--reports"] = None if folders["--reports"] else "other-reports"
         return "write its page", written("report", study.design.name, options=page_options)
     return "check every number of the report", written("verify", study.design.name, options=folders)
 

@@ -26,7 +26,7 @@ from study.cli.study_commands import (
 from study.ground.errors import Fault, InputError
 from study.ground.units import listed
 from study.reporting.content.blocks import Sentence, Table
-from study.reporting.content.text import interval, p_value, significant
+from study.reporting.content.text import TIMES, interval, p_value, ratio_digits, significant
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
@@ -562,5 +562,7 @@ def _power(answer: Power) -> Iterator[Block]:
 def _size(value: float, detection: ContrastDetection) -> str:
     """Return a difference with its unit, or a ratio."""
     return (
-        f"x {math.exp(value):.3g}" if detection.ratio else f"{value:.3g} {detection.unit}".rstrip()
+        f"{TIMES} {significant(math.exp(value), ratio_digits(math.exp(value)))}"
+        if detection.ratio
+        else f"{value:.3g} {detection.unit}".rstrip()
     )

@@ -299,6 +299,8 @@ def _status(state: Document) -> Iterator[Block]:
         yield Verbatim(f"  that is its last finished run; a later one has {cases}")
         yield from (Verbatim(f"    {change}") for change in later["changed"])
     yield Verbatim(_running(state["running"], state["predicted_seconds"]))
+    if state["running"] is None and state["cases"]["missing"]:
+        yield Verbatim("`study run` with the design computes what is missing")
 
 
 def report(

@@ -552,3 +552,11 @@ def _check_clash(table: CsvTable, name: str) -> None:
                 "blanks alone"
             )
             raise InputError(Fault(table.cell_name(row, name), rule, "write both the same way"))
+
+
+def is_table(source: str | Path) -> bool:
+    """Whether a table is named, not a study: a file of runs, there or not."""
+    path = Path(source)
+    if path.suffix == ".toml" or path.is_dir():
+        return False
+    return path.is_file() or path.suffix in (".csv", ".gz", ".txt", ".tsv")

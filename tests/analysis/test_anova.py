@@ -157,3 +157,19 @@ def test_a_practical_difference_is_read_in_the_unit_that_the_column_names(column
     assert effect.practical == 0.5
     with pytest.raises(InputError, match=r"practical: is in mm, which is not of the kind of mN"):
         anova(table.rename(columns={column: "F [mN]"}), "F [mN]", ["a"], practical="1 mm")
+
+
+@pytest.mark.parametrize(
+    ("column", "size", "warned"),
+    [
+        ("wear_um", "0.002 mm", True),  # taken as 0.002 um, of which nothing may be silent
+        ("force", "0.5 N", True),
+        ("wear [um]", "0.002 mm", False),
+        ("force", "0.5", False),
+        ("force", "5 % of mean", False),
+    ],
+)
+def test_a_unit_that_no_column_names_is_said_to_be_unconverted(column, size, warned):
+    table = pd.DataFrame({"a": list("xxyyzz"), column: [1.0, 1.2, 1.9, 2.2, 3.0, 3.1]})
+    notes = anova(table, column, ["a"], practical=size, exact=False).notes
+    assert any("nothing is converted" in note for note in notes) == warned

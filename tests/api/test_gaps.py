@@ -104,7 +104,7 @@ def test_blocks_of_imported_runs_have_the_name_of_their_column(tmp_path):
         results=tmp_path / "results",
     )  # fmt: skip
     page = both_pages(api.report(study.folder, reports=tmp_path, formats=["html"]).report)
-    assert "Effects hold in all donors alike" in page
+    assert "Nothing speaks against equal effects in all donors" in page
     assert "6 (donor): s0" in page
 
 

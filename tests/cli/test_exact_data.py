@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import study as public
-from study.harness.design.factors import settings_of
 from study.mechanics.forward.closed_form import compression
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Block, Cone
@@ -123,7 +122,7 @@ def test_held_out_needles_lie_in_their_intervals(tmp_path, capsys):
         _inner(tmp_path), overrides=["design.runs=20", "design.seed=77"],
         results=tmp_path / "20", reports=None, jobs=1, refine=False,
     )  # fmt: skip
-    known = {f.name: settings_of(f) for f in twenty.design.factors if f.span is not None}
+    known = {f.name: f.settings for f in twenty.design.factors if f.span is not None}
     for response in ("peak_force", "stiffness_at_4_mm"):
         q2 = [one.surface.model.q2 for one in sixty.surfaces
               if one.response == response and one.surface is not None]  # fmt: skip

@@ -619,6 +619,28 @@ def test_runs_of_elsewhere_become_a_study(tmp_path):
     assert {v["practical"] for v in copies.verdicts} == {2.0}
 
 
+def test_runs_made_elsewhere_are_neither_confirmed_here_nor_replaced_by_a_run(tmp_path):
+    every = itertools.product((1, 2, 3, 4, 5), (20, 40, 60))
+    rows = "".join(f"{v},{t},{10 + 2 * v - 0.02 * t + 0.1 * v * v}\n" for v, t in every)
+    (tmp_path / "runs.csv").write_text(f"speed,temp,peak\n{rows}")
+    made = api.import_runs(
+        tmp_path / "runs.csv", (), "peak=N", numeric="speed,temp", results=tmp_path / "r"
+    )
+    with pytest.raises(errors.RefusedError, match="its runs were made elsewhere") as refused:
+        api.optimize(made.folder, maximize="peak")
+    assert "Python function" not in str(refused.value)
+    before = sorted(path.name for path in (made.folder / "cases").iterdir())
+    success("new", tmp_path / "runs.toml")
+    design = (tmp_path / "runs.toml").read_text().replace("my-study", "runs")
+    (tmp_path / "runs.toml").write_text(design)
+    api.virtual(tmp_path, source=tmp_path / "runs.toml")
+    with pytest.raises(errors.InputError, match="holds runs that were imported"):
+        api.run(tmp_path / "runs.toml", data=tmp_path, results=tmp_path / "r")
+    assert sorted(path.name for path in (made.folder / "cases").iterdir()) == before
+    with pytest.raises(errors.InputError, match=r"is a table, not the file of a design"):
+        api.plan(tmp_path / "runs.csv")
+
+
 def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_path):
     every = itertools.product((10, 2.5, 20), ("soft", "stiff"), (0, 0.1))
     rows = "".join(f"{h},{gel},{h + len(gel) + more}\n" for h, gel, more in every)

@@ -29,7 +29,7 @@ from study.ground.diagnostics import (
     with_values,
 )
 from study.ground.errors import nearest
-from study.ground.units import parse, split
+from study.ground.units import parse
 from study.harness.design import overlay
 from study.harness.design.parameters import number_and_unit, parameter_name
 from study.harness.design.spec import Factor, Level, Span
@@ -324,12 +324,3 @@ def setting_in(factor: Factor, raw: object) -> Level:
     if not span.low <= value <= span.high:
         raise Bad(f"{shown(raw)} lies outside {span.low:g} to {span.high:g}, its range")
     return _range_level(factor.name, level_label(value), unit)
-
-
-def settings_of(factor: Factor) -> dict[str, float]:
-    """Read the setting of every label of a range, in the unit of its span."""
-    settings = {level.label: level.settings[factor.name] for level in factor.levels}
-    return {
-        label: split(value)[0] if isinstance(value, str) else float(str(value))
-        for label, value in settings.items()
-    }

@@ -27,7 +27,7 @@ from study.ground.declaration import (
 from study.ground.diagnostics import Faults, flatten, noted
 from study.ground.errors import nearest
 from study.harness.design import generators
-from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
+from study.harness.design.factors import known_level, levels_at, setting_in
 from study.harness.design.spec import Factor, Scheme
 from study.harness.design.study_file import MAX_RUNS
 
@@ -306,7 +306,7 @@ def _levels_listed(factor: Factor, given: Sequence[object]) -> tuple[Factor, lis
         levels = [setting_in(factor, raw) for raw in given]
         labels = [level.label for level in levels]
         unsorted = replace(factor, levels=tuple(dict(zip(labels, levels, strict=True)).values()))
-        setting = settings_of(unsorted)
+        setting = unsorted.settings
         factor = replace(
             factor, levels=tuple(sorted(unsorted.levels, key=lambda level: setting[level.label]))
         )

@@ -12,6 +12,7 @@ from study.ground.canonical import Keyed
 from study.ground.declaration import Bad, table_of
 from study.ground.diagnostics import Faults, Table
 from study.ground.errors import Fault, InputError
+from study.ground.units import split
 from study.harness.design import overlay
 from study.harness.design.cell import Cell, CellProblem, block_ids, tested
 from study.harness.design.forward_model import ForwardCell, Value
@@ -90,6 +91,15 @@ class Factor:
     def keys(self) -> frozenset[str]:
         """Dotted keys that its levels lay over the file."""
         return frozenset(key for level in self.levels for key in level.settings)
+
+    @property
+    def settings(self) -> dict[str, float]:
+        """Setting of every label of a range, in the unit of its span."""
+        settings = {level.label: level.settings[self.name] for level in self.levels}
+        return {
+            label: split(value)[0] if isinstance(value, str) else float(str(value))
+            for label, value in settings.items()
+        }
 
 
 @dataclass(frozen=True)

@@ -173,6 +173,11 @@ class ScoreDocument(TypedDict):
 MADE_ELSEWHERE = "made elsewhere"
 
 
+def are_imported(notes: Sequence[str]) -> bool:
+    """Whether the runs of a study with these notes were read from a table."""
+    return any(MADE_ELSEWHERE in note for note in notes)
+
+
 class ManifestDocument(TypedDict, total=False):
     """What a study is: its design as text, its cases, its data, and how long it took.
 

@@ -18,7 +18,7 @@ from study.harness.design.layout_kinds import share_of
 from study.harness.design.load import dump, loads
 from study.harness.design.spec import Design, Factor
 from study.harness.design.study_file import Sequential
-from study.harness.record.document import AdaptiveStep, ConfirmedRow
+from study.harness.record.document import AdaptiveStep, ConfirmedRow, are_imported
 from study.harness.record.folder import ID
 from study.harness.record.record import Record
 from study.harness.record.store import Store
@@ -293,6 +293,13 @@ def confirm(  # noqa: PLR0913  # a study, a setting, and what its run may use
     if code_of(manifest) != code_version():
         rule = "was computed by another version of this program: a new run does not belong to it"
         raise RefusedError(str(Fault(design.name, rule, "run the study again first")))
+    if are_imported(manifest["notes"]):
+        rule = "its runs were made elsewhere, so that no model is here for a confirming run"
+        mend = (
+            "ask without the run (--no-confirm, confirming=False), make one at the setting that\n"
+            "    is recommended, and import the table again with it"
+        )
+        raise RefusedError(str(Fault(design.name, rule, mend)))
     single = single_cell_design(design, settings)
     forward = single.treatments[0].cell.problem.forward
     if forward is not None and forward.model == "python" and allowed.function is None:

@@ -20,7 +20,7 @@ from study.harness.design.load import default_name, dump, from_tables, loads
 from study.harness.design.overlay import TABLES
 from study.harness.design.parameters import is_parameter
 from study.harness.design.spec import Case, Design, cases
-from study.harness.record.document import MADE_ELSEWHERE, ManifestDocument
+from study.harness.record.document import MADE_ELSEWHERE, ManifestDocument, are_imported
 from study.harness.record.folder import own_folder
 from study.harness.record.record import STATUSES, Record
 from study.harness.record.store import Store
@@ -69,7 +69,7 @@ def write_runs(
     store = Store(own_folder(Path(results), design.name))
     with store.lock():
         present = store.read_manifest()
-        if present is not None and not any(MADE_ELSEWHERE in note for note in present["notes"]):
+        if present is not None and not are_imported(present["notes"]):
             rule = f"{present['name']!r} is a study that was computed here"
             mend = "give the imported one a name of its own: --name"
             raise InputError(Fault(str(path), rule, mend))

@@ -592,7 +592,7 @@ def _of_response(facts: Facts, data: ReportData) -> Iterator[Check]:
         name = f"No interaction between cell and {unit}"
         finding = f"rejected by Tukey's one-degree test ({p_phrase(tukey.p)})"
         if tukey.p >= data.alpha:
-            holds = f"Effects hold in all {plural_of(unit)} alike."
+            holds = f"Nothing speaks against equal effects in all {plural_of(unit)}."
             yield Check(name, "pass", f"not {finding}", holds)
         else:
             mend = f"Effects scale with the level of the {unit}: consider the log."

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 from study.ground.arrays import gathered
-from study.harness.design.spec import Expected
 from study.reporting.content.blocks import Table
 from study.reporting.content.report_facts import Facts, cells, practical_of
 from study.reporting.content.text import (
@@ -41,6 +41,9 @@ from study.statistics.analysis.simple_effects import (
     NO_DIFFERENCE,
     NOT_RESOLVED,
 )
+
+if TYPE_CHECKING:
+    from study.harness.design.spec import Expected
 
 # Sizes of effects as text: differences and ratios, intervals, what matters, numerical bounds.
 #

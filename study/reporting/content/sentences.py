@@ -89,7 +89,7 @@ def answer(
             )
         if data.is_table and (notes := [note for facts in all_facts for note in facts.warnings]):
             return tuple(sentence(clean(note)) for note in notes)
-        return ("No response could be analyzed; the reasons stand below.",)
+        return ("No response could be analyzed; the warnings say why.",)
     named = analyzed[:MOST_RESPONSES] if is_short else analyzed
     rest = count(len(analyzed) - len(named), "more response")
     first = [*(verdicts_of(data, facts) for facts in named), *left_out(data, all_facts)]

@@ -365,14 +365,18 @@ def coefficients(fit: FittedSurface, data: ReportData) -> Table | None:
     if not isinstance(model, QuadraticSurface):
         return None
     columns: dict[str, Callable[[SurfaceTerm], str]] = {
-        "term": lambda t: clean(
-            f" {TIMES} ".join(name_of(part.strip(), data.labels) for part in t.term.split(":"))
+        "term": lambda t: (
+            "(constant)"
+            if t.term == "1"
+            else clean(
+                f" {TIMES} ".join(name_of(part.strip(), data.labels) for part in t.term.split(":"))
+            )
         ),
         "coefficient": lambda t: quantity(t.coefficient, clean(fit.unit), 4),
     }
     note = "Every factor runs from \N{MINUS SIGN}1 at its lower end to 1 at its upper end."
     if model.error == "none":
-        note += " No p: a simulation without scatter has misfit, not noise."
+        note += " No p: no repeats tell the scatter of the runs from the misfit of the surface."
     else:
         columns["95 % interval"] = lambda t: interval(*(t.interval or (None, None)))
         columns["p"] = lambda t: p_value(t.p)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from study.ground.canonical import Keyed
-from study.harness.design.factors import settings_of
-from study.harness.design.spec import Design, Factor
-from study.harness.record.record import Record
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.failures import CaseFate, cause
 from study.statistics.surfaces.surface_inversion import FactorCombination
 from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
+
+if TYPE_CHECKING:
+    from study.harness.design.spec import Design, Factor
+    from study.harness.record.record import Record
 
 MATTERS = "holds in both: matters"
 NO_DIFFERENCE = "holds in both: no practical difference"
@@ -162,7 +164,7 @@ def parts_of(factor: Factor) -> Mapping[str, str]:
     words = [f"{low:.4g} to {high:.4g}{unit}" for low, high in zip(ends, ends[1:], strict=False)]
     return {
         label: words[sum(value >= end for end in ends[1:-1])]
-        for label, value in settings_of(factor).items()
+        for label, value in factor.settings.items()
     }
 
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from study.ground.canonical import plain
 from study.ground.curve import Curve
-from study.harness.design.spec import Design
 from study.harness.record.document import MADE_ELSEWHERE
 from study.harness.record.record import Record, is_repeat, table
 from study.reporting.results.study_answers import fates
@@ -24,7 +23,7 @@ from study.statistics.surfaces.surface_profile import FittedSurface
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Expected
+    from study.harness.design.spec import Design, Expected
     from study.reporting.results.study_answers import Beside
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import DepthEffect

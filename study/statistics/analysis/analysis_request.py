@@ -10,7 +10,7 @@ from typing import TypedDict
 
 from study.ground.contrast import Threshold
 from study.ground.errors import Fault, InputError, nearest
-from study.ground.units import converted, is_known, naming
+from study.ground.units import converted, is_known, naming, unit_of_column
 from study.statistics.analysis.linear_model import Model
 from study.statistics.convergence.contrast_bound import NumericalBound, bound_of
 
@@ -38,6 +38,19 @@ def threshold(practical: Practical, unit: str = "") -> Threshold | None:
     return difference
 
 
+def unchecked_unit(practical: Practical, response: str) -> tuple[str, ...]:
+    """Say that the unit of a practical difference is not converted: the column names none."""
+    match = _TEXT.match(practical) if isinstance(practical, str) else None
+    unit = "" if match is None else match["unit"] or ""
+    if match is None or not unit or "%" in unit or is_known(unit_of_column(response)):
+        return ()
+    return (
+        f"the practical difference {match[0].strip()} is read as {match['value']} in the unit of "
+        f"{response}, whatever that is: nothing is converted until the name of the column ends in "
+        f"its unit, such as '{response} [{unit}]'",
+    )
+
+
 def _parse(text: str, response_unit: str) -> Threshold:
     match = _TEXT.match(text)
     if match is None:
@@ -47,8 +60,9 @@ def _parse(text: str, response_unit: str) -> Threshold:
     if unit.replace(" ", "") == "%ofmean":
         return Threshold(value / 100, relative=True)
     if unit == "%":
-        rule = f"{text!r} can mean two things"
-        raise InputError(Fault("practical", rule, "write 'pp' or '% of mean'"))
+        rule = f"{text!r} can be a share of the mean, or percentage points of a response in %"
+        mend = f"write '{match['value']} % of mean' or '{match['value']} pp'"
+        raise InputError(Fault("practical", rule, mend))
     # whether a word is a unit is asked last, since pint takes .6 s to import
     if not unit or (unit, response_unit) == ("pp", "%") or not is_known(response_unit):
         return Threshold(value)

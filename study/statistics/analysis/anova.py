@@ -21,6 +21,7 @@ from study.statistics.analysis.analysis_request import (
     Practical,
     ResponseScale,
     threshold,
+    unchecked_unit,
 )
 from study.statistics.analysis.analysis_result import NO_ERROR, AnalysisResult
 from study.statistics.analysis.anova_table import Effect
@@ -309,7 +310,7 @@ def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that 
         seed,
         exact,
     )
-    return analyze(table, request)
+    return analyze(table, request).warn(*unchecked_unit(practical, response))
 
 
 def _one_cell_a_block(table: pd.DataFrame, request: AnalysisRequest) -> bool:

@@ -30,6 +30,7 @@ from study.statistics.analysis.analysis_request import (
     ResponseScale,
     alpha_faults,
     threshold,
+    unchecked_unit,
 )
 from study.statistics.analysis.comparisons import pooled_multiplier, t_quantile
 from study.statistics.analysis.data import Data, prepare, refuse_copied_rows, structure_of
@@ -270,6 +271,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
                 for outer, inner in _recurring_numbers(data.layout, sources)
             ),
             *notes,
+            *unchecked_unit(practical, response),
         ),
     )
 

@@ -472,8 +472,12 @@ def fit_quadratic(runs: Runs) -> QuadraticSurface:
     # copies of a deterministic run are one run: counted twice, they would only weigh more
     single = replace(runs, coded=settings, response=means, blocks=(), u_num=None)
     columns = factorize(second_order(single.levels()), settings)
-    notes = ["no p: a deterministic surface has misfit, not noise"]
     copies = runs.response.size - means.size
+    notes = [
+        "no p: repeats agree to rounding: a deterministic surface has misfit, not noise"
+        if copies
+        else "no p: each setting was run once, which tells no noise from misfit of the surface"
+    ]
     notes += [f"{copies} copies of deterministic runs count once"] if copies else []
     return _surface(runs, columns, means, "none", notes=notes)
 
