@@ -104,3 +104,14 @@ def test_a_mark_among_responses_is_to_be_left_empty_not_deleted(tmp_path):
             study.analyze(file, "y", ["a"])
         assert "leave the cell empty" in str(refused.value)
         assert "delete" not in str(refused.value)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_blocks_far_apart_that_lack_cells_are_no_copies(seed):
+    """What cells that are missing leave of the blocks in cell means is no interaction."""
+    random = np.random.default_rng(seed)
+    table = pd.DataFrame([(b, a) for b in range(6) for a in range(4)], columns=["s", "a"])
+    offset = 3000 * random.normal(size=6)
+    table["y"] = (offset[table["s"]] + random.normal(0, 0.05, 24)).round(4)
+    lacking = table.drop(index=random.choice(24, 5, replace=False))
+    assert study.anova(lacking.astype({"s": str, "a": str}), "y", ["a"], block="s").effects

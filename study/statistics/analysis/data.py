@@ -260,6 +260,8 @@ _NEAR = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 _MOST_ROWS = 5000
 #: part of the interactions' scatter that a copied block may lie apart
 _FARTHEST = 1e-3
+#: times that block and cell means are taken off a table that lacks cells
+_MOST_SWEEPS = 200
 
 
 @dataclass(frozen=True)
@@ -495,7 +497,13 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:
     table[block, index] = data.y
     with np.errstate(invalid="ignore"):
         centred = table - np.nanmean(table, axis=0)
-        of_both = centred - np.nanmean(centred, axis=1, keepdims=True)
+        of_both = centred
+        for _ in range(_MOST_SWEEPS):  # one is enough where every block has every cell
+            of_both = of_both - np.nanmean(of_both, axis=1, keepdims=True)
+            shift = np.nanmean(of_both, axis=0)
+            of_both = of_both - shift
+            if np.abs(shift).max() <= _FARTHEST * np.sqrt(np.nanmean(of_both**2)):
+                break
     sd, interaction = (float(np.sqrt(np.nanmean(part**2))) for part in (centred, of_both))
     pairs, step, twins = blocks * (blocks - 1) / 2, _least_step(data.y), []
     for i, j in combinations(range(blocks), 2):
