@@ -111,7 +111,7 @@ POLITE = (signal.SIGTERM, signal.SIGHUP)
 app = typer.Typer(
     name="study",
     epilog="Exit codes: 0 done, 1 some cases failed or disk full, 2 bad input, 3 refused, "
-    "130 interrupted.",
+    "130 interrupted (also a run whose disk is full): the same command resumes.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -11,6 +11,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
+import json
 import lzma
 import os
 import stat
@@ -117,12 +118,26 @@ def read_json(path: str | Path) -> object:
     return parse_json(read_existing(path), path)
 
 
-def parse_json(data: bytes | str, source: str | Path) -> object:
-    """Content of a JSON text of at most 200 nested brackets, the limit of pydantic's parser."""
+def parse_json(data: bytes | str, source: str | Path, *, each_once: bool = False) -> object:
+    """Content of a JSON text of at most 200 nested brackets, the limit of pydantic's parser.
+
+    With ``each_once`` an object that names a value twice is refused; parsers keep the last one.
+    """
     try:
-        return from_json(data, allow_inf_nan=False)  # twice as fast as the standard library's
+        content = from_json(data, allow_inf_nan=False)  # twice as fast as the standard library's
     except ValueError as error:
         raise UnreadableError(source, f"is not valid JSON ({error})") from error
+    if each_once:
+        json.loads(data, object_pairs_hook=lambda pairs: named_once(pairs, source))
+    return content
+
+
+def named_once(pairs: Sequence[tuple[str, object]], source: str | Path) -> dict[str, object]:
+    """Names and values of a file, each name once."""
+    if len(values := dict(pairs)) < len(pairs):
+        twice = next(key for key in values if [k for k, _ in pairs].count(key) > 1)
+        raise UnreadableError(source, f"has several values of {twice!r}: write the one that counts")
+    return values
 
 
 def unzip(raw: bytes, source: str | Path, limit: int = MAX_BYTES) -> bytes:

@@ -12,7 +12,7 @@ import re
 import resource
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -21,7 +21,7 @@ import numpy as np
 
 from study.ground import units
 from study.ground.arrays import Array
-from study.ground.bounded_file import UnreadableError, parse_json, read_regular
+from study.ground.bounded_file import UnreadableError, named_once, parse_json, read_regular
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, UnitError, nearest
 from study.harness.design.forward_section import (
@@ -419,16 +419,12 @@ def _table(text: str, name: str) -> Mapping[str, object]:
     """Names and values of a JSON object, or of a CSV of one row, or of rows of names."""
     if name.lower().endswith(".json"):
         try:
-            content = parse_json(text, name)
+            content = parse_json(text, name, each_once=True)
         except UnreadableError as error:
             raise NoAnswer("failed", str(error)) from error
         if not isinstance(content, dict):
             raise NoAnswer("failed", f"{name} must be an object of names and values")
-        # which parsers of JSON pass over: each keeps the last value of a name alone
-        named: dict[str, object] = json.loads(
-            text, object_pairs_hook=lambda pairs: _each_once(pairs, name)
-        )
-        return named
+        return content
     header, rows = table_rows(text, name)
     if [cell.lower() for cell in header[:2]] == ["name", "value"]:
         pairs: list[tuple[str, object]] = [
@@ -441,16 +437,10 @@ def _table(text: str, name: str) -> Mapping[str, object]:
         raise NoAnswer("failed", f"{name}: {rule}; or write name,value in every row")
     else:
         pairs = list(zip(header, rows[0], strict=True))
-    return _each_once(pairs, name)
-
-
-def _each_once(pairs: Sequence[tuple[str, object]], name: str) -> dict[str, object]:
-    """Names and values of a file, each name once."""
-    if len(values := dict(pairs)) < len(pairs):
-        twice = next(key for key in values if [k for k, _ in pairs].count(key) > 1)
-        rule = f"{name} has several values of {twice!r}: write the one that counts"
-        raise NoAnswer("failed", rule)
-    return values
+    try:
+        return named_once(pairs, name)
+    except UnreadableError as error:
+        raise NoAnswer("failed", str(error)) from error
 
 
 def _last_in(text: str, pattern: str) -> str | None:
