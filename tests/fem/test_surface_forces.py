@@ -236,3 +236,5 @@ def test_what_a_surface_cannot_do(block, tmp_path):
 def test_a_wrong_unit_is_too_large_for_any_machine(block):
     said = refused(compressed(replace(block, unit="m"), 0.6, "bonded", 2.0))
     assert "or check specimen.unit" in said
+    said = refused(compression(Cylinder(10, 170_000), 1.0, mesh_size_mm=5.0))
+    assert "170000 mm is 3.4e+04 elements of 5 mm high" in said

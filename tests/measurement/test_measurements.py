@@ -255,6 +255,7 @@ BAD = {
     "starts unloaded": ("d,f\n2,0\n3,2\n4,4\n5,6\n", "displacement starts at 2 mm with 0 N"),
     "few in range": ("d,f\n0,0\n9,2\n10,4\n", "has 1 rows between"),
     "constant": ("d,f\n0,1\n1,1\n4,1\n", "the force is constant"),
+    "squares of zero": ("d,f\n0,0\n1,1e-301\n4,4e-301\n", "the force is constant"),
     "still": ("d,f\n1,0\n1,1\n1,2\n", "the displacement is constant"),
     "nul": ("d,f\n0,0\n1,\0\n", "NUL"),
     "quote": ('d,f\n0,"0\n', "not well-formed"),

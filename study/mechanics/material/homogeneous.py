@@ -24,8 +24,14 @@ from study.mechanics.material.material import Material
 # Stress and tangent of a material at a deformation gradient.
 
 
-def first_piola(material: Material, F: Array) -> Array:
-    """First Piola-Kirchhoff (nominal) stress dW/dF in MPa, shape (3, 3, ...)."""
+def first_piola(
+    material: Material, F: Array, principal: tuple[Array, Array] | None = None
+) -> Array:
+    """First Piola-Kirchhoff (nominal) stress dW/dF in MPa, shape (3, 3, ...).
+
+    ``principal`` are the singular values of F (..., 3) and their right vectors (..., 3, 3), where
+    they are at hand.
+    """
     bulk = _finite(material.bulk)
     if material.small_strain:
         eye = np.eye(3).reshape((3, 3) + (1,) * (F.ndim - 2))
@@ -34,8 +40,8 @@ def first_piola(material: Material, F: Array) -> Array:
         return np.asarray(2 * material.mu0 * (strain - trace / 3 * eye) + bulk * trace * eye)
     moved = np.moveaxis(F, (0, 1), (-2, -1))
     # singular values of F lose no digits, eigenvalues of F'F would lose half near singularity
-    _, principal, directions = np.linalg.svd(moved)
-    stretch, axes = np.moveaxis(principal, -1, 0), np.moveaxis(directions, (-1, -2), (0, 1))
+    stretches, directions = principal or np.linalg.svd(moved)[1:]
+    stretch, axes = np.moveaxis(stretches, -1, 0), np.moveaxis(directions, (-1, -2), (0, 1))
     if (foam := material.compressible) is not None:
         kirchhoff = foam.kirchhoff(material.constants, material.compressibility, stretch)
     else:

@@ -222,11 +222,15 @@ def _other_unit(reached_mm: float, high_mm: float) -> str:
     return ""
 
 
+#: change of the force, N, below which its squares vanish in a sum
+_LEAST_SPAN_N = 1e-30
+
+
 def _turned(
     d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
 ) -> tuple[Array, Array]:
     span = float(np.ptp(f))
-    if span <= 1e-12 * max(float(np.abs(f).max()), 1e-300) or np.ptp(d) == 0:
+    if span <= max(1e-12 * float(np.abs(f).max()), _LEAST_SPAN_N) or np.ptp(d) == 0:
         what = "displacement" if np.ptp(d) == 0 else "force"
         value = d[0] if what == "displacement" else f[0]
         rule = f"the {what} is constant ({value:.6g}): nothing to fit"

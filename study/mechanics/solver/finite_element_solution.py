@@ -409,7 +409,8 @@ def fields(solution: Solution, step: int = -1) -> Fields:
     # the volume that a linear body sees
     small = system.material.small_strain
     J = np.trace(F) - 2 if small else np.linalg.det(np.moveaxis(F, (0, 1), (-2, -1)))
-    stretches, strain = _strains(F, small)
+    stretches, strain, directions = _strains(F, small)
+    stress = cauchy_stress(system, state, F, J, None if small else (stretches, directions))
     means = space.weights / space.weights.sum(axis=1, keepdims=True)
 
     def mean(values: Array) -> Array:
@@ -417,9 +418,9 @@ def fields(solution: Solution, step: int = -1) -> Fields:
         return np.asarray(each.reshape(space.n_elements, -1))
 
     tensors = {
-        "cauchy_stress_MPa": mean(cauchy_stress(system, state, F, J)),
+        "cauchy_stress_MPa": mean(stress),
         "log_strain": mean(strain),
-        "principal_stretch": mean(stretches),
+        "principal_stretch": mean(np.moveaxis(stretches, -1, 0)),
     }
     volumes = space.weights.sum(axis=1)
     nodal = {name: _at_nodes(space, values, volumes)[used] for name, values in tensors.items()}
@@ -449,17 +450,17 @@ def fields(solution: Solution, step: int = -1) -> Fields:
     )
 
 
-def _strains(F: Array, small: bool) -> tuple[Array, Array]:  # noqa: N803
-    """Principal stretches, largest first, (3, ...), and logarithmic strain along (3, 3, ...)."""
+def _strains(F: Array, small: bool) -> tuple[Array, Array, Array]:  # noqa: N803
+    """Principal stretches, largest first, (..., 3), logarithmic strain (3, 3, ...), directions."""
     matrices = np.moveaxis(F, (0, 1), (-2, -1))
     if small:
         strain = (matrices + np.swapaxes(matrices, -2, -1)) / 2 - np.eye(3)
-        stretches = np.asarray(1 + np.linalg.eigvalsh(strain)[..., ::-1], dtype=np.float64)
-        return np.moveaxis(stretches, -1, 0), np.moveaxis(strain, (-2, -1), (0, 1))
-    left, stretches, _ = np.linalg.svd(matrices)
-    strain = np.einsum("...ik,...k,...jk->...ij", left, np.log(stretches), left)
-    stretches = np.asarray(stretches, dtype=np.float64)
-    return np.moveaxis(stretches, -1, 0), np.moveaxis(strain, (-2, -1), (0, 1))
+        principal, axes = np.linalg.eigh(strain)
+        stretches, directions = 1 + principal[..., ::-1], np.swapaxes(axes, -2, -1)[..., ::-1, :]
+    else:
+        left, stretches, directions = np.linalg.svd(matrices)
+        strain = np.einsum("...ik,...k,...jk->...ij", left, np.log(stretches), left)
+    return stretches, np.moveaxis(strain, (-2, -1), (0, 1)), directions
 
 
 def _at_nodes(space: Discretization, values: Array, volumes: Array) -> Array:
@@ -539,13 +540,15 @@ def write_series(solution: Solution, path: str | Path, *, whole: bool = False) -
     path.write_text(head + "\n".join(rows) + tail, encoding="utf-8")
 
 
-def cauchy_stress(system: System, state: State, F: Array, J: Array) -> Array:
+def cauchy_stress(
+    system: System, state: State, F: Array, J: Array, principal: tuple[Array, Array] | None
+) -> Array:
     """Cauchy stress at every quadrature point, the pressure as it was solved for, MPa.
 
-    Shapes: F (3, 3, n_elements, n_quadrature); J (n_elements, n_quadrature); returns (3, 3,
-    n_elements, n_quadrature).
+    Shapes: F (3, 3, n_elements, n_quadrature); J (n_elements, n_quadrature); ``principal`` as in
+    first_piola; returns (3, 3, n_elements, n_quadrature).
     """
-    nominal, space = first_piola(system.material, F), system.space
+    nominal, space = first_piola(system.material, F, principal), system.space
     small = system.material.small_strain
     stress = nominal if small else np.einsum("ij...,kj...->ik...", nominal, F) / J
     eye = np.eye(3)[:, :, None, None]

@@ -178,6 +178,9 @@ _UNKNOWNS = {
     (3, "tensor", "quadratic"): (28.0, 24.0), (3, "tensor", "linear"): (4.0, 3.0),
 }  # fmt: skip
 
+#: elements over the height of a specimen between plates beyond which a unit is taken for mistaken
+_MOST_ALONG = 20_000
+
 #: largest mesh size tried, over the mesh size whose solution does not fit into memory
 _LARGEST = 1e12
 
@@ -216,11 +219,16 @@ def machine_MB() -> float:  # noqa: N802
 
 def size_faults(setup: Setup) -> Iterator[Fault]:
     """Say where a mesh would need more memory than there is, and which size would fit."""
+    height, size = height_of(setup.specimen), mesh_size(setup)
+    if isinstance(setup.grading, TowardsPlates) and height > _MOST_ALONG * size:
+        rule = f"{height:g} mm is {height / size:.3g} elements of {size:.3g} mm high"
+        mend = f'check the units, or write model.mesh_size = "{1.05 * height / _MOST_ALONG:.2g} mm"'
+        yield Fault("specimen.height", rule, f"{mend} or more")
+        return
     there, solid = machine_MB(), setup.model.space == "3d"
     rule = too_large(expected_unknowns(setup), there, solid=solid)
     if not rule:
         return
-    size = mesh_size(setup)
 
     def fits(middle: float) -> bool:
         sized = replace(setup, model=replace(setup.model, mesh_size_mm=middle))
