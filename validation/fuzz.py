@@ -147,8 +147,8 @@ class Audit:
                 if event in FOLLOW and not flags & os.O_NOFOLLOW:
                     place = os.path.realpath(place)
                 inside = (place + os.sep).startswith((self._home + os.sep, self._temporary))
-                # making a folder that is there writes nothing
-                there = event == "os.mkdir" and os.path.isdir(place)
+                # making a folder that is there, or opening one to write, is refused by the system
+                there = event in ("os.mkdir", "open") and os.path.isdir(place)
                 if not inside and not there and not OWN.search(place):
                     self.found.add(f"{event} {place}")
 

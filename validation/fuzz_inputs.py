@@ -614,8 +614,10 @@ def folders(rng: Generator, project: Path, place: Place) -> Made:
 
 
 def _is_own(path: Path) -> bool:
-    """Whether a file lies there itself: a link leads elsewhere, and a pipe has no end."""
-    return stat.S_ISREG(path.lstat().st_mode)
+    """Whether a file lies there itself: a link leads elsewhere or to itself, a pipe has no end."""
+    with contextlib.suppress(OSError):
+        return stat.S_ISREG(path.lstat().st_mode)
+    return False
 
 
 def _remove(path: Path) -> None:
