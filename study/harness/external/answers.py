@@ -376,7 +376,10 @@ def values_of_files(value_file: ValueFile | None, folder: Path, output: str) -> 
         return {}
     tables: Mapping[str, object] = {}
     if value_file.file and any(not pattern for _, _, pattern, *_ in value_file.names):
-        tables = _table(read_text(folder, value_file.file), value_file.file)
+        try:
+            tables = _table(read_text(folder, value_file.file), value_file.file)
+        except UnreadableError as error:
+            raise NoAnswer("failed", str(error)) from error
     values = {}
     for name, unit, pattern, file, written in value_file.names:
         if pattern:
@@ -418,10 +421,7 @@ def _of_text(value: str, unit: str, where: str) -> float:
 def _table(text: str, name: str) -> Mapping[str, object]:
     """Names and values of a JSON object, or of a CSV of one row, or of rows of names."""
     if name.lower().endswith(".json"):
-        try:
-            content = parse_json(text, name, each_once=True)
-        except UnreadableError as error:
-            raise NoAnswer("failed", str(error)) from error
+        content = parse_json(text, name, each_once=True)
         if not isinstance(content, dict):
             raise NoAnswer("failed", f"{name} must be an object of names and values")
         return content
@@ -437,10 +437,7 @@ def _table(text: str, name: str) -> Mapping[str, object]:
         raise NoAnswer("failed", f"{name}: {rule}; or write name,value in every row")
     else:
         pairs = list(zip(header, rows[0], strict=True))
-    try:
-        return named_once(pairs, name)
-    except UnreadableError as error:
-        raise NoAnswer("failed", str(error)) from error
+    return named_once(pairs, name)
 
 
 def _last_in(text: str, pattern: str) -> str | None:

@@ -410,7 +410,8 @@ def fields(solution: Solution, step: int = -1) -> Fields:
     small = system.material.small_strain
     J = np.trace(F) - 2 if small else np.linalg.det(np.moveaxis(F, (0, 1), (-2, -1)))
     stretches, strain, directions = _strains(F, small)
-    stress = cauchy_stress(system, state, F, J, None if small else (stretches, directions))
+    principal = None if directions is None else (stretches, directions)
+    stress = cauchy_stress(system, state, F, J, principal)
     means = space.weights / space.weights.sum(axis=1, keepdims=True)
 
     def mean(values: Array) -> Array:
@@ -450,17 +451,16 @@ def fields(solution: Solution, step: int = -1) -> Fields:
     )
 
 
-def _strains(F: Array, small: bool) -> tuple[Array, Array, Array]:  # noqa: N803
+def _strains(F: Array, small: bool) -> tuple[Array, Array, Array | None]:  # noqa: N803
     """Principal stretches, largest first, (..., 3), logarithmic strain (3, 3, ...), directions."""
     matrices = np.moveaxis(F, (0, 1), (-2, -1))
     if small:
         strain = (matrices + np.swapaxes(matrices, -2, -1)) / 2 - np.eye(3)
-        principal, axes = np.linalg.eigh(strain)
-        stretches, directions = 1 + principal[..., ::-1], np.swapaxes(axes, -2, -1)[..., ::-1, :]
+        stretches, directions = 1 + np.linalg.eigvalsh(strain)[..., ::-1], None
     else:
         left, stretches, directions = np.linalg.svd(matrices)
         strain = np.einsum("...ik,...k,...jk->...ij", left, np.log(stretches), left)
-    return stretches, np.moveaxis(strain, (-2, -1), (0, 1)), directions
+    return np.asarray(stretches, float), np.moveaxis(strain, (-2, -1), (0, 1)), directions
 
 
 def _at_nodes(space: Discretization, values: Array, volumes: Array) -> Array:

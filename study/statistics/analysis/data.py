@@ -17,6 +17,7 @@ from study.ground.errors import Fault, InputError, RefusedError, UnitError
 from study.ground.tabular import NUMBER, _check_names, names_of
 from study.ground.units import converted, split
 from study.statistics.analysis.linear_model import CellLayout, Term
+from study.statistics.analysis.sums_of_squares import two_way
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -260,8 +261,6 @@ _NEAR = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 _MOST_ROWS = 5000
 #: part of the interactions' scatter that a copied block may lie apart
 _FARTHEST = 1e-3
-#: times that block and cell means are taken off a table that lacks cells
-_MOST_SWEEPS = 200
 
 
 @dataclass(frozen=True)
@@ -497,14 +496,10 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:
     table[block, index] = data.y
     with np.errstate(invalid="ignore"):
         centred = table - np.nanmean(table, axis=0)
-        of_both = centred
-        for _ in range(_MOST_SWEEPS):  # one is enough where every block has every cell
-            of_both = of_both - np.nanmean(of_both, axis=1, keepdims=True)
-            shift = np.nanmean(of_both, axis=0)
-            of_both = of_both - shift
-            if np.abs(shift).max() <= _FARTHEST * np.sqrt(np.nanmean(of_both**2)):
-                break
-    sd, interaction = (float(np.sqrt(np.nanmean(part**2))) for part in (centred, of_both))
+    sd = float(np.sqrt(np.nanmean(centred**2)))
+    at_block, at_cell = np.nonzero(np.isfinite(table))
+    residual = two_way(at_block, at_cell, table[at_block, at_cell]).residual
+    interaction = float(np.sqrt(np.mean(residual**2)))
     pairs, step, twins = blocks * (blocks - 1) / 2, _least_step(data.y), []
     for i, j in combinations(range(blocks), 2):
         apart = table[i] - table[j]
