@@ -102,6 +102,23 @@ def test_terms_that_cannot_be_told_are_listed():
     assert "x2 = -1 x1" in fit_quadratic(unit_runs(np.column_stack([x, -x]), x + x**2)).aliases
 
 
+def test_curvature_of_two_factors_that_corners_and_centres_do_not_tell_apart():
+    rng = np.random.default_rng(3)
+    coded = np.vstack([np.tile([[-1, -1], [1, -1], [-1, 1], [1, 1]], (2, 1)), np.zeros((5, 2))])
+
+    def true(x):  # all curvature is that of the second factor, which has no square of its own
+        return 20 + 2 * x[:, 0] + x[:, 1] - 3 * x[:, 1] ** 2
+
+    surface = fit_quadratic(unit_runs(coded, true(coded) + rng.normal(0, 0.3, len(coded))))
+    points = rng.uniform(-1, 1, (500, 2))
+    value, half = surface.predict(points)
+    assert np.mean(np.abs(value - true(points)) <= half) > 0.95
+    assert half[0] > surface.half_width == pytest.approx(surface.predict(coded[:1])[1][0])
+    first, second = surface.ranges(0.5)
+    assert abs(first.value - 4) <= first.bound
+    assert abs(second.value - 4) <= second.bound  # -3 b^2 + b: from b = 1/6 to b = -1
+
+
 def block_runs(rng, coded, true, blocks):
     """Every block with its own quadratic, and no misfit."""
     response, names = [], []

@@ -297,7 +297,10 @@ def _shape(fit: FittedSurface, data: ReportData) -> Iterator[str]:
             f"Lack of fit: F({lack.df:.3g}, {lack.df_error:.3g}) = {significant(lack.f)}, "
             f"{p_phrase(lack.p)}."
         )
-    yield from (f"Not told apart: {clean(alias)}." for alias in model.aliases)
+    yield from (
+        f"Not told apart: {clean(alias)}; intervals of predictions allow for either."
+        for alias in model.aliases
+    )
 
 
 def settings(where: Mapping[str, float], fit: FittedSurface, data: ReportData, at: str = "") -> str:

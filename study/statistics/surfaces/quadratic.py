@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -357,6 +357,8 @@ class QuadraticSurface(Keyed):
     #: of freedom; None where nothing is left over.
     covariance: Array | None = None
     df: int = 0
+    #: What the terms of each alias may add to the surface; zero at every run.
+    mixed: tuple[QuadraticPolynomial, ...] = ()
 
     def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...] | None:
         """Range along every factor; None where the surface carries no effects.
@@ -373,6 +375,9 @@ class QuadraticSurface(Keyed):
             u + (2.0 * self.loo.largest if self.error == "none" else self._scatter(j))
             for j in range(self.polynomial.k)
         ]
+        for added in self.mixed:
+            along = effect_ranges(added.value, self.runs, [0.0] * added.k, None, 0.0)
+            bounds = [bound + reach.value for bound, reach in zip(bounds, along, strict=True)]
         return effect_ranges(self.value, self.runs, bounds, practical, u)
 
     def _scatter(self, j: int) -> float:
@@ -443,7 +448,8 @@ class QuadraticSurface(Keyed):
     def predict(self, coded: Array) -> tuple[Array, Array]:
         """Predictions and half widths of their intervals, shape (n,) each, at coded points."""
         values = self.value(coded)
-        return values, np.full(values.shape, self.half_width)
+        mixed = sum((np.abs(added.value(coded)) for added in self.mixed), np.zeros(len(values)))
+        return values, self.half_width + mixed
 
 
 def fit_quadratic(runs: Runs) -> QuadraticSurface:
@@ -632,11 +638,28 @@ def _surface(
             c = coefficients[i]
             p = float(2.0 * scipy.special.stdtr(df, -abs(c) / se)) if se > 0 else None
             terms[i] = replace(terms[i], interval=(c - t * se, c + t * se), p=p)
-    aliases = []
+    aliases, mixed = [], []
     for term, parts in columns.aliases:
         sums = [label[x] if abs(w - 1) < 1e-9 else f"{w:.3g} {label[x]}" for x, w in parts]
         aliases.append(f"{label[term]} = {' + '.join(sums)}")
+        mixed.append(
+            _mixed(term, parts, dict(zip(columns.terms, terms, strict=True)), polynomial.k)
+        )
     return QuadraticSurface(
         runs, polynomial, tuple(terms), {}, error, loo, lack, point,
-        tuple(aliases), (*notes, *lines), covariance, df,
+        tuple(aliases), (*notes, *lines), covariance, df, tuple(mixed),
     )  # fmt: skip
+
+
+def _mixed(
+    term: Term, parts: Sequence[tuple[Term, float]], kept: Mapping[Term, SurfaceTerm], k: int
+) -> QuadraticPolynomial:
+    """Return what a term left out adds where it is as large as the largest term it is mixed with.
+
+    The kept terms lose what the term takes from them, so that nothing changes at the runs.
+    """
+    large = [
+        max(map(abs, kept[t].interval or (kept[t].coefficient,))) for t, _ in parts if t.factors
+    ]
+    weights = np.array([1.0, *(-w for _, w in parts)])
+    return QuadraticPolynomial((term, *(t for t, _ in parts)), max(large, default=0.0) * weights, k)
