@@ -30,7 +30,7 @@ from study.reporting.results.study_result import (
 
 if TYPE_CHECKING:
     from study.harness.design.spec import Design
-    from study.harness.record.record import Record
+    from study.record.record import Record
     from study.reporting.results.study_result import StudyResult
 
 
@@ -49,7 +49,7 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
 def report_data(study: StudyResult) -> ReportData:
     """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
-    blocks, spec = tuple(manifest["blocks"]), design.measurements
+    blocks, spec = tuple(manifest["blocks"]), design.identification.measurements
     markers = design.config.get("markers")
     marked = markers if isinstance(markers, Mapping) else {}
     table = study.table.copy(deep=False)
@@ -88,7 +88,7 @@ def report_data(study: StudyResult) -> ReportData:
         expected=design.expected,
         ranges=_ranges(study),
         # a curve, a fitted test or markers stand beside the simulation
-        is_measured=design.calibration.problem is not None
+        is_measured=design.identification.calibration.problem is not None
         or spec is not None
         or "markers" in design.config,
         **{item.name: getattr(study, item.name) for item in fields(Findings)},
@@ -252,7 +252,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
 
 def _names_of_fits(study: StudyResult) -> dict[str, str]:
     """Levels, block and specimen of each fit by its key."""
-    entering, spec = calibration_factors(study.design), study.design.measurements
+    entering, spec = calibration_factors(study.design), study.design.identification.measurements
     kind = f"{spec.block} " if spec is not None and spec.block else ""
 
     def data_of(block: str | None, label: str) -> list[str]:
@@ -278,7 +278,7 @@ def _misfits(study: StudyResult) -> dict[str, str]:
     measurements of its own, a calibration may have other specimens: these keep their numbers.
     """
     design, blocks = study.design, tuple(map(str, study.manifest["blocks"]))
-    spec = design.measurements
+    spec = design.identification.measurements
     kind = "" if spec is None or not spec.block else f"{spec.block} "
     out: dict[str, str] = {}
     for record in study.plain:
@@ -292,7 +292,11 @@ def _misfits(study: StudyResult) -> dict[str, str]:
                 names = {"1": f"{kind}{record.block}"}
             else:
                 is_theirs = label == f"all but {record.block}"
-                names = fitted if is_theirs and design.calibration.problem is None else {}
+                names = (
+                    fitted
+                    if is_theirs and design.identification.calibration.problem is None
+                    else {}
+                )
             parts[1::2] = [names.get(number, f"curve {number}") for number in parts[1::2]]
             out[fit["key"]] = "".join(parts)
     return out

@@ -13,18 +13,13 @@ from study.api.comparison import explain
 from study.api.folders import REPORTS, RESULTS, finished_manifest, loaded_problem, results_folder
 from study.api.predicting import opened, surfaces_of
 from study.api.solving import solve
+from study.ground.atomic_files import write_atomic
 from study.ground.bounded_file import UnreadableError, read_json
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import load
-from study.harness.design.cell import CellProblem, tested
 from study.harness.design.load import default_name
 from study.harness.design.spec import Design
-from study.harness.record.atomic_files import write_atomic
-from study.harness.record.record import Record
-from study.harness.record.store import Store
 from study.harness.runner.expansion import cases_by_id
-from study.harness.runner.fit_problem import data_root, folders, located
-from study.harness.runner.tasks import Costs, default_jobs
 from study.laboratory.haptics import haptic_export
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement
@@ -35,9 +30,14 @@ from study.laboratory.tracker.tracker_recording import load_tracking
 from study.mechanics.material import input_file
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
+from study.record.record import Record
+from study.record.store import Store
 from study.reporting.content.text import THIN, duration, slug
 from study.reporting.output.accuracy_page import write_shape, write_tracker
 from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
+from study.simulation.cell import CellProblem, tested
+from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.tasks import Costs, default_jobs
 
 if TYPE_CHECKING:
     from study.ground.arrays import Array

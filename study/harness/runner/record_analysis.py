@@ -21,13 +21,13 @@ from study.ground.curve import Curve
 from study.ground.errors import InputError, StudyError
 from study.ground.tabular import names_of
 from study.ground.units import parse_number
-from study.harness.design import overlay
 from study.harness.design.load import is_constant
 from study.harness.design.overview import duplicates
 from study.harness.design.questions import usual_value
-from study.harness.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.harness.record.record import answered_often, is_repeat, table
-from study.harness.runner.response import CURVE_RESPONSES
+from study.record.document import NumericalCells, NumericalRow, fault_of_series
+from study.record.record import answered_often, is_repeat, table
+from study.simulation import overlay
+from study.simulation.response import CURVE_RESPONSES
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
     Blocking,
@@ -49,10 +49,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.ground.arrays import Array
-    from study.harness.design.spec import Design, Treatment
+    from study.harness.design.spec import Design
     from study.harness.design.study_file import ResponseSpec
-    from study.harness.record.record import Record
-    from study.harness.record.store import Store
+    from study.record.record import Record
+    from study.record.store import Store
+    from study.simulation.cell import Treatment
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect

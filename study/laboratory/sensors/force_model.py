@@ -15,14 +15,14 @@ from study.ground.curve import Curve
 from study.ground.declaration import Bad, Reads, integer, measured, number, section, shown
 from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import CellProblem
 from study.harness.design.load import default_name, loads_problem
-from study.harness.design.study_file import StudyTable
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.forward import finite_element
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.material.homogeneous import response
 from study.mechanics.setup.setup import Problem
+from study.simulation.cell import CellProblem
+from study.simulation.problem_file import StudyTable
 
 if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution

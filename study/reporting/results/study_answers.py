@@ -14,7 +14,7 @@ from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
 
 if TYPE_CHECKING:
     from study.harness.design.spec import Design, Factor
-    from study.harness.record.record import Record
+    from study.record.record import Record
 
 MATTERS = "holds in both: matters"
 NO_DIFFERENCE = "holds in both: no practical difference"

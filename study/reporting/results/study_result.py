@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from study.ground.canonical import plain
 from study.ground.curve import Curve
-from study.harness.record.document import MADE_ELSEWHERE
-from study.harness.record.record import Record, is_repeat, table
+from study.record.document import MADE_ELSEWHERE
+from study.record.record import Record, is_repeat, table
 from study.reporting.results.study_answers import fates
 from study.statistics.analysis.failures import FailurePattern, failure_pattern
 from study.statistics.surfaces.surface_profile import FittedSurface
@@ -228,7 +228,7 @@ class ReportData(Findings):
 
 def unit_of(design: Design, manifest: Mapping[str, Any]) -> str:
     """Say what a block is: a column of the measurements or of imported runs, a marked state."""
-    spec = design.measurements
+    spec = design.identification.measurements
     if spec is not None:
         return spec.block or "block"
     return manifest.get("unit") or ("state" if "markers" in design.config else "block")
