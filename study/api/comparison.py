@@ -26,7 +26,8 @@ from study.simulation.provenance import versions
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 if TYPE_CHECKING:
-    from study.reporting.results.study_result import ResponseAnalysis, StudyResult
+    from study.api.assemble import StudyResult
+    from study.reporting.results.study_result import ResponseAnalysis
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
 

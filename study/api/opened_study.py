@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.api.analyzing import adjusted
-from study.api.assemble import report_data
+from study.api.assemble import StudyResult, report_data
 from study.api.folders import RESULTS, finished_manifest, results_folder
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.harness.design.load import dump, loads
@@ -21,6 +21,7 @@ from study.harness.runner import record_analysis
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.expansion import cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
+from study.harness.runner.record_analysis import unit_of
 from study.mechanics.measurement.conditioning import is_caution
 from study.record import document
 from study.record.record import Record
@@ -37,8 +38,6 @@ from study.reporting.results.study_result import (
     OTHER_SPECIMEN,
     OTHER_TEST,
     ResponseAnalysis,
-    StudyResult,
-    unit_of,
 )
 from study.simulation.job import held_out
 from study.simulation.plausibility import cautions_of

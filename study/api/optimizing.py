@@ -56,10 +56,10 @@ from study.statistics.surfaces.surface_optimum import (
 from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
 
 if TYPE_CHECKING:
+    from study.api.assemble import StudyResult
     from study.api.predicting import Setting
     from study.ground.arrays import Array
     from study.record.record import Record
-    from study.reporting.results.study_result import StudyResult
     from study.statistics.surfaces.surface_fitting import Surface
     from study.statistics.surfaces.surface_result import SurfaceAnalysis
 

@@ -27,9 +27,9 @@ from study.statistics.surfaces.surface_profile import FittedSurface
 from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
 if TYPE_CHECKING:
+    from study.api.assemble import StudyResult
     from study.ground.arrays import Array
     from study.record.record import Record
-    from study.reporting.results.study_result import StudyResult
     from study.statistics.surfaces.surface_result import SurfacePrediction
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.assemble import report_data
+from study.api.assemble import StudyResult, report_data
 from study.api.comparison import compare
 from study.api.folders import (
     REPORTS,
@@ -64,7 +64,6 @@ from study.reporting.figures.axes import load_libraries
 from study.reporting.output import write as provenance
 from study.reporting.output.page import DETAILS
 from study.reporting.output.write import Difference, Verification, checked_formats, main_file, write
-from study.reporting.results.study_result import StudyResult
 from study.simulation.fit_problem import Allowed, externals, placed_files
 from study.simulation.provenance import versions
 from study.simulation.tasks import computing_on, default_jobs, memory_of, processes

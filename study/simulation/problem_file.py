@@ -6,7 +6,9 @@ resolved.
 
 from __future__ import annotations
 
+import re
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 from study.external.parameters import parameter_key
@@ -89,6 +91,12 @@ class StudyTable:
     seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 2011
     #: Inputs that nobody measured, by key.
     assumed: Annotated[tuple[str, ...], Reads(_assumed)] = ()
+
+
+def default_name(source: str) -> str:
+    """Name of a study that has none: that of its file."""
+    stem = Path(source).stem if "\0" not in source else ""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-")[:80] or "study"
 
 
 @section

@@ -6,7 +6,6 @@ and how to mend it; a file without faults gives frozen values.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -51,7 +50,7 @@ from study.harness.design.study_file import RESPONSES_MEND, DesignFile
 from study.simulation import overlay, plausibility
 from study.simulation.calibration_section import CalibrationDesign
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.problem_file import CalibrationFile, ProblemFile
+from study.simulation.problem_file import CalibrationFile, ProblemFile, default_name
 from study.simulation.resolve import (
     LoadedProblem,
     identification_from,
@@ -283,15 +282,14 @@ def dump(design: Design) -> str:
     return diagnostics.dump_toml(design.config)
 
 
+def problem_of(tables: Table, source: str, overrides: Sequence[str] = ()) -> CellProblem:
+    """Problem of the tables of a file."""
+    return loads_problem(diagnostics.dump_toml(tables), source, overrides).problem
+
+
 def file_kind(path: str | Path) -> str:
     """Kind of a file: ``"design"``, ``"calibration"``, ``"problem"``, or that of another verb."""
     return _kind(diagnostics.parse_toml(diagnostics.read_text(path), str(path)))
-
-
-def default_name(source: str) -> str:
-    """Name of a study that has none: that of its file."""
-    stem = Path(source).stem if "\0" not in source else ""
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-")[:80] or "study"
 
 
 def _kind(tables: Table) -> str:

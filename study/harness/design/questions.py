@@ -13,7 +13,7 @@ import numpy as np
 from study.external.forward_section import TAKEN
 from study.external.parameters import number_in
 from study.ground import units
-from study.ground.contrast import Threshold
+from study.ground.contrast import Expected, Threshold
 from study.ground.declaration import (
     AsWritten,
     Bad,
@@ -42,7 +42,7 @@ from study.ground.tabular import NUMBER
 from study.harness.design.factors import grouped
 from study.harness.design.generators import model_columns
 from study.harness.design.layout_kinds import word_of, words_of
-from study.harness.design.spec import Expected, Factor, Scheme, Span
+from study.harness.design.spec import Factor, Scheme, Span
 from study.harness.design.study_file import Analysis, ResponseSpec, Terms
 from study.simulation import overlay
 from study.simulation.response import (

@@ -16,6 +16,7 @@ from study.external.parameters import (
     stands_alone,
 )
 from study.ground.canonical import Keyed
+from study.ground.contrast import Expected
 from study.ground.declaration import Bad, table_of
 from study.ground.diagnostics import Faults, Table
 from study.ground.errors import Fault, InputError
@@ -117,23 +118,6 @@ class Scheme(Keyed):
     terms: tuple[str, ...] = ()
     #: How cells are added while it runs.
     sequential: Sequential | None = None
-
-
-@dataclass(frozen=True)
-class Expected:
-    """What was expected of a response before the study ran."""
-
-    #: A factor matters, has a larger effect than another one, two interact, a cell (mean over all
-    #: other factors) is the best, two cells differ by less than what matters, levels of a factor
-    #: score better or need less than its others.
-    kind: str
-    #: One or two factors.
-    factors: tuple[str, ...]
-    #: One or two cells: labels by factor, joined by a tab where there are several.
-    cells: tuple[Mapping[str, str], ...]
-    #: What it is said of, and who said it.
-    response: str
-    source: str = ""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
 from study.ground.units import agree, listed
 from study.harness.design.factors import level_label
-from study.harness.design.load import default_name, dump, from_tables, loads
+from study.harness.design.load import dump, from_tables, loads
 from study.harness.design.spec import Design, cases
 from study.harness.runner.expansion import seeded
 from study.record.document import MADE_ELSEWHERE, ManifestDocument, are_imported
@@ -26,6 +26,7 @@ from study.record.record import STATUSES, Record
 from study.record.store import Store
 from study.simulation.cell import Case
 from study.simulation.overlay import TABLES
+from study.simulation.problem_file import default_name
 from study.simulation.provenance import versions
 from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import settings_run
