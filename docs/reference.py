@@ -13,7 +13,7 @@ from pathlib import Path
 import gallery_pictures
 
 import study
-from study.external.forward_section import ForwardModel
+from study.external.forward_model import ForwardModel
 from study.ground import declaration, units
 from study.harness.design import study_file
 from study.harness.design.layout_kinds import LAYOUTS

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.api.folders import calibration_root, demo_design
-from study.ground.atomic_files import write_atomic, write_new
+from study.ground.atomic_files import own_folder, write_atomic, write_new
 from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.ground.tabular import csv_text
@@ -21,7 +21,6 @@ from study.laboratory.tracker.tracker_recording import is_tracking, load_trackin
 from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
 from study.mechanics.measurement import inspection
-from study.record.folder import own_folder
 from study.reporting.content.calibration_content import calibration_blocks
 from study.reporting.figures.axes import render, shown
 from study.reporting.output.page import Shown

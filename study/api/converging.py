@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Self, cast
 
 from study.api.folders import RESULTS, design_root, loaded_problem
 from study.api.opened_study import load as load_study
-from study.execution.task import Executor
+from study.execution.supervisor import Executor
 from study.external.forward_model import ForwardCell
+from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
 from study.harness.design.load import file_kind, load
@@ -26,7 +27,6 @@ from study.harness.runner.case_series import (
 from study.harness.runner.expansion import expand
 from study.mechanics.forward.formal_order import FormalOrder
 from study.mechanics.setup.setup import Tables
-from study.record.folder import own_folder
 from study.record.store import Store
 from study.reporting.figures.axes import shown
 from study.reporting.output.convergence_page import series_blocks, write_convergence

@@ -30,9 +30,10 @@ from study.api.opened_study import load as load_study
 from study.api.planning import noted_progress
 from study.api.predicting import Permission
 from study.execution.local import Worker
-from study.execution.task import check_limit
+from study.execution.supervisor import check_limit
 from study.external.command import check_allowed
 from study.external.exchange import Function, PythonFunction
+from study.ground.atomic_files import own_folder
 from study.ground.errors import (
     Fault,
     InputError,
@@ -58,8 +59,7 @@ from study.harness.runner.record_analysis import effects_by_depth
 from study.harness.runner.study_refinement import compare_spaces, validate
 from study.harness.runner.study_refinement import refine as refine_study
 from study.record.document import are_imported
-from study.record.folder import is_same, own_folder
-from study.record.store import Store
+from study.record.store import Store, is_same
 from study.reporting.figures.axes import load_libraries
 from study.reporting.output import write as provenance
 from study.reporting.output.page import DETAILS
@@ -70,7 +70,7 @@ from study.simulation.tasks import computing_on, default_jobs, memory_of, proces
 from study.simulation.virtual_specimens import usual_generator, write_virtual
 
 if TYPE_CHECKING:
-    from study.execution.task import Executor
+    from study.execution.supervisor import Executor
     from study.harness.runner.batch import Progress
     from study.harness.runner.expansion import Work
     from study.simulation.tasks import Engine

@@ -26,8 +26,18 @@ from pathlib import Path
 from typing import Protocol
 
 from study.execution.local import Process
-from study.execution.supervisor import Answer, Done, ReadyQueue, Supervisor
-from study.execution.task import Outcome, Perform, Results, Task, check_limit, stopped_late
+from study.execution.supervisor import (
+    Answer,
+    Done,
+    Outcome,
+    Perform,
+    ReadyQueue,
+    Results,
+    Supervisor,
+    Task,
+    check_limit,
+    stopped_late,
+)
 from study.ground.bounded_file import MAX_BYTES, read_existing
 from study.ground.errors import Fault, InputError, RefusedError, SchedulerLostError
 

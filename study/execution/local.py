@@ -19,8 +19,18 @@ from concurrent.futures import wait as wait_for
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from study.execution.supervisor import Answer, Done, ReadyQueue, Supervisor
-from study.execution.task import Outcome, Perform, Results, Task, answers, check_limit
+from study.execution.supervisor import (
+    Answer,
+    Done,
+    Outcome,
+    Perform,
+    ReadyQueue,
+    Results,
+    Supervisor,
+    Task,
+    answers,
+    check_limit,
+)
 from study.ground.working_folder import SafeChildren
 
 #: one thread a worker, set before numpy loads: workers times threads must not exceed the cores,

@@ -20,12 +20,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from study.execution.local import Process, ProcessPool
-from study.external.forward_section import (
-    NUMBER,
-    NUMBER_PATTERN,
-    CurveFile,
-    ValueFile,
-)
+from study.external.forward_model import NUMBER, NUMBER_PATTERN, CurveFile, ValueFile
 from study.ground import units
 from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, named_once, parse_json, read_regular

@@ -32,8 +32,7 @@ from study.external.answers import (
     values_of_files,
 )
 from study.external.exchange import PredictedCurve, PythonFunction
-from study.external.forward_model import ForwardCell
-from study.external.forward_section import ForwardFiles, ForwardModel, target_and_source
+from study.external.forward_model import ForwardCell, ForwardFiles, ForwardModel, target_and_source
 from study.ground.arrays import Array
 from study.ground.bounded_file import read_regular
 from study.ground.canonical import digest

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Annotated
 
-from study.external.forward_model import ForwardCell, Value
-from study.external.forward_section import ForwardModel
+from study.external.forward_model import ForwardCell, ForwardModel, Value
 from study.ground import units
 from study.ground.declaration import (
     MAX_NAME,

@@ -23,8 +23,11 @@ from typing import Self, TypeVar, cast
 
 from study.ground import atomic_files
 from study.ground.atomic_files import (
+    ID,
+    OUTSIDE,
     Batch,
     FileSystem,
+    inside,
     is_leftover,
     write_atomic,
     write_error,
@@ -43,7 +46,6 @@ from study.record.document import (
     fault_of_curves,
     fault_of_fits,
 )
-from study.record.folder import ID, OUTSIDE, inside, is_same
 from study.record.record import CONVERGED, Record, seal, unseal
 
 # Results that are no records: fits that cases share, solutions of refinement series.
@@ -611,3 +613,10 @@ class Store:
 
 def _essence(meta: ManifestDocument) -> dict[str, object]:
     return {key: value for key, value in meta.items() if key not in _OUTCOME}
+
+
+def is_same(first: ManifestDocument | None, second: ManifestDocument) -> bool:
+    """Whether two runs compute and ask the same."""
+    if first is None:
+        return False
+    return all(first.get(key) == second.get(key) for key in ("cases", "design"))

@@ -20,8 +20,13 @@ import numpy as np
 from study.external import command
 from study.external.command import External
 from study.external.exchange import PredictedCurve, PythonFunction
-from study.external.forward_model import ForwardCell, PlacedFile
-from study.external.forward_section import ForwardFiles, ForwardModel, target_and_source
+from study.external.forward_model import (
+    ForwardCell,
+    ForwardFiles,
+    ForwardModel,
+    PlacedFile,
+    target_and_source,
+)
 from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_existing, sha256_of
 from study.ground.canonical import Json, digest, plain

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from study.external.forward_section import ForwardModel
+from study.external.forward_model import ForwardModel
 from study.external.parameters import is_parameter
 from study.ground.declaration import MAX_NAME, keys_of, written_keys
 from study.ground.diagnostics import Table

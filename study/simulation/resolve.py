@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import cast
 
-from study.external.forward_model import Refinement
-from study.external.forward_section import ForwardModel
+from study.external.forward_model import ForwardModel, Refinement
 from study.external.parameters import ParameterProblem, parameters_from, stands_alone
 from study.ground.declaration import shown, table_of, values_of, written_keys
 from study.ground.diagnostics import (

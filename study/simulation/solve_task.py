@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from study.execution.task import Executor, Results, Task
+from study.execution.supervisor import Executor, Results, Task
 from study.external.command import External
+from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.forward.finite_element import load_compiled
-from study.record.folder import own_folder
 from study.record.store import Store
 from study.simulation.cell import CellProblem
 from study.simulation.provenance import code_version

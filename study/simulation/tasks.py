@@ -16,10 +16,9 @@ from typing import Any, cast
 
 from study.execution.cluster import Client, Cluster
 from study.execution.local import Loky
-from study.execution.task import Document, Executor, Perform, Task
+from study.execution.supervisor import Document, Executor, Perform, Task
 from study.external.command import External
-from study.external.forward_model import ForwardCell
-from study.external.forward_section import FUNCTION_SECONDS
+from study.external.forward_model import FUNCTION_SECONDS, ForwardCell
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.memory import free_memory_MB

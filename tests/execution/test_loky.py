@@ -14,8 +14,7 @@ import pytest
 
 from study.execution.cluster import Cluster
 from study.execution.local import Loky, Worker
-from study.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, longest_first
-from study.execution.task import Task
+from study.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, Task, longest_first
 from study.ground.errors import InputError
 from tests.execution.loopback import ROOT, children
 from tests.execution.misbehaving import line_of, never_up, perform, study_left, task

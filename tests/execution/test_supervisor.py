@@ -2,8 +2,7 @@
 
 import pytest
 
-from study.execution.supervisor import Answer, ReadyQueue, Supervisor
-from study.execution.task import Task
+from study.execution.supervisor import Answer, ReadyQueue, Supervisor, Task
 
 
 class Liar:

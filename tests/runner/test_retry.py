@@ -7,8 +7,7 @@ import pytest
 
 from study import api
 from study.execution.local import Loky
-from study.execution.supervisor import Inline
-from study.execution.task import stopped_late
+from study.execution.supervisor import Inline, stopped_late
 from study.ground.errors import InputError
 from study.harness.design.load import loads
 from study.harness.runner.batch import computed, run_batch

@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from study.external.forward_section import ValueFile
+from study.external.forward_model import ValueFile
 from study.external.parameters import check_names, checked, overridden, stands_alone
 from study.ground import diagnostics
 from study.ground.contrast import sides_of

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from study.external.forward_section import TAKEN
+from study.external.forward_model import TAKEN
 from study.external.parameters import number_in
 from study.ground import units
 from study.ground.contrast import Expected, Threshold

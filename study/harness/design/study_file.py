@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Annotated, Literal
 
-from study.external.forward_section import value_unit
+from study.external.forward_model import value_unit
 from study.external.parameters import Constraint, parameter_key
 from study.ground.contrast import Threshold
 from study.ground.declaration import (

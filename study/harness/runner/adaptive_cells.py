@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from study.ground.arrays import Array
+from study.ground.atomic_files import ID
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
 from study.harness.design.factors import levels_at
@@ -28,7 +29,6 @@ from study.harness.runner.record_analysis import (
     runs_at,
 )
 from study.record.document import AdaptiveStep, ConfirmedRow, are_imported
-from study.record.folder import ID
 from study.record.record import Record
 from study.record.store import Store
 from study.simulation.fit_problem import Allowed

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
 
-from study.external.forward_section import ForwardModel
+from study.external.forward_model import ForwardModel
 from study.ground.arrays import gathered
 from study.ground.canonical import digest, numbered
 from study.ground.errors import Fault, InputError

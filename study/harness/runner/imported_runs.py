@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from study.external.forward_section import TAKEN
+from study.external.forward_model import TAKEN
 from study.external.parameters import is_parameter
 from study.ground.arrays import gathered
+from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
@@ -21,7 +22,6 @@ from study.harness.design.load import dump, from_tables, loads
 from study.harness.design.spec import Design, cases
 from study.harness.runner.expansion import seeded
 from study.record.document import MADE_ELSEWHERE, ManifestDocument, are_imported
-from study.record.folder import own_folder
 from study.record.record import STATUSES, Record
 from study.record.store import Store
 from study.simulation.cell import Case

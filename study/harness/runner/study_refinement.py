@@ -17,7 +17,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from study.execution.task import Executor
+from study.execution.supervisor import Executor
 from study.external.forward_model import ForwardCell
 from study.ground.arrays import Array, gathered
 from study.ground.canonical import digest
