@@ -122,6 +122,7 @@ BREACHES = [
     ("mechanics/element/a", "study.mechanics.forward.model", "Inside mechanics"),
     ("statistics/convergence/a", "study.statistics.analysis.anova", "Inside statistics"),
     ("harness/design/a", "study.harness.runner.batch", "Inside harness"),
+    ("simulation/cell", "study.simulation.job", "Inside simulation"),
     ("laboratory/registration/a", "study.laboratory.haptics.haptic_export", "Inside laboratory"),
     ("reporting/content/a", "study.reporting.output.page", "Inside reporting"),
     ("harness/design/layouts", "study.harness.design.load", CIRCLE),
