@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from study.reporting.figures.axes import Drawing
     from study.reporting.figures.curve_figures import FitPanel
     from study.simulation.calibration.model_comparison import EnergyChoice, ModelComparison
-    from study.simulation.calibration_section import CalibrationDesign
+    from study.simulation.problem_file import CalibrationDesign
     from study.simulation.staged_fit import FitStep
 
 

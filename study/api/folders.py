@@ -14,9 +14,9 @@ from study.harness.design.spec import Design
 from study.mechanics.setup.setup import Tables
 from study.record.document import ManifestDocument
 from study.record.store import Store
-from study.simulation.calibration_section import CalibrationDesign
 from study.simulation.cell import CellProblem
 from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.problem_file import CalibrationDesign
 from study.simulation.resolve import LoadedProblem
 
 RESULTS = Path("results")

@@ -410,12 +410,7 @@ def name_of_test(problem: CellProblem) -> str:
 
 
 def score_pairs(
-    case: Case,
-    problem: FitProblem,
-    data: DataCache,
-    *,
-    asks_for_scores: bool,
-    asks_for_constants: bool,
+    case: Case, problem: FitProblem, data: DataCache, with_scores: bool, with_constants: bool
 ) -> list[ScorePair]:
     """Say what is fitted and what is scored in a case."""
     if not isinstance(case.problem, CellProblem):
@@ -424,7 +419,7 @@ def score_pairs(
     if scored is None:
         return [_simulated(case, problem)]
     kind = None  # a study of constants alone fits each curve by itself
-    if problem.method != "none" and (cell.leave_out is not None or asks_for_scores):
+    if problem.method != "none" and (cell.leave_out is not None or with_scores):
         other = cell.fitted_elsewhere is not None
         kind = held_out(
             cell.leave_out, scored.fit, scored.score, len(scored.blocks), other_test=other
@@ -434,7 +429,7 @@ def score_pairs(
     if kind != "specimen":
         return [_without_test(case, scored, data)]
     pairs = _without_specimen(case, problem, scored, data)
-    if asks_for_constants:
+    if with_constants:
         # those of all other specimens would differ less between specimens than these do
         alone = _fitted_pairs(case, problem, scored, data)[0]
         pairs.append(replace(alone, role=CONSTANTS, fit_label=f"{case.block} alone"))

@@ -43,16 +43,17 @@ from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Specimen
 from study.mechanics.setup.setup import Model
 from study.mechanics.setup.test_kind import TEST_KINDS, Test
 from study.simulation import plausibility
-from study.simulation.calibration_section import (
+from study.simulation.cell import Cell, CellProblem
+from study.simulation.material_table import material_from
+from study.simulation.problem_file import (
     CalibratedTest,
     CalibrationDesign,
+    CalibrationFile,
+    Converge,
     Role,
     nuisance_from,
     of_test,
 )
-from study.simulation.cell import Cell, CellProblem
-from study.simulation.material_table import material_from
-from study.simulation.problem_file import CalibrationFile, Converge
 
 #: key of a table, rule and mend
 Broken = Iterator[tuple[str, str, str]]

@@ -48,9 +48,13 @@ from study.harness.design.questions import (
 from study.harness.design.spec import Design, Level
 from study.harness.design.study_file import RESPONSES_MEND, DesignFile
 from study.simulation import overlay, plausibility
-from study.simulation.calibration_section import CalibrationDesign
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.problem_file import CalibrationFile, ProblemFile, default_name
+from study.simulation.problem_file import (
+    CalibrationDesign,
+    CalibrationFile,
+    ProblemFile,
+    default_name,
+)
 from study.simulation.resolve import (
     LoadedProblem,
     identification_from,

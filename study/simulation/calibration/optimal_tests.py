@@ -27,7 +27,7 @@ from study.mechanics.material.material import Material, is_dimensionless, unit_s
 from study.mechanics.setup.geometry import Sphere
 from study.mechanics.setup.test_kind import TEST_KINDS
 from study.simulation.calibration.measured_tests import FitCurve, in_order
-from study.simulation.calibration_section import CalibratedTest
+from study.simulation.problem_file import CalibratedTest
 from study.simulation.response import in_shown_units
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.material.relaxation import is_of_relaxation
 from study.simulation import fit_task
 from study.simulation.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
-from study.simulation.calibration_section import CalibrationDesign
 from study.simulation.fit_task import Residuals, resampled, residuals_of
+from study.simulation.problem_file import CalibrationDesign
 from study.simulation.response import in_shown_units
 from study.simulation.staged_fit import (
     FitPart,
