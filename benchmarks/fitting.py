@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from study.ground.curve import Curve
-from study.harness.design.cell import CellProblem
-from study.harness.runner import fit_task
-from study.harness.runner.staged_fit import TOLERANCES
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.mechanics.forward import finite_element
+from study.simulation import fit_task
+from study.simulation.cell import CellProblem
+from study.simulation.staged_fit import TOLERANCES
 
 Array = NDArray[np.float64]
 ENERGIES: tuple[tuple[str, int | None, dict[str, float]], ...] = (

@@ -26,15 +26,15 @@ import numpy as np
 from study.api.folders import load_design
 from study.api.planning import plan, status
 from study.api.study import report, run
-from study.harness.execution.local import Loky
-from study.harness.record.store import Store
+from study.execution.local import Loky
 from study.harness.runner.batch import manifest_of, run_batch
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import CaseJob
-from study.harness.runner.tasks import processes
 from study.mechanics.forward.closed_form import compression
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
+from study.record.store import Store
+from study.simulation.job import CaseJob
+from study.simulation.tasks import processes
 
 RANGES = (10, 12, 14, 16, 18, 20, 25, 30, 35, 40, 45, 50, 55, 60)
 SPECIMENS, HALVES, REPEATS, ROWS = 9, "AB", 5, 120

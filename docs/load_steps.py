@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from study.ground.curve import Curve
-from study.harness.runner.response import relative_rms_force_error
 from study.mechanics.forward.finite_element import CURVE_ERROR
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
@@ -22,6 +21,7 @@ from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import Options
+from study.simulation.response import relative_rms_force_error
 
 GEL = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
 #: another energy, which stands for a measured curve some per cent away

@@ -83,7 +83,7 @@ def data_dir():
 @pytest.fixture(autouse=True)
 def _solutions_of_this_test_alone(monkeypatch):
     """Let no test see what another one solved, perhaps by a solver that it put in place of ours."""
-    if fit_task := sys.modules.get("study.harness.runner.fit_task"):
+    if fit_task := sys.modules.get("study.simulation.fit_task"):
         monkeypatch.setattr(fit_task, "_unit_solutions", {})
         monkeypatch.setattr(fit_task, "_first_solutions", {})
 
@@ -106,8 +106,8 @@ def _tasks_in_this_process():
 
     What has a limit of time still gets processes, and so does what tests ask :func:`processes` for.
     """
-    from study.harness.execution.local import Loky
-    from study.harness.execution.supervisor import Inline
+    from study.execution.local import Loky
+    from study.execution.supervisor import Inline
 
     in_processes = Loky.run
 

@@ -63,8 +63,6 @@ POINTS = "scipy.stats.qmc"
 #: read the environment: the command line, and those who cap the threads of workers
 MAY_READ_ENVIRONMENT = (
     "study/cli/",
-    "study/harness/runner/",
-    "study/harness/execution/",
     "study/ground/working_folder.py",
     "study/ground/compilation.py",
 )

@@ -34,19 +34,19 @@ WRITING = {"w", "wb", "x", "xb", "a", "ab"}
 EXCEPTIONS = {
     ("study/ground/working_folder.py", "open"): "a handle of the folder to return to",
     ("study/api/folders.py", "read_text"): "a file of the package",
-    ("study/harness/external/answers.py", "open"): "a process, which is no file",
+    ("study/external/answers.py", "open"): "a process, which is no file",
     ("study/harness/design/load.py", "read_text"): "a file of the package",
     ("study/reporting/output/page.py", "read_text"): "a file of the package",
     ("study/ground/compilation.py", "read_bytes"): "sources of the package",
-    ("study/harness/runner/provenance.py", "read_text"): "sources of the package, and their hash",
+    ("study/simulation/provenance.py", "read_text"): "sources of the package, and their hash",
     (
-        "study/harness/record/atomic_files.py",
+        "study/ground/atomic_files.py",
         "open",
     ): "handles for fsync and of the lock, of which 4 kB are read",
-    ("study/harness/runner/solve_task.py", "open"): "memory of this process, from /proc",
+    ("study/simulation/solve_task.py", "open"): "memory of this process, from /proc",
     ("study/ground/memory.py", "read_text"): "memory of the machine, from /proc",
     (
-        "study/harness/external/launcher.py",
+        "study/external/launcher.py",
         "open",
     ): "4 kB of /proc, in a program without this package",
     ("study/cli/app.py", "open"): "/dev/null, to be written to",
@@ -54,7 +54,7 @@ EXCEPTIONS = {
         "study/cli/study_commands.py",
         "json.loads",
     ): "a record that was read and written again in memory",
-    ("study/harness/execution/local.py", "open"): "a pool of processes",
+    ("study/execution/local.py", "open"): "a pool of processes",
     **{
         (
             "study/mechanics/surface/closed_surface.py",

@@ -115,29 +115,30 @@ CIRCLE = "No circle between the modules of a room, nor between rooms"
 # Module that breaks the rule, the import it makes, and the contract that must say so.
 BREACHES = [
     ("ground/a", "study.mechanics.setup.setup", WINGS),
-    ("mechanics/setup/a", "study.harness.record.record", WINGS),
-    ("statistics/analysis/a", "study.harness.runner.job", WINGS),
+    ("mechanics/setup/a", "study.record.record", WINGS),
+    ("statistics/analysis/a", "study.simulation.job", WINGS),
     ("harness/runner/a", "study.reporting.content.text", WINGS),
     ("utils", "study.ground.errors", WINGS),
     ("mechanics/element/a", "study.mechanics.forward.model", "Inside mechanics"),
     ("statistics/convergence/a", "study.statistics.analysis.anova", "Inside statistics"),
-    ("harness/design/a", "study.harness.record.record", "Inside harness"),
+    ("harness/design/a", "study.harness.runner.batch", "Inside harness"),
+    ("simulation/cell", "study.simulation.job", "Inside simulation"),
     ("laboratory/registration/a", "study.laboratory.haptics.haptic_export", "Inside laboratory"),
     ("reporting/content/a", "study.reporting.output.page", "Inside reporting"),
     ("harness/design/layouts", "study.harness.design.load", CIRCLE),
     (
-        "harness/record/a",
+        "harness/runner/a",
         "study.mechanics.setup.setup",
         "harness computes no case: it asks a forward model",
     ),
     (
         "reporting/output/a",
         "study.mechanics.forward.model",
-        "reporting knows statistics and results, no mechanics and no harness",
+        "reporting knows statistics, records and results, no mechanics and no harness",
     ),
     (
         "laboratory/tracker/a",
-        "study.harness.runner.job",
+        "study.harness.runner.batch",
         "laboratory uses mechanics, no design of experiments",
     ),
     (
@@ -154,7 +155,7 @@ BREACHES = [
     ("laboratory/tracker/a", "pydantic_core", "pydantic-core only where JSON is read"),
     ("api/a", "cloudpickle", "cloudpickle only for a function given to study.run"),
     (
-        "harness/execution/a",
+        "execution/a",
         "study.ground.curve",
         "execution knows of errors, the working folder and the reader of files",
     ),

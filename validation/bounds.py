@@ -23,7 +23,6 @@ from itertools import product
 import numpy as np
 
 from study.ground.arrays import Array
-from study.harness.runner.refinement import series_sizes
 from study.mechanics.forward.contact_law import Layer, force_law
 from study.mechanics.forward.formal_order import formal_order
 from study.mechanics.material.material import Material
@@ -33,6 +32,7 @@ from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.solution import Solution
+from study.simulation.refinement import series_sizes
 from study.statistics.convergence.grid_convergence import grid_convergence
 
 #: Formal orders of the force of the elements: sharp edge, bonded corner, linear, quadratic.

@@ -31,7 +31,6 @@ import numpy as np
 import study
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.harness.calibration.model_comparison import choose
 from study.harness.design.load import load_calibration
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
@@ -40,6 +39,7 @@ from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.forward.finite_element import solve
 from study.mechanics.material.homogeneous import response
 from study.mechanics.material.material import Material
+from study.simulation.calibration.model_comparison import choose
 
 #: energy and constants in MPa of six rubbers
 TRUTHS = {

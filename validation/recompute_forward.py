@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from study.harness.design.study_file import simulated_at
+from study.simulation.response import simulated_at
 from validation.recompute_records import Direction, Job
 
 Array = NDArray[np.float64]
@@ -54,11 +54,11 @@ def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
     RuntimeError
         If it has no answer.
     """
-    from study.harness.design.cell import CellProblem
     from study.mechanics.forward.closed_form import height_and_area
     from study.mechanics.setup.test_kind import StepSettings
     from study.mechanics.solver.finite_element_solution import solve
     from study.mechanics.solver.newton import Options
+    from study.simulation.cell import CellProblem
 
     problem = CellProblem.of(job.config).at(one.constants, depth_mm)
     if job.closed_form:

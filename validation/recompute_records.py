@@ -10,8 +10,8 @@ from typing import Any
 
 from study.ground.declaration import table_of
 from study.ground.errors import InputError
-from study.harness.design.study_file import simulated_at
-from study.harness.record.document import CurveKey
+from study.record.document import CurveKey
+from study.simulation.response import simulated_at
 
 Config = Mapping[str, Any]
 
@@ -60,7 +60,7 @@ def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job
     """
     from study.api.folders import results_folder
     from study.harness.design.load import loads
-    from study.harness.record.store import Store
+    from study.record.store import Store
 
     home = results_folder(folder)
     store = Store(home)
@@ -79,7 +79,7 @@ def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any,
     """Resolve every case, by its levels, its block and the number of its mesh."""
     from study.harness.design.spec import cases
     from study.harness.runner.expansion import seeded
-    from study.harness.runner.fit_problem import located_cell
+    from study.simulation.fit_problem import located_cell
 
     places = () if data is None else (data.resolve(),)
     configs: dict[Any, Config] = {}
@@ -133,8 +133,8 @@ def _is_of_a_curve(name: str) -> bool:
 
 def _sticks(config: Config) -> bool:
     """Whether an indenter holds what it touches where it meets it: load steps matter then."""
-    from study.harness.design.cell import CellProblem
     from study.mechanics.setup.test_kind import TEST_KINDS, IndenterContact
+    from study.simulation.cell import CellProblem
 
     made = CellProblem.of(config).setup.test.to_depth(1.0)
     contacts = TEST_KINDS[made.kind].contacts(made)

@@ -168,7 +168,7 @@ def _claimed(problem: Problem, own: Found, ask: Ask) -> Found:
 
 def _sizes(problem: Problem, series: Sequence[Found]) -> list[float]:
     """Sizes by which a study judges a series."""
-    from study.harness.runner.refinement import series_sizes
+    from study.simulation.refinement import series_sizes
 
     return series_sizes(
         [each["mesh_size_mm"] for each in series], [each["elements"] for each in series],

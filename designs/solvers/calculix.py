@@ -35,7 +35,7 @@ FORCE = re.compile(r"total force .* for set TOP and time\s+(\S+)")
 def deck(problem: dict) -> str:
     """Text of the input file."""
     # the mesh generator takes a second to load, and the curve does not need it
-    from study.harness.design.cell import CellProblem
+    from study.simulation.cell import CellProblem
     from study.mechanics.mesh.mesher import build_mesh
 
     model, test, material = problem["model"], problem["test"], problem["material"]

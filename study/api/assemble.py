@@ -5,16 +5,21 @@ from __future__ import annotations
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.ground.arrays import gathered
+from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.ground.diagnostics import dump_toml, flatten, parse_toml
 from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.runner.case_series import stored_convergence
+from study.harness.runner.record_analysis import fates, unit_of
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.measurement.measured_test import IMPLAUSIBLE
+from study.record.record import is_repeat, table
 from study.reporting.content.text import count, listing, name_of, percent, quantity
 from study.reporting.results.study_result import (
     ANY,
@@ -25,13 +30,14 @@ from study.reporting.results.study_result import (
     Findings,
     FittedConstant,
     ReportData,
-    unit_of,
 )
+from study.statistics.analysis.failures import FailurePattern, failure_pattern
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from study.harness.design.spec import Design
-    from study.harness.record.record import Record
-    from study.reporting.results.study_result import StudyResult
+    from study.record.record import Record
 
 
 #: cells that must agree physically may differ by the tolerance of the solver, besides the error of
@@ -46,10 +52,94 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
            "expected")  # fmt: skip
 
 
+@dataclass(frozen=True)
+class StudyResult(Findings):
+    """A study with everything that its records tell."""
+
+    design: Design
+    folder: Path
+    #: One a case, in the order of the design; cases not computed yet are absent.
+    records: tuple[Record, ...]
+    total: int
+    #: What else is stored of the run: blocks, notes, timings, versions.
+    manifest: Mapping[str, Any]
+    report: Path | None = None
+    predicted_seconds: float = 0.0
+    #: How far 3D and axisymmetric space differ on a cylinder.
+    spaces: tuple[Mapping[str, Any], ...] = ()
+    #: What was known with so many cells, where cells were added while it ran.
+    adaptive: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One tidy row a case, failed ones included."""
+        return table(list(self.records))
+
+    @property
+    def plain(self) -> tuple[Record, ...]:
+        """Records without replicates: one mesh a cell, the curve as measured."""
+        return tuple(record for record in self.records if not is_repeat(record.extra))
+
+    @property
+    def failed(self) -> int:
+        """Number of cases without an answer."""
+        return sum(not record.converged for record in self.records)
+
+    @cached_property
+    def failure_pattern(self) -> FailurePattern:
+        """What the failed cases share."""
+        unit = unit_of(self.design, self.manifest)
+        return failure_pattern(fates(self.design, self.records), unit, self.design.seed)
+
+    @property
+    def cases(self) -> dict[str, int]:
+        """Number of cases: in all, done, failed and missing."""
+        return {
+            "total": self.total,
+            "done": len(self.records) - self.failed,
+            "failed": self.failed,
+            "missing": self.total - len(self.records),
+        }
+
+    @property
+    def verdicts(self) -> list[dict[str, object]]:
+        """One verdict for every response and term."""
+        return [
+            row | {"scored_on": analysis.scored_on or None}
+            for analysis in self.analyses
+            if analysis.result is not None
+            for row in analysis.result.verdicts()
+        ] + [row for surface in self.surfaces for row in surface.verdicts]
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study run --json``."""
+        answer: dict[str, object] = {
+            "study": self.design.name,
+            "cases": self.cases,
+            "predicted_seconds": self.predicted_seconds,
+            "report": None if self.report is None else str(self.report),
+            "verdicts": self.verdicts,
+            "warnings": list(self.warnings),
+        }
+        where_any = {
+            "contrasts": [
+                {"response": analysis.name, **plain(contrast)}
+                for analysis in self.analyses
+                if analysis.result is not None
+                for contrast in analysis.result.contrasts
+            ],
+            "failures": self.failed and self.failure_pattern.to_json(),
+            "surfaces": [surface.to_json() for surface in self.surfaces],
+            "adaptive": [dict(step) for step in self.adaptive],
+            "beside": self.beside and self.beside.to_json(),
+        }
+        return answer | {key: value for key, value in where_any.items() if value}
+
+
 def report_data(study: StudyResult) -> ReportData:
     """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
-    blocks, spec = tuple(manifest["blocks"]), design.measurements
+    blocks, spec = tuple(manifest["blocks"]), design.identification.measurements
     markers = design.config.get("markers")
     marked = markers if isinstance(markers, Mapping) else {}
     table = study.table.copy(deep=False)
@@ -88,7 +178,7 @@ def report_data(study: StudyResult) -> ReportData:
         expected=design.expected,
         ranges=_ranges(study),
         # a curve, a fitted test or markers stand beside the simulation
-        is_measured=design.calibration.problem is not None
+        is_measured=design.identification.calibration.problem is not None
         or spec is not None
         or "markers" in design.config,
         **{item.name: getattr(study, item.name) for item in fields(Findings)},
@@ -252,7 +342,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
 
 def _names_of_fits(study: StudyResult) -> dict[str, str]:
     """Levels, block and specimen of each fit by its key."""
-    entering, spec = calibration_factors(study.design), study.design.measurements
+    entering, spec = calibration_factors(study.design), study.design.identification.measurements
     kind = f"{spec.block} " if spec is not None and spec.block else ""
 
     def data_of(block: str | None, label: str) -> list[str]:
@@ -278,7 +368,7 @@ def _misfits(study: StudyResult) -> dict[str, str]:
     measurements of its own, a calibration may have other specimens: these keep their numbers.
     """
     design, blocks = study.design, tuple(map(str, study.manifest["blocks"]))
-    spec = design.measurements
+    spec = design.identification.measurements
     kind = "" if spec is None or not spec.block else f"{spec.block} "
     out: dict[str, str] = {}
     for record in study.plain:
@@ -292,7 +382,11 @@ def _misfits(study: StudyResult) -> dict[str, str]:
                 names = {"1": f"{kind}{record.block}"}
             else:
                 is_theirs = label == f"all but {record.block}"
-                names = fitted if is_theirs and design.calibration.problem is None else {}
+                names = (
+                    fitted
+                    if is_theirs and design.identification.calibration.problem is None
+                    else {}
+                )
             parts[1::2] = [names.get(number, f"curve {number}") for number in parts[1::2]]
             out[fit["key"]] = "".join(parts)
     return out

@@ -12,19 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.api.folders import calibration_root, demo_design
+from study.ground.atomic_files import own_folder, write_atomic, write_new
 from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.ground.tabular import csv_text
-from study.harness.calibration.calibrate_tests import calibrate as run_calibration
-from study.harness.calibration.calibration_bound import numerical_bound, with_numerical
-from study.harness.calibration.calibration_result import CalibrationResult
-from study.harness.calibration.measured_tests import indentation_test
-from study.harness.calibration.model_comparison import choose, compare
 from study.harness.design.load import load, load_calibration, template
-from study.harness.record.atomic_files import write_atomic, write_new
-from study.harness.record.folder import own_folder
-from study.harness.runner.fit_problem import folders, located
-from study.harness.runner.virtual_specimens import usual_generator, write_tests, write_virtual
 from study.laboratory.tracker.tracker_recording import is_tracking, load_tracking, write_recording
 from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
@@ -32,17 +24,24 @@ from study.mechanics.measurement import inspection
 from study.reporting.content.calibration_content import calibration_blocks
 from study.reporting.figures.axes import render, shown
 from study.reporting.output.page import Shown
+from study.simulation.calibration.calibrate_tests import calibrate as run_calibration
+from study.simulation.calibration.calibration_bound import numerical_bound, with_numerical
+from study.simulation.calibration.calibration_result import CalibrationResult
+from study.simulation.calibration.measured_tests import indentation_test
+from study.simulation.calibration.model_comparison import choose, compare
+from study.simulation.fit_problem import folders, located
+from study.simulation.virtual_specimens import usual_generator, write_tests, write_virtual
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.calibration.model_comparison import EnergyChoice, ModelComparison
-    from study.harness.design.calibration_section import CalibrationDesign
-    from study.harness.runner.staged_fit import FitStep
     from study.mechanics.indentation.indentation_modulus import CurveModulus
     from study.reporting.content.blocks import Block as ResultBlock
     from study.reporting.figures.axes import Drawing
     from study.reporting.figures.curve_figures import FitPanel
+    from study.simulation.calibration.model_comparison import EnergyChoice, ModelComparison
+    from study.simulation.problem_file import CalibrationDesign
+    from study.simulation.staged_fit import FitStep
 
 
 # Curves of a calibration as the panels of its figure.

@@ -13,20 +13,21 @@ from study.api.opened_study import load as load_study
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.load import load, loads
-from study.harness.record.document import ManifestDocument
-from study.harness.record.record import Record
-from study.harness.record.store import Store, differences
 from study.harness.runner.batch import manifest_of, read_truths
 from study.harness.runner.expansion import expand
-from study.harness.runner.fit_problem import externals
-from study.harness.runner.provenance import versions
+from study.record.document import ManifestDocument
+from study.record.record import Record
+from study.record.store import Store, differences
 from study.reporting.content.comparison_content import summary
 from study.reporting.results import study_answers
 from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
+from study.simulation.fit_problem import externals
+from study.simulation.provenance import versions
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 if TYPE_CHECKING:
-    from study.reporting.results.study_result import ResponseAnalysis, StudyResult
+    from study.api.assemble import StudyResult
+    from study.reporting.results.study_result import ResponseAnalysis
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
 

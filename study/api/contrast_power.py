@@ -13,7 +13,7 @@ from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.spec import Design
 from study.harness.design.study_file import ResponseSpec
 from study.harness.runner.expansion import expand
-from study.harness.runner.tasks import Costs, default_jobs
+from study.simulation.tasks import Costs, default_jobs
 from study.statistics.analysis import linear_contrast
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.analysis_result import AnalysisResult

@@ -10,16 +10,13 @@ from typing import TYPE_CHECKING, Self, cast
 
 from study.api.folders import RESULTS, design_root, loaded_problem
 from study.api.opened_study import load as load_study
+from study.execution.supervisor import Executor
+from study.external.forward_model import ForwardCell
+from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import tested
-from study.harness.design.forward_model import ForwardCell
 from study.harness.design.load import file_kind, load
-from study.harness.design.spec import LoadedProblem
-from study.harness.execution.task import Executor
-from study.harness.record.folder import own_folder
-from study.harness.record.store import Store
-from study.harness.runner import refinement, study_refinement
+from study.harness.runner import study_refinement
 from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed
 from study.harness.runner.case_series import (
@@ -28,23 +25,27 @@ from study.harness.runner.case_series import (
     stored_convergence,
 )
 from study.harness.runner.expansion import expand
-from study.harness.runner.fit_problem import data_root, folders, located
-from study.harness.runner.solve_task import by_workers, in_process, kept, slug, store_of
-from study.harness.runner.tasks import default_jobs, processes
 from study.mechanics.forward.formal_order import FormalOrder
 from study.mechanics.setup.setup import Tables
+from study.record.store import Store
 from study.reporting.figures.axes import shown
 from study.reporting.output.convergence_page import series_blocks, write_convergence
 from study.reporting.output.page import Shown
+from study.simulation import refinement
+from study.simulation.cell import tested
+from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.resolve import LoadedProblem
+from study.simulation.solve_task import by_workers, in_process, kept, slug, store_of
+from study.simulation.tasks import default_jobs, processes
 from study.statistics.convergence.grid_convergence import judged_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from study.harness.design.spec import Design
-    from study.harness.runner.solve_task import Solver
     from study.reporting.content.blocks import Block, Document
     from study.reporting.figures.axes import Drawing
+    from study.simulation.solve_task import Solver
     from study.statistics.convergence.grid_convergence import ConvergenceResult
 
 
@@ -239,7 +240,7 @@ def converge(
     if design.is_alone:  # its series are those of its run, which alone may start a program
         return SeriesDocument(stored(source, results))
     workers = jobs or default_jobs()
-    if design.measurements is None:
+    if design.identification.measurements is None:
         return problem_cells(design, workers, results, say, reports=reports, memory_MB=memory_MB)
     if memory_MB is not None:
         rule = "is not taken where a design has measurements: its cases run as a study's do"

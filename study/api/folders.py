@@ -9,14 +9,15 @@ from pathlib import Path
 
 from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError
-from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.design.cell import CellProblem
 from study.harness.design.load import from_tables, load, load_problem, loads, loads_problem
-from study.harness.design.spec import Design, LoadedProblem
-from study.harness.record.document import ManifestDocument
-from study.harness.record.store import Store
-from study.harness.runner.fit_problem import data_root, folders, located
+from study.harness.design.spec import Design
 from study.mechanics.setup.setup import Tables
+from study.record.document import ManifestDocument
+from study.record.store import Store
+from study.simulation.cell import CellProblem
+from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.problem_file import CalibrationDesign
+from study.simulation.resolve import LoadedProblem
 
 RESULTS = Path("results")
 REPORTS = Path("reports")

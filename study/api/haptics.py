@@ -13,18 +13,12 @@ from study.api.comparison import explain
 from study.api.folders import REPORTS, RESULTS, finished_manifest, loaded_problem, results_folder
 from study.api.predicting import opened, surfaces_of
 from study.api.solving import solve
+from study.ground.atomic_files import write_atomic
 from study.ground.bounded_file import UnreadableError, read_json
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import load
-from study.harness.design.cell import CellProblem, tested
-from study.harness.design.load import default_name
 from study.harness.design.spec import Design
-from study.harness.record.atomic_files import write_atomic
-from study.harness.record.record import Record
-from study.harness.record.store import Store
 from study.harness.runner.expansion import cases_by_id
-from study.harness.runner.fit_problem import data_root, folders, located
-from study.harness.runner.tasks import Costs, default_jobs
 from study.laboratory.haptics import haptic_export
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement
@@ -35,13 +29,20 @@ from study.laboratory.tracker.tracker_recording import load_tracking
 from study.mechanics.material import input_file
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
+from study.record.record import Record
+from study.record.store import Store
 from study.reporting.content.text import THIN, duration, slug
 from study.reporting.output.accuracy_page import write_shape, write_tracker
 from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
+from study.simulation.cell import CellProblem, tested
+from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.problem_file import default_name
+from study.simulation.tasks import Costs, default_jobs
+from study.statistics.surfaces.surface_function import surface_function
 
 if TYPE_CHECKING:
+    from study.api.assemble import StudyResult
     from study.ground.arrays import Array
-    from study.reporting.results.study_result import StudyResult
 
 # A material as the input of another program: ``study export --as abaqus`` and ``--as febio``.
 
@@ -156,7 +157,7 @@ def _written(path: Path, overrides: Sequence[str]) -> _Source:
     if kind == "design":
         mend = "run it and name one: study export results/NAME --case ID"
         raise InputError(Fault(str(path), "is a design of many cases", mend))
-    return _Source(load.default_name(str(path)), loaded_problem(path, overrides).problem)
+    return _Source(default_name(str(path)), loaded_problem(path, overrides).problem)
 
 
 def _calibrated(path: Path, number: int) -> _Source:
@@ -353,7 +354,7 @@ def require(
     RefusedError
         If the test does not determine the constants.
     """
-    file = load_requirement(source, overrides)
+    file = load_requirement(source, load.problem_of, overrides)
     places = folders(source, data_root(source))
     fitted, predicted = (located(p, places) for p in (file.fitted, file.predicted))
     file = replace(file, fitted=fitted, predicted=predicted)
@@ -409,9 +410,11 @@ def export_surface(
     if not good:
         rule = "has no surface that could be a function"
         raise InputError(Fault(study.design.name, rule, chosen[0].refused))
-    functions = tuple(haptic_export.surface_function(study.design.name, fitted) for fitted in good)
+    functions = tuple(surface_function(study.design.name, fitted) for fitted in good)
     folder = Path(out)
-    texts = {file: text for function in functions for file, text in function.files(folder).items()}
+    texts: dict[Path, str] = {}
+    for function in functions:
+        texts |= haptic_export.surface_files(function, function.name, function.sentences(), folder)
     for file, text in texts.items():
         write_atomic(file, text.encode())
     missing = tuple(

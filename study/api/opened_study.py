@@ -11,22 +11,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.api.analyzing import adjusted
-from study.api.assemble import report_data
+from study.api.assemble import StudyResult, report_data
 from study.api.folders import RESULTS, finished_manifest, results_folder
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.harness.design.load import dump, loads
-from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Design
-from study.harness.design.study_file import SCORED, ResponseSpec, response_unit
-from study.harness.record import document
-from study.harness.record.record import Record
-from study.harness.record.store import Store
+from study.harness.design.study_file import ResponseSpec
 from study.harness.runner import record_analysis
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.expansion import cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
-from study.harness.runner.job import held_out
+from study.harness.runner.record_analysis import unit_of
 from study.mechanics.measurement.conditioning import is_caution
+from study.record import document
+from study.record.record import Record
+from study.record.store import Store
 from study.reporting import content
 from study.reporting.content.analysis_content import contrasts
 from study.reporting.content.blocks import Sentence, Verbatim
@@ -39,9 +38,10 @@ from study.reporting.results.study_result import (
     OTHER_SPECIMEN,
     OTHER_TEST,
     ResponseAnalysis,
-    StudyResult,
-    unit_of,
 )
+from study.simulation.job import held_out
+from study.simulation.plausibility import cautions_of
+from study.simulation.response import SCORED, response_unit
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.post_hoc import with_contrasts
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
@@ -51,7 +51,7 @@ from study.statistics.surfaces.surface_fitting import SEE_SURFACE
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.runner.job import Work
+    from study.harness.runner.expansion import Work
     from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
     from study.reporting.results.study_result import ReportData
@@ -320,7 +320,7 @@ _SPECIMENS = ("specimen", "sample", "phantom", "subject", "animal", "donor", "ba
 
 def scored_on(design: Design, response: str, blocks: int) -> tuple[str, bool]:
     """Say what a response was scored on, and whether fits to all others predict each specimen."""
-    fitted, measured = design.calibration, design.measurements
+    fitted, measured = design.identification.calibration, design.identification.measurements
     if response not in SCORED or measured is None or fitted.method == "none":
         return "", False
     other = fitted.problem is not None

@@ -24,13 +24,12 @@ from study.api.predicting import (
 from study.ground import tabular, units
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
-from study.harness.design import overlay
 from study.harness.design.questions import usual_value
-from study.harness.record.record import is_repeat
-from study.harness.record.store import Store
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.record_analysis import at_levels, coded_settings, ranges_of
 from study.mechanics.calibration.serial_correlation import effective_rows
+from study.record.record import is_repeat
+from study.record.store import Store
 from study.reporting.results.study_answers import (
     Bound,
     Checked,
@@ -40,6 +39,7 @@ from study.reporting.results.study_answers import (
     OtherChoice,
     Recommendation,
 )
+from study.simulation import overlay
 from study.statistics.surfaces.surface_factors import Runs, never_run
 from study.statistics.surfaces.surface_inversion import (
     InversionAgreement,
@@ -56,10 +56,10 @@ from study.statistics.surfaces.surface_optimum import (
 from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
 
 if TYPE_CHECKING:
+    from study.api.assemble import StudyResult
     from study.api.predicting import Setting
     from study.ground.arrays import Array
-    from study.harness.record.record import Record
-    from study.reporting.results.study_result import StudyResult
+    from study.record.record import Record
     from study.statistics.surfaces.surface_fitting import Surface
     from study.statistics.surfaces.surface_result import SurfaceAnalysis
 

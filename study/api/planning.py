@@ -17,18 +17,15 @@ import numpy as np
 from study import api
 from study.api.comparison import run_changes
 from study.api.folders import RESULTS, design_root, finished_manifest, load_design, results_folder
+from study.external.command import common_digest
 from study.ground.canonical import Keyed
 from study.ground.declaration import values_of
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.overview import Augmentation, Overview, further_cells, overview
 from study.harness.design.spec import Design
-from study.harness.external.command import common_digest
-from study.harness.record.record import write_csv
-from study.harness.record.store import Store
 from study.harness.runner.adaptive_cells import continued
 from study.harness.runner.batch import missing, open_fits
 from study.harness.runner.expansion import expand
-from study.harness.runner.fit_problem import externals
 from study.harness.runner.study_refinement import (
     in_blocks,
     input_work,
@@ -36,14 +33,17 @@ from study.harness.runner.study_refinement import (
     refinement_work,
     upcoming,
 )
-from study.harness.runner.tasks import Costs, default_jobs, program_calls
+from study.record.record import write_csv
+from study.record.store import Store
+from study.simulation.fit_problem import externals
+from study.simulation.tasks import Costs, default_jobs, program_calls
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.record.store import Store
     from study.harness.runner.batch import Progress
-    from study.harness.runner.job import Work
+    from study.harness.runner.expansion import Work
+    from study.record.store import Store
 
 
 # Seconds that a study still needs: its refinements, its controls, and what was noted.

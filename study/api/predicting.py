@@ -15,11 +15,11 @@ from study import api
 from study.api.folders import RESULTS, design_root
 from study.ground import tabular, units
 from study.ground.errors import Fault, InputError, RefusedError, nearest
-from study.harness.design import overlay
 from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress
-from study.harness.runner.fit_problem import NOTHING, Allowed
+from study.simulation import overlay
+from study.simulation.fit_problem import NOTHING, Allowed
 from study.statistics.surfaces import surface_fitting
 from study.statistics.surfaces.emulator import LARGEST, expected_seconds
 from study.statistics.surfaces.surface_factors import some_runs
@@ -27,9 +27,9 @@ from study.statistics.surfaces.surface_profile import FittedSurface
 from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
 if TYPE_CHECKING:
+    from study.api.assemble import StudyResult
     from study.ground.arrays import Array
-    from study.harness.record.record import Record
-    from study.reporting.results.study_result import StudyResult
+    from study.record.record import Record
     from study.statistics.surfaces.surface_result import SurfacePrediction
 
 

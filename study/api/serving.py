@@ -18,13 +18,13 @@ from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
 from study.api.folders import REPORTS, RESULTS
+from study.ground import atomic_files
 from study.ground.bounded_file import read_existing, read_regular
 from study.ground.diagnostics import parse_toml
 from study.ground.errors import Fault, InputError, StoreError
-from study.harness.record import atomic_files
-from study.harness.record.document import ManifestDocument, fault_of
-from study.harness.record.record import CONVERGED, unseal
-from study.harness.record.store import CURRENT, FileStamp
+from study.record.document import ManifestDocument, fault_of
+from study.record.record import CONVERGED, unseal
+from study.record.store import CURRENT, FileStamp
 from study.reporting.content.text import clean, slug
 from study.reporting.output.page import (
     StudyProgress,

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.api.folders import loaded_problem
+from study.ground.atomic_files import is_special, replaced, write_atomic
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
-from study.harness.design import plausibility
 from study.harness.design.load import load_problem
-from study.harness.record.atomic_files import is_special, replaced, write_atomic
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.stability import check
 from study.mechanics.setup.setup import Problem, Tables
@@ -21,6 +20,7 @@ from study.mechanics.solver.solution import Solution
 from study.reporting.content.blocks import Table, Verbatim
 from study.reporting.figures.axes import shown
 from study.reporting.output.page import Shown
+from study.simulation import plausibility
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.assemble import report_data
+from study.api.assemble import StudyResult, report_data
 from study.api.comparison import compare
 from study.api.folders import (
     REPORTS,
@@ -29,6 +29,11 @@ from study.api.opened_study import Study, count_cases, opened
 from study.api.opened_study import load as load_study
 from study.api.planning import noted_progress
 from study.api.predicting import Permission
+from study.execution.local import Worker
+from study.execution.supervisor import check_limit
+from study.external.command import check_allowed
+from study.external.exchange import Function, PythonFunction
+from study.ground.atomic_files import own_folder
 from study.ground.errors import (
     Fault,
     InputError,
@@ -40,13 +45,6 @@ from study.ground.errors import (
 from study.ground.memory import uncollected
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
-from study.harness.execution.local import Worker
-from study.harness.execution.task import check_limit
-from study.harness.external.command import check_allowed
-from study.harness.external.exchange import Function, PythonFunction
-from study.harness.record.document import are_imported
-from study.harness.record.folder import is_same, own_folder
-from study.harness.record.store import Store
 from study.harness.runner.adaptive_cells import continued, run_adaptive
 from study.harness.runner.batch import (
     WARN,
@@ -57,24 +55,25 @@ from study.harness.runner.batch import (
     run_batch,
 )
 from study.harness.runner.expansion import expand
-from study.harness.runner.fit_problem import Allowed, externals, placed_files
-from study.harness.runner.provenance import versions
 from study.harness.runner.record_analysis import effects_by_depth
 from study.harness.runner.study_refinement import compare_spaces, validate
 from study.harness.runner.study_refinement import refine as refine_study
-from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
-from study.harness.runner.virtual_specimens import usual_generator, write_virtual
+from study.record.document import are_imported
+from study.record.store import Store, is_same
 from study.reporting.figures.axes import load_libraries
 from study.reporting.output import write as provenance
 from study.reporting.output.page import DETAILS
 from study.reporting.output.write import Difference, Verification, checked_formats, main_file, write
-from study.reporting.results.study_result import StudyResult
+from study.simulation.fit_problem import Allowed, externals, placed_files
+from study.simulation.provenance import versions
+from study.simulation.tasks import computing_on, default_jobs, memory_of, processes
+from study.simulation.virtual_specimens import usual_generator, write_virtual
 
 if TYPE_CHECKING:
-    from study.harness.execution.task import Executor
+    from study.execution.supervisor import Executor
     from study.harness.runner.batch import Progress
-    from study.harness.runner.job import Work
-    from study.harness.runner.tasks import Engine
+    from study.harness.runner.expansion import Work
+    from study.simulation.tasks import Engine
 
 
 #: cases from which on a second process draws a part of the figures
@@ -397,7 +396,7 @@ def demo(
     """Run the embedded study on virtual specimens, from generated data to the report."""
     design = demo_design()
     folder = Path(results) / design.name / "measurements"
-    spec = design.measurements
+    spec = design.identification.measurements
     if spec is None or spec.file is None:
         raise RuntimeError("the embedded design names no measurement file")
     if not (folder / spec.file).is_file():

@@ -83,8 +83,8 @@ def virtual(
     from study import api
     from study.api.folders import design_root
     from study.harness.design.load import load
-    from study.harness.runner.fit_problem import data_root
     from study.laboratory.tracker.tracker_recording import is_tracking
+    from study.simulation.fit_problem import data_root
 
     chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}
     for path in api.virtual(out, source, **chosen):

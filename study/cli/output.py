@@ -18,10 +18,10 @@ from study.ground.errors import Fault, InputError, StudyError
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
+    from study.api.assemble import StudyResult
     from study.api.planning import Plan
     from study.harness.runner.batch import Progress
     from study.reporting.content.blocks import Block
-    from study.reporting.results.study_result import StudyResult
 
 
 T = TypeVar("T")

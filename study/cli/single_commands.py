@@ -25,7 +25,6 @@ from study.reporting.content.calibration_content import (
 from study.reporting.content.text import between, general
 
 if TYPE_CHECKING:
-    from study.harness.runner.staged_fit import FitStep
     from study.laboratory.sensors.requirement import SensorRequirement
     from study.mechanics.indentation.indentation_modulus import (
         AnalyticCalibration,
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     )
     from study.mechanics.measurement.inspection import Inspection
     from study.reporting.content.blocks import Block
+    from study.simulation.staged_fit import FitStep
 
 
 Numerics = Annotated[bool, option("Bound the error by meshes and load steps.", "--numerics")]
@@ -77,7 +77,7 @@ def solve(
 
 def doctor(as_json: Json = False) -> None:
     """Check the installation."""
-    from study.harness.runner.tasks import examine
+    from study.simulation.tasks import examine
 
     findings = examine()
     heads = ("name", "outcome", "finding")
@@ -219,8 +219,8 @@ def inspection_blocks(inspection: Inspection) -> Iterator[Block]:
 @contextmanager
 def _iterations() -> Iterator[Callable[[FitStep], None]]:
     """One line on stderr: stage, iteration, cost and constants; redrawn where it can be."""
-    from study.harness.runner.staged_fit import LAST
     from study.mechanics.material.material import is_dimensionless, unit_shown
+    from study.simulation.staged_fit import LAST
 
     width = 0
 

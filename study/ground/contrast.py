@@ -64,3 +64,20 @@ class Threshold:
         if transform == "log":
             return math.log1p(self.value if self.relative else self.value / abs(mean))
         return self.value * abs(mean) if self.relative else self.value
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What was expected of a response before the study ran."""
+
+    #: A factor matters, has a larger effect than another one, two interact, a cell (mean over all
+    #: other factors) is the best, two cells differ by less than what matters, levels of a factor
+    #: score better or need less than its others.
+    kind: str
+    #: One or two factors.
+    factors: tuple[str, ...]
+    #: One or two cells: labels by factor, joined by a tab where there are several.
+    cells: tuple[Mapping[str, str], ...]
+    #: What it is said of, and who said it.
+    response: str
+    source: str = ""

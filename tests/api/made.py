@@ -6,8 +6,9 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
+from study.api.assemble import StudyResult
 from study.harness.design.load import loads
-from study.reporting.results.study_result import ResponseAnalysis, StudyResult
+from study.reporting.results.study_result import ResponseAnalysis
 from study.statistics.analysis.anova import anova
 from tests.cli.small import DESIGN
 

@@ -11,7 +11,7 @@ import pytest
 from study import api
 from study.api import planning
 from study.ground.errors import InputError, RefusedError
-from study.harness.record.store import Store
+from study.record.store import Store
 from study.reporting.output import write
 from tests.cli.small import DESIGN, study, write_files
 
@@ -124,9 +124,9 @@ def test_why_names_the_file_that_changed(home):
 def test_other_code_keeps_the_finished_study(home, monkeypatch):
     """All cases keep their names and none its input: each record is laid by for the old study."""
     before = study("analyze", "results/small", "--json").json
-    for module in ("expansion", "fit_problem"):
-        monkeypatch.setattr(f"study.harness.runner.{module}.code_version", lambda: "1+other")
-    monkeypatch.setattr("study.harness.runner.provenance.code_version", lambda: "1+other")
+    for module in ("harness.runner.expansion", "simulation.fit_problem"):
+        monkeypatch.setattr(f"study.{module}.code_version", lambda: "1+other")
+    monkeypatch.setattr("study.simulation.provenance.code_version", lambda: "1+other")
     with pytest.raises(RefusedError, match="12 results have another input"):
         api.run("small.toml", data="data", jobs=1, reports=None, stale="refuse")
     interrupted(home, 20)

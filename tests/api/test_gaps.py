@@ -12,9 +12,9 @@ from study import api
 from study.ground.contrast import Threshold
 from study.harness.design.load import loads
 from study.harness.design.study_file import ResponseSpec as Response
-from study.harness.record.record import Record, table
 from study.harness.runner.case_series import CaseSeries
 from study.harness.runner.record_analysis import analyze_records, numerical_bound, without_gaps
+from study.record.record import Record, table
 from study.statistics.convergence.contrast_bound import SeriesBounds
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from tests.pages import both_pages

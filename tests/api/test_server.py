@@ -14,8 +14,8 @@ from study import api
 from study.api import serving
 from study.api.serving import Folders
 from study.ground.errors import InputError
-from study.harness.record.record import seal
-from study.harness.record.store import FileStamp, Store
+from study.record.record import seal
+from study.record.store import FileStamp, Store
 from tests.cli.small import DESIGN, write_files
 from tests.pages import served
 from tests.waiting import CAP_S

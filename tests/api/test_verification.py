@@ -148,8 +148,8 @@ def test_a_record_that_was_edited_is_found_and_so_is_one_that_was_sealed_again(f
     found = api.verify("verified", results=moved / "results", reports=moved / "reports")
     assert any(one.where == f"record {record.parent.name}" for one in found.differences)
     shutil.copytree(finished / "results", moved / "results", dirs_exist_ok=True)
-    from study.harness.record.record import Record
-    from study.harness.record.store import Store
+    from study.record.record import Record
+    from study.record.store import Store
 
     store = Store(moved / "results/verified")
     old = store.read(record.parent.name)

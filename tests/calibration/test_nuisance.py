@@ -10,8 +10,6 @@ from study import api
 from study.cli.app import run
 from study.ground.curve import Curve
 from study.ground.errors import InputError
-from study.harness.calibration import nuisance as propagation
-from study.harness.calibration.calibrate_tests import calibrate
 from study.harness.design.load import load_calibration
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
@@ -20,6 +18,8 @@ from study.mechanics.forward import closed_form
 from study.mechanics.material.homogeneous import response
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
+from study.simulation.calibration import nuisance as propagation
+from study.simulation.calibration.calibrate_tests import calibrate
 from tests.fem.problems import long_verification
 from tests.runner.test_calibrate import RP2, SPECIMEN, case, write
 

@@ -8,10 +8,10 @@ import pytest
 
 import study as public
 from study.api.predicting import Permission
+from study.external.exchange import PythonFunction
 from study.ground.canonical import plain
-from study.harness.external.exchange import PythonFunction
-from study.harness.record.store import Store
-from study.harness.runner.fit_problem import Allowed
+from study.record.store import Store
+from study.simulation.fit_problem import Allowed
 from study.statistics.surfaces.emulator import fit_together
 from study.statistics.surfaces.surface_profile import level_difference
 from tests.cli.small import CSV, measured, pressed, responses, study, success

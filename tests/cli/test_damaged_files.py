@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from study import api
+from study.ground.atomic_files import FileSystem, replaced, write_new
 from study.ground.errors import DiskFullError, StoreError
-from study.harness.record.atomic_files import FileSystem, replaced, write_new
-from study.harness.record.record import Record, seal
+from study.record.record import Record, seal
 from tests.cli.small import refusal, study, success
 from validation.damage import damages, sealed
 from validation.fuzz import BUG, obey

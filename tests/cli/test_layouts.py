@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.harness.runner.tasks import _PATIENCE_S
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.solver import solution_cost
 from study.mechanics.solver.solution_cost import expected_unknowns
+from study.simulation.tasks import _PATIENCE_S
 from tests.cli.small import measured, pressed, refusal, responses, study, success
 from tests.conftest import ROOT
 from tests.fem.surfaces import box, write

@@ -17,8 +17,8 @@ import study as package
 from study import api
 from study.cli.app import app
 from study.harness.design import load
-from study.harness.record.record import table
-from study.harness.record.store import Store
+from study.record.record import table
+from study.record.store import Store
 from tests.cli.small import study, success
 from tests.waiting import CAP_S
 

@@ -13,9 +13,9 @@ from scipy import stats
 from study import api
 from study.api import study as verb
 from study.api.study import report
-from study.harness.execution.local import Worker
-from study.harness.record.record import Record
-from study.harness.record.store import Store
+from study.execution.local import Worker
+from study.record.record import Record
+from study.record.store import Store
 from tests.cli.small import (
     DESIGN,
     TRUTH,

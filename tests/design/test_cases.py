@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from study.ground.errors import InputError
-from study.harness.design import cell as content
 from study.harness.design import load, overview, spec
+from study.simulation import cell as content
 from tests.design import faulty
 
 BASE = faulty.BASE.replace('"bonded"', '"frictionless"')

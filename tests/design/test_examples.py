@@ -109,7 +109,7 @@ def test_every_design_that_ships_is_read(path):
     if kind == "calibration":
         assert load.load_calibration(path).tests
     elif kind == "question to sensors":
-        assert load_requirement(path).fitted
+        assert load_requirement(path, load.problem_of).fitted
     elif kind == "tracker study":
         assert load_tracking(path).distance
     elif kind == "problem":

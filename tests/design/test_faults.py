@@ -9,7 +9,6 @@ import pytest
 
 from study.ground.errors import InputError
 from study.harness.design import load as load_module
-from study.harness.design import plausibility
 from study.harness.design.load import (
     CALIBRATION,
     file_kind,
@@ -18,6 +17,7 @@ from study.harness.design.load import (
     loads,
     loads_problem,
 )
+from study.simulation import plausibility
 
 PROBLEM = """
 schema = 1

@@ -3,8 +3,8 @@
 import pytest
 
 from study.ground.declaration import keys_of, written_keys
-from study.harness.design import overlay
 from study.mechanics.material.material import ENERGIES
+from study.simulation import overlay
 
 
 @pytest.mark.parametrize("name", overlay.PLACES)

@@ -122,7 +122,7 @@ def test_the_reference_names_every_key_that_a_file_can_have():
         import reference
     finally:
         sys.path.remove(str(DOCS))
-    from study.harness.design import overlay
+    from study.simulation import overlay
 
     text = reference.design_file()
     for key in ("specimen.radius", "test.interface", "model.mesh_size", "measurements.zero"):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from study.harness.execution.cluster import Cluster
+from study.execution.cluster import Cluster
 from tests.execution.loopback import loopback
 from tests.execution.misbehaving import perform
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
 
-from study.harness.execution.task import Task
+from study.execution.supervisor import Task
 from tests.execution.loopback import ROOT
 from tests.waiting import CAP_S
 
@@ -69,9 +69,9 @@ def never_up(_parent):
 #: a study of two tasks that say their process and two that hang, here or on a scheduler's workers
 LEFT = """
 import signal, sys
-from study.harness.execution.cluster import Cluster
-from study.harness.execution.local import Loky
-from study.harness.execution.task import Task
+from study.execution.cluster import Cluster
+from study.execution.local import Loky
+from study.execution.supervisor import Task
 from tests.execution.misbehaving import perform
 tasks = [Task(k, lambda _: {"kind": "process"}) for k in "ab"]
 tasks += [Task(k, lambda _: {"kind": "hang"}) for k in "cd"]

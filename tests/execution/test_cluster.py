@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from study.execution.cluster import Cluster, Crew, Processes, differences
 from study.ground.errors import InputError, RefusedError, SchedulerLostError
-from study.harness.execution.cluster import Cluster, Crew, Processes, differences
 from tests.execution.loopback import children, loopback
 from tests.execution.misbehaving import line_of, perform, study_left, task
 from tests.waiting import CAP_S, until
@@ -154,7 +154,7 @@ def test_a_study_waits_for_the_first_worker_and_a_later_one_gets_its_share(
     ],
 )
 def test_a_scheduler_that_is_none_is_refused(place, said, monkeypatch):
-    monkeypatch.setattr("study.harness.execution.cluster.PATIENCE_S", 1.0)
+    monkeypatch.setattr("study.execution.cluster.PATIENCE_S", 1.0)
     with pytest.raises(InputError, match=said):
         list(Cluster(perform, place).run([]))
 
@@ -185,7 +185,7 @@ def test_an_encrypted_cluster_lets_in_those_with_its_certificate(
     with loopback(tmp_path, workers=1, tls=own) as made:
         with dask.config.set(_tls(own)):
             assert run(made, [task("a")])["a"].status == "converged"
-        monkeypatch.setattr("study.harness.execution.cluster.PATIENCE_S", 3.0)
+        monkeypatch.setattr("study.execution.cluster.PATIENCE_S", 3.0)
         with dask.config.set(_tls(foreign)), pytest.raises(InputError, match="certificate"):
             run(made, [task("a")])
         with pytest.raises(InputError, match="cannot be reached"):

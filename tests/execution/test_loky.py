@@ -12,11 +12,10 @@ from threading import Timer
 
 import pytest
 
+from study.execution.cluster import Cluster
+from study.execution.local import Loky, Worker
+from study.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, Task, longest_first
 from study.ground.errors import InputError
-from study.harness.execution.cluster import Cluster
-from study.harness.execution.local import Loky, Worker
-from study.harness.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, longest_first
-from study.harness.execution.task import Task
 from tests.execution.loopback import ROOT, children
 from tests.execution.misbehaving import line_of, never_up, perform, study_left, task
 from tests.waiting import CAP_S, is_alive, state_of, until
@@ -117,8 +116,8 @@ def test_the_limit_holds_whatever_a_worker_does(make):
 
 def test_a_worker_that_never_comes_up_is_given_up(monkeypatch):
     """No limit was asked for: only the start of a process has one of its own."""
-    monkeypatch.setattr("study.harness.execution.local.serve_quietly", never_up)
-    monkeypatch.setattr("study.harness.execution.supervisor.START_LIMIT_S", 1.0)
+    monkeypatch.setattr("study.execution.local.serve_quietly", never_up)
+    monkeypatch.setattr("study.execution.supervisor.START_LIMIT_S", 1.0)
     found = run([task("a"), task("b")])
     assert {o.status for o in found.values()} == {"crashed"}
     assert "no worker was up within 1 s, twice" in found["a"].message
@@ -168,7 +167,7 @@ def test_a_worker_whose_parent_died_before_it_was_up_ends():
     """Who asks for its parent's number that late gets another one, which never changes."""
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
-    code = "import sys, time; from study.harness.execution.local import serve_quietly as serve\n"
+    code = "import sys, time; from study.execution.local import serve_quietly as serve\n"
     code += "serve(int(sys.argv[1])); time.sleep(600)"
     orphan = subprocess.run([sys.executable, "-c", code, str(gone.pid)], cwd=ROOT, check=False)
     assert orphan.returncode == -signal.SIGKILL

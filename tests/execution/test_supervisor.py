@@ -2,8 +2,7 @@
 
 import pytest
 
-from study.harness.execution.supervisor import Answer, ReadyQueue, Supervisor
-from study.harness.execution.task import Task
+from study.execution.supervisor import Answer, ReadyQueue, Supervisor, Task
 
 
 class Liar:

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from study.api import solving
-from study.harness.design import plausibility
-from study.harness.design.cell import CellProblem
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Block, Cylinder, Gravity
@@ -21,6 +19,8 @@ from study.mechanics.solver.finite_element_solution import follow, solve
 from study.mechanics.solver.linear_solver import pardiso_available
 from study.mechanics.solver.load_path import gives_way
 from study.mechanics.solver.newton import Options
+from study.simulation import plausibility
+from study.simulation.cell import CellProblem
 from tests.fem.problems import GEL, NEEDLE, compression, indentation, long_verification, reached
 
 #: softens without losing its ellipticity

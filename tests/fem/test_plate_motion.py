@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.harness.runner.response import simulated
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import NoEquilibrium, PrescribedMotion, solve
+from study.simulation.response import simulated
 from tests.fem.problems import GEL, long_verification
 
 MODEL = Model(space="3d", element_shape="tensor", mesh_size_mm=10.0)

@@ -21,17 +21,17 @@ import pytest
 
 from study import api
 from study.api.opened_study import load as open_study
+from study.external import answers, command, exchange
+from study.external.answers import NoAnswer, values_of_files
+from study.external.command import External
+from study.external.forward_model import ForwardFiles, ForwardModel, ValueFile
+from study.external.parameters import ParameterProblem
 from study.ground.curve import Curve
 from study.ground.errors import InputError, RefusedError
-from study.harness.design.cell import Cell, CellProblem
-from study.harness.design.forward_section import ForwardFiles, ForwardModel, ValueFile
-from study.harness.design.parameters import ParameterProblem
-from study.harness.external import answers, command, exchange
-from study.harness.external.answers import NoAnswer, values_of_files
-from study.harness.external.command import External
-from study.harness.runner.fit_problem import fit_key, fit_problem, request
-from study.harness.runner.fit_task import fitted
-from study.harness.runner.job import FitJob
+from study.simulation.cell import Cell, CellProblem
+from study.simulation.fit_problem import fit_key, fit_problem, request
+from study.simulation.fit_task import fitted
+from study.simulation.job import FitJob
 from tests.waiting import CAP_S, is_alive, until
 
 ROOT = Path(__file__).parents[2]

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from study.harness.design.load import loads
-from study.harness.record.document import CurveKey
-from study.harness.record.record import table
-from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
-from study.harness.runner.tasks import processes
-from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.mechanics.forward.finite_element import Anchors
+from study.record.document import CurveKey
+from study.record.record import table
+from study.record.store import Store
+from study.simulation.tasks import processes
+from study.simulation.virtual_specimens import usual_generator, write_virtual
 
 DESIGN = """
 schema = 1

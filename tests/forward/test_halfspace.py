@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
-from study.harness.design.cell import Cell, CellProblem
-from study.harness.runner import fit_task
-from study.harness.runner.fit_problem import fit_problem
 from study.mechanics.forward import finite_element
 from study.mechanics.forward.closed_form import indentation
 from study.mechanics.setup.geometry import Cone
+from study.simulation import fit_task
+from study.simulation.cell import Cell, CellProblem
+from study.simulation.fit_problem import fit_problem
 from tests.fem.problems import LONG
 
 HIGH = 1e9

@@ -5,8 +5,6 @@ import pytest
 from scipy.optimize import brentq
 
 from study.ground.errors import InputError
-from study.harness.design.cell import CellProblem
-from study.harness.runner.fit_summary import judged_where_simulated, stability_over
 from study.mechanics.material.homogeneous import UNIAXIAL, response
 from study.mechanics.material.material import Material, is_constant
 from study.mechanics.material.polynomial import index_pair
@@ -18,6 +16,8 @@ from study.mechanics.material.stability import (
     surface_warning,
     tangent,
 )
+from study.simulation.cell import CellProblem
+from study.simulation.fit_summary import judged_where_simulated, stability_over
 
 RP2 = {"C10": 9.1e-3, "C20": -2.5e-3}  # the closed-form fit of a silicone mix at 20 %
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.harness.design.cell import CellProblem
 from study.mechanics.measurement.conditioning import (
     OFFSET,
     UNLOADED,
@@ -23,6 +22,7 @@ from study.mechanics.measurement.measured_test import (
 )
 from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec
 from study.mechanics.measurement.phases import phases_of
+from study.simulation.cell import CellProblem
 
 COLUMNS = Columns(displacement="d", force="f")
 RULES = Rules(MeasurementSpec(COLUMNS, points=10), 0.5, 5.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 from pathlib import Path
 
-from study.harness.record.atomic_files import FileSystem
+from study.ground.atomic_files import FileSystem
 
 
 class PowerLoss(BaseException):

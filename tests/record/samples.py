@@ -5,9 +5,9 @@ from typing import cast
 import numpy as np
 
 from study.ground.curve import Curve
-from study.harness.record.document import CurveKey, ManifestDocument
-from study.harness.record.record import Record
 from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
+from study.record.document import CurveKey, ManifestDocument
+from study.record.record import Record
 
 #: a fit that several cases share, and what refinement says of one response
 FIT = {

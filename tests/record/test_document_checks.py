@@ -6,10 +6,10 @@ import os
 import numpy as np
 import pytest
 
+from study.ground import atomic_files
 from study.ground.curve import Curve
 from study.ground.errors import StoreError
-from study.harness.record import atomic_files
-from study.harness.record.document import (
+from study.record.document import (
     AdaptiveStep,
     ConfirmedRow,
     CurveKey,
@@ -19,8 +19,8 @@ from study.harness.record.document import (
     fault_of_comparisons,
     fault_of_series,
 )
-from study.harness.record.record import Record, seal
-from study.harness.record.store import Store
+from study.record.record import Record, seal
+from study.record.store import Store
 from tests.record.samples import FIT, NUMERICAL, manifest, record
 from validation.damage import Damage, damages, sealed
 

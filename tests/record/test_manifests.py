@@ -6,9 +6,9 @@ import os
 import pytest
 
 from study.ground.errors import NewerSchemaError, StoreError
-from study.harness.record.document import NumericalRow
-from study.harness.record.record import seal, table
-from study.harness.record.store import Store
+from study.record.document import NumericalRow
+from study.record.record import seal, table
+from study.record.store import Store
 from tests.record.disk import FailingDisk, PowerLoss
 from tests.record.samples import FIT, NUMERICAL, manifest, record
 

@@ -11,11 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from study.ground.atomic_files import TEMPORARY, own_folder
 from study.ground.errors import StoreError
-from study.harness.record.atomic_files import TEMPORARY
-from study.harness.record.folder import own_folder
-from study.harness.record.record import table
-from study.harness.record.store import Store
+from study.record.record import table
+from study.record.store import Store
 from tests.record.disk import FailingDisk, PowerLoss
 from tests.record.samples import FIT, manifest, record
 
@@ -180,7 +179,7 @@ def test_what_a_runner_notes_is_read_by_others_while_it_runs(tmp_path):
 
 HOLD = """
 import sys, time
-from study.harness.record.store import Store
+from study.record.store import Store
 with Store(sys.argv[1]).lock():
     print("held", flush=True)
     time.sleep(600)

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from study.ground.errors import InputError, StoreError
-from study.harness.record.record import table, write_csv
+from study.record.record import table, write_csv
 from tests.record.samples import record
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from study.ground.curve import Curve
-from study.harness.record.record import Record
+from study.record.record import Record
 from study.reporting.figures.axes import data_alone
 from study.reporting.output.page import printed
 from study.reporting.output.study_page import prepare

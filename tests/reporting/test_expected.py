@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from study.harness.design.spec import Expected
+from study.ground.contrast import Expected
 from study.reporting.content import effect_words
 from study.reporting.content.report_facts import facts
 from tests.reporting.example import undrawn

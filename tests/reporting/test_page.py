@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from study import analyze
-from study.harness.record.record import Record
+from study.record.record import Record
 from study.reporting.content import analysis_content, sentences, tables
 from study.reporting.content.blocks import Figure
 from study.reporting.content.report_facts import cells, comparable, facts

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from study.harness.record.record import Record
+from study.record.record import Record
 from study.reporting.content import (
     analysis_content,
     effect_words,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.harness.record.record import Record
+from study.record.record import Record
 from study.reporting.content import methods
 from study.reporting.content.report_facts import facts
 from tests.reporting.example import undrawn, unreplicated, words_of

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from study.execution.supervisor import Answer, Inline
 from study.harness.design.load import loads
-from study.harness.execution.supervisor import Answer, Inline
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
-from study.harness.runner import tasks
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.solver.equilibrium import Equilibria
 from study.mechanics.solver.solution import EnergyBalance
+from study.simulation import tasks
 
 BONDED = 1.4
 

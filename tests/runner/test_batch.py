@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 import study
+from study.execution.local import Loky
 from study.ground.errors import StoreError
 from study.harness.design.load import loads
-from study.harness.execution.local import Loky
-from study.harness.record.record import table
-from study.harness.record.store import Store
-from study.harness.runner import batch, provenance
+from study.harness.runner import batch
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.mechanics.forward.closed_form import compression
+from study.record.record import table
+from study.record.store import Store
+from study.simulation import provenance
 
 from . import fake_worker
 from .conftest import DESIGN, SPECIMEN, TRUTH, fake, make_data, material
@@ -131,8 +132,8 @@ def test_a_failure_is_a_record_and_stops_nothing_else(
 
 
 def test_records_of_other_code_are_not_used(clean, monkeypatch):
-    for module in ("expansion", "fit_problem"):
-        monkeypatch.setattr(f"study.harness.runner.{module}.code_version", lambda: "another")
+    for module in ("harness.runner.expansion", "simulation.fit_problem"):
+        monkeypatch.setattr(f"study.{module}.code_version", lambda: "another")
     other = expand(clean[0].design, clean[0].data.root)
     store = Store(clean[1])
     assert len(batch.missing(other, store)) == 12
@@ -143,7 +144,7 @@ def test_the_kept_code_version_follows_the_sources(tmp_path, monkeypatch):
     """A version kept on the disk is that of the sources, or it is made anew."""
     root = tmp_path / "study"
     shutil.copytree(Path(study.__file__).parent, root, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(provenance, "__file__", str(root / "harness" / "runner" / "provenance.py"))
+    monkeypatch.setattr(provenance, "__file__", str(root / "simulation" / "provenance.py"))
     # a task that imports little: the sources of the real ones take seconds to read
     monkeypatch.setattr(provenance, "_TASKS", ("study.ground.curve",))
     version = provenance.code_version.__wrapped__
@@ -181,8 +182,8 @@ def test_code_version_follows_what_the_tasks_import():
     files = {str(path.relative_to(root)) for path, _ in provenance._numeric_files(root)}
     needed = {
         "ground/curve.py",
-        "harness/runner/response.py",
-        "harness/runner/staged_fit.py",
+        "simulation/response.py",
+        "simulation/staged_fit.py",
         "mechanics/element/assembly.py",
         "mechanics/forward/closed_form.py",
         "mechanics/forward/finite_element.py",

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from study.ground.curve import Curve
-from study.harness.runner.fit_task import resampled, residuals_of
+from study.simulation.fit_task import resampled, residuals_of
 from tests.cli.small import case_file, gauge, recorded, refusal, success
 
 pytestmark = pytest.mark.usefixtures("undrawn")

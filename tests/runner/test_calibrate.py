@@ -8,15 +8,15 @@ import pytest
 
 from study import api
 from study.ground.errors import InputError
-from study.harness.calibration import calibrate_tests, model_comparison
 from study.harness.design.load import load_calibration
-from study.harness.runner import fit_task, staged_fit
-from study.harness.runner.fit_problem import FitProblem, fitted_test
 from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
+from study.simulation import fit_task, staged_fit
+from study.simulation.calibration import calibrate_tests, model_comparison
+from study.simulation.fit_problem import FitProblem, fitted_test
 from tests.cli.small import refusal, study, success
 
 SPECIMEN = Cylinder(25.0, 30.0)

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
-from study.harness.design.cell import Cell, CellProblem
-from study.harness.runner import fit_task
-from study.harness.runner.fit_problem import fit_key, fit_problem
-from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.fit_task import fitted
-from study.harness.runner.job import FitJob
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Cylinder
+from study.simulation import fit_task
+from study.simulation.cell import Cell, CellProblem
+from study.simulation.fit_problem import fit_key, fit_problem
+from study.simulation.fit_summary import FitResult
+from study.simulation.fit_task import fitted
+from study.simulation.job import FitJob
 
 from .conftest import compressed
 from .fake_worker import BONDED, solve

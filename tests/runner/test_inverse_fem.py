@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
-from study.harness.calibration.calibration_bound import estimated_bound
-from study.harness.design.cell import CellProblem
-from study.harness.runner import fit_task
-from study.harness.runner.staged_fit import TOLERANCES, StagedSearch, staged_fit
-from study.harness.runner.staged_fit import FitPart as Part
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.forward import finite_element
+from study.simulation import fit_task
+from study.simulation.calibration.calibration_bound import estimated_bound
+from study.simulation.cell import CellProblem
+from study.simulation.staged_fit import TOLERANCES, StagedSearch, staged_fit
+from study.simulation.staged_fit import FitPart as Part
 
 from .conftest import compressed
 

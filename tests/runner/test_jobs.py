@@ -2,14 +2,13 @@
 
 import pytest
 
-from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
-from study.harness.design.spec import Case, Treatment
-from study.harness.runner import case
 from study.harness.runner.expansion import expand
-from study.harness.runner.fit_problem import fit_problem
-from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.job import CaseJob, FitJob, ScorePair
+from study.simulation import case
+from study.simulation.cell import Case, Cell, CellProblem, Treatment
+from study.simulation.fit_problem import fit_problem
+from study.simulation.fit_summary import FitResult
+from study.simulation.job import CaseJob, FitJob, ScorePair
 
 from .conftest import DESIGN
 

@@ -156,7 +156,7 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path,
     ],
 )
 def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, monkeypatch, changed, into, said):
-    monkeypatch.setattr("study.harness.external.answers._MOST_SECONDS", 0.5)
+    monkeypatch.setattr("study.external.answers._MOST_SECONDS", 0.5)
     design = program(tmp_path)
     path = tmp_path / "input.txt.j2"
     path.write_text(path.read_text().replace(changed, into))

@@ -6,11 +6,11 @@ from itertools import product
 import pytest
 
 from study.harness.design.load import loads_problem
-from study.harness.runner.refinement import series_sizes
 from study.mechanics.forward.formal_order import formal_order
 from study.mechanics.setup.geometry import Cylinder, Flat, Sphere
 from study.mechanics.setup.setup import Model, Setup
 from study.mechanics.setup.test_kind import Test
+from study.simulation.refinement import series_sizes
 
 from .test_refine_truth import series
 

@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 
 from study.harness.design.load import load
-from study.harness.runner import refinement, study_refinement
+from study.harness.runner import study_refinement
 from study.harness.runner.expansion import expand
-from study.harness.runner.tasks import Costs
+from study.simulation import refinement
+from study.simulation.tasks import Costs
 
 DESIGNS = Path(__file__).resolve().parents[2] / "designs"
 

@@ -9,14 +9,15 @@ import pytest
 from study.api.converging import measured_cells
 from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
-from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
-from study.harness.record.record import Record
-from study.harness.record.store import Store
-from study.harness.runner import record_analysis, refinement, study_refinement
+from study.harness.runner import record_analysis, study_refinement
 from study.harness.runner.batch import manifest_of, run_batch
 from study.harness.runner.case_series import refine_within
 from study.harness.runner.expansion import expand
+from study.record.record import Record
+from study.record.store import Store
+from study.simulation import refinement
+from study.simulation.cell import Cell, CellProblem
 from study.statistics.convergence.grid_convergence import compare
 
 from .conftest import DESIGN, fake

@@ -7,13 +7,13 @@ from study.api.analyzing import analyze
 from study.api.opened_study import load as open_study
 from study.api.study import report
 from study.harness.design.load import loads
-from study.harness.record.store import Store
 from study.harness.runner.batch import manifest_of
 from study.harness.runner.expansion import expand
-from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.study_refinement import own_series, refine
-from study.harness.runner.tasks import processes
-from study.harness.runner.virtual_specimens import usual_generator, write_virtual
+from study.record.store import Store
+from study.simulation.refinement import base_size_mm
+from study.simulation.tasks import processes
+from study.simulation.virtual_specimens import usual_generator, write_virtual
 from study.statistics.convergence.contrast_bound import response_bounds
 from tests.forward.test_finite_element import DESIGN, finished
 from tests.pages import both_pages

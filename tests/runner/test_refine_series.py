@@ -12,13 +12,13 @@ import pytest
 from study.api.converging import problem_cells, refined
 from study.ground.curve import Curve
 from study.ground.errors import InputError
-from study.harness.design.cell import CellProblem
 from study.harness.design.load import loads, loads_problem
-from study.harness.record.store import Store
-from study.harness.runner.fit_problem import located
-from study.harness.runner.refinement import Budget, within
-from study.harness.runner.solve_task import SolveResult, SolveTask, kept, solved
 from study.mechanics.forward.formal_order import clamped_corner, formal_order
+from study.record.store import Store
+from study.simulation.cell import CellProblem
+from study.simulation.fit_problem import located
+from study.simulation.refinement import Budget, within
+from study.simulation.solve_task import SolveResult, SolveTask, kept, solved
 from study.statistics.convergence.grid_convergence import grid_convergence
 from tests.cli.small import pressed
 from tests.fem.surfaces import box, write

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from study.harness.design.load import loads_problem
-from study.harness.runner import refinement
-from study.harness.runner.refinement import refine
-from study.harness.runner.solve_task import in_process
 from study.mechanics.forward.formal_order import formal_order
+from study.simulation import refinement
+from study.simulation.refinement import refine
+from study.simulation.solve_task import in_process
 from tests.fem.problems import layers
 
 DISC = """

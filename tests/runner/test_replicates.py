@@ -8,20 +8,20 @@ import pytest
 
 from study.ground.curve import Curve
 from study.ground.errors import InputError
-from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
-from study.harness.record.record import table
-from study.harness.record.store import Store
-from study.harness.runner import fit_task
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
-from study.harness.runner.fit_problem import fit_problem
-from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.job import FitJob
 from study.harness.runner.study_refinement import refinement_work
-from study.harness.runner.tasks import Costs
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
+from study.record.record import table
+from study.record.store import Store
+from study.simulation import fit_task
+from study.simulation.cell import Cell, CellProblem
+from study.simulation.fit_problem import fit_problem
+from study.simulation.fit_summary import FitResult
+from study.simulation.job import FitJob
+from study.simulation.tasks import Costs
 
 from .conftest import DESIGN, SPECIMEN, compressed, fake, make_data
 

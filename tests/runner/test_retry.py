@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from study import api
+from study.execution.local import Loky
+from study.execution.supervisor import Inline, stopped_late
 from study.ground.errors import InputError
 from study.harness.design.load import loads
-from study.harness.execution.local import Loky
-from study.harness.execution.supervisor import Inline
-from study.harness.execution.task import stopped_late
-from study.harness.record.store import Store
 from study.harness.runner.batch import computed, run_batch
 from study.harness.runner.case_series import refine_cases
 from study.harness.runner.expansion import expand
 from study.harness.runner.study_refinement import study_series
+from study.record.store import Store
 from tests.pages import both_pages
 
 from .conftest import DESIGN, fake, make_data

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from study.harness.design import load
-from study.harness.runner import fit_task
 from study.harness.runner.expansion import expand
-from study.harness.runner.staged_fit import FitPart as Part
-from study.harness.runner.staged_fit import StagedSearch, staged_fit
-from study.harness.runner.virtual_specimens import TRUTHS, Generator, write_virtual
 from study.mechanics.calibration.lack_of_fit import agreement
 from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.simulation import fit_task
+from study.simulation.staged_fit import FitPart as Part
+from study.simulation.staged_fit import StagedSearch, staged_fit
+from study.simulation.virtual_specimens import TRUTHS, Generator, write_virtual
 
 DESIGN = Path(__file__).parents[2] / "designs" / "same-specimen.toml"
 WAYS = ["lubricated-compression", "bonded-compression", "flat-indentation"]
@@ -21,7 +21,7 @@ WAYS = ["lubricated-compression", "bonded-compression", "flat-indentation"]
 def test_the_design_plans_three_tests_of_every_specimen(tmp_path, monkeypatch):
     """One file a test, the same factors of every specimen in each, and no shared fit."""
     from study.ground.curve import Curve
-    from study.harness.runner import virtual_specimens
+    from study.simulation import virtual_specimens
 
     def line(setup, *truth, as_designed, **_):
         assert as_designed

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
-from study.harness.runner import response
+from study.simulation import response
 
 D = np.linspace(0.0, 2.0, 201)
 MEASURED = Curve(D, 10 * D)

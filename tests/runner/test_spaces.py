@@ -9,10 +9,8 @@ from study.api.assemble import checks_of_spaces
 from study.api.planning import plan
 from study.ground.curve import Curve
 from study.harness.design.load import loads
-from study.harness.record.store import Store
 from study.harness.runner.batch import Progress
 from study.harness.runner.expansion import expand
-from study.harness.runner.solve_task import SolveResult, in_process, kept, solutions
 from study.harness.runner.study_refinement import (
     compare_spaces,
     compared_spaces,
@@ -20,8 +18,10 @@ from study.harness.runner.study_refinement import (
     refinement_work,
     upcoming,
 )
-from study.harness.runner.tasks import Costs, processes
-from study.harness.runner.virtual_specimens import usual_generator, write_virtual
+from study.record.store import Store
+from study.simulation.solve_task import SolveResult, in_process, kept, solutions
+from study.simulation.tasks import Costs, processes
+from study.simulation.virtual_specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import finished
 
 DESIGN = """

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
-from study.harness.design.cell import CellProblem
 from study.harness.design.load import load
-from study.harness.runner import expansion, fit_task
-from study.harness.runner.staged_fit import Checkpoint, StagedSearch, gentler, staged_fit
-from study.harness.runner.staged_fit import FitPart as Part
+from study.harness.runner import expansion
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
+from study.simulation import fit_task
+from study.simulation.cell import CellProblem
+from study.simulation.staged_fit import Checkpoint, StagedSearch, gentler, staged_fit
+from study.simulation.staged_fit import FitPart as Part
 
 DESIGN = Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml"
 NAMES = ("C10", "C20", "C30")

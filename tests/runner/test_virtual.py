@@ -6,10 +6,14 @@ import pytest
 from study.api.folders import demo_design
 from study.ground.curve import Curve
 from study.ground.errors import InputError
-from study.harness.design.cell import CellProblem
-from study.harness.design.study_file import Virtual
-from study.harness.runner import virtual_specimens
-from study.harness.runner.virtual_specimens import (
+from study.mechanics.forward import finite_element
+from study.mechanics.material.homogeneous import LOADINGS
+from study.mechanics.material.material import Material
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.simulation import virtual_specimens
+from study.simulation.cell import CellProblem
+from study.simulation.problem_file import Virtual
+from study.simulation.virtual_specimens import (
     Generator,
     _csv,
     _files,
@@ -18,10 +22,6 @@ from study.harness.runner.virtual_specimens import (
     truth,
     write_virtual,
 )
-from study.mechanics.forward import finite_element
-from study.mechanics.material.homogeneous import LOADINGS
-from study.mechanics.material.material import Material
-from study.mechanics.measurement.measurement_section import MeasurementSpec
 
 D = np.linspace(0.1, 6.2, 62)
 REFERENCE = Curve(D, 4 * D, None, {"C20": D**3, "C30": D**5})

@@ -7,9 +7,9 @@ import pytest
 from study.ground.declaration import Length, section
 from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import InputError
-from study.harness.design.cell import CellProblem
 from study.laboratory.sensors.force_model import force_model
 from study.mechanics.setup.geometry import Flat
+from study.simulation.cell import CellProblem
 
 CONFIG = {
     "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
-from study.harness.record.record import Record
-from study.harness.record.store import Store
+from study.record.record import Record
+from study.record.store import Store
 from tests.cli.small import DESIGN, answer_of, study, write_files
 from tests.cli.test_closed_form_studies import ALONE
 from validation import recompute, recompute_forward, recompute_records
@@ -238,7 +238,7 @@ def test_which_indenters_make_load_steps_matter(shape, interface, sticks):
 
 
 def test_its_scores_are_those_of_the_definitions():
-    from study.harness.runner.response import CURVE_RESPONSES
+    from study.simulation.response import CURVE_RESPONSES
 
     rng = np.random.default_rng(2011)
     d = np.sort(rng.uniform(0.1, 3, 40))

@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import cast
 
+from study.external.parameters import number_and_unit, parameter_name
 from study.ground.declaration import (
     MAX_NAME,
     Bad,
@@ -30,10 +31,9 @@ from study.ground.diagnostics import (
 )
 from study.ground.errors import nearest
 from study.ground.units import parse
-from study.harness.design import overlay
-from study.harness.design.parameters import number_and_unit, parameter_name
 from study.harness.design.spec import Factor, Level, Span
 from study.harness.design.study_file import DesignFile, Exclusion
+from study.simulation import overlay
 from study.statistics.surfaces.input_distribution import DISTRIBUTION_KEYS
 
 MAX_FACTORS = 20

@@ -6,7 +6,6 @@ and how to mend it; a file without faults gives frozen values.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -14,6 +13,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from study.external.forward_model import ValueFile
+from study.external.parameters import check_names, checked, overridden, stands_alone
 from study.ground import diagnostics
 from study.ground.contrast import sides_of
 from study.ground.declaration import table_of
@@ -29,9 +30,6 @@ from study.ground.diagnostics import (
     read_table,
 )
 from study.ground.errors import Fault, InputError, nearest
-from study.harness.design import overlay, plausibility
-from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.factors import (
     Presets,
     exclusions_from,
@@ -40,34 +38,30 @@ from study.harness.design.factors import (
     presets_from,
     set_whole,
 )
-from study.harness.design.forward_section import ValueFile
 from study.harness.design.layout_kinds import scheme_from
-from study.harness.design.parameters import check_names, checked, overridden, stands_alone
 from study.harness.design.questions import (
     analysis_from,
     expected_from,
     responses_from,
     uncertainty_from,
 )
-from study.harness.design.resolve import (
-    calibration_from,
-    measurements_from,
+from study.harness.design.spec import Design, Level
+from study.harness.design.study_file import RESPONSES_MEND, DesignFile
+from study.simulation import overlay, plausibility
+from study.simulation.cell import Cell, CellProblem
+from study.simulation.problem_file import (
+    CalibrationDesign,
+    CalibrationFile,
+    ProblemFile,
+    default_name,
+)
+from study.simulation.resolve import (
+    LoadedProblem,
+    identification_from,
     resolve_calibration,
     resolve_problem,
 )
-from study.harness.design.spec import Design, Level, LoadedProblem
-from study.harness.design.study_file import (
-    MARKED,
-    RESPONSES,
-    RESPONSES_MEND,
-    SCORED,
-    CalibrationFile,
-    DesignFile,
-    ProblemFile,
-    is_simulated,
-    simulated_at,
-)
-from study.mechanics.material.material import is_constant_key
+from study.simulation.response import MARKED, RESPONSES, SCORED, is_simulated, simulated_at
 
 # Checks of a whole design: every cell, every response, every replicate.
 
@@ -292,15 +286,14 @@ def dump(design: Design) -> str:
     return diagnostics.dump_toml(design.config)
 
 
+def problem_of(tables: Table, source: str, overrides: Sequence[str] = ()) -> CellProblem:
+    """Problem of the tables of a file."""
+    return loads_problem(diagnostics.dump_toml(tables), source, overrides).problem
+
+
 def file_kind(path: str | Path) -> str:
     """Kind of a file: ``"design"``, ``"calibration"``, ``"problem"``, or that of another verb."""
     return _kind(diagnostics.parse_toml(diagnostics.read_text(path), str(path)))
-
-
-def default_name(source: str) -> str:
-    """Name of a study that has none: that of its file."""
-    stem = Path(source).stem if "\0" not in source else ""
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-")[:80] or "study"
 
 
 def _kind(tables: Table) -> str:
@@ -389,7 +382,6 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         study.setdefault("name", name)
     presets = presets_from(file.presets, faults)
     factors = factors_from(file.factors, presets, faults)
-    given = any(map(is_constant_key, table_of(tables, "material")))  # before any level is laid over
     declared = list(grouped(entries(file.factors, "factors", faults)))
     excluding = "exclude" in tables or "constraint" in tables
     factors, scheme = scheme_from(file.design, factors, file.study.seed, excluding, faults)
@@ -412,8 +404,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         factors=factors,
         exclusions=exclusions_from(file.exclude, factors, declared, faults),
         responses=responses,
-        measurements=measurements_from(file.measurements, Faults()) if file.measurements else None,
-        calibration=calibration_from(tables, given, Faults()),
+        identification=identification_from(tables),
         analysis=analysis_from(file.analysis, factors, declared, scheme, faults),
         scheme=scheme,
         replicates=file.replicates,

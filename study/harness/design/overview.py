@@ -12,11 +12,11 @@ from study.ground.canonical import Keyed
 from study.ground.declaration import Bad, table_of
 from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import Cell
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import words_of
-from study.harness.design.plausibility import cautions_of
-from study.harness.design.spec import Combination, Design, Factor, Treatment
+from study.harness.design.spec import Design, Factor
+from study.simulation.cell import Cell, Combination, Treatment
+from study.simulation.plausibility import cautions_of
 
 Groups = tuple[tuple[Treatment, ...], ...]
 Key = Callable[[Cell], Hashable]
@@ -209,7 +209,7 @@ def replication(design: Design) -> Replication | None:
 def _factor(design: Design, factor: Factor) -> FactorOverview:
     total, calibrates = len(design.treatments), _calibrates(design, factor.name)
     inert, parts = inert_cells(design, factor.name), []
-    if design.calibration.method != "none" and not design.is_alone:
+    if design.identification.calibration.method != "none" and not design.is_alone:
         parts.append("enters the fit" if calibrates else "does not enter the fit")
     if inert:
         parts.append(f"cannot matter in {inert} of {total} cells, which are controls")

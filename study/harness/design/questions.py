@@ -10,8 +10,10 @@ from typing import Annotated
 
 import numpy as np
 
+from study.external.forward_model import TAKEN
+from study.external.parameters import number_in
 from study.ground import units
-from study.ground.contrast import Threshold
+from study.ground.contrast import Expected, Threshold
 from study.ground.declaration import (
     AsWritten,
     Bad,
@@ -37,20 +39,16 @@ from study.ground.diagnostics import (
 )
 from study.ground.errors import UnitError, nearest
 from study.ground.tabular import NUMBER
-from study.harness.design import overlay
 from study.harness.design.factors import grouped
-from study.harness.design.forward_section import TAKEN
 from study.harness.design.generators import model_columns
 from study.harness.design.layout_kinds import word_of, words_of
-from study.harness.design.parameters import number_in
-from study.harness.design.spec import Expected, Factor, Scheme, Span
-from study.harness.design.study_file import (
+from study.harness.design.spec import Factor, Scheme, Span
+from study.harness.design.study_file import Analysis, ResponseSpec, Terms
+from study.simulation import overlay
+from study.simulation.response import (
     AT_DISPLACEMENT,
     RESPONSES,
     SIMULATED,
-    Analysis,
-    ResponseSpec,
-    Terms,
     is_simulated,
     response_unit,
 )

@@ -8,35 +8,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from study.ground.canonical import Keyed
-from study.ground.declaration import Bad, table_of
-from study.ground.diagnostics import Faults, Table
-from study.ground.errors import Fault, InputError
-from study.ground.units import split
-from study.harness.design import overlay
-from study.harness.design.cell import Cell, CellProblem, block_ids, tested
-from study.harness.design.forward_model import ForwardCell, Value
-from study.harness.design.parameters import (
+from study.external.forward_model import Value
+from study.external.parameters import (
     Constraint,
     is_parameter,
     parameters_from,
     stands_alone,
 )
-from study.harness.design.resolve import resolve
+from study.ground.canonical import Keyed
+from study.ground.contrast import Expected
+from study.ground.declaration import Bad, table_of
+from study.ground.diagnostics import Faults, Table
+from study.ground.errors import Fault, InputError
+from study.ground.units import split
 from study.harness.design.study_file import (
-    SCORED,
     Analysis,
-    Converge,
     Exclusion,
     Replicates,
-    Report,
     ResponseSpec,
     Sequential,
-    Virtual,
 )
-from study.mechanics.material.material import is_constant
-from study.mechanics.measurement.measurement_section import MeasurementSpec
-from study.mechanics.setup.calibration_table import Calibration
+from study.simulation import overlay
+from study.simulation.cell import Case, Cell, Combination, Treatment, block_ids
+from study.simulation.problem_file import Converge, Report, Virtual
+from study.simulation.resolve import Identification, resolve
+from study.simulation.response import SCORED, is_of_material
 from study.statistics.surfaces.input_distribution import InputDistribution
 
 
@@ -125,23 +121,6 @@ class Scheme(Keyed):
 
 
 @dataclass(frozen=True)
-class Expected:
-    """What was expected of a response before the study ran."""
-
-    #: A factor matters, has a larger effect than another one, two interact, a cell (mean over all
-    #: other factors) is the best, two cells differ by less than what matters, levels of a factor
-    #: score better or need less than its others.
-    kind: str
-    #: One or two factors.
-    factors: tuple[str, ...]
-    #: One or two cells: labels by factor, joined by a tab where there are several.
-    cells: tuple[Mapping[str, str], ...]
-    #: What it is said of, and who said it.
-    response: str
-    source: str = ""
-
-
-@dataclass(frozen=True)
 class Design:
     """A validated study."""
 
@@ -158,8 +137,8 @@ class Design:
     seed: int
     #: Inputs that nobody measured.
     assumed: tuple[str, ...]
-    measurements: MeasurementSpec | None
-    calibration: Calibration
+    #: Measured curves and the way to the constants, as the file itself says them.
+    identification: Identification
     analysis: Analysis
     converge: Converge
     #: Standard uncertainty of inputs, in internal units, by dotted key.
@@ -203,7 +182,7 @@ class Design:
     def asks_for_constants(self) -> bool:
         """Whether constants of the material are responses."""
         names = [response.name for response in self.responses]
-        return not self.is_alone and any(n == "mu0" or is_constant(n) for n in names)
+        return not self.is_alone and any(map(is_of_material, names))
 
     @cached_property
     def is_alone(self) -> bool:
@@ -298,66 +277,6 @@ class Design:
             covered = [f"{key}.".startswith(assumed) for key in factor.keys]
             usual[factor.name] = "unknown" if covered and all(covered) else "choice"
         return usual | dict(self.analysis.roles)
-
-
-@dataclass(frozen=True)
-class Combination:
-    """A label for every factor."""
-
-    levels: Mapping[str, str]
-
-    @property
-    def label(self) -> str:
-        """Labels of the levels, such as ``"neo-hookean / bonded / 3d / linear"``."""
-        return " / ".join(self.levels.values())
-
-
-@dataclass(frozen=True)
-class Treatment(Combination):
-    """One cell of the design: a label for every factor, and what they make of the file."""
-
-    cell: Cell
-
-
-@dataclass(frozen=True)
-class Case:
-    """One treatment in one block."""
-
-    treatment: Treatment
-    block: str | None
-    #: What is computed: the cell of its treatment, or one with files found and meshes seeded.
-    cell: Cell
-    #: A hash of what decides its numbers.
-    case_id: str
-
-    @property
-    def problem(self) -> ForwardCell:
-        """What is predicted."""
-        return self.cell.problem
-
-    @property
-    def tested(self) -> CellProblem:
-        """What is predicted, of a case that is a test of a specimen."""
-        return tested(self.cell.problem)
-
-    @property
-    def levels(self) -> Mapping[str, str]:
-        """Label of every factor."""
-        return self.treatment.levels
-
-    @property
-    def label(self) -> str:
-        """Labels of the levels, and the block."""
-        return " / ".join([self.treatment.label, *([] if self.block is None else [self.block])])
-
-
-@dataclass(frozen=True)
-class LoadedProblem:
-    """What a file of one forward simulation holds."""
-
-    problem: CellProblem
-    #: How its mesh is refined.
-    converge: Converge = Converge()
 
 
 # Cells -> cases: every cell in every block, named by its content.

@@ -1,7 +1,7 @@
 """The study file: every table with fixed keys, declared once; values in mm, N, MPa and deg.
 
-The declarations of a problem's tables stand in ``setup``, those of measured files in
-:mod:`study.mechanics.measurement`, and of the kinds of ``[design]`` in :mod:`study.harness.design`.
+The tables of a problem are declared in :mod:`study.simulation.problem_file` and in ``setup``,
+those of measured files in :mod:`study.mechanics.measurement`.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Annotated, Literal
 
-from study.ground import units
+from study.external.forward_model import value_unit
+from study.external.parameters import Constraint, parameter_key
 from study.ground.contrast import Threshold
 from study.ground.declaration import (
     AsWritten,
     Bad,
-    Duration,
     Length,
     Reads,
     Rows,
@@ -26,100 +26,19 @@ from study.ground.declaration import (
     reason,
     section,
     shown,
-    slug,
-    text,
     texts,
 )
 from study.ground.diagnostics import flatten
 from study.ground.errors import nearest
-from study.harness.design import overlay
-from study.harness.design.forward_section import value_unit
-from study.harness.design.parameters import Constraint, is_parameter
-from study.mechanics.material.material import is_constant, unit_shown
-from study.mechanics.setup.calibration_table import Fitting
-from study.mechanics.setup.setup import MESH_LEVELS
+from study.simulation.problem_file import ProblemFile, Virtual
+from study.simulation.response import RESPONSES, SIMULATED
 
-# Responses of a predicted curve alone, by their names in a study file.
-
-#: responses of a predicted curve alone, with their units; those at a displacement name it, too
-SIMULATED = {
-    "peak_force": "N",
-    "work": "N mm",
-    "force_at": "N",
-    "stiffness_at": "N/mm",
-    "peak_contact_pressure": "kPa",
-    "contact_area": "mm^2",
-    "side_force": "N",
-    "moment": "N mm",
-    "base_force": "N",
-    "base_side_force": "N",
-    "base_moment": "N mm",
-    "dofs": "",
-}
-
-AT_DISPLACEMENT = ("force_at", "stiffness_at")
-
-
-def simulated_at(name: str) -> tuple[str, float | None]:
-    """Split the name of a response at a displacement into the response and the place in mm."""
-    for start in AT_DISPLACEMENT:
-        displacement = name.removeprefix(f"{start}_").removesuffix("_mm")
-        if name == f"{start}_{displacement}_mm":
-            return start, float(displacement)
-    return name, None
-
-
-def is_simulated(name: str) -> bool:
-    """Whether a response is one of the predicted curve alone."""
-    return simulated_at(name)[0] in SIMULATED
-
-
-# ``[virtual]``: how carefully the true curve of virtual specimens is solved.
-
-
-@section
-class Virtual:
-    """Discretization of the reference curve that virtual specimens follow."""
-
-    #: Load steps of the curve; between them it is interpolated with its tangent.
-    steps: Annotated[int, Reads(integer(1, 1000))] = 12
-    #: Of its elements.
-    element_order: Annotated[str, Reads(choice("quadratic", "linear"))] = "quadratic"
-    #: Named mesh; without one, and without a size, one step finer than the finest of the design.
-    mesh: Annotated[str | None, Reads(choice(*MESH_LEVELS))] = None
-    #: Element size, instead of a named mesh.
-    mesh_size_mm: Length | None = None
-
-    @property
-    def chooses_mesh(self) -> bool:
-        """Whether the mesh is given here."""
-        return self.mesh is not None or self.mesh_size_mm is not None
-
-
-SCHEMA = 1
 MAX_RESPONSES = 50
 MAX_EXCLUSIONS = 4096
-MAX_TESTS = 1000
 #: cells of a design that draws them
 MAX_RUNS = 1024
 #: terms that may be declared primary before the run
 MOST_PRIMARY = 3
-#: responses that compare with measured curves
-SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
-#: responses that compare with the displacements of markers inside a specimen
-MARKED = ("marker_error", "predicted_marker_error")
-#: unit of every other response; constants are reported in kPa, exponents plain
-RESPONSES = {
-    "relative_rms_force_error": "%",
-    "rms_force_error": "N",
-    "peak_force_error": "N",
-    "work_error": "%",
-    **dict.fromkeys(MARKED, "mm"),
-    "mu0": "kPa",
-    "seconds": "s",
-}
-QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
-FORMATS = ("html", "pdf", "tex", "csv")
 #: what a factor is: decided by the analyst; a part of the question, answered at each level; a
 #: fact that nobody measured, never recommended
 ROLES = ("choice", "condition", "unknown")
@@ -145,31 +64,6 @@ REMEDIES = {
 }
 
 
-def response_unit(name: str) -> str | None:
-    """Find the unit of a response: "" for a plain number, None if there is no such response."""
-    if name in RESPONSES:
-        return RESPONSES[name]
-    if is_simulated(name):
-        return SIMULATED[simulated_at(name)[0]]
-    if not is_constant(name):
-        return None
-    return unit_shown(name)
-
-
-def _schema(value: object) -> int:
-    if isinstance(value, bool) or value != SCHEMA:
-        raise Bad(f"must be {SCHEMA}, got {shown(value)}", "this version reads schema 1 only")
-    return SCHEMA
-
-
-def _assumed(value: object) -> tuple[str, ...]:
-    keys = texts("keys", "test.interface")(value)
-    for key in keys:
-        if key not in overlay.TABLES and not overlay.may_vary(key):
-            raise Bad(f"names no input: {shown(key)}", overlay.suggestion(key))
-    return keys
-
-
 def _response_name(value: object) -> str:
     """Read a name; whether there is such a response is asked where the forward model is known."""
     if not isinstance(value, str) or not value.replace("-", "_").isidentifier():
@@ -178,25 +72,7 @@ def _response_name(value: object) -> str:
     return value
 
 
-def _parameter_key(example: str, value: object) -> str:
-    """Read a dotted key of ``[parameters]``."""
-    if not isinstance(value, str) or not is_parameter(value):
-        raise Bad(f"must be a key of [parameters], got {shown(value)}", f"for example {example}")
-    return value
-
-
-_refined_key = partial(_parameter_key, 'key = "parameters.h"; [model] is refined without a key')
-_seed_key = partial(_parameter_key, 'key = "parameters.seed"')
-
-
-def _share(value: object) -> float:
-    """Read a share: a plain number, or percent."""
-    if not isinstance(value, str):
-        return number(0, 1, mend='for example "1 %"')(value)
-    percent = units.parse_percent(value)
-    if 0 < percent < 100:
-        return percent / 100
-    raise Bad(f"must be between 0 % and 100 %, got {shown(value)}")
+_seed_key = partial(parameter_key, 'key = "parameters.seed"')
 
 
 def _count(low: int, high: int, why: str, value: object) -> int:
@@ -209,12 +85,6 @@ def _count(low: int, high: int, why: str, value: object) -> int:
 
 _seeds = partial(_count, *SEEDS, "the scatter of the mesh is not known")
 _resamples = partial(_count, *RESAMPLES, "the scatter of the fits is not known")
-
-
-def _formats(value: object) -> tuple[str, ...]:
-    """Read one format or several."""
-    items = value if isinstance(value, list) else [value]
-    return tuple(dict.fromkeys(choice(*FORMATS)(item) for item in items)) or ("html",)
 
 
 def _primary(value: object) -> tuple[str, ...]:
@@ -244,39 +114,6 @@ def _retry(value: object) -> tuple[tuple[str, tuple[str, ...]], ...]:
         changes = remedies if isinstance(remedies, list) else [remedies]
         read_causes.append((cause, tuple(dict.fromkeys(map(read, changes)))))
     return tuple(read_causes)
-
-
-def _weight(value: object) -> str | float:
-    words = choice("scatter", "equal", "relative")
-    return words(value) if isinstance(value, str) else number(0, 1e12)(value)
-
-
-@section
-class StudyTable:
-    """Name, question, seed and what is assumed; the name is by default that of the file."""
-
-    #: Of its folder of results.
-    name: Annotated[str, Reads(slug)] = ""
-    #: What it is to answer; the report begins with it.
-    question: Annotated[str, Reads(text)] = ""
-    #: Of every random draw.
-    seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 2011
-    #: Inputs that nobody measured, by key.
-    assumed: Annotated[tuple[str, ...], Reads(_assumed)] = ()
-
-
-@section
-class Converge:
-    """Mesh refinement: ratio, meshes, watched quantity, tolerance (a fraction), time budget."""
-
-    ratio: Annotated[float, Reads(number(1, 10))] = 1.5
-    levels: Annotated[int, Reads(integer(2, 10))] = 3
-    qoi: Annotated[str, Reads(choice(*QUANTITIES))] = "peak_force"
-    tolerance: Annotated[float | None, Reads(_share)] = None
-    budget_s: Duration | None = None
-    #: Mesh size, step or tolerance of a stranger's solver, and the order that it promises in it.
-    key: Annotated[str | None, Reads(_refined_key)] = None
-    formal_order: Annotated[float | None, Reads(number(0, 20))] = None
 
 
 @section
@@ -328,13 +165,6 @@ class Execution:
     """What is tried of a case without an answer, by its cause; the report lists such cases."""
 
     retry: Annotated[tuple[tuple[str, tuple[str, ...]], ...], Reads(_retry)] = ()
-
-
-@section
-class Report:
-    """Formats of the report."""
-
-    format: Annotated[tuple[str, ...], Reads(_formats)] = ("html",)
 
 
 #: Terms of an analysis: all, those up to an order, or those listed, ``"A"`` or ``"A:B"``.
@@ -389,43 +219,9 @@ class Exclusion:
         return all(levels[name] in labels for name, labels in self.when.items())
 
 
-@section
-class TestTable:
-    """One of the ``[[tests]]`` of a calibration file, with tables of its own."""
-
-    __test__ = False  # not a pytest class
-
-    test: Annotated[object, as_written("write test = { ... }")]
-    measurements: Annotated[object, as_written("write measurements = { ... }")]
-    role: Annotated[str, Reads(choice("fit", "held-out"))] = "fit"
-    weight: Annotated[str | float, Reads(_weight)] = "equal"
-    specimen: AsWritten = None
-    model: AsWritten = None
-    nuisance: AsWritten = None
-
-
-_Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
 _Responses = Annotated[tuple[ResponseSpec, ...], Rows(1, MAX_RESPONSES, RESPONSES_MEND)]
 _Exclusions = Annotated[tuple[Exclusion, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
 _Constraints = Annotated[tuple[Constraint, ...], Rows(0, MAX_EXCLUSIONS, "write [[constraint]]")]
-_Tests = Annotated[
-    tuple[TestTable, ...], Rows(1, MAX_TESTS, "write [[tests]]", f"must be 1 to {MAX_TESTS} tables")
-]
-
-
-@section
-class ProblemFile:
-    """A file for one forward simulation."""
-
-    schema: _Schema
-    study: StudyTable = StudyTable()
-    specimen: AsWritten = None
-    test: AsWritten = None
-    material: AsWritten = None
-    model: AsWritten = None
-    converge: Converge = Converge()
-    report: Report = Report()
-    uncertainty: AsWritten = None
 
 
 @section
@@ -448,17 +244,3 @@ class DesignFile(ProblemFile):
     execution: Execution = Execution()
     expected: AsWritten = None
     virtual: Virtual | None = None
-
-
-@section
-class CalibrationFile:
-    """A file for the constants of one material."""
-
-    schema: _Schema
-    study: StudyTable = StudyTable()
-    specimen: AsWritten = None
-    material: AsWritten = None
-    model: AsWritten = None
-    tests: _Tests = ()
-    calibration: Fitting = Fitting()
-    nuisance: AsWritten = None

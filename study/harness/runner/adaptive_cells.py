@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from study.ground.arrays import Array
+from study.ground.atomic_files import ID
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
 from study.harness.design.factors import levels_at
@@ -18,15 +19,8 @@ from study.harness.design.layout_kinds import share_of
 from study.harness.design.load import dump, loads
 from study.harness.design.spec import Design, Factor
 from study.harness.design.study_file import Sequential
-from study.harness.record.document import AdaptiveStep, ConfirmedRow, are_imported
-from study.harness.record.folder import ID
-from study.harness.record.record import Record
-from study.harness.record.store import Store
 from study.harness.runner.batch import Progress, run_batch
-from study.harness.runner.expansion import expand, relabeled
-from study.harness.runner.fit_problem import Allowed
-from study.harness.runner.job import Work
-from study.harness.runner.provenance import code_version
+from study.harness.runner.expansion import Work, expand, relabeled
 from study.harness.runner.record_analysis import (
     at_levels,
     coded_settings,
@@ -34,7 +28,12 @@ from study.harness.runner.record_analysis import (
     ranges_of,
     runs_at,
 )
-from study.harness.runner.tasks import processes
+from study.record.document import AdaptiveStep, ConfirmedRow, are_imported
+from study.record.record import Record
+from study.record.store import Store
+from study.simulation.fit_problem import Allowed
+from study.simulation.provenance import code_version
+from study.simulation.tasks import processes
 from study.statistics.surfaces.emulator import (
     REFERENCES,
     BlockedEmulator,

@@ -18,25 +18,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+from study.execution.supervisor import Document, Executor, Outcome, Results, Task
+from study.external.command import check_allowed
 from study.ground.bounded_file import read_json
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, RefusedError, nearest
-from study.harness.design.cell import CellProblem, tested
 from study.harness.design.load import dump
 from study.harness.design.study_file import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
-from study.harness.execution.task import Document, Executor, Outcome, Results, Task
-from study.harness.external.command import check_allowed
-from study.harness.record.document import ManifestDocument, RetryDocument
-from study.harness.record.record import Record
-from study.harness.record.store import Store
-from study.harness.runner.expansion import case_job
-from study.harness.runner.fit_problem import externals
-from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.job import TRUTH_SUFFIX, CaseJob, FitJob, Work, fits_of
-from study.harness.runner.provenance import versions
-from study.harness.runner.refinement import base_size_mm
-from study.harness.runner.solve_task import LASTING
-from study.harness.runner.tasks import Costs, adapted, limit_of
+from study.harness.runner.expansion import Work, case_job
+from study.record.document import ManifestDocument, RetryDocument
+from study.record.record import Record
+from study.record.store import Store
+from study.simulation.cell import CellProblem, tested
+from study.simulation.fit_problem import externals
+from study.simulation.fit_summary import FitResult
+from study.simulation.job import TRUTH_SUFFIX, CaseJob, FitJob, fits_of
+from study.simulation.provenance import versions
+from study.simulation.refinement import base_size_mm
+from study.simulation.solve_task import LASTING
+from study.simulation.tasks import Costs, adapted, limit_of
 
 # What is tried when a case has no answer: declared in the design, by cause, and never silent.
 #

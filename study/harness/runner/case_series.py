@@ -18,11 +18,11 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import StoreError
-from study.harness.design.study_file import Converge
-from study.harness.record.record import Record
 from study.harness.runner.batch import has_other_mesh
-from study.harness.runner.job import CaseJob, fits_of
-from study.harness.runner.refinement import (
+from study.record.record import Record
+from study.simulation.job import CaseJob, fits_of
+from study.simulation.problem_file import Converge
+from study.simulation.refinement import (
     FEWEST,
     QUANTITIES,
     FormalOrder,
@@ -35,7 +35,7 @@ from study.harness.runner.refinement import (
     promised,
     series_sizes,
 )
-from study.harness.runner.tasks import Costs
+from study.simulation.tasks import Costs
 from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
     NumericalUncertainty,

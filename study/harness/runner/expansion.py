@@ -7,18 +7,18 @@ of resampled residuals follow: each step takes the values of the one before and 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
-from functools import cache, partial
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
 from pathlib import Path
 
+from study.external.forward_model import ForwardModel
 from study.ground.arrays import gathered
 from study.ground.canonical import digest, numbered
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import Cell, CellProblem
-from study.harness.design.forward_section import ForwardModel
-from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
-from study.harness.record.record import Record
-from study.harness.runner.fit_problem import (
+from study.harness.design.spec import MAX_CASES, Design, cases
+from study.record.record import Record, is_repeat
+from study.simulation.cell import Case, Cell, CellProblem, Treatment
+from study.simulation.fit_problem import (
     NOTHING,
     Allowed,
     FitProblem,
@@ -29,19 +29,64 @@ from study.harness.runner.fit_problem import (
     located_cell,
     placed_files,
     placed_model,
+    surface_notes,
 )
-from study.harness.runner.job import (
+from study.simulation.job import (
     CaseJob,
     DataCache,
+    FitJob,
     Forward,
     Origin,
-    Work,
+    fits_of,
     name_of_test,
     repeated,
     score_pairs,
 )
-from study.harness.runner.provenance import code_version
-from study.harness.runner.response import units_of
+from study.simulation.provenance import code_version
+from study.simulation.response import units_of
+
+
+@dataclass(frozen=True)
+class Work:
+    """Everything that a study computes."""
+
+    design: Design
+    #: One for every case, in the order of the design.
+    jobs: tuple[CaseJob, ...]
+    #: Unit of every response that a record holds.
+    responses: Mapping[str, str]
+    blocks: tuple[str, ...]
+    #: The measurements, each specification read once.
+    data: DataCache
+    #: What may be used besides this package.
+    allowed: Allowed = NOTHING
+
+    @cached_property
+    def fits(self) -> dict[str, FitJob]:
+        """Every fit by its key, those that give start values included."""
+        return fits_of(self.jobs)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What was done to measurements and surfaces that may not be what they seem."""
+        mended = surface_notes(job.case.cell for job in self.jobs)
+        return (*self.data.cautions(), *mended)
+
+    def plain(self) -> Work:
+        """Leave the replicates out: the first mesh of a cell, the curve as measured."""
+        originals = [job for job in self.jobs if not is_repeat(job.origin.to_json())]
+        return replace(self, jobs=tuple(originals))
+
+    @property
+    def cases(self) -> dict[str, Case]:
+        """Every case by its id."""
+        return {job.case.case_id: job.case for job in self.jobs}
+
+    @property
+    def input_hashes(self) -> dict[str, str]:
+        """Case id -> hash of everything that decides its record."""
+        return {job.case.case_id: job.input_hash for job in self.jobs}
+
 
 # Repeats of every cell for an error term: other meshes, or fits to resampled noise.
 
@@ -232,10 +277,11 @@ def _jobs_of_cell(
     forward = _forward_of(case, problem)
     files = (file.sha256 for file in placed_files(cell))
     names = (sorted(units), code_version(), *files, *identity(cell.problem))
+    asked = (design.asks_for_scores, design.asks_for_constants)
 
     def job(each: Case, origin: Origin) -> CaseJob:
         placed = replace(each, cell=cell)
-        pairs = tuple(score_pairs(placed, problem, data, design))
+        pairs = tuple(score_pairs(placed, problem, data, *asked))
         name = digest([each.case_id, [pair.identity for pair in pairs], *names])
         return CaseJob(placed, pairs, name, forward, origin, study=design.name, units=units)
 

@@ -9,23 +9,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from study.external.forward_model import TAKEN
+from study.external.parameters import is_parameter
 from study.ground.arrays import gathered
+from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
 from study.ground.units import agree, listed
 from study.harness.design.factors import level_label
-from study.harness.design.forward_section import TAKEN
-from study.harness.design.load import default_name, dump, from_tables, loads
-from study.harness.design.overlay import TABLES
-from study.harness.design.parameters import is_parameter
-from study.harness.design.spec import Case, Design, cases
-from study.harness.record.document import MADE_ELSEWHERE, ManifestDocument, are_imported
-from study.harness.record.folder import own_folder
-from study.harness.record.record import STATUSES, Record
-from study.harness.record.store import Store
+from study.harness.design.load import dump, from_tables, loads
+from study.harness.design.spec import Design, cases
 from study.harness.runner.expansion import seeded
-from study.harness.runner.provenance import versions
+from study.record.document import MADE_ELSEWHERE, ManifestDocument, are_imported
+from study.record.record import STATUSES, Record
+from study.record.store import Store
+from study.simulation.cell import Case
+from study.simulation.overlay import TABLES
+from study.simulation.problem_file import default_name
+from study.simulation.provenance import versions
 from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import settings_run
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -21,13 +21,13 @@ from study.ground.curve import Curve
 from study.ground.errors import InputError, StudyError
 from study.ground.tabular import names_of
 from study.ground.units import parse_number
-from study.harness.design import overlay
 from study.harness.design.load import is_constant
 from study.harness.design.overview import duplicates
 from study.harness.design.questions import usual_value
-from study.harness.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.harness.record.record import answered_often, is_repeat, table
-from study.harness.runner.response import CURVE_RESPONSES
+from study.record.document import NumericalCells, NumericalRow, fault_of_series
+from study.record.record import answered_often, is_repeat, table
+from study.simulation import overlay
+from study.simulation.response import CURVE_RESPONSES
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
     Blocking,
@@ -36,6 +36,7 @@ from study.statistics.analysis.analysis_request import (
 )
 from study.statistics.analysis.anova import analyze, effects
 from study.statistics.analysis.anova_table import DepthEffect
+from study.statistics.analysis.failures import CaseFate, cause
 from study.statistics.analysis.linear_model import Model, terms_of
 from study.statistics.analysis.repeats import common_seeds
 from study.statistics.convergence.contrast_bound import CellSeries, NumericalBound, SeriesBounds
@@ -49,10 +50,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.ground.arrays import Array
-    from study.harness.design.spec import Design, Treatment
+    from study.harness.design.spec import Design, Factor
     from study.harness.design.study_file import ResponseSpec
-    from study.harness.record.record import Record
-    from study.harness.record.store import Store
+    from study.record.record import Record
+    from study.record.store import Store
+    from study.simulation.cell import Treatment
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
@@ -733,3 +735,52 @@ def _geometric_mean(records: Sequence[Record], response: str) -> float:
     values = [r.response(response) for r in records]
     positive = [math.log(v) for v in values if math.isfinite(v) and v > 0]
     return math.exp(math.fsum(positive) / len(positive))
+
+
+# The cases of a study as their failures are looked at: by level, or by part of a range.
+
+#: equal parts of a range in whose stead its settings stand, where these are as good as all
+#: different: no setting of a Latin hypercube stands twice, so that none could be blamed
+PARTS = 4
+#: most settings of a range that are levels of their own
+GRID = 5
+
+
+def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
+    """Collect the settings of every case that ended, and whether it failed."""
+    parts = {
+        factor.name: parts_of(factor)
+        for factor in design.factors
+        if factor.span is not None and len(factor.levels) > GRID
+    }
+    return [
+        CaseFate(
+            {name: parts.get(name, {}).get(level, level) for name, level in record.levels.items()},
+            record.block or "",
+            not record.converged,
+            "" if record.converged else cause(record.status, record.message),
+        )
+        for record in records
+    ]
+
+
+def parts_of(factor: Factor) -> Mapping[str, str]:
+    """Part of a range that the setting of every label lies in, by its ends in words."""
+    span = factor.span
+    if span is None:
+        return {}
+    ends = [span.at(k / PARTS) for k in range(PARTS + 1)]
+    unit = f" {span.unit}" if span.unit else ""
+    words = [f"{low:.4g} to {high:.4g}{unit}" for low, high in zip(ends, ends[1:], strict=False)]
+    return {
+        label: words[sum(value >= end for end in ends[1:-1])]
+        for label, value in factor.settings.items()
+    }
+
+
+def unit_of(design: Design, manifest: Mapping[str, Any]) -> str:
+    """Say what a block is: a column of the measurements or of imported runs, a marked state."""
+    spec = design.identification.measurements
+    if spec is not None:
+        return spec.block or "block"
+    return manifest.get("unit") or ("state" if "markers" in design.config else "block")

@@ -17,18 +17,13 @@ from typing import Final, Literal
 
 import numpy as np
 
+from study.execution.supervisor import Executor
+from study.external.forward_model import ForwardCell
 from study.ground.arrays import Array, gathered
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.declaration import table_of, with_table
 from study.ground.errors import Fault, InputError, StoreError
-from study.harness.design.cell import Cell, CellProblem, Config, case_id
-from study.harness.design.forward_model import ForwardCell
-from study.harness.design.spec import Case
-from study.harness.execution.task import Executor
-from study.harness.record.document import SpaceRow
-from study.harness.record.record import Record
-from study.harness.record.store import Store
 from study.harness.runner.batch import Progress, computed, run_batch
 from study.harness.runner.case_series import (
     COSTS,
@@ -39,11 +34,15 @@ from study.harness.runner.case_series import (
     refine_cases,
     size_of,
 )
-from study.harness.runner.expansion import case_job, meshed
-from study.harness.runner.job import CaseJob, Origin, Work, varied
-from study.harness.runner.refinement import FEWEST, OTHER_MESH, base_size_mm
-from study.harness.runner.solve_task import SolveResult, SolveTask, by_workers, kept
-from study.harness.runner.tasks import Costs
+from study.harness.runner.expansion import Work, case_job, meshed
+from study.record.document import SpaceRow
+from study.record.record import Record
+from study.record.store import Store
+from study.simulation.cell import Case, Cell, CellProblem, Config, case_id
+from study.simulation.job import CaseJob, Origin, varied
+from study.simulation.refinement import FEWEST, OTHER_MESH, base_size_mm
+from study.simulation.solve_task import SolveResult, SolveTask, by_workers, kept
+from study.simulation.tasks import Costs
 from study.statistics.convergence.grid_convergence import NumericalUncertainty, compare
 
 PURPOSE: Final = "refinement"

@@ -6,7 +6,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,10 +25,6 @@ from study.ground.tabular import csv_text
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.setup import Problem
-from study.statistics.surfaces.emulator import BlockedEmulator, Emulator
-from study.statistics.surfaces.quadratic import QuadraticSurface
-from study.statistics.surfaces.surface_factors import box_points
-from study.statistics.surfaces.surface_profile import FittedSurface
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -54,7 +50,7 @@ def stem_of(name: str) -> str:
 
 
 def _range(constant: ConstantRange) -> str:
-    factor, unit = (1.0, "") if is_dimensionless(constant.name) else (1e3, " kPa")
+    factor, unit = (1e3, " kPa") if constant.unit else (1.0, "")
     ends = f"{constant.name} from {factor * constant.low:.4g} to {factor * constant.high:.4g}{unit}"
     if math.isnan(constant.largest_N):
         return f"With {ends} alone the simulation does not reach the end: use no such constants."
@@ -381,6 +377,11 @@ class ConstantRange:
     #: Largest deviation of the law from the finite elements there; NaN where they have no answer.
     largest_N: float
 
+    @property
+    def unit(self) -> str:
+        """``"MPa"``; empty for an exponent."""
+        return "" if is_dimensionless(self.name) else "MPa"
+
 
 @dataclass(frozen=True)
 class ForceLaw(Keyed):
@@ -523,117 +524,10 @@ def gradient_table(step_mm: float, gradient: Array) -> TabulatedFunction:
 # A surface over ranges as a function that needs no package: JSON and a Python module.
 
 
-#: points of the box at which the error bound is looked for
-ASKED = 4096
-
-
-@dataclass(frozen=True)
-class SurfaceFunction(Keyed):
-    """A surface as plain numbers, units in their own keys."""
-
-    KEYS = (
-        "schema kind name response=surface.response unit=surface.unit at=surface.labels inputs "
-        "constant parts products error_bound=bound sentences version"
-    )
-    schema, version = SCHEMA, study.__version__
-
-    #: Identifier, also the stem of its files.
-    name: str
-    surface: FittedSurface
-    #: Arguments: name, argument, low and high in the unit, unit, log.
-    inputs: tuple[Mapping[str, object], ...]
-    #: What is added to all sums, in the response's unit.
-    constant: float
-    #: Of an emulator, one a block: sums of weights times correlations (kernel, lengths) with points
-    #: of the unit box.
-    parts: tuple[Mapping[str, object], ...]
-    #: Of a quadratic: coefficients times products of coded inputs, -1 to 1 over their ranges.
-    products: tuple[Mapping[str, object], ...]
-    #: Largest half width of the 95 % intervals in the ranges, in the response's unit.
-    bound: float
-
-    def sentences(self) -> tuple[str, ...]:
-        """Say what it is, where it holds and how well."""
-        fit = self.surface
-        at = ", ".join(f"{name} = {label}" for name, label in fit.labels.items())
-        what = f"{fit.response}{f' in {fit.unit}' if fit.unit else ''}{f' at {at}' if at else ''}"
-        ranges = "; ".join(
-            f"{i['argument']} ({i['name']}) {i['low']:g} to {i['high']:g} {i['unit']}".strip()
-            for i in self.inputs
-        )
-        return (
-            f"{what}, from {0 if fit.surface is None else fit.surface.runs.response.size} runs.",
-            f"Ranges: {ranges}. Outside of them it raises ValueError: nothing was run there.",
-            f"It is within {self.bound:.3g} {fit.unit} of the simulation at about 95 % of the "
-            "settings: the largest half width of its intervals.",
-        )
-
-    @property
-    def kind(self) -> str:
-        """What the surface is."""
-        return "emulator" if self.parts else "quadratic"
-
-    def files(self, folder: Path) -> dict[Path, str]:
-        """Text of its files by their path in a folder."""
-        text = json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n"
-        return {folder / f"{self.name}.json": text, folder / f"{self.name}.py": self.python()}
-
-    def python(self) -> str:
-        """Python module that imports nothing but math."""
-        return rendered("surface.py.j2", f=self, said=self.sentences())
-
-
-def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
-    """Make the function of a surface."""
-    if fitted.surface is None:
-        raise ValueError(fitted.refused)
-    model, runs = fitted.surface.model, fitted.surface.runs
-    arguments = _arguments(runs.names)
-    inputs = tuple(
-        {"name": f.name, "argument": arguments[f.name], "low": f.low, "high": f.high,
-         "unit": fitted.units.get(f.name, ""), "log": f.log}
-        for f in runs.factors
-    )  # fmt: skip
-    name = _identifier(" ".join((study_name, fitted.response, *fitted.labels.values())))
-    _, half = model.predict(box_points(len(inputs), ASKED))
-    bound = float(np.max(half))
-    if isinstance(model, QuadraticSurface):
-        polynomial = model.polynomial
-        products = tuple(
-            {"inputs": list(t.factors), "coefficient": float(c)}
-            for t, c in zip(polynomial.terms, polynomial.coefficients, strict=True)
-        )
-        return SurfaceFunction(name, fitted, inputs, 0.0, (), products, bound)
-    each = model.each if isinstance(model, BlockedEmulator) else (model,)
-    levels, parts = zip(*(_part(emulator, len(each)) for emulator in each), strict=True)
-    return SurfaceFunction(name, fitted, inputs, sum(levels), parts, (), bound)
-
-
-def _part(emulator: Emulator, blocks: int) -> tuple[float, dict[str, object]]:
-    """Level and weights of a process, over the number of blocks."""
-    process = emulator.process
-    kernel = process.hyperparameters.kernel
-    levels, weights = process.solved
-    combination = emulator.combination or 0
-    if kernel.categories is not None:
-        weights = weights * kernel.categories.matrix[combination, kernel.combination(process.x)]
-    scale = emulator.scale / blocks
-    part: dict[str, object] = {
-        "kernel": kernel.family,
-        "lengths": kernel.lengths.tolist(),
-        "points": kernel.numbers(process.x).tolist(),
-        "weights": (scale * process.hyperparameters.variance * weights).tolist(),
-    }
-    return emulator.centre / blocks + scale * float(levels[combination]), part
-
-
-def _arguments(names: tuple[str, ...]) -> dict[str, str]:
-    """Last parts of dotted keys where these differ, else the whole keys."""
-    last = [name.rpartition(".")[2] for name in names]
-    chosen = last if len(set(last)) == len(last) else list(names)
-    return {name: _identifier(word) for name, word in zip(names, chosen, strict=True)}
-
-
-def _identifier(text: str) -> str:
-    plain = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "x"
-    return f"x_{plain}" if plain[0].isdigit() else plain
+def surface_files(
+    function: Keyed, stem: str, sentences: Sequence[str], folder: Path
+) -> dict[Path, str]:
+    """Text of the files of a surface that is plain numbers, by their path in a folder."""
+    text = json.dumps(function.to_json(), indent=1, allow_nan=False) + "\n"
+    module = rendered("surface.py.j2", f=function, said=sentences)  # imports nothing but math
+    return {folder / f"{stem}.json": text, folder / f"{stem}.py": module}

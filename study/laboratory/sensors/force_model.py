@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,16 +13,15 @@ from study.ground import diagnostics, units
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.declaration import Bad, Reads, integer, measured, number, section, shown
-from study.ground.diagnostics import Faults, read_table
+from study.ground.diagnostics import Faults, Table, read_table
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import CellProblem
-from study.harness.design.load import default_name, loads_problem
-from study.harness.design.study_file import StudyTable
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.forward import finite_element
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.material.homogeneous import response
 from study.mechanics.setup.setup import Problem
+from study.simulation.cell import CellProblem
+from study.simulation.problem_file import StudyTable, default_name
 
 if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
@@ -275,7 +274,13 @@ class RequirementFile:
         return replace(self, **dict(zip(("position", "force"), both, strict=True)))  # type: ignore[arg-type]
 
 
-def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> RequirementFile:
+#: reads the tables of a problem, told as those of a file, with overrides laid over
+ReadsProblem = Callable[[Mapping[str, object], str, Sequence[str]], CellProblem]
+
+
+def load_requirement(
+    path: str | Path, reads_problem: ReadsProblem, overrides: Sequence[str] = ()
+) -> RequirementFile:
     """Load a file for ``study require``."""
     source = str(path)
     tables = diagnostics.parse_toml(diagnostics.read_text(path), source)
@@ -296,8 +301,26 @@ def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> Require
         mend = 'give one, for example [position] noise = "0.1 mm"'
         faults.add("position, force", "neither sensor has an error: nothing to propagate", mend)
     renamed = [Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults]
-    fitted = _problem(tables, source, rest, renamed)
-    predicted = _predicted(tables, sections["predict"], source, rest, renamed) if fitted else None
+
+    def problem_of(tables: Table, overrides: Sequence[str]) -> CellProblem | None:
+        """Resolve a problem; None, and its faults, where it has any."""
+        try:
+            return reads_problem(tables, source, overrides)
+        except InputError as error:
+            renamed.extend(error.faults)
+            return None
+
+    fitted = problem_of(tables, rest)
+    predicted = None
+    if fitted is not None and isinstance(sections["predict"], Mapping):
+        others = _check_replaced(sections["predict"], source, rest, renamed)
+        before = len(renamed)
+        predicted = problem_of({**tables, **sections["predict"]}, others)
+        for k, fault in enumerate(renamed[before:], before):
+            where = fault.where.replace(": ", ": predict.", 1)
+            renamed[k] = Fault(where, fault.rule, fault.mend)
+    elif fitted is not None:
+        renamed.append(Fault(f"{source}: predict", "must be a table", "write [predict.test]"))
     if renamed or fitted is None or predicted is None:
         raise InputError(dict.fromkeys(renamed))
     study = read_table(StudyTable, tables.get("study", {}), "study", Faults())
@@ -307,40 +330,12 @@ def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> Require
     )
 
 
-def _problem(
-    tables: Mapping[str, object], source: str, overrides: Sequence[str], faults: list[Fault]
-) -> CellProblem | None:
-    """Resolve a problem; None, and its faults, where it has any."""
-    try:
-        return loads_problem(diagnostics.dump_toml(tables), source, overrides).problem
-    except InputError as error:
-        faults += error.faults
-        return None
-
-
-def _predicted(
-    tables: Mapping[str, object],
-    table: object,
-    source: str,
-    overrides: Sequence[str],
-    faults: list[Fault],
-) -> CellProblem | None:
-    """Problem with the tables that ``[predict]`` replaces whole."""
-    if not isinstance(table, Mapping):
-        faults.append(Fault(f"{source}: predict", "must be a table", "write [predict.test]"))
-        return None
+def _check_replaced(
+    table: Table, source: str, overrides: Sequence[str], faults: list[Fault]
+) -> list[str]:
+    """Check what ``[predict]`` replaces whole; overrides of the tables that stay."""
     for key in table:
         if key not in REPLACEABLE:
             mend = f"one of {', '.join(REPLACEABLE)}; the material is the fitted one"
             faults.append(Fault(f"{source}: predict.{key}", "unknown key", mend))
-    others = [
-        override
-        for override in overrides
-        if override.split("=")[0].split(".")[0].strip() not in table
-    ]
-    before = len(faults)
-    problem = _problem({**tables, **table}, source, others, faults)
-    for k in range(before, len(faults)):
-        fault = faults[k]
-        faults[k] = Fault(fault.where.replace(": ", ": predict.", 1), fault.rule, fault.mend)
-    return problem
+    return [o for o in overrides if o.split("=")[0].split(".")[0].strip() not in table]

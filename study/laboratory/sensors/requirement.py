@@ -15,12 +15,11 @@ from typing import TypeAlias, cast
 
 import numpy as np
 
+from study.execution.local import Loky
+from study.execution.supervisor import Executor, Inline, Results, Task
 from study.ground.arrays import Array
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, RefusedError
-from study.harness.execution.local import Loky
-from study.harness.execution.supervisor import Inline
-from study.harness.execution.task import Executor, Results, Task
 from study.laboratory.sensors.force_model import (
     ForceAccuracy,
     ForceAt,

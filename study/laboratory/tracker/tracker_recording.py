@@ -12,6 +12,7 @@ import numpy as np
 
 from study.ground import diagnostics
 from study.ground.arrays import Array, Ints
+from study.ground.atomic_files import write_atomic
 from study.ground.declaration import (
     Bad,
     Length,
@@ -29,7 +30,6 @@ from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import CsvTable, csv_text, read_csv
 from study.ground.units import unit_factor
-from study.harness.record.atomic_files import write_atomic
 from study.laboratory.registration.rigid import check_places
 from study.mechanics.measurement.measurement_section import Axes, csv_path, three_columns
 

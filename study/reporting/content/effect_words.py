@@ -43,7 +43,7 @@ from study.statistics.analysis.simple_effects import (
 )
 
 if TYPE_CHECKING:
-    from study.harness.design.spec import Expected
+    from study.ground.contrast import Expected
 
 # Sizes of effects as text: differences and ratios, intervals, what matters, numerical bounds.
 #

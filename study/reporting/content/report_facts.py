@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from study.harness.record.record import answered_often, cell_names
+from study.record.record import answered_often, cell_names
 from study.reporting.content.text import clean, name_of
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.analysis.analysis_result import Assumptions

@@ -14,7 +14,7 @@ from itertools import permutations
 from typing import TYPE_CHECKING
 
 from study.ground.arrays import gathered
-from study.harness.record.record import Record, cell_names
+from study.record.record import Record, cell_names
 from study.reporting.content import effect_words, surface_content
 from study.reporting.content.effect_words import (
     blocks_needed,

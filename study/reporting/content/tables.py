@@ -40,7 +40,7 @@ from study.statistics.convergence.grid_convergence import NumericalUncertainty
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.record.record import Record
+    from study.record.record import Record
     from study.statistics.analysis.failures import FailurePattern, FailureRule, FailureTest
 
 

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.laboratory.haptics.haptic_export import ForceLaw
+from study.laboratory.haptics.haptic_export import ConstantRange, ForceLaw
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
-from study.mechanics.material.material import is_dimensionless
 from study.reporting.content.blocks import Table
 from study.reporting.content.text import MISSING, clean, significant
 from study.reporting.figures import axes as style
@@ -50,8 +49,8 @@ def write_force_law(
 def constants(law: ForceLaw) -> Table:
     """Constants of the table, their range and what first order leaves out there."""
 
-    def shown(name: str, *values: float) -> str:
-        factor, unit = (1.0, "") if is_dimensionless(name) else (1e3, " kPa")
+    def shown(of: ConstantRange, *values: float) -> str:
+        factor, unit = (1e3, " kPa") if of.unit else (1.0, "")
         return " to ".join(significant(factor * value, 4) for value in values) + unit
 
     return Table.of(
@@ -59,8 +58,8 @@ def constants(law: ForceLaw) -> Table:
         law.ranges,
         {
             "constant": lambda of: of.name,
-            "of the table": lambda of: shown(of.name, law.constants[of.name]),
-            "range that was solved": lambda of: shown(of.name, of.low, of.high),
+            "of the table": lambda of: shown(of, law.constants[of.name]),
+            "range that was solved": lambda of: shown(of, of.low, of.high),
             "largest deviation": lambda of: (
                 MISSING if math.isnan(of.largest_N) else f"{significant(of.largest_N)} N"
             ),
@@ -68,7 +67,7 @@ def constants(law: ForceLaw) -> Table:
         note="One constant is moved at a time, to both ends of its range.",
         raw=lambda of: {
             "constant": of.name, "value": law.constants[of.name], "low": of.low, "high": of.high,
-            "unit": "" if is_dimensionless(of.name) else "MPa",
+            "unit": of.unit,
             "largest_N": None if math.isnan(of.largest_N) else of.largest_N,
         },
     )  # fmt: skip

@@ -11,8 +11,7 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from study.harness.record.atomic_files import write_atomic, write_error
-from study.harness.record.folder import own_folder
+from study.ground.atomic_files import own_folder, write_atomic, write_error
 from study.reporting.content import methods
 from study.reporting.content.blocks import Block, Figure, Heading, Sentence, Table, flat
 from study.reporting.content.effect_words import VERDICTS

@@ -49,7 +49,7 @@ from study.reporting.output.page import Page, Pages, page_names
 from study.reporting.results.study_result import FITTED_CURVE, Check, ReportData
 
 if TYPE_CHECKING:
-    from study.harness.execution.local import Worker
+    from study.execution.local import Worker
 
 _VERSION = "version of "
 

@@ -27,6 +27,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 import study
+from study.ground.atomic_files import own_folder
 from study.ground.bounded_file import (
     MAX_BYTES,
     UnreadableError,
@@ -38,7 +39,6 @@ from study.ground.bounded_file import (
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, StoreError, StudyError, nearest
 from study.ground.memory import uncollected
-from study.harness.record.folder import own_folder
 from study.reporting.content.blocks import (
     Block,
     Document,
@@ -69,7 +69,7 @@ from study.reporting.results.study_result import CurvePair, ReportData
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.execution.local import Worker
+    from study.execution.local import Worker
 
 
 _SPECIAL = {

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from study.ground.canonical import Keyed
 from study.statistics.analysis.anova_table import Effect
-from study.statistics.analysis.failures import CaseFate, cause
 from study.statistics.surfaces.surface_inversion import FactorCombination
 from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
-
-if TYPE_CHECKING:
-    from study.harness.design.spec import Design, Factor
-    from study.harness.record.record import Record
 
 MATTERS = "holds in both: matters"
 NO_DIFFERENCE = "holds in both: no practical difference"
@@ -125,47 +119,6 @@ class Beside(Keyed):
     def lines(self) -> list[str]:
         """The summary in plain spaces."""
         return [text.replace("\N{NO-BREAK SPACE}", " ") for text in self.summary]
-
-
-# The cases of a study as their failures are looked at: by level, or by part of a range.
-
-#: equal parts of a range in whose stead its settings stand, where these are as good as all
-#: different: no setting of a Latin hypercube stands twice, so that none could be blamed
-PARTS = 4
-#: most settings of a range that are levels of their own
-GRID = 5
-
-
-def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
-    """Collect the settings of every case that ended, and whether it failed."""
-    parts = {
-        factor.name: parts_of(factor)
-        for factor in design.factors
-        if factor.span is not None and len(factor.levels) > GRID
-    }
-    return [
-        CaseFate(
-            {name: parts.get(name, {}).get(level, level) for name, level in record.levels.items()},
-            record.block or "",
-            not record.converged,
-            "" if record.converged else cause(record.status, record.message),
-        )
-        for record in records
-    ]
-
-
-def parts_of(factor: Factor) -> Mapping[str, str]:
-    """Part of a range that the setting of every label lies in, by its ends in words."""
-    span = factor.span
-    if span is None:
-        return {}
-    ends = [span.at(k / PARTS) for k in range(PARTS + 1)]
-    unit = f" {span.unit}" if span.unit else ""
-    words = [f"{low:.4g} to {high:.4g}{unit}" for low, high in zip(ends, ends[1:], strict=False)]
-    return {
-        label: words[sum(value >= end for end in ends[1:-1])]
-        for label, value in factor.settings.items()
-    }
 
 
 @dataclass(frozen=True)

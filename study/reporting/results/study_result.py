@@ -5,25 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from study.ground.canonical import plain
 from study.ground.curve import Curve
-from study.harness.record.document import MADE_ELSEWHERE
-from study.harness.record.record import Record, is_repeat, table
-from study.reporting.results.study_answers import fates
-from study.statistics.analysis.failures import FailurePattern, failure_pattern
+from study.record.document import MADE_ELSEWHERE
+from study.record.record import Record
+from study.statistics.analysis.failures import FailurePattern
 from study.statistics.surfaces.surface_profile import FittedSurface
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design, Expected
+    from study.ground.contrast import Expected
     from study.reporting.results.study_answers import Beside
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import DepthEffect
@@ -224,95 +220,3 @@ class ReportData(Findings):
         if self.cells is not None:
             return self.cells
         return math.prod(len(levels) for levels in self.factors.values()) - len(self.exclusions)
-
-
-def unit_of(design: Design, manifest: Mapping[str, Any]) -> str:
-    """Say what a block is: a column of the measurements or of imported runs, a marked state."""
-    spec = design.measurements
-    if spec is not None:
-        return spec.block or "block"
-    return manifest.get("unit") or ("state" if "markers" in design.config else "block")
-
-
-@dataclass(frozen=True)
-class StudyResult(Findings):
-    """A study with everything that its records tell."""
-
-    design: Design
-    folder: Path
-    #: One a case, in the order of the design; cases not computed yet are absent.
-    records: tuple[Record, ...]
-    total: int
-    #: What else is stored of the run: blocks, notes, timings, versions.
-    manifest: Mapping[str, Any]
-    report: Path | None = None
-    predicted_seconds: float = 0.0
-    #: How far 3D and axisymmetric space differ on a cylinder.
-    spaces: tuple[Mapping[str, Any], ...] = ()
-    #: What was known with so many cells, where cells were added while it ran.
-    adaptive: tuple[Mapping[str, Any], ...] = ()
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """One tidy row a case, failed ones included."""
-        return table(list(self.records))
-
-    @property
-    def plain(self) -> tuple[Record, ...]:
-        """Records without replicates: one mesh a cell, the curve as measured."""
-        return tuple(record for record in self.records if not is_repeat(record.extra))
-
-    @property
-    def failed(self) -> int:
-        """Number of cases without an answer."""
-        return sum(not record.converged for record in self.records)
-
-    @cached_property
-    def failure_pattern(self) -> FailurePattern:
-        """What the failed cases share."""
-        unit = unit_of(self.design, self.manifest)
-        return failure_pattern(fates(self.design, self.records), unit, self.design.seed)
-
-    @property
-    def cases(self) -> dict[str, int]:
-        """Number of cases: in all, done, failed and missing."""
-        return {
-            "total": self.total,
-            "done": len(self.records) - self.failed,
-            "failed": self.failed,
-            "missing": self.total - len(self.records),
-        }
-
-    @property
-    def verdicts(self) -> list[dict[str, object]]:
-        """One verdict for every response and term."""
-        return [
-            row | {"scored_on": analysis.scored_on or None}
-            for analysis in self.analyses
-            if analysis.result is not None
-            for row in analysis.result.verdicts()
-        ] + [row for surface in self.surfaces for row in surface.verdicts]
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study run --json``."""
-        answer: dict[str, object] = {
-            "study": self.design.name,
-            "cases": self.cases,
-            "predicted_seconds": self.predicted_seconds,
-            "report": None if self.report is None else str(self.report),
-            "verdicts": self.verdicts,
-            "warnings": list(self.warnings),
-        }
-        where_any = {
-            "contrasts": [
-                {"response": analysis.name, **plain(contrast)}
-                for analysis in self.analyses
-                if analysis.result is not None
-                for contrast in analysis.result.contrasts
-            ],
-            "failures": self.failed and self.failure_pattern.to_json(),
-            "surfaces": [surface.to_json() for surface in self.surfaces],
-            "adaptive": [dict(step) for step in self.adaptive],
-            "beside": self.beside and self.beside.to_json(),
-        }
-        return answer | {key: value for key, value in where_any.items() if value}

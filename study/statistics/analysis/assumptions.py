@@ -6,7 +6,6 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -53,9 +52,6 @@ from study.statistics.analysis.sums_of_squares import (
     term_sums,
 )
 from study.statistics.analysis.unreplicated import non_additivity, ulp_floor
-
-if TYPE_CHECKING:
-    pass
 
 
 def assumptions_of(out: AnalysisResult) -> AnalysisResult:

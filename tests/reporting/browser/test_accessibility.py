@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from study import api
-from study.harness.record.store import Store
+from study.record.store import Store
 from study.reporting.output import write
 from study.reporting.output.analysis_page import AnalysisSource as Source
 from study.reporting.output.analysis_page import surface_data

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from study import api
-from study.harness.record.store import Store
+from study.record.store import Store
 from tests.cli.small import DESIGN, write_files
 from tests.reporting.browser.devtools import IN_A_BROWSER, OVERFLOW
 from tests.waiting import CAP_S

@@ -1,0 +1,262 @@
+"""Files between this package and another program: the problem in JSON, the curve in CSV.
+
+``problem.json`` holds the resolved problem of one solution in mm, N and MPa. The program writes
+``curve.csv`` (``displacement_mm``, ``force_N``, and ``dforce_C10`` in N per MPa for a constant
+whose gradient it knows) and, if it likes, ``facts.json`` (``dofs``, ``elements``).
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.external.answers import (
+    NoAnswer,
+    check_columns,
+    checked_curve,
+    column_of,
+    quantity_in,
+    read_text,
+    table_rows,
+)
+from study.ground.arrays import Array
+from study.ground.bounded_file import UnreadableError, parse_json
+from study.ground.canonical import Json
+from study.ground.curve import Curve, spline_from_origin
+from study.ground.errors import Fault, InputError
+from study.ground.working_folder import UserImports
+from study.record.document import MarkerDocument, MeshDocument, SolverDocument
+
+PROBLEM_FILE = "problem.json"
+CASE_FILE = "case.json"
+CURVE_FILE = "curve.csv"
+FACTS_FILE = "facts.json"
+DISPLACEMENT = "displacement_mm"
+FORCE = "force_N"
+GRADIENT = "dforce_"
+#: unknowns and elements that no mesh has, beyond which a double is not exact
+MOST_ELEMENTS = 2**53
+#: share of the displacement asked for that a curve may end before: digits of a text file
+_SHORT = 1e-6
+
+
+@dataclass(frozen=True)
+class PredictedCurve:
+    """A prediction, and how it was found: by our solver, a program or a function."""
+
+    #: Forces at the displacements that were asked for; of parameters alone as they are given,
+    #: without a point where none is.
+    curve: Curve = field(default_factory=lambda: Curve(np.zeros(0), np.zeros(0)))
+    #: How it was found; a closed form has no mesh.
+    mesh: MeshDocument = field(default_factory=MeshDocument)
+    solver: SolverDocument = field(default_factory=SolverDocument)
+    #: What it cost beside the fit that gave the constants.
+    seconds: float = 0.0
+    #: What markers inside the specimen say of it.
+    markers: MarkerDocument | None = None
+    #: Further numbers of another program, in the units of the study file.
+    values: Mapping[str, float] = field(default_factory=dict)
+    #: Zip of its folder, where that is kept.
+    folder: bytes = b""
+    #: Files that were rendered for it.
+    rendered: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data, for the store and for workers."""
+        values = {"named_values": dict(self.values)} if self.values else {}
+        return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver, **values}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, object]) -> PredictedCurve:
+        """Inverse of :meth:`to_json`."""
+        return cls(
+            Curve.from_dict(cast("Mapping[str, object]", document["curve"])),
+            cast(MeshDocument, document.get("mesh", {})),
+            cast(SolverDocument, document["solver"]),
+            values=cast("Mapping[str, float]", document.get("named_values", {})),
+        )
+
+
+def answer(folder: Path, displacement_mm: Array, reaches: bool = True) -> PredictedCurve:
+    """Read the curve that a program wrote. Shapes: displacement_mm (n,)."""
+    header, rows = table_rows(read_text(folder, CURVE_FILE), CURVE_FILE)
+    names = (DISPLACEMENT, FORCE, *(name for name in header if name.startswith(GRADIENT)))
+    columns = {name: column_of(header, rows, name, CURVE_FILE) for name in names}
+    facts = _facts(read_text(folder, FACTS_FILE)) if os.path.lexists(folder / FACTS_FILE) else {}
+    return at_points(columns, displacement_mm, facts, reaches)
+
+
+def at_points(
+    columns: Mapping[str, Array],
+    displacement_mm: Array,
+    facts: Mapping[str, int],
+    reaches: bool = True,
+) -> PredictedCurve:
+    """Curve of some columns at the displacements asked for."""
+    # Shapes: columns (m,), MPa; displacement_mm (n,).
+    if not reaches and columns[DISPLACEMENT].size:
+        inside = displacement_mm <= columns[DISPLACEMENT][-1] * (1 + _SHORT)
+        displacement_mm = displacement_mm[inside] if inside.any() else displacement_mm
+    check_columns(columns, DISPLACEMENT, "the curve")
+    reached, force, end_mm = columns[DISPLACEMENT], columns[FORCE], float(displacement_mm[-1])
+    if reached[-1] < end_mm * (1 - _SHORT):
+        raise NoAnswer("not-converged", f"the curve ends at {reached[-1]:g} mm of {end_mm:g} mm")
+    gradients = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
+    try:
+        with np.errstate(all="ignore"):
+            places = np.minimum(displacement_mm, reached[-1])
+            gradient = {
+                k: spline_from_origin(reached, slope, places) for k, slope in gradients.items()
+            }
+            forces = spline_from_origin(reached, force, places)
+        curve = Curve(displacement_mm, forces, force_gradient=gradient)
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
+    mesh: MeshDocument = {}
+    if any(facts.values()):
+        mesh = {"dofs": facts.get("dofs", 0), "elements": facts.get("elements", 0)}
+    return PredictedCurve(curve, mesh)
+
+
+def _facts(text: str) -> dict[str, int]:
+    try:
+        facts = parse_json(text, FACTS_FILE)
+    except UnreadableError as error:
+        raise NoAnswer("failed", str(error)) from error
+    if not isinstance(facts, dict):
+        raise NoAnswer("failed", f"{FACTS_FILE} must be an object")
+    counts = {name: facts[name] for name in ("dofs", "elements") if facts.get(name) is not None}
+    for name, count in counts.items():
+        is_number = isinstance(count, int | float) and not isinstance(count, bool)
+        if not is_number or not 0 <= count <= MOST_ELEMENTS or count != int(count):
+            rule = f"must be a whole number that is not negative, got {str(count)[:80]}"
+            raise NoAnswer("failed", f"{FACTS_FILE}: {name} {rule}")
+    return {name: int(count) for name, count in counts.items()}
+
+
+# A Python function as a forward model: given to ``study.run``, never named in a file.
+
+#: problem (see ``fit_problem.request``) -> forces in N at its ``displacement_mm``,
+#: a curve, or columns such as ``displacement_mm``, ``force_N`` and ``dforce_C10``
+Function = Callable[[Mapping[str, Json]], "ArrayLike | Curve | Mapping[str, ArrayLike]"]
+
+
+@dataclass(frozen=True)
+class PythonFunction:
+    """A function that goes to worker processes."""
+
+    #: The function as cloudpickle wrote it, in base 64; it lives in memory alone.
+    text: str
+    #: Its identity, part of the name of every result: a source text is none.
+    version: str
+
+    @classmethod
+    def of(cls, function: Function, version: str) -> PythonFunction:
+        """Make it of a function."""
+        import cloudpickle
+
+        if not version.strip():
+            mend = 'give version = "1", and another one whenever the function changes'
+            raise InputError(Fault("version", "is missing: it is part of every key", mend))
+        try:
+            text = base64.b64encode(cloudpickle.dumps(function)).decode("ascii")
+        except Exception as error:  # it may hold anything
+            mend = "define it in a module, without open files or locks"
+            raise InputError(
+                Fault("forward", f"cannot go to a worker process: {error}", mend)
+            ) from error
+        return cls(text, version.strip())
+
+    def __call__(self, case: Mapping[str, object]) -> object:
+        """Call it; whatever it raises is a case without an answer."""
+        import cloudpickle
+
+        with UserImports():  # made anew: a case knows nothing of what another one left in it
+            function: Function = cloudpickle.loads(base64.b64decode(self.text))
+        try:
+            return function(_attributed(case))  # type: ignore[arg-type]
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's may raise anything
+            raise NoAnswer("failed", f"{type(error).__name__}: {error}") from error
+
+    def solve(
+        self, request: Mapping[str, object], displacement_mm: Array, units: Mapping[str, str]
+    ) -> PredictedCurve:
+        """Curve and further values of a problem."""
+        returned = self(request)
+        values = {}
+        if isinstance(returned, Mapping):
+            values = {k: quantity_in(returned[k], u, str(k)) for k, u in units.items()
+                      if k in returned}  # fmt: skip
+            returned = {k: v for k, v in returned.items() if k not in values}
+        columns = _python_function_columns(cast("ArrayLike", returned), displacement_mm)
+        return replace(at_points(columns, displacement_mm, {}), values=values)
+
+    def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> PredictedCurve:
+        """Values of parameters alone, or the curve; a value has the unit of its response."""
+        returned = self(case)
+        if isinstance(returned, Curve):
+            whole = checked_curve(returned.displacement_mm, returned.force_N, "the function")
+            return PredictedCurve(whole)
+        if not isinstance(returned, Mapping) or not returned:
+            rule = f"the function returned {type(returned).__name__}, not names with numbers"
+            columns_of = f'{{"{DISPLACEMENT}": [..], "{FORCE}": [..]}}'
+            raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}}, or a curve as {columns_of}')
+        answered = PredictedCurve()
+        if {DISPLACEMENT, FORCE} <= set(returned):
+            d, force = (np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE))
+            if d.ndim != 1 or d.shape != force.shape:
+                raise NoAnswer("failed", "the columns of the function's curve differ in length")
+            answered = PredictedCurve(checked_curve(d, force, "the function's curve"))
+            returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
+        scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
+                   for k, v in returned.items()}  # fmt: skip
+        values = {}
+        for name, value in scalars.items():
+            try:
+                values[name] = quantity_in(value, units.get(name, ""), name)
+            except NoAnswer:  # what else it returns may be no number
+                if name in units:
+                    raise
+        return replace(answered, values=values)
+
+
+class _Attributed(dict[str, object]):
+    """A case whose keys are attributes, too: ``case.parameters.mass``."""
+
+    def __getattr__(self, name: str) -> object:
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(f"the case has no {name!r}: it has {', '.join(self)}") from None
+
+
+def _attributed(value: object) -> object:
+    if isinstance(value, Mapping):
+        return _Attributed({str(k): _attributed(v) for k, v in value.items()})
+    return value
+
+
+def _python_function_columns(
+    given: ArrayLike | Curve | Mapping[str, ArrayLike], displacement_mm: Array
+) -> dict[str, Array]:
+    if isinstance(given, Curve):
+        slopes = {GRADIENT + name: slope for name, slope in given.force_gradient.items()}
+        given = {DISPLACEMENT: given.displacement_mm, FORCE: given.force_N, **slopes}
+    elif not isinstance(given, Mapping):
+        given = {FORCE: given}
+    given_columns: Mapping[str, ArrayLike] = {DISPLACEMENT: displacement_mm, **given}
+    columns = {name: np.asarray(values, dtype=float) for name, values in given_columns.items()}
+    if FORCE not in columns:
+        raise NoAnswer("failed", f"the function gives no {FORCE}")
+    size = columns[DISPLACEMENT].shape
+    for name, values in columns.items():
+        if values.shape != size or values.ndim != 1:
+            raise NoAnswer("failed", f"{name} of the function has the shape {values.shape}")
+    return columns
