@@ -617,7 +617,7 @@ class LoadPath:
         return self._lies_apart(self.steps[-1], step)
 
     def _rounded(self, step: Step) -> float:
-        """Rounding of the nodal forces over the force of a step."""
+        """Return the rounding of the nodal forces over the force of a step."""
         rounding_N = self.system.rounding_N * self.system.force_scale  # noqa: N806
         force_N = abs(step.gradients.force_N)  # noqa: N806
         return rounding_N / force_N if force_N else 0.0
