@@ -108,6 +108,10 @@ def test_cells_fill_the_specimen_and_its_whole(space, order, shape):
     part = fields(solution)
     whole = part.whole()
     assert whole.whole() is whole
+    level = whole.points[:, 1 if space == "axisymmetric" else 2]
+    axial = whole.displacement[:, 1 if space == "axisymmetric" else 2]
+    assert axial[level == 0] == pytest.approx(0, abs=1e-12)  # the base rests
+    assert axial[level == 1] == pytest.approx(-0.1)
     cells = [meshio.CellBlock(f.kind, f.cells) for f in (part, whole)]
     parts, size = (4, 0.5) if space == "axisymmetric" else (8, 1.2 / 8)
     sizes = [volume(f.points, c) for f, c in zip((part, whole), cells, strict=True)]

@@ -268,3 +268,18 @@ def test_elements_are_measured_by_what_is_touched():
     assert not said(Flat(2.0), 1.5)
     assert not said(Flat(2.0, 0.3), 3.0, interface="bonded")
     assert not said(Sphere(2.0), 1.0, depth=None)
+
+
+@pytest.mark.parametrize("depth", [1e-5, 5e-6, 1e-8])
+def test_a_sphere_hardly_touching_has_hertz_force_or_says_that_rounding_decides(depth):
+    """It stopped at 0 mm; below the allowed gap, 5e-10 of the height, forces were 1e4 too small."""
+    test = Test("indentation", depth, "frictionless", "bonded", 3, Sphere(5.0))
+    material = Material("neo-hookean", {"C10": 0.5}, poisson_ratio=0.45)
+    found = solve(Problem(Cylinder(20.0, 20.0), test, material, Model(mesh="medium")))
+    assert found.converged
+    modulus = 2 * (1 + 0.45) / (1 - 0.45**2)
+    hertz = 4 / 3 * modulus * np.sqrt(5.0) * found.curve.displacement_mm**1.5
+    is_sure = depth > 1e-6
+    assert found.curve.force_N == pytest.approx(hertz, rel=0.01 if is_sure else 0.5)
+    assert ("rounding of the nodal forces" in found.message) == (not is_sure)
+    assert "snapped" not in found.message

@@ -85,8 +85,8 @@ def test_three_meshes_give_order_limit_and_interval():
     # elements are whole numbers: sizes differ from the nominal ones by up to 1e-4
     assert found["observed_order"] == pytest.approx(1.2, abs=0.01)
     assert found["extrapolated"] == pytest.approx(30, rel=1e-4)
-    # bonded plates, nu = 0.49975: 2 lambda (Williams 1952)
-    assert found["formal_order"] == pytest.approx(2 * 0.5946, abs=1e-3)
+    # bonded plates, 3 mm down on elements of 4 mm: the side folds onto them
+    assert found["formal_order"] == 1.0
     assert "corner" in found["formal_reason"]
     assert set(found["quantities"]) == {"peak_force", "curve_rms", "work"}
     assert found["stopped"] == "3 meshes were asked for"
@@ -245,7 +245,8 @@ def test_one_real_solution_and_a_budget_that_counts_from_its_start():
 @pytest.mark.parametrize(
     ("change", "order", "why"),
     [
-        ({}, 2 * 0.5946, "corner"),
+        ({}, 1.0, "the side folds onto the plate"),
+        ({"test": {"displacement_mm": 0.5}}, 2 * 0.5946, "the displacement goes as s^0.595 there"),
         ({"test": {"interface": "frictionless"}}, 2.0, "linear elements"),
         ({"model": {"space": "3d"}, "test": {"interface": "frictionless"}}, 2.0, "elements"),
         (

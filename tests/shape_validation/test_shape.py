@@ -122,11 +122,12 @@ def test_markers_inside_move_as_the_closed_form_says(tmp_path, space):
     turn, r = 2 * np.pi * rng.random(20), 18 * np.sqrt(rng.random(20))
     rest = np.column_stack([r * np.cos(turn), r * np.sin(turn), rng.uniform(-14, 14, 20)])
     stretch = np.array([0.8**-0.5, 0.8**-0.5, 0.8])
-    put_in = np.zeros((20, 3))
-    put_in[:5, 2] = 0.5
+    put_in = np.tile([0.0, 0.0, -3.0], (20, 1))  # the base rests, so that the middle goes down
+    put_in[:5, 2] += 0.5
     both = np.column_stack([MOTION(rest), MOTION(rest * stretch + put_in)])
     markers = write_csv(tmp_path / "beads.csv", both, "x0,y0,z0,x,y,z")
-    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(RADIUS, HEIGHT, 1000, 4)))
+    scanned = cylinder(RADIUS, HEIGHT, 1000, 4) + [0, 0, -3.0]
+    cloud = write_csv(tmp_path / "scan.csv", MOTION(scanned))
     found = study.shape(
         problem(tmp_path), cloud, markers=markers, overrides=[f"model.space={space}"]
     ).markers
@@ -310,7 +311,16 @@ def test_a_quarter_of_an_upper_half_becomes_the_whole():
     found = surface_of(mesh)
     assert symmetry_of(mesh).mirrored == (True, True, True)
     assert found.volume_mm3 == pytest.approx(4 * 6 * 10)
-    assert found.displacement[found.points[:, 2] == 0.0, 2] == pytest.approx(1.0)
+    assert found.displacement[found.points[:, 2] == 0.0, 2] == pytest.approx(0.0)
+    assert found.displacement[found.points[:, 2] == 10.0, 2] == pytest.approx(-2.0)
+
+
+def test_a_scan_from_a_machine_whose_base_rests_is_compared_as_it_lies(tmp_path):
+    """The surface was said to lie 3 mm higher: its middle rested, where both plates came closer."""
+    cloud = cylinder(RADIUS, HEIGHT, 1000, 6) + [0, 0, HEIGHT / 2]
+    scan = write_csv(tmp_path / "scan.csv", cloud)
+    found = study.shape(problem(tmp_path), scan, options=AS_IT_LIES)
+    assert found.statistics.rms < 0.006
 
 
 def test_a_section_becomes_a_ring_of_the_right_volume():

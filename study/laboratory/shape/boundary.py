@@ -78,6 +78,8 @@ class Symmetry:
     mirrored: tuple[bool, bool, bool]
     #: Place of that plane, mm.
     lowest: float
+    #: What the base would rise by if that plane rested, mm.
+    rise_mm: float = 0.0
 
     def __str__(self) -> str:
         parts = ["meridian section, revolved"] if self.section else []
@@ -111,7 +113,10 @@ def symmetry_of(mesh: DeformedMesh) -> Symmetry:
 
     half = lowest > SAME_PLACE * size and is_plane(axis, lowest)
     quarter = (False, False) if mesh.is_section else (is_plane(0, 0.0), is_plane(1, 0.0))
-    return Symmetry(mesh.is_section, (*quarter, half), lowest)
+    # of an upper half the middle rests; the whole stands on a plate that does
+    top = np.abs(mesh.points[:, axis] - mesh.points[:, axis].max()) < SAME_PLACE * size
+    rise = -float(mesh.displacement[top, axis].mean()) if half else 0.0
+    return Symmetry(mesh.is_section, (*quarter, half), lowest, rise)
 
 
 def surface_of(mesh: DeformedMesh) -> BodySurface:
@@ -131,6 +136,7 @@ def surface_of(mesh: DeformedMesh) -> BodySurface:
             triangles = np.concatenate([triangles, triangles[:, ::-1] + len(points)])
             points = np.concatenate([points, other])
             displacement = np.concatenate([displacement, moved])
+    displacement = displacement - [0.0, 0.0, symmetry.rise_mm]
     return _joined(points, displacement, triangles)
 
 
@@ -285,11 +291,12 @@ class SimulatedBody:
             places[flipped, k] = 2 * plane - places[flipped, k]
             signs[flipped, k] = -1.0
         if not symmetry.section:
-            return np.asarray(interpolate(places) * signs)
+            return np.asarray(interpolate(places) * signs) - [0.0, 0.0, symmetry.rise_mm]
         radius = np.hypot(points[:, 0], points[:, 1])
         moved = interpolate(np.column_stack([radius, places[:, 2]]))
         outward = points[:, :2] / np.maximum(radius, 1e-300)[:, None]
-        return np.column_stack([moved[:, [0]] * outward, moved[:, 1] * signs[:, 2]])
+        axial = moved[:, 1] * signs[:, 2] - symmetry.rise_mm
+        return np.column_stack([moved[:, [0]] * outward, axial])
 
 
 def body_of_mesh(mesh: DeformedMesh) -> SimulatedBody:

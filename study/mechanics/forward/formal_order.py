@@ -5,6 +5,11 @@ the square of the error of the gradient: order 2 k for an element of degree k, i
 solution is smooth. A corner where the displacement goes as s^lambda allows 2 lambda only,
 whatever the element (Babuska and Szabo 1982, Int. J. Numer. Meth. Eng. 18, 323).
 
+Where a plate has moved by more than a part of an element, the free side beside it has folded onto
+it on the finest meshes: the material fills a half-plane there, bonded on one side of the rim as
+under a flat punch, and lambda is 1/2. With the exponent of the right angle the bounds of linear
+elements on bonded Ogden and Mooney-Rivlin bodies (compressed by 10 to 25 %) fell short of errors.
+
 The sharp edge of a flat punch has lambda = 1/2, bonded or not: the contact pressure goes as
 s^(-1/2) with the distance s to the edge (Sneddon 1965, Int. J. Eng. Sci. 3, 47; Johnson 1985,
 Contact Mechanics, chapters 2 and 3: bonded it oscillates besides, unless nu = 1/2).
@@ -24,8 +29,8 @@ _DEGREE = {"linear": 1, "quadratic": 2}
 #: elements along the radius of a rounded edge from which on it is not sharp to a mesh
 _ACROSS_EDGE = 2.0
 
-#: depth over the coarsest element at a sharp edge from which on its strains are large on the
-#: finest one; equilibria are not unique there then
+#: depth over the coarsest element at a sharp edge or a bonded corner from which on its strains are
+#: large on the finest one; at an edge equilibria are not unique then, at a corner the side folds
 _DEEP = 0.25
 _RIM = (
     "the rim of the contact, which a mesh places to within an element; the force is stationary "
@@ -63,6 +68,11 @@ def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
     if isinstance(singularity, ClampedCorner):
         K, mu = problem.material.bulk, problem.material.mu0
         exponent = clamped_corner(0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu)))
+        if exponent < 1 and _is_deep(problem):
+            return 1.0, (
+                f"the corner between a bonded and a free face: at {problem.test.depth_mm:.3g} mm "
+                "the side folds onto the plate, and the rim is that of a bonded flat punch"
+            )
         return 2 * exponent, (
             f"the corner between a bonded and a free face: the displacement goes as "
             f"s^{exponent:.3f} there"
@@ -86,7 +96,6 @@ def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
 
 def _sharp(problem: Problem, edge: str) -> str:
     """Why the order is 1 under a sharp edge, and what may hide it."""
-    depth = problem.test.depth_mm
     orders = " and ".join(f"{2 * degree} of {name}" for name, degree in _DEGREE.items())
     why = (
         f"the {edge} of the flat punch, where the contact pressure is singular as an "
@@ -94,13 +103,19 @@ def _sharp(problem: Problem, edge: str) -> str:
         "whatever the element, so an observed order near 1 is right here (the orders "
         f"{orders} elements need a smooth solution)"
     )
-    size = element_size_mm(problem)
-    if not problem.material.small_strain and depth > _DEEP * size:
+    if _is_deep(problem):
         why += (
-            f"; at a depth of {depth:.3g} mm, beside elements of {size:.3g} mm and less, large "
-            "strains and sliding at the edge may hide the order: a smaller depth shows it"
+            f"; at a depth of {problem.test.depth_mm:.3g} mm, beside elements of "
+            f"{element_size_mm(problem):.3g} mm and less, large strains and sliding at the edge "
+            "may hide the order: a smaller depth shows it"
         )
     return why
+
+
+def _is_deep(problem: Problem) -> bool:
+    """Whether strains at an edge or a corner are large on the finer meshes of a series."""
+    small = problem.material.small_strain
+    return not small and problem.test.depth_mm > _DEEP * element_size_mm(problem)
 
 
 def element_size_mm(problem: Problem) -> float:

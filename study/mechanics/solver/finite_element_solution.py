@@ -16,6 +16,7 @@ from study.ground.compilation import vectors_alone
 from study.ground.errors import Fault, InputError, MeshError
 from study.mechanics.contact.contact import BESIDES, face_motions
 from study.mechanics.element.function_space import (
+    _SAME,
     Discretization,
     at_level,
     deformation_gradient,
@@ -354,7 +355,10 @@ class Fields:
     parity: tuple[int, ...] = (1, 1, 1)
 
     def whole(self) -> Fields:
-        """Mirror the part at its planes of symmetry; an axisymmetric one becomes its section."""
+        """Mirror the part at its planes of symmetry; an axisymmetric one becomes its section.
+
+        The base rests, as in a model of the full height: of an upper half its middle plane does.
+        """
         if not self.planes:
             return self
         body, extent = self, "the whole body"
@@ -363,6 +367,9 @@ class Fields:
             body, extent = replace(self, nodal=nodal), "the section through the axis"
         for axis, level in self.planes:
             body = body._mirrored(axis, level)
+            if level > 0:
+                lowest = body.points[:, axis] <= body.points[:, axis].min() + _SAME * level
+                body.displacement[:, axis] -= body.displacement[lowest, axis].mean()
         return replace(body, symmetry=f"{extent}, mirrored", planes=(), share=1.0)
 
     def _mirrored(self, axis: int, level: float) -> Fields:

@@ -145,6 +145,9 @@ _UNEVEN = 0.08
 #: share of the energy lost in snaps above which it is no event of the surface alone
 _MUCH_LOST = 0.05
 
+#: rounding of the nodal forces over the force above which it is said, and no jump is looked for
+_ROUNDED = 1e-3
+
 #: force of a pin over that of the test above which a specimen is not balanced
 _UNBALANCED = 1e-3
 
@@ -609,7 +612,15 @@ class LoadPath:
         first_mm = self._whole_mm / self.problem.test.steps
         if not self.steps or self._reached[-1] < (1 - 1e-9) * first_mm:
             return False
+        if self._rounded(step) > _ROUNDED:
+            return False
         return self._lies_apart(self.steps[-1], step)
+
+    def _rounded(self, step: Step) -> float:
+        """Return the rounding of the nodal forces over the force of a step."""
+        rounding_N = self.system.rounding_N * self.system.force_scale  # noqa: N806
+        force_N = abs(step.gradients.force_N)  # noqa: N806
+        return rounding_N / force_N if force_N else 0.0
 
     def _lies_between(self, step: Step) -> bool:
         """Whether a state is on the way between its neighbors.
@@ -766,6 +777,14 @@ class LoadPath:
     def _not_converged(self, curve: Curve) -> list[str]:
         """Say which iterations beside Newton's ended before their tolerance."""
         notes, missed = [], [step for step in self.steps if step.gradients.excess > 1]
+        rounded = max(map(self._rounded, self.steps[-1:]), default=0.0)
+        if rounded > _ROUNDED:
+            share = self.steps[-1].state.displacement_mm / self.system.mesh.height_mm
+            notes.append(
+                f"rounding of the nodal forces is {100 * rounded:.2g} % of the force: the "
+                f"displacement is {share:.2g} of the height; press deeper, or model a smaller "
+                "specimen"
+            )
         if missed:
             worst = max(missed, key=lambda step: step.gradients.excess)
             notes.append(

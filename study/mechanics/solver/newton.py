@@ -48,8 +48,10 @@ class NewtonSettings:
 
     #: On the residual of the free unknowns over the reaction.
     tolerance: float = 1e-8
-    #: Largest |gap| of an active contact point, in multiples of the specimen's height.
+    #: Largest |gap| of an active contact point, in multiples of the specimen's height, and of the
+    #: displacement: the smaller counts.
     gap: float = 2e-9
+    gap_of_displacement: float = 1e-3
     #: Largest tension of a held contact point over the largest contact pressure.
     pull: float = 0.05
     #: After as many the step has failed; the second counts while contact still changes.
@@ -59,7 +61,10 @@ class NewtonSettings:
     def passing(self) -> NewtonSettings:
         """For a state that nobody asked for: it only leads to the next."""
         return replace(
-            self, tolerance=max(self.tolerance, _PASSING_TOLERANCE), gap=max(self.gap, _PASSING_GAP)
+            self,
+            tolerance=max(self.tolerance, _PASSING_TOLERANCE),
+            gap=max(self.gap, _PASSING_GAP),
+            gap_of_displacement=1.0,
         )
 
 
@@ -114,7 +119,7 @@ def solve_step(
             right -= system.lift_product(lift)
         else:
             residuals.append(_relative(system, state, assembly))
-            if _done(system, residuals[-1], assembly, settings):
+            if _done(system, state, residuals[-1], assembly, settings):
                 return NewtonResult(state, True, iteration, "converged", (*residuals,), assembly, J)
         if _hopeless(iteration, residuals, switches.changing, settings):
             break
@@ -212,14 +217,19 @@ def _measures(system: System, state: State, assembly: Assembly) -> tuple[float, 
     # the cross-section of the whole: both its volume and its height are doubled in a half model
     area_mm2 = volume * system.force_scale / system.mesh.height_mm
     floor = max(1e-6 * mu * area_mm2 * strain, 0.5 * mu * system.touch_mm**2)
-    return max(reaction, floor), volume
+    # no residual falls below the rounding of the forces in it
+    return max(reaction, floor, system.rounding_N / NewtonSettings.tolerance), volume
 
 
-def _done(system: System, residual: float, assembly: Assembly, settings: NewtonSettings) -> bool:
+def _done(
+    system: System, state: State, residual: float, assembly: Assembly, settings: NewtonSettings
+) -> bool:
     """Whether a state is an equilibrium with its contact settled."""
     if not residual < settings.tolerance:
         return False
-    gap = settings.gap * system.mesh.height_mm
+    gap, moved_mm = settings.gap * system.mesh.height_mm, abs(state.displacement_mm)
+    if moved_mm > 0:
+        gap = min(gap, settings.gap_of_displacement * moved_mm)
     return all(
         touch.settled() and touch.largest_violation() < gap and touch.largest_pull() < settings.pull
         for touch in assembly.contact

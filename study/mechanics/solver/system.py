@@ -193,6 +193,11 @@ class System:
         return (4.0 if is_part else 1.0) * (2.0 if self.mesh.half_height else 1.0)
 
     @property
+    def rounding_N(self) -> float:  # noqa: N802
+        """Norm of the residual that rounding leaves of nodal forces, N of the model."""
+        return self.material.mu0 * self.internal.rounding_mm2
+
+    @property
     def pattern(self) -> Pattern:
         """Free unknowns and the entries of the tangent."""
         return self.tangent.pattern
