@@ -16,15 +16,8 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest
-from study.statistics.analysis.anova_table import DifferenceInterval
+from study.statistics.analysis.anova_table import Comparison
 from study.statistics.analysis.simple_effects import CANNOT_TELL, Differences, claim
-
-
-@dataclass(frozen=True)
-class LevelPair(DifferenceInterval):
-    """Difference of two levels with its adjusted p."""
-
-    p: float
 
 
 @dataclass(frozen=True)
@@ -33,7 +26,7 @@ class Comparisons:
 
     method: str
     alpha: float
-    pairs: tuple[LevelPair, ...]
+    pairs: tuple[Comparison, ...]
     letters: dict[str, str]
     is_ratio: bool = False
 
@@ -84,9 +77,11 @@ class GroupMoments:
             error, d = math.sqrt(square / 2), float(self.mean[i] - self.mean[j])
             half = studentized_range_quantile(1 - alpha, k, df) * error
             p = 1 - studentized_range_cdf(abs(d) / error, k, df)
-            pairs.append(LevelPair(self.names[i], self.names[j], d, d - half, d + half, p))
+            names = self.names[i], self.names[j]
+            pairs.append(Comparison(*names, d, d - half, d + half, p=p))
         method = "Tukey-Kramer" if equal else "Games-Howell"
-        different = {frozenset((x.first, x.second)) for x in pairs if x.p < alpha}
+        apart = (x for x in pairs if x.p is not None and x.p < alpha)
+        different = {frozenset((x.first, x.second)) for x in apart}
         ordered = [self.names[i] for i in np.argsort(-self.mean, kind="stable")]
         return Comparisons(method, alpha, tuple(pairs), letters(ordered, different))
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from study.ground.arrays import Array, Flags, Ints
 from study.statistics.analysis.anova_table import (
+    Comparison,
     CompleteSettings,
     Effect,
-    PairDifference,
     SimpleEffect,
 )
 from study.statistics.analysis.comparisons import (
@@ -592,7 +592,7 @@ def _resolved(ratio: float) -> str:
 
 def _pairs(
     estimate: TermEstimate, back: Callable[[float], float]
-) -> tuple[tuple[PairDifference, ...], tuple[str, ...]]:
+) -> tuple[tuple[Comparison, ...], tuple[str, ...]]:
     """Differences of all pairs of levels of a factor, and the letters of the levels."""
     levels, pairs = estimate.levels, []
     if estimate.half is None or len(estimate.term) != 1 or len(levels) > MOST_LEVELS:
@@ -600,7 +600,7 @@ def _pairs(
     for i, j in combinations(range(len(levels)), 2):
         d, h = float(estimate.component[i] - estimate.component[j]), float(estimate.half[i, j])
         ends = back(d), back(d - h), back(d + h)
-        pairs.append(PairDifference(levels[i], levels[j], *ends, abs(d) > h))
+        pairs.append(Comparison(levels[i], levels[j], *ends, different=abs(d) > h))
     apart = {frozenset((pair.first, pair.second)) for pair in pairs if pair.different}
     by_level = letters([levels[i] for i in np.argsort(-estimate.component, kind="stable")], apart)
     return tuple(pairs), tuple(by_level[level] for level in levels)

@@ -17,10 +17,9 @@ import pandas as pd
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
-from study.statistics.analysis.anova_table import DifferenceInterval, Effect, PairDifference, Row
+from study.statistics.analysis.anova_table import Comparison, Effect, Row
 from study.statistics.analysis.comparisons import (
     Comparisons,
-    LevelPair,
     block_multiplier,
     studentized_range_cdf,
     t_quantile,
@@ -184,9 +183,10 @@ def _against(
     method: str,
     alpha: float,
 ) -> Comparisons:
-    ends = zip(means.tolist(), (means - half).tolist(), (means + half).tolist(), p, strict=True)
-    pairs = (LevelPair(name, reference, *end) for name, end in zip(others, ends, strict=True))
-    return Comparisons(method, alpha, tuple(pairs), {})
+    ends = zip(means.tolist(), (means - half).tolist(), (means + half).tolist(), strict=True)
+    each = zip(others, ends, p, strict=True)
+    pairs = tuple(Comparison(name, reference, *end, p=p_of) for name, end, p_of in each)
+    return Comparisons(method, alpha, pairs, {})
 
 
 #: smallest p that is told apart: one of the 4,000 draws of the multiplier
@@ -239,19 +239,7 @@ HOTELLING = "Hotelling"
 TWO_LEVELS = "t"
 
 
-@dataclass(frozen=True)
-class PairwiseDifference(DifferenceInterval):
-    """Difference of two levels of one factor, with the interval of all its pairs together."""
-
-    factor: str
-    #: Adjusted for all pairs of the factor; below alpha exactly where the interval excludes no
-    #: difference. None where the error is made of several strata.
-    p: float | None
-    #: What makes interval and p hold for all pairs together.
-    method: str
-
-
-def pairwise(analysis: AnalysisResult) -> tuple[PairwiseDifference, ...]:
+def pairwise(analysis: AnalysisResult) -> tuple[Comparison, ...]:
     """Give all pairwise comparisons of an analysis, factor after factor.
 
     With one pooled error they are Tukey's (Kramer's where unbalanced). Where effects are tested
@@ -262,13 +250,12 @@ def pairwise(analysis: AnalysisResult) -> tuple[PairwiseDifference, ...]:
     compared = []
     for effect, pair in ((e, pair) for e in analysis.effects if e.is_main for pair in e.pairs):
         method, p = _adjusted(effect, pair, rows.get(effect.term), analysis)
-        difference = pair.first, pair.second, pair.difference, pair.lower, pair.upper
-        compared.append(PairwiseDifference(*difference, effect.term, p, method))
+        compared.append(replace(pair, factor=effect.term, p=p, method=method, different=None))
     return tuple(compared)
 
 
 def _adjusted(
-    effect: Effect, pair: PairDifference, row: Row | None, analysis: AnalysisResult
+    effect: Effect, pair: Comparison, row: Row | None, analysis: AnalysisResult
 ) -> tuple[str, float | None]:
     if row is None or row.error is None or row.df_error is None or row.df_error <= 0:
         return "", None
