@@ -303,17 +303,6 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class WaldTest:
-    """Robust test of one term."""
-
-    term: str
-    f: float | None
-    df: tuple[float, float] | None
-    p: float | None
-    reason: str = ""
-
-
-@dataclass(frozen=True)
 class BoxCoxResult:
     """Power transformation of the response with its 95 % likelihood interval."""
 

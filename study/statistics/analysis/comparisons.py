@@ -127,10 +127,7 @@ def letters(names: Sequence[str], different: set[frozenset[str]]) -> dict[str, s
     return {n: "".join(tag for tag, c in zip(tags, columns, strict=True) if n in c) for n in names}
 
 
-@lru_cache(maxsize=4)
-def _legendre(n: int) -> tuple[Array, Array]:
-    nodes, weights = np.polynomial.legendre.leggauss(n)
-    return nodes, weights
+_legendre = lru_cache(maxsize=4)(np.polynomial.legendre.leggauss)
 
 
 #: degrees of freedom from which a sum over s is its value at 1 in every digit

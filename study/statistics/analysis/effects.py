@@ -486,11 +486,15 @@ def size(
     simple_effects = (simple or {}).get(name)
     verdict, why, needed = _judged(estimate, scale, simple_effects)
     pairs, tags = _pairs(estimate, back)
+    u = scale.between(estimate, top, bottom)
     effect = replace(
         effect,
         range=back(largest),
         verdict=verdict,
         largest=(estimate.levels[top], estimate.levels[bottom]),
+        u_num=None if u is None else u / scale.unit,
+        effect_over_u_num=largest / u if u else None,
+        resolved=_resolved(largest / u) if u else None,
         why=why,
         pairs=pairs,
         letters=tags,
@@ -503,10 +507,6 @@ def size(
     if estimate.mean_half is not None and not np.isnan(estimate.mean).any():
         around = zip(estimate.mean.tolist(), estimate.mean_half.tolist(), strict=True)
         effect = replace(effect, mean_ci95=tuple((back(m - h), back(m + h)) for m, h in around))
-    if (u := scale.between(estimate, top, bottom)) is not None:
-        effect = replace(effect, u_num=u / scale.unit)
-    if u:
-        effect = replace(effect, effect_over_u_num=largest / u, resolved=_resolved(largest / u))
     if simple_effects is not None:
         listed, always = _listed(simple_effects, scale), simple_effects.always
         withdrawn = simple_effects.withdrawn
@@ -564,7 +564,9 @@ def _of_components(estimate: TermEstimate, scale: Scale) -> Judgement:
     # nothing bounds the numerical error of a quantity that diverges
     u = np.broadcast_to([math.inf if v is None else v for v in bounds], d.shape)
     w = np.zeros(d.size) if estimate.half is None else estimate.half[first, second]
-    return judge_all(d - w, d + w, scale.practical or 0.0, u)
+    judged = judge_all(d - w, d + w, scale.practical or 0.0, u)
+    needed = judged.u_needed
+    return judged if needed is None else judged._replace(u_needed=float(f"{needed:.6g}"))
 
 
 def _listed(simple: SimpleEffects, scale: Scale) -> tuple[SimpleEffect, ...]:

@@ -15,7 +15,14 @@ from study.ground.arrays import Array, one_thread
 from study.ground.errors import Fault, InputError
 from study.ground.units import p_phrase
 from study.statistics.analysis.comparisons import holm
-from study.statistics.analysis.linear_model import CellLayout, Term, balanced, span, term_name
+from study.statistics.analysis.linear_model import (
+    CellLayout,
+    Term,
+    balanced,
+    products,
+    span,
+    term_name,
+)
 
 _ALPHAS = (0.10, 0.05, 0.01)
 _CRITICAL = (
@@ -369,13 +376,9 @@ def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> di
         raise InputError(Fault("cells", rule, "average repeats, leave out incomplete levels"))
     contrasts = {}
     for term in terms:
-        columns = np.ones((layout.n, 1))
-        for name in factors:
-            k = len(layout.levels[name])
-            code = scipy.linalg.helmert(k).T if name in term else np.full((k, 1), k**-0.5)
-            part = code[layout.codes[name]]
-            columns = (columns[:, :, None] * part[:, None, :]).reshape(layout.n, -1)
-        contrasts[term_name(term)] = columns.T @ (y - y[0, 0])
+        coded = {f: scipy.linalg.helmert(k).T if f in term else np.full((k, 1), k**-0.5)
+                 for f, k in ((f, len(layout.levels[f])) for f in factors)}  # fmt: skip
+        contrasts[term_name(term)] = products(layout, coded).T @ (y - y[0, 0])
     return contrasts
 
 

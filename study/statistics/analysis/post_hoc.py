@@ -299,22 +299,13 @@ LARGE_LEVERAGE = 3.0
 
 def diagnosed_rows(analysis: AnalysisResult) -> pd.DataFrame | None:
     """Every row with its standardized and PRESS residual; None where nothing was left over."""
-    rows = analysis.residuals
-    if "leverage" not in rows:
+    rows, fit = analysis.residuals, analysis.fit
+    if fit is None or fit.df_residual < 1 or fit.rss <= 0:
         return None
-    leverage = rows["leverage"].to_numpy(float)
-    residual = rows["residual"].to_numpy(float)
-    df = len(rows) - float(leverage.sum())
-    rss = float(residual @ residual)
-    # half a degree of freedom is rounding of the sum of the leverages
-    if df < 0.5 or rss <= 0:
-        return None
-    s = math.sqrt(rss / df)
     # a row that is fitted exactly leaves 0 / 0: it has no residual to judge
-    left = np.where(leverage < EXACT, 1 - leverage, np.nan)
-    return rows.assign(
-        row=rows["row"] + 1, standardized=residual / s / np.sqrt(left), press=residual / left
-    )
+    left = np.where(fit.leverage < EXACT, 1 - fit.leverage, np.nan)
+    standardized = fit.residual / math.sqrt(fit.rss / fit.df_residual) / np.sqrt(left)
+    return rows.assign(row=rows["row"] + 1, standardized=standardized, press=fit.residual / left)
 
 
 def unusual_observations(analysis: AnalysisResult) -> pd.DataFrame | None:

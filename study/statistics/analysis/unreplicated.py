@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from study.statistics.analysis.linear_model import (
     balanced,
     factorize,
     model_matrix,
+    products,
     term_name,
     terms_of,
 )
@@ -186,20 +188,15 @@ def orthonormal_contrasts(layout: CellLayout, terms: Sequence[Term]) -> tuple[li
     Shapes: returns (n, m).
     """
     names: list[str] = []
-    columns: list[Array] = []
     for term in terms:
-        pieces = [("", np.ones(layout.n))]
-        for factor in term:
-            coded = _one_df_contrasts(layout.levels[factor])[layout.codes[factor]]
-            tags = [f"[{i + 1}]" if coded.shape[1] > 1 else "" for i in range(coded.shape[1])]
-            pieces = [
-                (f"{name}:{factor}{tag}".lstrip(":"), column * coded[:, i])
-                for name, column in pieces
-                for i, tag in enumerate(tags)
-            ]
-        names += [name for name, _ in pieces]
-        columns += [column / np.linalg.norm(column) for _, column in pieces]
-    return names, np.column_stack(columns)
+        parts = [range(1, len(layout.levels[factor])) for factor in term]
+        tags = ([f"{f}[{i}]" if len(part) > 1 else f for i in part]
+                for f, part in zip(term, parts, strict=True))  # fmt: skip
+        names += map(term_name, product(*tags))
+    factors = {name for term in terms for name in term}
+    coded = {name: _one_df_contrasts(layout.levels[name]) for name in factors}
+    columns = np.hstack([products(layout, {f: coded[f] for f in term}) for term in terms])
+    return names, columns / np.linalg.norm(columns, axis=0)
 
 
 def _one_df_contrasts(levels: Sequence[str]) -> Array:
