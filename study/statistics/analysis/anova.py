@@ -70,7 +70,7 @@ if TYPE_CHECKING:
 def assemble(out: AnalysisResult) -> AnalysisResult:
     """Check assumptions, adjust p, and plan other numbers of rows."""
     out = assumptions_of(out).warn(*_inestimable(out.effects), *_partial(out.effects))
-    groups_of = out.copies.groups
+    groups_of = out.copies
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error_term is not NO_ERROR:
         out = out.warn(
             f"{sum(map(len, groups_of))} cells hold {len(groups_of)} distinct computations (the "

@@ -237,6 +237,17 @@ def two_sided(t: float, df: float) -> float:
     return 2 * float(stdtr(df, -abs(t)))
 
 
+def all_contrasts(k: int, df: float, alpha: float, *, by_block: bool) -> float | None:
+    """Multiplier for all contrasts of k dimensions: Scheffe's with a pooled variance.
+
+    Hotelling's where each contrast has its own variance ``by_block``; None of too few blocks.
+    """
+    from scipy.special import fdtri
+
+    free = df + 1 - k if by_block else df
+    return math.sqrt(k * df / free * float(fdtri(k, free, 1 - alpha))) if free > 0 else None
+
+
 def block_multiplier(
     contrasts: Array, alpha: float, seed: int | None, groups: Sequence[Ints], df: Array
 ) -> Array:

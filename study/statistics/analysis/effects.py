@@ -17,6 +17,7 @@ from study.statistics.analysis.anova_table import (
     SimpleEffect,
 )
 from study.statistics.analysis.comparisons import (
+    all_contrasts,
     block_multiplier,
     letters,
     pooled_multiplier,
@@ -117,8 +118,8 @@ def pooled_estimate(
     sample = with_pooled_error(fit, rss, df, alpha, None)
     levels = [len(layout.levels[name]) for name in term]
     sizes = math.prod(levels), math.prod(k - 1 for k in levels)
-    critical = pooled_critical(*sizes, df, len(term) == 1, alpha) if df > 0 else None
-    return sampled_estimate(layout, fit, term, p, sample, critical)
+    multiplier = critical(*sizes, df, alpha, main=len(term) == 1) if df > 0 else None
+    return sampled_estimate(layout, fit, term, p, sample, multiplier)
 
 
 def sampled_estimate(
@@ -127,11 +128,11 @@ def sampled_estimate(
     term: Term,
     p: float | None,
     sample: Sample,
-    critical: float | None = None,
+    multiplier: float | None = None,
 ) -> TermEstimate:
     """Estimate of a term whose differences and means have standard errors of their own each.
 
-    ``critical`` is the multiplier of the differences; None for that of the sample.
+    ``multiplier`` is that of the differences; None for the sample's own.
     """
     levels, component_rows, mean_rows, complete = term_rows(layout, fit, term)
     k = len(levels)
@@ -147,42 +148,27 @@ def sampled_estimate(
         pairs = sample(Differences(component_rows, first, second))
         if pairs.error is not None:
             half = np.zeros((k, k))
-            wide = pairs.error * (pairs.simultaneous if critical is None else critical)
+            wide = pairs.error * (pairs.simultaneous if multiplier is None else multiplier)
             half[first, second] = half[second, first] = wide
     settings = tuple(product(*(layout.levels[name] for name in term)))
     return TermEstimate(term, levels, component, mean, half, mean_half, p, settings, complete)
 
 
-def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
-    """Smallest valid simultaneous multiplier: Tukey-Kramer, Bonferroni or Scheffe."""
-    from scipy.special import fdtri
+def critical(
+    k: int, df_term: int, df: float, alpha: float, *, by_block: bool = False, main: bool = False
+) -> float:
+    """Smallest valid simultaneous multiplier of the differences of k levels of a term.
 
-    if k == 2:
+    Bonferroni's, or that of all contrasts of the term; of a ``main`` effect with a pooled error
+    Tukey and Kramer's. With variances of their own ``by_block`` none needs sphericity.
+    """
+    if k == 2 or df_term == 1:
         return t_quantile(alpha / 2, df)
-    options = [
-        t_quantile(alpha / (k * (k - 1)), df),
-        math.sqrt(df_term * float(fdtri(df_term, df, 1 - alpha))),
-    ]
+    options = [t_quantile(alpha / (k * (k - 1)), df)]
+    if (every := all_contrasts(df_term, df, alpha, by_block=by_block)) is not None:
+        options.append(every)
     if main:
         options.append(studentized_range_quantile(1 - alpha, k, df) / math.sqrt(2))
-    return min(options)
-
-
-def own_critical(k: int, df_term: int, blocks: int, alpha: float) -> float:
-    """Multiplier where each difference has its own variance over blocks.
-
-    Bonferroni, or Hotelling's T^2 (all contrasts of the term at once) where that is smaller:
-    neither needs sphericity.
-    """
-    from scipy.special import fdtri
-
-    if k == 2 or df_term == 1:
-        return t_quantile(alpha / 2, blocks - 1)
-    options = [t_quantile(alpha / (k * (k - 1)), blocks - 1)]
-    rest = blocks - df_term
-    if rest > 0:
-        f = float(fdtri(df_term, rest, 1 - alpha))
-        options.append(math.sqrt(df_term * (blocks - 1) / rest * f))
     return min(options)
 
 

@@ -314,7 +314,7 @@ def _sparse_ready(out: AnalysisResult, fit: Factored) -> bool:
     """One row in every cell of the full grid or of a saturated model, no copies."""
     data = out.data
     # copies are no separate contrasts: Lenth's limits would not hold
-    copied = len(out.copies.groups) < np.unique(data.cell).size
+    copied = len(out.copies) < np.unique(data.cell).size
     if copied or int(np.bincount(data.cell).max()) > 1:
         return False
     return fit.df_residual == 0 or (not data.blocks and balanced(data.layout, data.factors))

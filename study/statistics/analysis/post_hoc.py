@@ -26,7 +26,7 @@ from study.statistics.analysis.comparisons import (
     two_sided,
 )
 from study.statistics.analysis.data import Crossed
-from study.statistics.analysis.effects import group_errors, own_critical, pooled_critical, term_rows
+from study.statistics.analysis.effects import critical, group_errors, term_rows
 from study.statistics.analysis.incomplete_blocks import mixed_cells
 from study.statistics.analysis.linear_contrast import Cells, possible_contrasts
 from study.statistics.analysis.linear_model import CellLayout, Term, nested_in, terms_of
@@ -264,13 +264,13 @@ def _adjusted(
     k, alpha, df = len(effect.levels), analysis.request.alpha, row.df_error
     pairs = k * (k - 1) / 2
     if row.error == "residual":
-        critical = pooled_critical(k, k - 1, df, True, alpha)
+        multiplier = critical(k, k - 1, df, alpha, main=True)
         method = TUKEY
     elif row.error == f"{analysis.data.block}:{effect.term}" and row.df:
         df = float(round(df / row.df))
         # its own variance over blocks: the multiplier that made the interval
-        critical = own_critical(k, k - 1, int(df) + 1, alpha)
-        method = BONFERRONI if critical >= t_quantile(alpha / (2 * pairs), df) else HOTELLING
+        multiplier = critical(k, k - 1, df, alpha, by_block=True)
+        method = BONFERRONI if multiplier >= t_quantile(alpha / (2 * pairs), df) else HOTELLING
     else:
         return "", None
     method = TWO_LEVELS if k == 2 else method
@@ -279,7 +279,7 @@ def _adjusted(
         size, half = math.log(pair.difference), math.log(pair.upper / pair.lower) / 2
     if not (math.isfinite(half) and half > 0):
         return method, None
-    t = abs(size) / half * critical
+    t = abs(size) / half * multiplier
     if method == TUKEY:
         return method, max(0.0, 1 - studentized_range_cdf(t * math.sqrt(2), k, df))
     if method == HOTELLING:

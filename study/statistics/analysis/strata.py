@@ -26,8 +26,8 @@ from study.statistics.analysis.analysis_result import AnalysisResult, Assumption
 from study.statistics.analysis.anova_table import Anova, Effect, ErrorTerm, Row
 from study.statistics.analysis.data import Crossed, Data, constant_in_blocks, crossed
 from study.statistics.analysis.effects import (
+    critical,
     over_groups,
-    own_critical,
     pooled_estimate,
     sampled_estimate,
     size,
@@ -495,9 +495,9 @@ def _effects(
         p = row.p_deciding
         if not several or fewest >= LEAST_OWN:
             levels = math.prod(len(layout.levels[name]) for name in term)
-            of_term = own_critical(levels, max(int(row.df), 1), b, request.alpha)
-            critical = None if several else of_term
-            estimate = sampled_estimate(layout, fit, term, p, own_errors, critical)
+            of_term = critical(levels, max(int(row.df), 1), b - 1, request.alpha, by_block=True)
+            multiplier = None if several else of_term
+            estimate = sampled_estimate(layout, fit, term, p, own_errors, multiplier)
         else:
             error = by_error.get(row.error or "", row)
             df = error.df * (row.epsilon_gg or 1.0) if row.error else 0.0

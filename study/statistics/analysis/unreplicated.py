@@ -275,16 +275,8 @@ _LIKE_BLOCKS = (
 )
 
 
-@dataclass(frozen=True)
-class CopyGroups:
-    """Cells that agree in every block, one representative first."""
-
-    groups: tuple[tuple[int, ...], ...]
-
-    @property
-    def representatives(self) -> tuple[int, ...]:
-        """First cell of each group."""
-        return tuple(group[0] for group in self.groups)
+#: Groups of cells that agree in every block; the first of each group represents it.
+Copies = tuple[tuple[int, ...], ...]
 
 
 def ulp_floor(y: Array) -> float:
@@ -329,7 +321,7 @@ def _refuse_copies(unit: Ints, y: Array, floor: float, rule: str) -> list[str]:
     return []
 
 
-def group_cells(y: Array, within: float) -> CopyGroups:
+def group_cells(y: Array, within: float) -> Copies:
     """Group cells that agree with the group's first cell in every block.
 
     Shapes: y (cells, blocks).
@@ -348,17 +340,17 @@ def group_cells(y: Array, within: float) -> CopyGroups:
         else:
             heads[len(groups)] = values
             groups.append([cell])
-    return CopyGroups(tuple(tuple(group) for group in groups))
+    return tuple(map(tuple, groups))
 
 
-def copies_of(data: Data, within: float, *, computed: bool) -> CopyGroups:
+def copies_of(data: Data, within: float, *, computed: bool) -> Copies:
     """Cells that are one computation, judged on the raw response."""
     cells = np.unique(data.cell)
     blocks = 1 if data.block is None else len(data.layout.levels[data.block])
     if not computed and (data.block is None or blocks < 3):
-        return CopyGroups(tuple((int(c),) for c in cells))
+        return tuple((int(c),) for c in cells)
     table = np.full((cells.size, blocks), np.nan)
     column = 0 if data.block is None else data.layout.codes[data.block]
     table[np.searchsorted(cells, data.cell), column] = data.y
     copies = group_cells(table, max(within, ulp_floor(data.y)))
-    return CopyGroups(tuple(tuple(int(cells[i]) for i in g) for g in copies.groups))
+    return tuple(tuple(cells[list(group)].tolist()) for group in copies)

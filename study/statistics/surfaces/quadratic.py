@@ -14,6 +14,7 @@ import scipy
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
+from study.statistics.analysis.comparisons import all_contrasts
 from study.statistics.analysis.data import DISTINCT_ROWS
 from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
 from study.statistics.analysis.sums_of_squares import (
@@ -292,10 +293,8 @@ def level_limit(k: int, df: int, error: Error) -> float | None:
     The residual has df degrees of freedom (Box and Hunter 1954, Biometrika 41, 190-199); the
     gradients of df + 1 blocks have the mean zero by Hotelling's T^2.
     """
-    if error != "blocks":
-        return k * float(scipy.special.fdtri(k, df, 0.95))
-    free = df + 1 - k
-    return k * df / free * float(scipy.special.fdtri(k, free, 0.95)) if free > 0 else None
+    multiplier = all_contrasts(k, df, 0.05, by_block=error == "blocks")
+    return None if multiplier is None else multiplier**2
 
 
 # A quadratic surface fitted to runs, and what may be said of it.
@@ -392,11 +391,9 @@ class QuadraticSurface(Keyed):
             for a, b in combinations(range(steps.size), 2)
             for d in [rows[a] - rows[b]]
         )
-        if self.error != "blocks":
-            return largest * float(np.sqrt(p * scipy.special.fdtri(p, self.df, 0.95)))
-        free = self.df + 1 - p
-        if free > 0:
-            return largest * float(np.sqrt(p * self.df / free * scipy.special.fdtri(p, free, 0.95)))
+        multiplier = all_contrasts(p, self.df, 0.05, by_block=self.error == "blocks")
+        if multiplier is not None:
+            return largest * multiplier
         # none of 3,000 ranges over 2 or 3 normal blocks went beyond: the largest error serves all
         return largest * float(scipy.special.stdtrit(self.df, 1 - 0.025 / len(points)))
 
