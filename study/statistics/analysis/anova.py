@@ -36,7 +36,6 @@ from study.statistics.analysis.data import (
 )
 from study.statistics.analysis.effects import MOST_LEVELS, Scale
 from study.statistics.analysis.error_ledger import pooled
-from study.statistics.analysis.incomplete_blocks import incomplete_blocks
 from study.statistics.analysis.linear_contrast import with_holm
 from study.statistics.analysis.linear_model import (
     Model,
@@ -51,7 +50,13 @@ from study.statistics.analysis.linear_model import (
 from study.statistics.analysis.mixed_model import FEWEST_LEVELS
 from study.statistics.analysis.power import PowerRow, planned
 from study.statistics.analysis.simple_effects import without_each
-from study.statistics.analysis.strata import Plots, own, split_plot, whole_plots
+from study.statistics.analysis.strata import (
+    Plots,
+    incomplete_blocks,
+    own,
+    split_plot,
+    whole_plots,
+)
 from study.statistics.analysis.unreplicated import (
     copies_of,
     refuse_fake_replicates,

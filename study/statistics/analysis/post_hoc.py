@@ -27,10 +27,9 @@ from study.statistics.analysis.comparisons import (
 )
 from study.statistics.analysis.data import Crossed
 from study.statistics.analysis.effects import critical, group_errors, term_rows
-from study.statistics.analysis.incomplete_blocks import mixed_cells
 from study.statistics.analysis.linear_contrast import Cells, possible_contrasts
 from study.statistics.analysis.linear_model import CellLayout, Term, nested_in, terms_of
-from study.statistics.analysis.strata import cell_fit
+from study.statistics.analysis.strata import cell_fit, mixed_cells
 from study.statistics.analysis.sums_of_squares import EXACT, Factored
 
 if TYPE_CHECKING:
