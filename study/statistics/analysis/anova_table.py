@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from study.ground.canonical import Keyed, plain
@@ -126,11 +126,6 @@ class Comparison(Keyed):
     method: str = ""
     #: Whether the interval excludes no difference; None where p says it.
     different: bool | None = None
-
-    def as_ratio(self) -> Comparison:
-        """Copy with the difference of logarithms as a ratio."""
-        difference, lower, upper = map(math.exp, (self.difference, self.lower, self.upper))
-        return replace(self, difference=difference, lower=lower, upper=upper)
 
     def keyed(self) -> dict[str, object]:
         """Give what stands under every key: what is given of it."""

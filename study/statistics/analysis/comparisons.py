@@ -13,7 +13,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Ints, chunks
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.anova_table import Comparison
@@ -37,8 +37,10 @@ class Comparisons:
 
     def as_ratios(self) -> Comparisons:
         """Copy with differences of logarithms as ratios."""
-        pairs = tuple(pair.as_ratio() for pair in self.pairs)
-        return replace(self, pairs=pairs, is_ratio=True)
+        ends = ((pair, map(math.exp, (pair.difference, pair.lower, pair.upper)))
+                for pair in self.pairs)  # fmt: skip
+        pairs = (replace(pair, difference=d, lower=a, upper=b) for pair, (d, a, b) in ends)
+        return replace(self, pairs=tuple(pairs), is_ratio=True)
 
 
 @dataclass(frozen=True)
@@ -280,8 +282,7 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
     Of draws N of the blocks a contrast has the mean z'N and the variance z'NN'z, so that sums
     over the blocks need not be made contrast by contrast.
     """
-    random = np.random.default_rng(seed)
-    largest = np.empty(DRAWS)
+    random, largest = np.random.default_rng(seed), []
     short = [_short(z) for z in roots]
     # products of all pairs of columns, each once: z'Sz of a symmetric S is linear in them
     upper = [np.triu_indices(z.shape[1]) for z in short]
@@ -289,9 +290,7 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
                for z, (i, j) in zip(short, upper, strict=True)]  # fmt: skip
     # what is drawn at once is part of the stream of numbers where there are several groups
     most = max(len(z) * (b if len(short) > 1 else 1) for z, b in zip(short, blocks, strict=True))
-    step = max(1, min(DRAWS, _AT_ONCE // most))
-    for start in range(0, DRAWS, step):
-        n = min(step, DRAWS - start)
+    for n in chunks(DRAWS, _AT_ONCE // most):
         total, variance = np.zeros((len(roots[0]), n)), np.zeros((len(roots[0]), n))
         for z, at, pairs, b in zip(short, upper, squares, blocks, strict=True):
             normal = random.standard_normal((n, z.shape[1], b))
@@ -301,8 +300,8 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
             variance += pairs @ scatter.T * (b / (b - 1))
         np.multiply(total, total, out=total)
         total /= np.maximum(variance, 1e-300, out=variance)
-        largest[start : start + n] = np.sqrt(total.max(axis=0))
-    return largest
+        largest.append(np.sqrt(total.max(axis=0)))
+    return np.concatenate(largest)
 
 
 def _largest_of_many(z: Array, blocks: int, seed: int) -> Array:
@@ -313,15 +312,11 @@ def _largest_of_many(z: Array, blocks: int, seed: int) -> Array:
     """
     from scipy.special import ndtr, stdtrit
 
-    random = np.random.default_rng(seed)
-    short = _short(z)
-    largest = np.empty(DRAWS)
-    step = max(1, min(DRAWS, _AT_ONCE // len(short)))
-    for start in range(0, DRAWS, step):
-        n = min(step, DRAWS - start)
+    random, short, largest = np.random.default_rng(seed), _short(z), []
+    for n in chunks(DRAWS, _AT_ONCE // len(short)):
         normal = short @ random.standard_normal((n, short.shape[1])).T
-        largest[start : start + n] = np.abs(normal).max(axis=0)
-    return np.asarray(-stdtrit(blocks - 1, ndtr(-largest)))
+        largest.append(np.abs(normal).max(axis=0))
+    return np.asarray(-stdtrit(blocks - 1, ndtr(-np.concatenate(largest))))
 
 
 def _short(z: Array) -> Array:
@@ -349,15 +344,12 @@ def pooled_multiplier(
     drawn = np.random.default_rng(0).standard_normal((differences.settings.shape[1], 2))
     product = differences.of(differences.settings @ drawn)[estimated] / length[estimated, None]
     estimated = estimated[np.unique(product.round(9), axis=0, return_index=True)[1]]
-    few, random = differences.take(estimated), np.random.default_rng(seed)
-    largest = np.empty(DRAWS)
-    step = max(1, min(DRAWS, _AT_ONCE // len(estimated)))
-    for start in range(0, DRAWS, step):
-        n = min(step, DRAWS - start)
+    few, random, largest = differences.take(estimated), np.random.default_rng(seed), []
+    for n in chunks(DRAWS, _AT_ONCE // len(estimated)):
         values = differences.settings @ random.standard_normal((differences.settings.shape[1], n))
         normal = (np.abs(few.of(values)) / length[estimated, None]).max(axis=0)
-        largest[start : start + n] = normal / np.sqrt(random.chisquare(df, n) / df)
-    return min(safe, float(np.quantile(largest, 1 - alpha)))
+        largest.append(normal / np.sqrt(random.chisquare(df, n) / df))
+    return min(safe, float(np.quantile(np.concatenate(largest), 1 - alpha)))
 
 
 # -------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Ints, chunks
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
 from study.statistics.analysis.sums_of_squares import (
     Factored,
@@ -107,9 +107,8 @@ class ResidualDesign:
         """Residuals of simulated normal data by group, each of shape (m, size)."""
         rng = np.random.default_rng(seed)
         n, groups = self.basis.shape[0], np.unique(self.group)
-        chunk = max(1, int(2e6 // n))
-        for start in range(0, count, chunk):
-            z = rng.standard_normal((min(chunk, count - start), n))
+        for m in chunks(count, 2e6 // n):
+            z = rng.standard_normal((m, n))
             z -= (z @ self.basis) @ self.basis.T
             yield [z[:, self.group == g] for g in groups]
 
@@ -233,9 +232,7 @@ def _levene(groups: Sequence[Array], center: str) -> tuple[Array, Array]:
 
 def _normal_draws(sizes: Ints, count: int, seed: int) -> Iterator[list[Array]]:
     rng = np.random.default_rng(seed)
-    chunk = max(1, int(2e6 // int(sizes.sum())))
-    for start in range(0, count, chunk):
-        m = min(chunk, count - start)
+    for m in chunks(count, 2e6 // int(sizes.sum())):
         yield [rng.standard_normal((m, int(size))) for size in sizes]
 
 

@@ -24,12 +24,12 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Ints, chunks
 from study.ground.errors import StudyError
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.anova_table import Effect, FailureBound
@@ -112,10 +112,6 @@ class FailurePattern:
     rules: tuple[FailureRule, ...]
     #: Failed cases and all cases that no rule holds for.
     elsewhere: tuple[int, int]
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data, for ``--json``."""
-        return asdict(self)
 
 
 def cause(status: str, message: str) -> str:
@@ -219,9 +215,7 @@ def _by_cells(bad: Array, total: Array, levels: Ints, rng: np.random.Generator) 
     """Permute whole cells among the levels; arrays have shape (cells,)."""
     member = np.eye(int(levels.max()) + 1)[levels]
     drawn = []
-    step = max(1, ENTRIES // levels.size)  # as many permutations as fit into memory
-    for start in range(0, SAMPLES, step):
-        rows = min(step, SAMPLES - start)
+    for rows in chunks(SAMPLES, ENTRIES // levels.size):  # as many as fit into memory
         order = rng.permuted(np.tile(np.arange(levels.size), (rows, 1)), axis=1)
         drawn.append(_weight(bad[order] @ member, total[order] @ member))
     return _tail(_weight(bad @ member, total @ member), np.concatenate(drawn))

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, one_thread
+from study.ground.arrays import Array, chunks, one_thread
 from study.ground.errors import Fault, InputError
 from study.ground.units import p_phrase
 from study.statistics.analysis.comparisons import holm
@@ -231,9 +231,8 @@ def null_rj(basis: Array, simulations: int, seed: int) -> Array:
     """
     n = basis.shape[0]
     rng = np.random.default_rng(seed)
-    chunk = max(1, int(2e6 // n))
-    pieces = (min(chunk, simulations - start) for start in range(0, simulations, chunk))
-    return np.concatenate([simulated_rj(rng.standard_normal((m, n)), basis) for m in pieces])
+    sizes = chunks(simulations, 2e6 // n)
+    return np.concatenate([simulated_rj(rng.standard_normal((m, n)), basis) for m in sizes])
 
 
 def simulated_rj(z: Array, basis: Array) -> Array:
@@ -442,9 +441,8 @@ def block_share(
         root = np.asarray(np.linalg.qr(root.T, mode="r")).T
     top, above = float(share.max()), 0
     rng = np.random.default_rng(seed)
-    step = max(1, _NUMBERS_AT_ONCE // (blocks * max(rows.shape[0], root.shape[1])))
-    for start in range(0, draws, step):
-        normal = rng.standard_normal((min(step, draws - start), root.shape[1], blocks))
+    for m in chunks(draws, _NUMBERS_AT_ONCE // (blocks * max(rows.shape[0], root.shape[1]))):
+        normal = rng.standard_normal((m, root.shape[1], blocks))
         drawn = root @ normal
         largest = _shares(drawn - (drawn @ basis) @ basis.T).max(axis=-1)
         above += int(np.count_nonzero(largest >= top))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Ints, chunks
 from study.ground.errors import RefusedError
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.linear_model import (
@@ -129,10 +129,9 @@ NULL_STUDIES = 20_000
 def _null(m: int, seed: int) -> tuple[Array, Array]:
     """Sorted null |contrast| / PSE, of one contrast and of the largest of ``m``."""
     rng = np.random.default_rng(seed)
-    chunk = max(1, int(1e6 // m))
     singles, largest = [], []
-    for start in range(0, NULL_STUDIES, chunk):
-        z = rng.standard_normal((min(chunk, NULL_STUDIES - start), m))
+    for studies in chunks(NULL_STUDIES, 1e6 // m):
+        z = rng.standard_normal((studies, m))
         ratio = np.abs(z) / pseudo_standard_error(z)[:, None]
         # contrasts of a row are exchangeable: all of them serve as draws of one
         singles.append(ratio.ravel())
