@@ -50,18 +50,8 @@ from study.statistics.analysis.linear_model import (
 from study.statistics.analysis.mixed_model import FEWEST_LEVELS
 from study.statistics.analysis.power import PowerRow, planned
 from study.statistics.analysis.simple_effects import without_each
-from study.statistics.analysis.strata import (
-    Plots,
-    incomplete_blocks,
-    own,
-    split_plot,
-    whole_plots,
-)
-from study.statistics.analysis.unreplicated import (
-    copies_of,
-    refuse_fake_replicates,
-    ulp_floor,
-)
+from study.statistics.analysis.strata import Plots, incomplete_blocks, own, split_plot, whole_plots
+from study.statistics.analysis.unreplicated import copies_of, refuse_fake_replicates, ulp_floor
 from study.statistics.convergence.contrast_bound import SeriesBounds
 
 if TYPE_CHECKING:

@@ -286,9 +286,7 @@ def sensitivity_of(
     data: Data, terms: Sequence[Term], fit: Factored, alpha: float
 ) -> AnalysisSensitivity:
     """P of every term in the defensible analyses of rows without blocks; ordinary F: Type III."""
-    p: dict[str, Mapping[str, float | None]] = {
-        "ordinary F": _ordinary(fit),
-    }
+    p: dict[str, Mapping[str, float | None]] = {"ordinary F": _ordinary(fit)}
     robust = {
         "HC3 Wald": hc3(fit),
         "Welch-James": welch_tests(data.layout, data.cell, data.y, terms),

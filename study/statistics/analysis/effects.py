@@ -10,12 +10,7 @@ from itertools import combinations, product
 import numpy as np
 
 from study.ground.arrays import Array, Flags, Ints
-from study.statistics.analysis.anova_table import (
-    Comparison,
-    CompleteSettings,
-    Effect,
-    SimpleEffect,
-)
+from study.statistics.analysis.anova_table import Comparison, CompleteSettings, Effect, SimpleEffect
 from study.statistics.analysis.comparisons import (
     all_contrasts,
     block_multiplier,

@@ -11,12 +11,7 @@ from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints, chunks
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
-from study.statistics.analysis.sums_of_squares import (
-    Factored,
-    FRatioTest,
-    factor,
-    term_sums,
-)
+from study.statistics.analysis.sums_of_squares import Factored, FRatioTest, factor, term_sums
 
 Groups = Mapping[str, ArrayLike] | Sequence[ArrayLike]
 

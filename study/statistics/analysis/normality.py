@@ -382,11 +382,7 @@ def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> di
 
 
 def row_normality(
-    contrasts: Mapping[str, Array],
-    *,
-    tolerance: float = 0.0,
-    alpha: float = 0.05,
-    seed: int = 2011,
+    contrasts: Mapping[str, Array], *, tolerance: float = 0.0, alpha: float = 0.05, seed: int = 2011
 ) -> RowNormality:
     """Test the normality of every contrast over the blocks.
 
@@ -420,11 +416,7 @@ def row_normality(
 
 
 def block_share(
-    contrasts: Mapping[str, Array],
-    *,
-    tolerance: float = 0.0,
-    draws: int = 2000,
-    seed: int = 2011,
+    contrasts: Mapping[str, Array], *, tolerance: float = 0.0, draws: int = 2000, seed: int = 2011
 ) -> BlockShare | None:
     """Find the block that carries the most of the interaction with the blocks."""
     _, rows = _rows(contrasts, tolerance)

@@ -461,11 +461,7 @@ def _product(cells: CellLayout, blocks: CellLayout) -> CellLayout:
 
 
 def _effects(
-    out: AnalysisResult,
-    tests: OwnTests,
-    table: Crossed,
-    layout: CellLayout,
-    groups: Sequence[Ints],
+    out: AnalysisResult, tests: OwnTests, table: Crossed, layout: CellLayout, groups: Sequence[Ints]
 ) -> tuple[tuple[Effect, ...], list[str]]:
     """Effects and verdicts with variances of their own in each group, and what was seen besides.
 

@@ -140,10 +140,7 @@ def _null(m: int, seed: int) -> tuple[Array, Array]:
 
 
 def lenth(
-    contrasts: ArrayLike,
-    names: Sequence[str] | None = None,
-    *,
-    seed: int = 2011,
+    contrasts: ArrayLike, names: Sequence[str] | None = None, *, seed: int = 2011
 ) -> LenthResult:
     """Lenth's method with simulated critical values.
 

@@ -25,12 +25,7 @@ from study.statistics.analysis.sums_of_squares import (
     over_blocks,
 )
 from study.statistics.surfaces.emulator import EffectRange, effect_ranges
-from study.statistics.surfaces.surface_factors import (
-    Runs,
-    box_points,
-    change_together,
-    some_runs,
-)
+from study.statistics.surfaces.surface_factors import Runs, box_points, change_together, some_runs
 
 # A polynomial of second order in coded factors.
 
