@@ -189,7 +189,12 @@ def _p(
     rows = levels if independent else cells
     bad, total = np.bincount(rows, failed).astype(float), np.bincount(rows).astype(float)
     if not independent:
-        return _by_cells(bad, total, levels[first], rng), "whole cells permuted"
+        member, drawn_weights = np.eye(int(levels.max()) + 1)[levels[first]], []
+        for count in chunks(SAMPLES, ENTRIES // first.size):  # as many as fit into memory
+            order = rng.permuted(np.tile(np.arange(first.size), (count, 1)), axis=1)
+            drawn_weights.append(_weight(bad[order] @ member, total[order] @ member))
+        observed = _weight(bad @ member, total @ member)
+        return _tail(observed, np.concatenate(drawn_weights)), "whole cells permuted"
     # exact wherever the tables can be listed
     if math.prod(int(n) + 1 for n in total[:-1]) <= MOST_TABLES:
         name = "Fisher" if total.size == 2 else "Freeman and Halton"
@@ -209,16 +214,6 @@ def _freeman_halton(bad: Array, total: Array) -> float:
     weight = _weight(listed, total)
     size = np.exp(weight - weight.max())
     return float(size[weight <= _weight(bad, total) + TIE].sum() / size.sum())
-
-
-def _by_cells(bad: Array, total: Array, levels: Ints, rng: np.random.Generator) -> float:
-    """Permute whole cells among the levels; arrays have shape (cells,)."""
-    member = np.eye(int(levels.max()) + 1)[levels]
-    drawn = []
-    for rows in chunks(SAMPLES, ENTRIES // levels.size):  # as many as fit into memory
-        order = rng.permuted(np.tile(np.arange(levels.size), (rows, 1)), axis=1)
-        drawn.append(_weight(bad[order] @ member, total[order] @ member))
-    return _tail(_weight(bad @ member, total @ member), np.concatenate(drawn))
 
 
 def _by_order(failed: Array, levels: Ints, cells: Ints, rng: np.random.Generator) -> float:

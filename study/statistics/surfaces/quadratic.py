@@ -270,7 +270,10 @@ def stationary_point(surface: QuadraticPolynomial) -> StationaryPoint | None:
 
 
 def level_at(surface: QuadraticPolynomial, covariance: Array, limit: float, coded: Array) -> Flags:
-    """Whether the gradient may be zero at coded points: those whose T^2 is below a limit.
+    """Whether the gradient may be zero at coded points: those whose T is below a limit.
+
+    With the error of the residual it is that of Box and Hunter (1954, Biometrika 41, 190-199), of
+    the gradients of blocks Hotelling's.
 
     Shapes: covariance (p, p) of the coefficients of the terms; coded (n, k); returns (n,).
     """
@@ -279,17 +282,7 @@ def level_at(surface: QuadraticPolynomial, covariance: Array, limit: float, code
     gradient = slopes @ surface.coefficients
     spread = slopes @ covariance @ slopes.transpose(0, 2, 1)
     t2 = np.einsum("ni,nij,nj->n", gradient, np.linalg.pinv(spread), gradient)
-    return np.asarray(t2 <= limit)
-
-
-def level_limit(k: int, df: int, error: Error) -> float | None:
-    """T^2 of the 95 % region of k slopes; None of too few blocks.
-
-    The residual has df degrees of freedom (Box and Hunter 1954, Biometrika 41, 190-199); the
-    gradients of df + 1 blocks have the mean zero by Hotelling's T^2.
-    """
-    multiplier = all_contrasts(k, df, 0.05, by_block=error == "blocks")
-    return None if multiplier is None else multiplier**2
+    return np.asarray(t2 <= limit**2)
 
 
 # A quadratic surface fitted to runs, and what may be said of it.
@@ -611,7 +604,7 @@ def _surface(
         )
         covariance = columns.model.unscaled_covariance[:count, :count] * residual / df
     if point is not None and covariance is not None:
-        limit = level_limit(polynomial.k, df, error)
+        limit = all_contrasts(polynomial.k, df, 0.05, by_block=error == "blocks")
         if limit is not None:
             level = partial(level_at, polynomial, covariance, limit)
             point = replace(point, region=_region(point, level))
