@@ -128,7 +128,7 @@ class StudyResult(Findings):
                 if analysis.result is not None
                 for contrast in analysis.result.contrasts
             ],
-            "failures": self.failed and self.failure_pattern.to_json(),
+            "failures": self.failed and plain(self.failure_pattern),
             "surfaces": [surface.to_json() for surface in self.surfaces],
             "adaptive": [dict(step) for step in self.adaptive],
             "beside": self.beside and self.beside.to_json(),

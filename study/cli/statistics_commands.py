@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from study.reporting.content.blocks import Block
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.comparisons import LevelPair, SummaryAnalysis
+    from study.statistics.analysis.anova_table import Comparison
+    from study.statistics.analysis.comparisons import SummaryAnalysis
     from study.statistics.analysis.power import PlannedVerdicts
     from study.statistics.surfaces.surface_fitting import Surface as SurfaceKind
 
@@ -362,7 +363,7 @@ def _summaries(groups: SummaryAnalysis) -> Iterator[Block]:
         },
     )
     ends = f"{100 * (1 - groups.tukey.alpha):.4g} % interval"
-    columns: dict[str, Callable[[tuple[LevelPair, LevelPair, str | None]], str]] = {
+    columns: dict[str, Callable[[tuple[Comparison, Comparison, str | None]], str]] = {
         "Groups": lambda of: f"{of[0].first} - {of[0].second}",
         "difference": lambda of: significant(of[0].difference, 5),
         ends: lambda of: interval(of[0].lower, of[0].upper, digits=4),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -28,6 +28,12 @@ def gathered(pairs: Iterable[tuple[K, R]]) -> dict[K, list[R]]:
     for key, value in pairs:
         groups.setdefault(key, []).append(value)
     return groups
+
+
+def chunks(count: int, most: float) -> Iterator[int]:
+    """Sizes of the pieces in which so many are drawn: ``most`` at a time, and at least one."""
+    step = max(1, int(most))
+    return (min(step, count - start) for start in range(0, count, step))
 
 
 def one_thread(function: Callable[P, R]) -> Callable[P, R]:

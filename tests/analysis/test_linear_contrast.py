@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
+from statsmodels.formula.api import ols
 from statsmodels.stats.multitest import multipletests
 
 import study
@@ -73,6 +74,19 @@ def test_without_blocks_the_scatter_within_cells_is_the_error():
     error = np.sqrt(s2 * 4 / 7 / 4)
     half = stats.t.ppf(0.975, 36) * error
     assert one.ci[1] - one.ci[0] == pytest.approx(2 * half)
+
+
+def test_a_cell_on_both_sides_counts_by_the_difference_of_its_weights():
+    """Against the t-test of statsmodels' least squares with a mean for each cell."""
+    table = blocked().drop(columns="specimen")
+    (one,) = ask(table, "material=z - range=60 %", block=None)
+    fit = ols("y ~ 0 + C(material):C(range)", table).fit()
+    cells = [(m, r) for r in ("20 %", "60 %") for m in "xyz"]
+    weights = [(m == "z") / 2 - (r == "60 %") / 3 for m, r in cells]
+    test = fit.t_test(weights)
+    assert one.difference == pytest.approx(float(test.effect[0]))
+    assert one.ci == pytest.approx(tuple(test.conf_int()[0]))
+    assert one.p == pytest.approx(float(test.pvalue))
 
 
 def test_several_contrasts_have_wider_intervals_together():

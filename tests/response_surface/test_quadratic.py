@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError, RefusedError
+from study.statistics.analysis.comparisons import all_contrasts
 from study.statistics.surfaces.emulator import is_confirmed
 from study.statistics.surfaces.quadratic import QuadraticPolynomial as Polynomial
 from study.statistics.surfaces.quadratic import (
@@ -12,7 +13,6 @@ from study.statistics.surfaces.quadratic import (
     fit_quadratic,
     leave_one_out,
     level_at,
-    level_limit,
     second_order,
 )
 from study.statistics.surfaces.surface_factors import (
@@ -192,7 +192,7 @@ def region_coverage(rng, n):
     true = np.array([5.0, 0.3, -0.2, 0.1, -2.0, -1.5])
     surface = Polynomial(terms, true, 2)
     at = -0.5 * np.linalg.solve(surface.quadratic(), surface.linear())
-    hits, limit = 0, level_limit(2, 5, "blocks")
+    hits, limit = 0, all_contrasts(2, 5, 0.05, by_block=True)
     assert limit is not None
     for _ in range(n):
         each = true + rng.normal(0, 0.4, (6, 6))

@@ -46,14 +46,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.anova_table import NestedUnits
+    from study.statistics.analysis.anova_table import Comparison, NestedUnits
     from study.statistics.analysis.comparisons import Comparisons
     from study.statistics.analysis.linear_contrast import Contrast
     from study.statistics.analysis.mixed_model import MixedModel
-    from study.statistics.analysis.post_hoc import (
-        Coefficient,
-        PairwiseDifference,
-    )
+    from study.statistics.analysis.post_hoc import Coefficient
 
 
 #: Digits of sums of squares and statistics, as Minitab prints them.
@@ -249,11 +246,11 @@ def contrast_table(requested: Sequence[Contrast], facts: Facts, alpha: float) ->
     )  # fmt: skip
 
 
-def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportData) -> Table | None:
+def pairwise(pairs: tuple[Comparison, ...], facts: Facts, data: ReportData) -> Table | None:
     """All pairs of levels with simultaneous interval and adjusted p."""
     if not pairs:
         return None
-    columns: dict[str, Callable[[PairwiseDifference], str]] = {
+    columns: dict[str, Callable[[Comparison], str]] = {
         "factor": lambda pair: term_name(pair.factor, data.labels),
         "levels": lambda pair: _levels(pair.first, pair.second, facts),
         _what(facts): lambda pair: significant(pair.difference),
@@ -271,7 +268,7 @@ def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportDa
         note=f"{'Interval and p' if is_tested else 'Intervals'} hold for all pairs of a factor "
         "together.",
         grouped=True,
-        raw=plain,
+        raw=lambda pair: pair.to_json() | {"p": pair.p, "method": pair.method},
     ).first()
 
 

@@ -15,7 +15,7 @@ from study.statistics.analysis.data import Structure
 from study.statistics.analysis.effects import Scale
 from study.statistics.analysis.linear_model import terms_of
 from study.statistics.analysis.sums_of_squares import influence, summary_of
-from study.statistics.analysis.unreplicated import CopyGroups, functional_shares
+from study.statistics.analysis.unreplicated import Copies, functional_shares
 from study.statistics.convergence.contrast_bound import OneBound
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class AnalysisResult(Keyed):
     #: What to beware of, in sentences.
     notes: tuple[str, ...] = ()
     #: Cells that agree in every block.
-    copies: CopyGroups = field(default_factory=lambda: CopyGroups(()))
+    copies: Copies = ()
     #: What effects are compared with, and which question p answers.
     error_term: ErrorTerm = NO_ERROR
     #: Table of the sums of squares.
@@ -156,8 +156,8 @@ class AnalysisResult(Keyed):
             f"{self.request.response} is constant ({y[0]:.6g} in all {y.size} rows, to rounding or "
             "solver tolerance): no ANOVA"
         )
-        copies = CopyGroups((tuple(np.unique(self.data.cell).tolist()),))
-        return replace(self, y=y, copies=copies).warn(*self.data.warnings, message)
+        copies = tuple(np.unique(self.data.cell).tolist())
+        return replace(self, y=y, copies=(copies,)).warn(*self.data.warnings, message)
 
     def working_tolerance(self) -> float:
         """Ten solver tolerances on the working scale."""
@@ -197,13 +197,13 @@ class AnalysisResult(Keyed):
     @property
     def distinct(self) -> int:
         """Number of distinct computations."""
-        return len(self.copies.groups)
+        return len(self.copies)
 
     @property
     def copied_cells(self) -> tuple[tuple[str, ...], ...]:
         """Names of the cells that agree in every block, group by group."""
         names = self.data.cell_names()
-        return tuple(tuple(names[c] for c in g) for g in self.copies.groups if len(g) > 1)
+        return tuple(tuple(names[c] for c in g) for g in self.copies if len(g) > 1)
 
     @property
     def is_representative(self) -> Flags:
@@ -211,7 +211,7 @@ class AnalysisResult(Keyed):
 
         Shapes: returns (n,).
         """
-        return np.isin(self.data.cell, self.copies.representatives)
+        return np.isin(self.data.cell, [group[0] for group in self.copies])
 
     @cached_property
     def cell_means(self) -> pd.DataFrame:
@@ -220,7 +220,7 @@ class AnalysisResult(Keyed):
 
         data = self.data
         rows = []
-        copies = {cell for group in self.copies.groups for cell in group[1:]}
+        copies = {cell for group in self.copies for cell in group[1:]}
         order = np.argsort(data.cell, kind="stable")
         cells, start = np.unique(data.cell[order], return_index=True)
         for cell, here in zip(cells.tolist(), np.split(order, start[1:]), strict=True):

@@ -36,7 +36,6 @@ from study.statistics.analysis.data import (
 )
 from study.statistics.analysis.effects import MOST_LEVELS, Scale
 from study.statistics.analysis.error_ledger import pooled
-from study.statistics.analysis.incomplete_blocks import incomplete_blocks
 from study.statistics.analysis.linear_contrast import with_holm
 from study.statistics.analysis.linear_model import (
     Model,
@@ -51,12 +50,8 @@ from study.statistics.analysis.linear_model import (
 from study.statistics.analysis.mixed_model import FEWEST_LEVELS
 from study.statistics.analysis.power import PowerRow, planned
 from study.statistics.analysis.simple_effects import without_each
-from study.statistics.analysis.strata import Plots, own, split_plot, whole_plots
-from study.statistics.analysis.unreplicated import (
-    copies_of,
-    refuse_fake_replicates,
-    ulp_floor,
-)
+from study.statistics.analysis.strata import Plots, incomplete_blocks, own, split_plot, whole_plots
+from study.statistics.analysis.unreplicated import copies_of, refuse_fake_replicates, ulp_floor
 from study.statistics.convergence.contrast_bound import SeriesBounds
 
 if TYPE_CHECKING:
@@ -70,7 +65,7 @@ if TYPE_CHECKING:
 def assemble(out: AnalysisResult) -> AnalysisResult:
     """Check assumptions, adjust p, and plan other numbers of rows."""
     out = assumptions_of(out).warn(*_inestimable(out.effects), *_partial(out.effects))
-    groups_of = out.copies.groups
+    groups_of = out.copies
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error_term is not NO_ERROR:
         out = out.warn(
             f"{sum(map(len, groups_of))} cells hold {len(groups_of)} distinct computations (the "

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from study.ground.canonical import plain
+from study.ground.canonical import Keyed, plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -110,7 +110,7 @@ class FailureBound:
 
 
 @dataclass(frozen=True)
-class DifferenceInterval:
+class Comparison(Keyed):
     """Difference ``first - second`` (or ratio) of two levels with its simultaneous interval."""
 
     first: str
@@ -118,18 +118,18 @@ class DifferenceInterval:
     difference: float
     lower: float
     upper: float
+    factor: str = ""
+    #: Adjusted for all that are compared together: below alpha where the interval excludes no
+    #: difference. None where it is not asked for, or the error is made of several strata.
+    p: float | None = None
+    #: What makes interval and p hold for all of them.
+    method: str = ""
+    #: Whether the interval excludes no difference; None where p says it.
+    different: bool | None = None
 
-    def as_ratio(self) -> Self:
-        """Copy with the difference of logarithms as a ratio."""
-        difference, lower, upper = map(math.exp, (self.difference, self.lower, self.upper))
-        return replace(self, difference=difference, lower=lower, upper=upper)
-
-
-@dataclass(frozen=True)
-class PairDifference(DifferenceInterval):
-    """Difference of two level means, and whether its interval excludes none."""
-
-    different: bool
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key: what is given of it."""
+        return {key: value for key, value in vars(self).items() if value not in (None, "")}
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class Effect:
     resolved: str | None = None
     p: float | None = None
     why: str = ""
-    pairs: tuple[PairDifference, ...] = ()
+    pairs: tuple[Comparison, ...] = ()
     letters: tuple[str, ...] = ()
     p_holm: float | None = None
     u_needed: float | None = None
@@ -295,17 +295,6 @@ class Effect:
 
     def _analyzed(self, size: float) -> float:
         return math.log(size) if self.is_ratio else size
-
-
-@dataclass(frozen=True)
-class WaldTest:
-    """Robust test of one term."""
-
-    term: str
-    f: float | None
-    df: tuple[float, float] | None
-    p: float | None
-    reason: str = ""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from study.ground.arrays import Array, gathered
 from study.ground.errors import Fault, InputError, settled
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_result import AnalysisResult, Assumptions
-from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult, WaldTest
+from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult
 from study.statistics.analysis.data import Crossed, Data
 from study.statistics.analysis.equal_variance import (
     ResidualDesign,
@@ -44,6 +44,7 @@ from study.statistics.analysis.strata import OwnTests, own_tests
 from study.statistics.analysis.sums_of_squares import (
     EXACT,
     Factored,
+    FRatioTest,
     TwoWayFit,
     factor,
     fitted,
@@ -214,30 +215,28 @@ def _of_residuals(out: AnalysisResult) -> tuple[AnalysisResult, Assumptions]:
 # When spreads differ or residuals are skewed: Box-Cox, HC3, Welch-James, side by side.
 
 
-def hc3(fit: Factored) -> dict[str, WaldTest]:
-    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts."""
+def hc3(fit: Factored) -> dict[str, FRatioTest | None]:
+    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts.
+
+    None where a row has leverage one, a term is not estimable, or cells do not scatter.
+    """
     from statsmodels.tools.sm_exceptions import ValueWarning
 
     robust = None
     if fit.df_residual > 0 and float(fit.leverage.max()) <= EXACT:
         robust = fit.ols.get_robustcov_results("HC3", use_t=True)
-    tests = {}
+    tests: dict[str, FRatioTest | None] = {}
     for s in term_sums(fit, "III"):
-        name = term_name(s.term)
+        tests[term_name(s.term)] = None
         if robust is None or s.df < s.nominal_df:
-            reason = "a row has leverage one" if robust is None else "not estimable"
-            tests[name] = WaldTest(name, None, None, None, reason)
             continue
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ValueWarning)
             test = robust.f_test(s.basis.T)
-        if test.df_num < s.df:
-            # statsmodels would go on with fewer constraints, the test of another hypothesis
-            reason = "cells without spread: a singular covariance"
-            tests[name] = WaldTest(name, None, None, None, reason)
-        else:
-            df = (float(s.df), float(fit.df_residual))
-            tests[name] = WaldTest(name, float(test.fvalue), df, float(test.pvalue))
+        # of a singular covariance statsmodels would test fewer constraints, another hypothesis
+        if test.df_num == s.df:
+            values = test.fvalue, s.df, fit.df_residual, test.pvalue
+            tests[term_name(s.term)] = FRatioTest(*map(float, values))
     return tests
 
 
@@ -287,13 +286,13 @@ def sensitivity_of(
     data: Data, terms: Sequence[Term], fit: Factored, alpha: float
 ) -> AnalysisSensitivity:
     """P of every term in the defensible analyses of rows without blocks; ordinary F: Type III."""
-    p: dict[str, Mapping[str, float | None]] = {
-        "ordinary F": _ordinary(fit),
-        "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},
-        "Welch-James": {
-            k: w.p for k, w in welch_tests(data.layout, data.cell, data.y, terms).items()
-        },
+    p: dict[str, Mapping[str, float | None]] = {"ordinary F": _ordinary(fit)}
+    robust = {
+        "HC3 Wald": hc3(fit),
+        "Welch-James": welch_tests(data.layout, data.cell, data.y, terms),
     }
+    p |= {how: {k: None if w is None else w.p for k, w in tests.items()}
+          for how, tests in robust.items()}  # fmt: skip
     if data.y.min() > 0:
         p["F of the log"] = _ordinary(fitted(fit, np.log(data.y)))
     return side_by_side([term_name(t) for t in terms], p, alpha)

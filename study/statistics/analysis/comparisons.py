@@ -13,18 +13,11 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Ints, chunks
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest
-from study.statistics.analysis.anova_table import DifferenceInterval
+from study.statistics.analysis.anova_table import Comparison
 from study.statistics.analysis.simple_effects import CANNOT_TELL, Differences, claim
-
-
-@dataclass(frozen=True)
-class LevelPair(DifferenceInterval):
-    """Difference of two levels with its adjusted p."""
-
-    p: float
 
 
 @dataclass(frozen=True)
@@ -33,7 +26,7 @@ class Comparisons:
 
     method: str
     alpha: float
-    pairs: tuple[LevelPair, ...]
+    pairs: tuple[Comparison, ...]
     letters: dict[str, str]
     is_ratio: bool = False
 
@@ -44,8 +37,10 @@ class Comparisons:
 
     def as_ratios(self) -> Comparisons:
         """Copy with differences of logarithms as ratios."""
-        pairs = tuple(pair.as_ratio() for pair in self.pairs)
-        return replace(self, pairs=pairs, is_ratio=True)
+        ends = ((pair, map(math.exp, (pair.difference, pair.lower, pair.upper)))
+                for pair in self.pairs)  # fmt: skip
+        pairs = (replace(pair, difference=d, lower=a, upper=b) for pair, (d, a, b) in ends)
+        return replace(self, pairs=tuple(pairs), is_ratio=True)
 
 
 @dataclass(frozen=True)
@@ -84,9 +79,11 @@ class GroupMoments:
             error, d = math.sqrt(square / 2), float(self.mean[i] - self.mean[j])
             half = studentized_range_quantile(1 - alpha, k, df) * error
             p = 1 - studentized_range_cdf(abs(d) / error, k, df)
-            pairs.append(LevelPair(self.names[i], self.names[j], d, d - half, d + half, p))
+            names = self.names[i], self.names[j]
+            pairs.append(Comparison(*names, d, d - half, d + half, p=p))
         method = "Tukey-Kramer" if equal else "Games-Howell"
-        different = {frozenset((x.first, x.second)) for x in pairs if x.p < alpha}
+        apart = (x for x in pairs if x.p is not None and x.p < alpha)
+        different = {frozenset((x.first, x.second)) for x in apart}
         ordered = [self.names[i] for i in np.argsort(-self.mean, kind="stable")]
         return Comparisons(method, alpha, tuple(pairs), letters(ordered, different))
 
@@ -132,10 +129,7 @@ def letters(names: Sequence[str], different: set[frozenset[str]]) -> dict[str, s
     return {n: "".join(tag for tag, c in zip(tags, columns, strict=True) if n in c) for n in names}
 
 
-@lru_cache(maxsize=4)
-def _legendre(n: int) -> tuple[Array, Array]:
-    nodes, weights = np.polynomial.legendre.leggauss(n)
-    return nodes, weights
+_legendre = lru_cache(maxsize=4)(np.polynomial.legendre.leggauss)
 
 
 #: degrees of freedom from which a sum over s is its value at 1 in every digit
@@ -245,6 +239,17 @@ def two_sided(t: float, df: float) -> float:
     return 2 * float(stdtr(df, -abs(t)))
 
 
+def all_contrasts(k: int, df: float, alpha: float, *, by_block: bool) -> float | None:
+    """Multiplier for all contrasts of k dimensions: Scheffe's with a pooled variance.
+
+    Hotelling's where each contrast has its own variance ``by_block``; None of too few blocks.
+    """
+    from scipy.special import fdtri
+
+    free = df + 1 - k if by_block else df
+    return math.sqrt(k * df / free * float(fdtri(k, free, 1 - alpha))) if free > 0 else None
+
+
 def block_multiplier(
     contrasts: Array, alpha: float, seed: int | None, groups: Sequence[Ints], df: Array
 ) -> Array:
@@ -277,8 +282,7 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
     Of draws N of the blocks a contrast has the mean z'N and the variance z'NN'z, so that sums
     over the blocks need not be made contrast by contrast.
     """
-    random = np.random.default_rng(seed)
-    largest = np.empty(DRAWS)
+    random, largest = np.random.default_rng(seed), []
     short = [_short(z) for z in roots]
     # products of all pairs of columns, each once: z'Sz of a symmetric S is linear in them
     upper = [np.triu_indices(z.shape[1]) for z in short]
@@ -286,9 +290,7 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
                for z, (i, j) in zip(short, upper, strict=True)]  # fmt: skip
     # what is drawn at once is part of the stream of numbers where there are several groups
     most = max(len(z) * (b if len(short) > 1 else 1) for z, b in zip(short, blocks, strict=True))
-    step = max(1, min(DRAWS, _AT_ONCE // most))
-    for start in range(0, DRAWS, step):
-        n = min(step, DRAWS - start)
+    for n in chunks(DRAWS, _AT_ONCE // most):
         total, variance = np.zeros((len(roots[0]), n)), np.zeros((len(roots[0]), n))
         for z, at, pairs, b in zip(short, upper, squares, blocks, strict=True):
             normal = random.standard_normal((n, z.shape[1], b))
@@ -298,8 +300,8 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
             variance += pairs @ scatter.T * (b / (b - 1))
         np.multiply(total, total, out=total)
         total /= np.maximum(variance, 1e-300, out=variance)
-        largest[start : start + n] = np.sqrt(total.max(axis=0))
-    return largest
+        largest.append(np.sqrt(total.max(axis=0)))
+    return np.concatenate(largest)
 
 
 def _largest_of_many(z: Array, blocks: int, seed: int) -> Array:
@@ -310,15 +312,11 @@ def _largest_of_many(z: Array, blocks: int, seed: int) -> Array:
     """
     from scipy.special import ndtr, stdtrit
 
-    random = np.random.default_rng(seed)
-    short = _short(z)
-    largest = np.empty(DRAWS)
-    step = max(1, min(DRAWS, _AT_ONCE // len(short)))
-    for start in range(0, DRAWS, step):
-        n = min(step, DRAWS - start)
+    random, short, largest = np.random.default_rng(seed), _short(z), []
+    for n in chunks(DRAWS, _AT_ONCE // len(short)):
         normal = short @ random.standard_normal((n, short.shape[1])).T
-        largest[start : start + n] = np.abs(normal).max(axis=0)
-    return np.asarray(-stdtrit(blocks - 1, ndtr(-largest)))
+        largest.append(np.abs(normal).max(axis=0))
+    return np.asarray(-stdtrit(blocks - 1, ndtr(-np.concatenate(largest))))
 
 
 def _short(z: Array) -> Array:
@@ -346,15 +344,12 @@ def pooled_multiplier(
     drawn = np.random.default_rng(0).standard_normal((differences.settings.shape[1], 2))
     product = differences.of(differences.settings @ drawn)[estimated] / length[estimated, None]
     estimated = estimated[np.unique(product.round(9), axis=0, return_index=True)[1]]
-    few, random = differences.take(estimated), np.random.default_rng(seed)
-    largest = np.empty(DRAWS)
-    step = max(1, min(DRAWS, _AT_ONCE // len(estimated)))
-    for start in range(0, DRAWS, step):
-        n = min(step, DRAWS - start)
+    few, random, largest = differences.take(estimated), np.random.default_rng(seed), []
+    for n in chunks(DRAWS, _AT_ONCE // len(estimated)):
         values = differences.settings @ random.standard_normal((differences.settings.shape[1], n))
         normal = (np.abs(few.of(values)) / length[estimated, None]).max(axis=0)
-        largest[start : start + n] = normal / np.sqrt(random.chisquare(df, n) / df)
-    return min(safe, float(np.quantile(largest, 1 - alpha)))
+        largest.append(normal / np.sqrt(random.chisquare(df, n) / df))
+    return min(safe, float(np.quantile(np.concatenate(largest), 1 - alpha)))
 
 
 # -------------------------------------------------------------------------------------------------

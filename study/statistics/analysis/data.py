@@ -206,8 +206,6 @@ class Crossed:
 
     #: shape (cells, blocks); response, repeats of one cell in one block averaged.
     y: Array
-    #: shape (cells,); index of each cell in the full grid.
-    cells: Ints
     layout: CellLayout
     blocks: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -237,7 +235,7 @@ def crossed(data: Data, y: Array) -> Crossed:
         {f: code.astype(np.int64) for f, (_, code) in present.items()},
     )
     blocks, complete = tuple(compress(names, keep_blocks)), np.ix_(keep_cells, keep_blocks)
-    return Crossed(table[complete], cells[keep_cells], only, blocks, tuple(warnings))
+    return Crossed(table[complete], only, blocks, tuple(warnings))
 
 
 # -------------------------------------------------------------------------------------------------

@@ -10,13 +10,9 @@ from itertools import combinations, product
 import numpy as np
 
 from study.ground.arrays import Array, Flags, Ints
-from study.statistics.analysis.anova_table import (
-    CompleteSettings,
-    Effect,
-    PairDifference,
-    SimpleEffect,
-)
+from study.statistics.analysis.anova_table import Comparison, CompleteSettings, Effect, SimpleEffect
 from study.statistics.analysis.comparisons import (
+    all_contrasts,
     block_multiplier,
     letters,
     pooled_multiplier,
@@ -117,8 +113,8 @@ def pooled_estimate(
     sample = with_pooled_error(fit, rss, df, alpha, None)
     levels = [len(layout.levels[name]) for name in term]
     sizes = math.prod(levels), math.prod(k - 1 for k in levels)
-    critical = pooled_critical(*sizes, df, len(term) == 1, alpha) if df > 0 else None
-    return sampled_estimate(layout, fit, term, p, sample, critical)
+    multiplier = critical(*sizes, df, alpha, main=len(term) == 1) if df > 0 else None
+    return sampled_estimate(layout, fit, term, p, sample, multiplier)
 
 
 def sampled_estimate(
@@ -127,11 +123,11 @@ def sampled_estimate(
     term: Term,
     p: float | None,
     sample: Sample,
-    critical: float | None = None,
+    multiplier: float | None = None,
 ) -> TermEstimate:
     """Estimate of a term whose differences and means have standard errors of their own each.
 
-    ``critical`` is the multiplier of the differences; None for that of the sample.
+    ``multiplier`` is that of the differences; None for the sample's own.
     """
     levels, component_rows, mean_rows, complete = term_rows(layout, fit, term)
     k = len(levels)
@@ -147,42 +143,27 @@ def sampled_estimate(
         pairs = sample(Differences(component_rows, first, second))
         if pairs.error is not None:
             half = np.zeros((k, k))
-            wide = pairs.error * (pairs.simultaneous if critical is None else critical)
+            wide = pairs.error * (pairs.simultaneous if multiplier is None else multiplier)
             half[first, second] = half[second, first] = wide
     settings = tuple(product(*(layout.levels[name] for name in term)))
     return TermEstimate(term, levels, component, mean, half, mean_half, p, settings, complete)
 
 
-def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
-    """Smallest valid simultaneous multiplier: Tukey-Kramer, Bonferroni or Scheffe."""
-    from scipy.special import fdtri
+def critical(
+    k: int, df_term: int, df: float, alpha: float, *, by_block: bool = False, main: bool = False
+) -> float:
+    """Smallest valid simultaneous multiplier of the differences of k levels of a term.
 
-    if k == 2:
+    Bonferroni's, or that of all contrasts of the term; of a ``main`` effect with a pooled error
+    Tukey and Kramer's. With variances of their own ``by_block`` none needs sphericity.
+    """
+    if k == 2 or df_term == 1:
         return t_quantile(alpha / 2, df)
-    options = [
-        t_quantile(alpha / (k * (k - 1)), df),
-        math.sqrt(df_term * float(fdtri(df_term, df, 1 - alpha))),
-    ]
+    options = [t_quantile(alpha / (k * (k - 1)), df)]
+    if (every := all_contrasts(df_term, df, alpha, by_block=by_block)) is not None:
+        options.append(every)
     if main:
         options.append(studentized_range_quantile(1 - alpha, k, df) / math.sqrt(2))
-    return min(options)
-
-
-def own_critical(k: int, df_term: int, blocks: int, alpha: float) -> float:
-    """Multiplier where each difference has its own variance over blocks.
-
-    Bonferroni, or Hotelling's T^2 (all contrasts of the term at once) where that is smaller:
-    neither needs sphericity.
-    """
-    from scipy.special import fdtri
-
-    if k == 2 or df_term == 1:
-        return t_quantile(alpha / 2, blocks - 1)
-    options = [t_quantile(alpha / (k * (k - 1)), blocks - 1)]
-    rest = blocks - df_term
-    if rest > 0:
-        f = float(fdtri(df_term, rest, 1 - alpha))
-        options.append(math.sqrt(df_term * (blocks - 1) / rest * f))
     return min(options)
 
 
@@ -486,11 +467,15 @@ def size(
     simple_effects = (simple or {}).get(name)
     verdict, why, needed = _judged(estimate, scale, simple_effects)
     pairs, tags = _pairs(estimate, back)
+    u = scale.between(estimate, top, bottom)
     effect = replace(
         effect,
         range=back(largest),
         verdict=verdict,
         largest=(estimate.levels[top], estimate.levels[bottom]),
+        u_num=None if u is None else u / scale.unit,
+        effect_over_u_num=largest / u if u else None,
+        resolved=_resolved(largest / u) if u else None,
         why=why,
         pairs=pairs,
         letters=tags,
@@ -503,10 +488,6 @@ def size(
     if estimate.mean_half is not None and not np.isnan(estimate.mean).any():
         around = zip(estimate.mean.tolist(), estimate.mean_half.tolist(), strict=True)
         effect = replace(effect, mean_ci95=tuple((back(m - h), back(m + h)) for m, h in around))
-    if (u := scale.between(estimate, top, bottom)) is not None:
-        effect = replace(effect, u_num=u / scale.unit)
-    if u:
-        effect = replace(effect, effect_over_u_num=largest / u, resolved=_resolved(largest / u))
     if simple_effects is not None:
         listed, always = _listed(simple_effects, scale), simple_effects.always
         withdrawn = simple_effects.withdrawn
@@ -564,7 +545,9 @@ def _of_components(estimate: TermEstimate, scale: Scale) -> Judgement:
     # nothing bounds the numerical error of a quantity that diverges
     u = np.broadcast_to([math.inf if v is None else v for v in bounds], d.shape)
     w = np.zeros(d.size) if estimate.half is None else estimate.half[first, second]
-    return judge_all(d - w, d + w, scale.practical or 0.0, u)
+    judged = judge_all(d - w, d + w, scale.practical or 0.0, u)
+    needed = judged.u_needed
+    return judged if needed is None else judged._replace(u_needed=float(f"{needed:.6g}"))
 
 
 def _listed(simple: SimpleEffects, scale: Scale) -> tuple[SimpleEffect, ...]:
@@ -592,7 +575,7 @@ def _resolved(ratio: float) -> str:
 
 def _pairs(
     estimate: TermEstimate, back: Callable[[float], float]
-) -> tuple[tuple[PairDifference, ...], tuple[str, ...]]:
+) -> tuple[tuple[Comparison, ...], tuple[str, ...]]:
     """Differences of all pairs of levels of a factor, and the letters of the levels."""
     levels, pairs = estimate.levels, []
     if estimate.half is None or len(estimate.term) != 1 or len(levels) > MOST_LEVELS:
@@ -600,7 +583,7 @@ def _pairs(
     for i, j in combinations(range(len(levels)), 2):
         d, h = float(estimate.component[i] - estimate.component[j]), float(estimate.half[i, j])
         ends = back(d), back(d - h), back(d + h)
-        pairs.append(PairDifference(levels[i], levels[j], *ends, abs(d) > h))
+        pairs.append(Comparison(levels[i], levels[j], *ends, different=abs(d) > h))
     apart = {frozenset((pair.first, pair.second)) for pair in pairs if pair.different}
     by_level = letters([levels[i] for i in np.argsort(-estimate.component, kind="stable")], apart)
     return tuple(pairs), tuple(by_level[level] for level in levels)

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, Ints
-from study.statistics.analysis.anova_table import WaldTest
+from study.ground.arrays import Array, Ints, chunks
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
-from study.statistics.analysis.sums_of_squares import Factored, factor, term_sums
+from study.statistics.analysis.sums_of_squares import Factored, FRatioTest, factor, term_sums
 
 Groups = Mapping[str, ArrayLike] | Sequence[ArrayLike]
 
@@ -103,9 +102,8 @@ class ResidualDesign:
         """Residuals of simulated normal data by group, each of shape (m, size)."""
         rng = np.random.default_rng(seed)
         n, groups = self.basis.shape[0], np.unique(self.group)
-        chunk = max(1, int(2e6 // n))
-        for start in range(0, count, chunk):
-            z = rng.standard_normal((min(chunk, count - start), n))
+        for m in chunks(count, 2e6 // n):
+            z = rng.standard_normal((m, n))
             z -= (z @ self.basis) @ self.basis.T
             yield [z[:, self.group == g] for g in groups]
 
@@ -229,9 +227,7 @@ def _levene(groups: Sequence[Array], center: str) -> tuple[Array, Array]:
 
 def _normal_draws(sizes: Ints, count: int, seed: int) -> Iterator[list[Array]]:
     rng = np.random.default_rng(seed)
-    chunk = max(1, int(2e6 // int(sizes.sum())))
-    for start in range(0, count, chunk):
-        m = min(chunk, count - start)
+    for m in chunks(count, 2e6 // int(sizes.sum())):
         yield [rng.standard_normal((m, int(size))) for size in sizes]
 
 
@@ -365,19 +361,21 @@ def doubted_variances(y: Array, cell: Ints) -> tuple[Array, Array] | None:
     return own_variances(y, cell, SHRUNK) if counts.max() > 2 else None
 
 
-def _johansen(n: Array, mean: Array, variance: Array, contrast: Array, name: str) -> WaldTest:
+def _johansen(n: Array, mean: Array, variance: Array, contrast: Array) -> FRatioTest | None:
     """Test one contrast of cell means (Johansen 1980, Biometrika 67, 85-92).
+
+    None where a cell has one value or no variance, or where the variances differ too much.
 
     Shapes: n, mean, variance (cells,); contrast (d, cells).
     """
     from scipy.special import fdtrc
 
     if n.min() < 2 or variance.min() <= 0:
-        return WaldTest(name, None, None, None, "a cell has one value or zero variance")
+        return None
     s = variance / n
     covariance = (contrast * s) @ contrast.T
     if np.linalg.cond(covariance) > _WORST_CONDITION:
-        return WaldTest(name, None, None, None, "the variances of the cells differ too much")
+        return None
     inner = np.linalg.inv(covariance)
     effect = contrast @ mean
     t = float(effect @ inner @ effect)
@@ -386,25 +384,22 @@ def _johansen(n: Array, mean: Array, variance: Array, contrast: Array, name: str
     a = float(np.sum(2 * weight**2 / (n - 1))) / 2
     d = contrast.shape[0]
     scale = d + 2 * a - 6 * a / (d + 2)
-    df = (float(d), d * (d + 2) / (3 * a))
-    f = t / scale
-    return WaldTest(name, f, df, float(fdtrc(*df, f)))
+    f, df_error = t / scale, d * (d + 2) / (3 * a)
+    return FRatioTest(f, float(d), df_error, float(fdtrc(d, df_error, f)))
 
 
 def welch_tests(
     layout: CellLayout, cell: Ints, y: Array, terms: Sequence[Term]
-) -> dict[str, WaldTest]:
-    """Welch and James's test of every term, with a variance of its own in each cell."""
+) -> dict[str, FRatioTest | None]:
+    """Welch and James's test of every estimable term, with a variance of its own in each cell."""
     present, first, index = np.unique(cell, return_index=True, return_inverse=True)
     n = np.bincount(index).astype(float)
     mean = np.bincount(index, y - y[0]) / n
     variance, _ = own_variances(y, index)
     fit = factor(model_matrix(layout.take(first), terms), np.arange(float(present.size)))
-    out = {}
-    for s in term_sums(fit, "III"):
-        name = term_name(s.term)
-        if s.df < s.nominal_df:
-            out[name] = WaldTest(name, None, None, None, "not estimable")
-        else:
-            out[name] = _johansen(n, mean, variance, (fit.q @ s.basis).T, name)
-    return out
+    return {
+        term_name(s.term): None
+        if s.df < s.nominal_df
+        else _johansen(n, mean, variance, (fit.q @ s.basis).T)
+        for s in term_sums(fit, "III")
+    }

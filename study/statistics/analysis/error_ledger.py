@@ -278,17 +278,17 @@ def welch(out: AnalysisResult) -> AnalysisResult:
     rows = []
     for s in sums:
         row, test = term_row(s, 0, fit.rss, fit.tss), tests[term_name(s.term)]
-        if test.df is not None:
-            row = replace(row, f=test.f, p=test.p, error="cells", df_error=test.df[1])
+        if test is not None:
+            row = replace(row, f=test.f, p=test.p, error="cells", df_error=test.df_error)
         rows.append(row)
     rows.append(Row("residual", fit.df_residual, fit.rss))
     variances = own_variances(out.y, cell)
     sample = cell_welch(fit, cell, variances, out.request.alpha, 0.0, cautious=False)
     rivals, notes = rivals_of_rows(out, fit, fit.rss, fit.df_residual, sample)
     simple = judge_factors(out, data.layout, fit, sample, rivals)
+    p = {row.term: row.p for row in rows}
     estimates = [
-        sampled_estimate(data.layout, fit, term, tests[term_name(term)].p, sample)
-        for term in out.terms
+        sampled_estimate(data.layout, fit, term, p[term_name(term)], sample) for term in out.terms
     ]
     reason = (
         "as asked for: every cell has a variance of its own (Welch, Johansen 1980; intervals of "
@@ -314,7 +314,7 @@ def _sparse_ready(out: AnalysisResult, fit: Factored) -> bool:
     """One row in every cell of the full grid or of a saturated model, no copies."""
     data = out.data
     # copies are no separate contrasts: Lenth's limits would not hold
-    copied = len(out.copies.groups) < np.unique(data.cell).size
+    copied = len(out.copies) < np.unique(data.cell).size
     if copied or int(np.bincount(data.cell).max()) > 1:
         return False
     return fit.df_residual == 0 or (not data.blocks and balanced(data.layout, data.factors))

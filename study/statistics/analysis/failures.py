@@ -24,12 +24,12 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Ints, chunks
 from study.ground.errors import StudyError
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.anova_table import Effect, FailureBound
@@ -113,10 +113,6 @@ class FailurePattern:
     #: Failed cases and all cases that no rule holds for.
     elsewhere: tuple[int, int]
 
-    def to_json(self) -> dict[str, object]:
-        """Plain data, for ``--json``."""
-        return asdict(self)
-
 
 def cause(status: str, message: str) -> str:
     """Name what many cases may have failed of: what was said first, with dots for its numbers.
@@ -193,7 +189,12 @@ def _p(
     rows = levels if independent else cells
     bad, total = np.bincount(rows, failed).astype(float), np.bincount(rows).astype(float)
     if not independent:
-        return _by_cells(bad, total, levels[first], rng), "whole cells permuted"
+        member, drawn_weights = np.eye(int(levels.max()) + 1)[levels[first]], []
+        for count in chunks(SAMPLES, ENTRIES // first.size):  # as many as fit into memory
+            order = rng.permuted(np.tile(np.arange(first.size), (count, 1)), axis=1)
+            drawn_weights.append(_weight(bad[order] @ member, total[order] @ member))
+        observed = _weight(bad @ member, total @ member)
+        return _tail(observed, np.concatenate(drawn_weights)), "whole cells permuted"
     # exact wherever the tables can be listed
     if math.prod(int(n) + 1 for n in total[:-1]) <= MOST_TABLES:
         name = "Fisher" if total.size == 2 else "Freeman and Halton"
@@ -213,18 +214,6 @@ def _freeman_halton(bad: Array, total: Array) -> float:
     weight = _weight(listed, total)
     size = np.exp(weight - weight.max())
     return float(size[weight <= _weight(bad, total) + TIE].sum() / size.sum())
-
-
-def _by_cells(bad: Array, total: Array, levels: Ints, rng: np.random.Generator) -> float:
-    """Permute whole cells among the levels; arrays have shape (cells,)."""
-    member = np.eye(int(levels.max()) + 1)[levels]
-    drawn = []
-    step = max(1, ENTRIES // levels.size)  # as many permutations as fit into memory
-    for start in range(0, SAMPLES, step):
-        rows = min(step, SAMPLES - start)
-        order = rng.permuted(np.tile(np.arange(levels.size), (rows, 1)), axis=1)
-        drawn.append(_weight(bad[order] @ member, total[order] @ member))
-    return _tail(_weight(bad @ member, total @ member), np.concatenate(drawn))
 
 
 def _by_order(failed: Array, levels: Ints, cells: Ints, rng: np.random.Generator) -> float:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Flags
 from study.ground.contrast import Setting, sides_of
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.anova_table import Effect
@@ -134,11 +134,12 @@ def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Esti
         if not holds.any():
             setting_text = ", ".join(f"{name}={level}" for name, level in setting.items())
             raise InputError(Fault(f"contrast {text!r}", f"no row has {setting_text}"))
-        sides.append(rows[holds])
+        sides.append(holds)
     if "block" not in rows:
-        return _of_cells(rows, *sides, resampled=cells.resampled)
+        return _of_cells(rows, sides, resampled=cells.resampled)
     # every cell counts once, whatever its repeats
-    means = [side.groupby(["block", "cell"])["y"].mean().groupby("block").mean() for side in sides]
+    by_cell = (rows[holds].groupby(["block", "cell"])["y"].mean() for holds in sides)
+    means = [of_cells.groupby("block").mean() for of_cells in by_cell]
     both = means[0].index.intersection(means[1].index)
     differences = (means[0][both] - means[1][both]).to_numpy() if len(both) else None
     # within blocks, else by Welch between two sets of blocks
@@ -154,32 +155,26 @@ def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Esti
     return _Estimate(value, error, df if error or differences is not None else None, differences)
 
 
-def _of_cells(
-    rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame, *, resampled: bool
-) -> _Estimate:
-    """Difference of means of cells, with the variance pooled within all cells."""
-    by_cell = rows.groupby("cell")["y"]
-    index = by_cell.ngroup().to_numpy().astype(np.int64)
-    df = float(len(rows) - by_cell.ngroups)
-    means = [side.groupby("cell")["y"].agg(["mean", "size"]) for side in (first, second)]
-    value = float(means[0]["mean"].mean() - means[1]["mean"].mean())
+def _of_cells(rows: pd.DataFrame, sides: Sequence[Flags], *, resampled: bool) -> _Estimate:
+    """Difference of means of cells, with the variance pooled within all cells.
+
+    A cell that lies on both sides counts by the difference of its weights.
+    """
+    y, index = rows["y"].to_numpy(), np.unique(rows["cell"].to_numpy(), return_inverse=True)[1]
+    counts = np.bincount(index)
+    means = np.bincount(index, y - y[0]) / counts
+    of_sides = [np.bincount(index, side) > 0 for side in sides]
+    weight = np.subtract(*(cells / cells.sum() for cells in of_sides))
+    value, df = float(weight @ means), float(y.size - counts.size)
     if df < 1:
         return _Estimate(value, None, None)
-    squares = float(((rows["y"] - by_cell.transform("mean")) ** 2).sum())
-    counts = [len(m) if resampled else float((1 / m["size"]).sum()) for m in means]
-    share = sum(n / len(m) ** 2 for n, m in zip(counts, means, strict=True))
-    welch = None
-    variances = None if resampled else doubted_variances(rows["y"].to_numpy(), index)
+    squares = float(np.sum((y - y[0] - means[index]) ** 2))
+    share, welch = weight**2 / (1 if resampled else counts), None
+    variances = None if resampled else doubted_variances(y, index)
     if variances is not None:
-        sides = [index[rows.index.get_indexer(side.index)] for side in (first, second)]
-        cells = [np.unique(side, return_counts=True) for side in sides]
-        # each cell's share of the variance of the difference
-        shares = np.concatenate([1 / (n * len(c) ** 2) for c, n in cells])
-        members = np.concatenate([c for c, _ in cells])
-        variance, df_of_cell = (part[members] for part in variances)
-        error, free = by_components(shares[None], variance, df_of_cell, cautious=True)
+        error, free = by_components(share[None], *variances, cautious=True)
         welch = float(error[0]), float(free[0])
-    return _Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
+    return _Estimate(value, math.sqrt(squares / df * float(share.sum())), df, welch=welch)
 
 
 def _multipliers(estimates: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:

@@ -262,8 +262,8 @@ def number_within(layout: CellLayout, nested: Mapping[str, tuple[str, ...]]) -> 
 def _term_columns(layout: CellLayout, term: Term, present: set[frozenset[str]]) -> Array:
     is_contrast = {name: frozenset(term) - {name} in present for name in term}
     sizes = {name: len(layout.levels[name]) for name in term}
-    return _products(layout, {k: _contrasts(n) if is_contrast[k] else np.eye(n)
-                              for k, n in sizes.items()})  # fmt: skip
+    return products(layout, {k: _contrasts(n) if is_contrast[k] else np.eye(n)
+                             for k, n in sizes.items()})  # fmt: skip
 
 
 def _contrasts(levels: int) -> Array:
@@ -272,7 +272,7 @@ def _contrasts(levels: int) -> Array:
     return code[:, :-1] - code[:, -1:]
 
 
-def _products(layout: CellLayout, coded: Mapping[str, Array]) -> Array:
+def products(layout: CellLayout, coded: Mapping[str, Array]) -> Array:
     """Products of the columns of some factors, each coded by its levels, in every row."""
     columns = np.ones((layout.n, 1))
     for name, code in coded.items():
@@ -461,8 +461,8 @@ def factorize(matrix: ModelMatrix) -> Factorization:
     """Factor the columns (n, p) of a model."""
     scale = np.linalg.norm(matrix.columns, axis=0)
     scale[scale == 0] = 1.0
-    if (products := _factored_products(matrix)) is not None:
-        return Factorization(matrix, products[0], products[1] / scale, scale)
+    if (small := _factored_products(matrix)) is not None:
+        return Factorization(matrix, small[0], small[1] / scale, scale)
     scaled = matrix.columns / scale
     cells = distinct_rows(scaled)
     q, r = np.linalg.qr(scaled if cells is None else cells.rows)
@@ -499,7 +499,7 @@ def _factored_products(matrix: ModelMatrix) -> tuple[Array, Array] | None:
     for term, block in zip(terms, matrix.blocks, strict=True):
         cells = math.prod(len(layout.levels[name]) for name in term)
         length = math.sqrt(layout.n / cells)
-        q[:, block] = _products(layout, {name: small[name][0] for name in term}) / length
+        q[:, block] = products(layout, {name: small[name][0] for name in term}) / length
         triangle = np.eye(1)
         for name in term:
             triangle = np.kron(triangle, small[name][1])

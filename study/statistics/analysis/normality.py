@@ -11,11 +11,18 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, one_thread
+from study.ground.arrays import Array, chunks, one_thread
 from study.ground.errors import Fault, InputError
 from study.ground.units import p_phrase
 from study.statistics.analysis.comparisons import holm
-from study.statistics.analysis.linear_model import CellLayout, Term, balanced, span, term_name
+from study.statistics.analysis.linear_model import (
+    CellLayout,
+    Term,
+    balanced,
+    products,
+    span,
+    term_name,
+)
 
 _ALPHAS = (0.10, 0.05, 0.01)
 _CRITICAL = (
@@ -224,9 +231,8 @@ def null_rj(basis: Array, simulations: int, seed: int) -> Array:
     """
     n = basis.shape[0]
     rng = np.random.default_rng(seed)
-    chunk = max(1, int(2e6 // n))
-    pieces = (min(chunk, simulations - start) for start in range(0, simulations, chunk))
-    return np.concatenate([simulated_rj(rng.standard_normal((m, n)), basis) for m in pieces])
+    sizes = chunks(simulations, 2e6 // n)
+    return np.concatenate([simulated_rj(rng.standard_normal((m, n)), basis) for m in sizes])
 
 
 def simulated_rj(z: Array, basis: Array) -> Array:
@@ -369,22 +375,14 @@ def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> di
         raise InputError(Fault("cells", rule, "average repeats, leave out incomplete levels"))
     contrasts = {}
     for term in terms:
-        columns = np.ones((layout.n, 1))
-        for name in factors:
-            k = len(layout.levels[name])
-            code = scipy.linalg.helmert(k).T if name in term else np.full((k, 1), k**-0.5)
-            part = code[layout.codes[name]]
-            columns = (columns[:, :, None] * part[:, None, :]).reshape(layout.n, -1)
-        contrasts[term_name(term)] = columns.T @ (y - y[0, 0])
+        coded = {f: scipy.linalg.helmert(k).T if f in term else np.full((k, 1), k**-0.5)
+                 for f, k in ((f, len(layout.levels[f])) for f in factors)}  # fmt: skip
+        contrasts[term_name(term)] = products(layout, coded).T @ (y - y[0, 0])
     return contrasts
 
 
 def row_normality(
-    contrasts: Mapping[str, Array],
-    *,
-    tolerance: float = 0.0,
-    alpha: float = 0.05,
-    seed: int = 2011,
+    contrasts: Mapping[str, Array], *, tolerance: float = 0.0, alpha: float = 0.05, seed: int = 2011
 ) -> RowNormality:
     """Test the normality of every contrast over the blocks.
 
@@ -418,11 +416,7 @@ def row_normality(
 
 
 def block_share(
-    contrasts: Mapping[str, Array],
-    *,
-    tolerance: float = 0.0,
-    draws: int = 2000,
-    seed: int = 2011,
+    contrasts: Mapping[str, Array], *, tolerance: float = 0.0, draws: int = 2000, seed: int = 2011
 ) -> BlockShare | None:
     """Find the block that carries the most of the interaction with the blocks."""
     _, rows = _rows(contrasts, tolerance)
@@ -439,9 +433,8 @@ def block_share(
         root = np.asarray(np.linalg.qr(root.T, mode="r")).T
     top, above = float(share.max()), 0
     rng = np.random.default_rng(seed)
-    step = max(1, _NUMBERS_AT_ONCE // (blocks * max(rows.shape[0], root.shape[1])))
-    for start in range(0, draws, step):
-        normal = rng.standard_normal((min(step, draws - start), root.shape[1], blocks))
+    for m in chunks(draws, _NUMBERS_AT_ONCE // (blocks * max(rows.shape[0], root.shape[1]))):
+        normal = rng.standard_normal((m, root.shape[1], blocks))
         drawn = root @ normal
         largest = _shares(drawn - (drawn @ basis) @ basis.T).max(axis=-1)
         above += int(np.count_nonzero(largest >= top))

@@ -17,21 +17,19 @@ import pandas as pd
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
-from study.statistics.analysis.anova_table import DifferenceInterval, Effect, PairDifference, Row
+from study.statistics.analysis.anova_table import Comparison, Effect, Row
 from study.statistics.analysis.comparisons import (
     Comparisons,
-    LevelPair,
     block_multiplier,
     studentized_range_cdf,
     t_quantile,
     two_sided,
 )
 from study.statistics.analysis.data import Crossed
-from study.statistics.analysis.effects import group_errors, own_critical, pooled_critical, term_rows
-from study.statistics.analysis.incomplete_blocks import mixed_cells
+from study.statistics.analysis.effects import critical, group_errors, term_rows
 from study.statistics.analysis.linear_contrast import Cells, possible_contrasts
 from study.statistics.analysis.linear_model import CellLayout, Term, nested_in, terms_of
-from study.statistics.analysis.strata import cell_fit
+from study.statistics.analysis.strata import cell_fit, mixed_cells
 from study.statistics.analysis.sums_of_squares import EXACT, Factored
 
 if TYPE_CHECKING:
@@ -184,9 +182,10 @@ def _against(
     method: str,
     alpha: float,
 ) -> Comparisons:
-    ends = zip(means.tolist(), (means - half).tolist(), (means + half).tolist(), p, strict=True)
-    pairs = (LevelPair(name, reference, *end) for name, end in zip(others, ends, strict=True))
-    return Comparisons(method, alpha, tuple(pairs), {})
+    ends = zip(means.tolist(), (means - half).tolist(), (means + half).tolist(), strict=True)
+    each = zip(others, ends, p, strict=True)
+    pairs = tuple(Comparison(name, reference, *end, p=p_of) for name, end, p_of in each)
+    return Comparisons(method, alpha, pairs, {})
 
 
 #: smallest p that is told apart: one of the 4,000 draws of the multiplier
@@ -239,19 +238,7 @@ HOTELLING = "Hotelling"
 TWO_LEVELS = "t"
 
 
-@dataclass(frozen=True)
-class PairwiseDifference(DifferenceInterval):
-    """Difference of two levels of one factor, with the interval of all its pairs together."""
-
-    factor: str
-    #: Adjusted for all pairs of the factor; below alpha exactly where the interval excludes no
-    #: difference. None where the error is made of several strata.
-    p: float | None
-    #: What makes interval and p hold for all pairs together.
-    method: str
-
-
-def pairwise(analysis: AnalysisResult) -> tuple[PairwiseDifference, ...]:
+def pairwise(analysis: AnalysisResult) -> tuple[Comparison, ...]:
     """Give all pairwise comparisons of an analysis, factor after factor.
 
     With one pooled error they are Tukey's (Kramer's where unbalanced). Where effects are tested
@@ -262,13 +249,12 @@ def pairwise(analysis: AnalysisResult) -> tuple[PairwiseDifference, ...]:
     compared = []
     for effect, pair in ((e, pair) for e in analysis.effects if e.is_main for pair in e.pairs):
         method, p = _adjusted(effect, pair, rows.get(effect.term), analysis)
-        difference = pair.first, pair.second, pair.difference, pair.lower, pair.upper
-        compared.append(PairwiseDifference(*difference, effect.term, p, method))
+        compared.append(replace(pair, factor=effect.term, p=p, method=method, different=None))
     return tuple(compared)
 
 
 def _adjusted(
-    effect: Effect, pair: PairDifference, row: Row | None, analysis: AnalysisResult
+    effect: Effect, pair: Comparison, row: Row | None, analysis: AnalysisResult
 ) -> tuple[str, float | None]:
     if row is None or row.error is None or row.df_error is None or row.df_error <= 0:
         return "", None
@@ -277,13 +263,13 @@ def _adjusted(
     k, alpha, df = len(effect.levels), analysis.request.alpha, row.df_error
     pairs = k * (k - 1) / 2
     if row.error == "residual":
-        critical = pooled_critical(k, k - 1, df, True, alpha)
+        multiplier = critical(k, k - 1, df, alpha, main=True)
         method = TUKEY
     elif row.error == f"{analysis.data.block}:{effect.term}" and row.df:
         df = float(round(df / row.df))
         # its own variance over blocks: the multiplier that made the interval
-        critical = own_critical(k, k - 1, int(df) + 1, alpha)
-        method = BONFERRONI if critical >= t_quantile(alpha / (2 * pairs), df) else HOTELLING
+        multiplier = critical(k, k - 1, df, alpha, by_block=True)
+        method = BONFERRONI if multiplier >= t_quantile(alpha / (2 * pairs), df) else HOTELLING
     else:
         return "", None
     method = TWO_LEVELS if k == 2 else method
@@ -292,7 +278,7 @@ def _adjusted(
         size, half = math.log(pair.difference), math.log(pair.upper / pair.lower) / 2
     if not (math.isfinite(half) and half > 0):
         return method, None
-    t = abs(size) / half * critical
+    t = abs(size) / half * multiplier
     if method == TUKEY:
         return method, max(0.0, 1 - studentized_range_cdf(t * math.sqrt(2), k, df))
     if method == HOTELLING:
@@ -312,22 +298,13 @@ LARGE_LEVERAGE = 3.0
 
 def diagnosed_rows(analysis: AnalysisResult) -> pd.DataFrame | None:
     """Every row with its standardized and PRESS residual; None where nothing was left over."""
-    rows = analysis.residuals
-    if "leverage" not in rows:
+    rows, fit = analysis.residuals, analysis.fit
+    if fit is None or fit.df_residual < 1 or fit.rss <= 0:
         return None
-    leverage = rows["leverage"].to_numpy(float)
-    residual = rows["residual"].to_numpy(float)
-    df = len(rows) - float(leverage.sum())
-    rss = float(residual @ residual)
-    # half a degree of freedom is rounding of the sum of the leverages
-    if df < 0.5 or rss <= 0:
-        return None
-    s = math.sqrt(rss / df)
     # a row that is fitted exactly leaves 0 / 0: it has no residual to judge
-    left = np.where(leverage < EXACT, 1 - leverage, np.nan)
-    return rows.assign(
-        row=rows["row"] + 1, standardized=residual / s / np.sqrt(left), press=residual / left
-    )
+    left = np.where(fit.leverage < EXACT, 1 - fit.leverage, np.nan)
+    standardized = fit.residual / math.sqrt(fit.rss / fit.df_residual) / np.sqrt(left)
+    return rows.assign(row=rows["row"] + 1, standardized=standardized, press=fit.residual / left)
 
 
 def unusual_observations(analysis: AnalysisResult) -> pd.DataFrame | None:

@@ -72,19 +72,23 @@ def claim(low: float, high: float, practical: float) -> str:
     return NO_DIFFERENCE if -practical < low and high < practical else ""
 
 
-def judge_all(low: Array, high: Array, practical: float, u: Array) -> Judgement:
-    """Judge several differences together, by the ends (m,) of their intervals and bounds u (m,)."""
-    beyond = np.maximum(low, -high)
+def judge_all(
+    low: Array, high: Array, practical: float, u: Array, wide: tuple[Array, Array] | None = None
+) -> Judgement:
+    """Judge several differences together, by the ends (m,) of their intervals and bounds u (m,).
+
+    That one matters is claimed by its ``wide`` interval, which is the same by default.
+    """
+    wide_low, wide_high = wide or (low, high)
+    beyond = np.maximum(wide_low, -wide_high)
     if (beyond - u > practical).any():
         return Judgement(MATTERS, "the interval lies beyond the practical band")
     inside = practical - np.maximum(-low, high)
     if (inside > u).all():
         return Judgement(NO_DIFFERENCE, "every interval lies inside the practical band")
-    if beyond.max() > practical:
-        needed = float(f"{beyond.max() - practical:.6g}")
-        return Judgement(NOT_RESOLVED, resolution(needed), needed)
-    if inside.min() > 0:
-        needed = float(f"{inside.min():.6g}")
+    far, near = float(beyond.max()) - practical, float(inside.min())
+    if far > 0 or near > 0:
+        needed = far if far > 0 else near
         return Judgement(NOT_RESOLVED, resolution(needed), needed)
     return Judgement(CANNOT_TELL, "the interval crosses the practical threshold")
 
@@ -217,11 +221,6 @@ class SimpleEffects:
     #: Reasons for which claims were withdrawn, of the factor or of one setting.
     withdrawn: tuple[str, ...] = ()
 
-    @property
-    def largest(self) -> SimpleEffect:
-        """The one with the largest difference."""
-        return max(self.effects, key=lambda effect: abs(effect.difference))
-
 
 def partners(factor: str, terms: Sequence[Term]) -> tuple[str, ...]:
     """Factors that a factor interacts with in a model.
@@ -326,33 +325,21 @@ def verdict_of(
 def _together(
     factor: str, effects: tuple[SimpleEffect, ...], practical: float | None
 ) -> SimpleEffects:
-    verdicts = {effect.verdict for effect in effects}
     if practical is None:
         return SimpleEffects(factor, CANNOT_TELL, "no practical threshold was given", effects)
-    if MATTERS in verdicts:
-        why = "the simultaneous interval of a simple effect lies beyond the practical band"
-        return SimpleEffects(factor, MATTERS, why, effects, always=_always(effects, practical))
-    if verdicts == {NO_DIFFERENCE}:
-        why = "the interval of every simple effect lies inside the practical band"
-        return SimpleEffects(factor, NO_DIFFERENCE, why, effects)
-    if (needed := _needed(effects, practical)) is not None:
-        bounds = [e.u for e in effects if e.verdict == NOT_RESOLVED]
-        why = UNBOUNDED if bounds and set(bounds) == {None} else resolution(needed)
-        return SimpleEffects(factor, NOT_RESOLVED, why, effects, needed)
-    why = "the interval of a simple effect crosses the practical threshold"
-    return SimpleEffects(factor, CANNOT_TELL, why, effects)
-
-
-def _needed(effects: Sequence[SimpleEffect], practical: float) -> float | None:
-    """Numerical uncertainty that a claim needs; None where the scatter alone forbids it."""
-    intervals = [e.ci or (e.difference, e.difference) for e in effects]
-    wide = [e.ci_simultaneous or (e.difference, e.difference) for e in effects]
-    beyond = [max(low, -high) - practical for low, high in wide]
-    if max(beyond) > 0:
-        return max(beyond)
-    if all(claim(*ci, practical) == NO_DIFFERENCE for ci in intervals):
-        return min(practical - max(-low, high) for low, high in intervals)
-    return None
+    low, high = np.array([e.ci or (e.difference, e.difference) for e in effects]).T
+    wide = np.array([e.ci_simultaneous or (e.difference, e.difference) for e in effects]).T
+    u = np.array([math.inf if e.u is None else e.u for e in effects])
+    verdict, why, needed = judge_all(low, high, practical, u, (wide[0], wide[1]))
+    unbounded = {e.u for e in effects if e.verdict == NOT_RESOLVED} == {None}
+    why = {
+        MATTERS: "the simultaneous interval of a simple effect lies beyond the practical band",
+        NO_DIFFERENCE: "the interval of every simple effect lies inside the practical band",
+        NOT_RESOLVED: UNBOUNDED if unbounded else why,
+        CANNOT_TELL: "the interval of a simple effect crosses the practical threshold",
+    }[verdict]
+    always = _always(effects, practical) if verdict == MATTERS else ()
+    return SimpleEffects(factor, verdict, why, effects, needed, always)
 
 
 def _always(effects: Sequence[SimpleEffect], practical: float) -> tuple[tuple[str, str], ...]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Ints, chunks
 from study.ground.errors import RefusedError
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.linear_model import (
@@ -20,6 +21,7 @@ from study.statistics.analysis.linear_model import (
     balanced,
     factorize,
     model_matrix,
+    products,
     term_name,
     terms_of,
 )
@@ -127,10 +129,9 @@ NULL_STUDIES = 20_000
 def _null(m: int, seed: int) -> tuple[Array, Array]:
     """Sorted null |contrast| / PSE, of one contrast and of the largest of ``m``."""
     rng = np.random.default_rng(seed)
-    chunk = max(1, int(1e6 // m))
     singles, largest = [], []
-    for start in range(0, NULL_STUDIES, chunk):
-        z = rng.standard_normal((min(chunk, NULL_STUDIES - start), m))
+    for studies in chunks(NULL_STUDIES, 1e6 // m):
+        z = rng.standard_normal((studies, m))
         ratio = np.abs(z) / pseudo_standard_error(z)[:, None]
         # contrasts of a row are exchangeable: all of them serve as draws of one
         singles.append(ratio.ravel())
@@ -139,10 +140,7 @@ def _null(m: int, seed: int) -> tuple[Array, Array]:
 
 
 def lenth(
-    contrasts: ArrayLike,
-    names: Sequence[str] | None = None,
-    *,
-    seed: int = 2011,
+    contrasts: ArrayLike, names: Sequence[str] | None = None, *, seed: int = 2011
 ) -> LenthResult:
     """Lenth's method with simulated critical values.
 
@@ -186,20 +184,15 @@ def orthonormal_contrasts(layout: CellLayout, terms: Sequence[Term]) -> tuple[li
     Shapes: returns (n, m).
     """
     names: list[str] = []
-    columns: list[Array] = []
     for term in terms:
-        pieces = [("", np.ones(layout.n))]
-        for factor in term:
-            coded = _one_df_contrasts(layout.levels[factor])[layout.codes[factor]]
-            tags = [f"[{i + 1}]" if coded.shape[1] > 1 else "" for i in range(coded.shape[1])]
-            pieces = [
-                (f"{name}:{factor}{tag}".lstrip(":"), column * coded[:, i])
-                for name, column in pieces
-                for i, tag in enumerate(tags)
-            ]
-        names += [name for name, _ in pieces]
-        columns += [column / np.linalg.norm(column) for _, column in pieces]
-    return names, np.column_stack(columns)
+        parts = [range(1, len(layout.levels[factor])) for factor in term]
+        tags = ([f"{f}[{i}]" if len(part) > 1 else f for i in part]
+                for f, part in zip(term, parts, strict=True))  # fmt: skip
+        names += map(term_name, product(*tags))
+    factors = {name for term in terms for name in term}
+    coded = {name: _one_df_contrasts(layout.levels[name]) for name in factors}
+    columns = np.hstack([products(layout, {f: coded[f] for f in term}) for term in terms])
+    return names, columns / np.linalg.norm(columns, axis=0)
 
 
 def _one_df_contrasts(levels: Sequence[str]) -> Array:
@@ -278,16 +271,8 @@ _LIKE_BLOCKS = (
 )
 
 
-@dataclass(frozen=True)
-class CopyGroups:
-    """Cells that agree in every block, one representative first."""
-
-    groups: tuple[tuple[int, ...], ...]
-
-    @property
-    def representatives(self) -> tuple[int, ...]:
-        """First cell of each group."""
-        return tuple(group[0] for group in self.groups)
+#: Groups of cells that agree in every block; the first of each group represents it.
+Copies = tuple[tuple[int, ...], ...]
 
 
 def ulp_floor(y: Array) -> float:
@@ -332,7 +317,7 @@ def _refuse_copies(unit: Ints, y: Array, floor: float, rule: str) -> list[str]:
     return []
 
 
-def group_cells(y: Array, within: float) -> CopyGroups:
+def group_cells(y: Array, within: float) -> Copies:
     """Group cells that agree with the group's first cell in every block.
 
     Shapes: y (cells, blocks).
@@ -351,17 +336,17 @@ def group_cells(y: Array, within: float) -> CopyGroups:
         else:
             heads[len(groups)] = values
             groups.append([cell])
-    return CopyGroups(tuple(tuple(group) for group in groups))
+    return tuple(map(tuple, groups))
 
 
-def copies_of(data: Data, within: float, *, computed: bool) -> CopyGroups:
+def copies_of(data: Data, within: float, *, computed: bool) -> Copies:
     """Cells that are one computation, judged on the raw response."""
     cells = np.unique(data.cell)
     blocks = 1 if data.block is None else len(data.layout.levels[data.block])
     if not computed and (data.block is None or blocks < 3):
-        return CopyGroups(tuple((int(c),) for c in cells))
+        return tuple((int(c),) for c in cells)
     table = np.full((cells.size, blocks), np.nan)
     column = 0 if data.block is None else data.layout.codes[data.block]
     table[np.searchsorted(cells, data.cell), column] = data.y
     copies = group_cells(table, max(within, ulp_floor(data.y)))
-    return CopyGroups(tuple(tuple(int(cells[i]) for i in g) for g in copies.groups))
+    return tuple(tuple(cells[list(group)].tolist()) for group in copies)

@@ -203,9 +203,7 @@ class OneBound:
         """Return the bound."""
         return self.u
 
-    def of_component(self, first: Levels, second: Levels) -> float | None:
-        """Return the bound."""
-        return self.u
+    of_component = of
 
 
 @dataclass(frozen=True)

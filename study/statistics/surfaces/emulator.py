@@ -15,6 +15,7 @@ import scipy
 from study.ground.arrays import Array, Flags
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
+from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 from study.statistics.surfaces.gaussian_process import (
     FAMILIES,
     GaussianProcess,
@@ -38,8 +39,6 @@ ERRORS = 2.0
 #: every miss of the bound on the borehole function
 MISS = 0.02
 
-Verdict = Literal["matters", "no practical difference", "cannot tell"]
-
 
 @dataclass(frozen=True)
 class EffectRange:
@@ -50,7 +49,7 @@ class EffectRange:
     #: Half width around it: twice the largest leave-one-out error, and numerical uncertainty.
     bound: float
     #: {"matters", "no practical difference", "cannot tell"}: at 95 % of the settings.
-    verdict: Verdict
+    verdict: str
     #: shape (2, k); coded settings of the two predicted extremes: run both before the claim is
     #: made.
     confirm: Array
@@ -121,16 +120,12 @@ def effect_ranges(
     return tuple(ranges)
 
 
-def verdict_of(
-    value: float, bound: float, practical: float | None, response_range: float
-) -> Verdict:
+def verdict_of(value: float, bound: float, practical: float | None, response_range: float) -> str:
     """Judge a range with its bound; what is too small to matter is told from the runs' range."""
+    high = value + bound + MISS * response_range
     if practical is None:
-        return "cannot tell"
-    if value - bound > practical:
-        return "matters"
-    small = value + bound + MISS * response_range < practical
-    return "no practical difference" if small else "cannot tell"
+        return CANNOT_TELL
+    return claim(value - bound, high, practical) or CANNOT_TELL
 
 
 # Shares of the response's variance that factors explain, with all factors uniform on the box.
@@ -493,7 +488,7 @@ class BlockedEmulator(Keyed):
         predictions = [emulator.predict(coded) for emulator in self.each]
         values = np.array([value for value, _ in predictions])
         errors = np.mean([half for _, half in predictions], axis=0)
-        return values.mean(axis=0), self._scatter(values) + errors
+        return values.mean(axis=0), self.scatter(values) + errors
 
     def indices(self) -> tuple[SobolIndex, ...]:
         """Sobol indices, averaged over blocks, with t intervals widened by 1 - Q2."""
@@ -506,7 +501,7 @@ class BlockedEmulator(Keyed):
         parts = [np.array([i.first for i in indices]), np.array([i.total for i in indices])]
         sides = np.array([-1.0, 1.0])
         first, total = (float(part.mean()) for part in parts)
-        ends = [part.mean() + self._scatter(part) * sides for part in parts]
+        ends = [part.mean() + self.scatter(part) * sides for part in parts]
         return SobolIndex.of(first, ends[0], total, ends[1], margin)
 
     def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
@@ -519,7 +514,7 @@ class BlockedEmulator(Keyed):
         self, j: int, ranges: tuple[EffectRange, ...], practical: float | None, u: float
     ) -> EffectRange:
         values = np.array([effect.value for effect in ranges])
-        bound = float(self._scatter(values) + np.mean([effect.bound for effect in ranges]))
+        bound = float(self.scatter(values) + np.mean([effect.bound for effect in ranges]))
         value = float(values.mean())
         # where the block nearest to the mean has its extremes
         nearest = ranges[int(np.abs(values - value).argmin())]
@@ -527,7 +522,7 @@ class BlockedEmulator(Keyed):
         verdict = verdict_of(value, bound, practical, float(np.ptp(self.runs.response)))
         return EffectRange(value, bound, verdict, nearest.confirm, sure)
 
-    def _scatter(self, values: Array) -> Array:
+    def scatter(self, values: Array) -> Array:
         """Half width of the 95 % interval of a mean over blocks, the first axis of the values."""
         b = len(self.each)
         t = float(scipy.special.stdtrit(b - 1, 0.975))

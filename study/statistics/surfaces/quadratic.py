@@ -14,6 +14,7 @@ import scipy
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
+from study.statistics.analysis.comparisons import all_contrasts
 from study.statistics.analysis.data import DISTINCT_ROWS
 from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
 from study.statistics.analysis.sums_of_squares import (
@@ -24,12 +25,7 @@ from study.statistics.analysis.sums_of_squares import (
     over_blocks,
 )
 from study.statistics.surfaces.emulator import EffectRange, effect_ranges
-from study.statistics.surfaces.surface_factors import (
-    Runs,
-    box_points,
-    change_together,
-    some_runs,
-)
+from study.statistics.surfaces.surface_factors import Runs, box_points, change_together, some_runs
 
 # A polynomial of second order in coded factors.
 
@@ -274,7 +270,10 @@ def stationary_point(surface: QuadraticPolynomial) -> StationaryPoint | None:
 
 
 def level_at(surface: QuadraticPolynomial, covariance: Array, limit: float, coded: Array) -> Flags:
-    """Whether the gradient may be zero at coded points: those whose T^2 is below a limit.
+    """Whether the gradient may be zero at coded points: those whose T is below a limit.
+
+    With the error of the residual it is that of Box and Hunter (1954, Biometrika 41, 190-199), of
+    the gradients of blocks Hotelling's.
 
     Shapes: covariance (p, p) of the coefficients of the terms; coded (n, k); returns (n,).
     """
@@ -283,19 +282,7 @@ def level_at(surface: QuadraticPolynomial, covariance: Array, limit: float, code
     gradient = slopes @ surface.coefficients
     spread = slopes @ covariance @ slopes.transpose(0, 2, 1)
     t2 = np.einsum("ni,nij,nj->n", gradient, np.linalg.pinv(spread), gradient)
-    return np.asarray(t2 <= limit)
-
-
-def level_limit(k: int, df: int, error: Error) -> float | None:
-    """T^2 of the 95 % region of k slopes; None of too few blocks.
-
-    The residual has df degrees of freedom (Box and Hunter 1954, Biometrika 41, 190-199); the
-    gradients of df + 1 blocks have the mean zero by Hotelling's T^2.
-    """
-    if error != "blocks":
-        return k * float(scipy.special.fdtri(k, df, 0.95))
-    free = df + 1 - k
-    return k * df / free * float(scipy.special.fdtri(k, free, 0.95)) if free > 0 else None
+    return np.asarray(t2 <= limit**2)
 
 
 # A quadratic surface fitted to runs, and what may be said of it.
@@ -397,11 +384,9 @@ class QuadraticSurface(Keyed):
             for a, b in combinations(range(steps.size), 2)
             for d in [rows[a] - rows[b]]
         )
-        if self.error != "blocks":
-            return largest * float(np.sqrt(p * scipy.special.fdtri(p, self.df, 0.95)))
-        free = self.df + 1 - p
-        if free > 0:
-            return largest * float(np.sqrt(p * self.df / free * scipy.special.fdtri(p, free, 0.95)))
+        multiplier = all_contrasts(p, self.df, 0.05, by_block=self.error == "blocks")
+        if multiplier is not None:
+            return largest * multiplier
         # none of 3,000 ranges over 2 or 3 normal blocks went beyond: the largest error serves all
         return largest * float(scipy.special.stdtrit(self.df, 1 - 0.025 / len(points)))
 
@@ -625,7 +610,7 @@ def _surface(
         )
         covariance = columns.model.unscaled_covariance[:count, :count] * residual / df
     if point is not None and covariance is not None:
-        limit = level_limit(polynomial.k, df, error)
+        limit = all_contrasts(polynomial.k, df, 0.05, by_block=error == "blocks")
         if limit is not None:
             level = partial(level_at, polynomial, covariance, limit)
             point = replace(point, region=_region(point, level))

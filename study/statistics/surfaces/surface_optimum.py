@@ -14,13 +14,7 @@ from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, RefusedError
 from study.statistics.surfaces.emulator import GIVEN, BlockedEmulator, Emulator
 from study.statistics.surfaces.quadratic import CARRIED, QuadraticSurface
-from study.statistics.surfaces.surface_factors import (
-    BOUNDARY,
-    CORNERS,
-    Extreme,
-    Runs,
-    box_points,
-)
+from study.statistics.surfaces.surface_factors import BOUNDARY, CORNERS, Extreme, Runs, box_points
 
 Model = QuadraticSurface | Emulator | BlockedEmulator
 Goal = Literal["minimize", "maximize"]

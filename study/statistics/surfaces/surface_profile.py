@@ -18,7 +18,6 @@ from study.statistics.surfaces.emulator import (
     SHARE,
     BlockedEmulator,
     Emulator,
-    Verdict,
     fit_emulator,
 )
 from study.statistics.surfaces.quadratic import QuadraticSurface
@@ -181,7 +180,7 @@ class LevelDifference:
     bound: float
     #: {"matters", "no practical difference", "cannot tell"}: whether it matters at some settings;
     #: no difference means at none.
-    verdict: Verdict
+    verdict: str
 
 
 def level_difference(
@@ -197,7 +196,7 @@ def level_difference(
     half = np.hypot(predictions[0][1], predictions[1][1])
     largest = [float(np.abs(model.loo_errors).max()) for model in models]
     bound = ERRORS * float(np.hypot(largest[0], largest[1])) + u
-    verdict: Verdict = "cannot tell"
+    verdict = "cannot tell"
     if practical is not None and all(model.gate == "given" for model in models):
         if float(np.quantile(np.abs(change), SHARE)) - bound > practical:
             verdict = "matters"

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import zip_longest
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
@@ -321,13 +320,10 @@ def _own(model: Model, inputs: _Inputs, seed: int) -> Array:
         return np.full(2 + PERCENTILES.size, 2.0 * rms)
     u = qmc.Sobol(len(inputs.spreads), seed=seed + 1).random_base2(OWN_SAMPLE)
     if isinstance(model, BlockedEmulator):
-        responses = np.column_stack(
-            [_numbers(e.value(inputs.coded(u))[:, None]) for e in model.each]
-        )
-        blocks = responses.shape[1]
-        t = float(scipy.special.stdtrit(blocks - 1, 0.975))
-        scatter = t * responses.std(axis=1, ddof=1) / np.sqrt(blocks)
-        return np.asarray(scatter + np.mean([_own(e, inputs, seed) for e in model.each], axis=0))
+        responses = np.array([_numbers(e.value(inputs.coded(u))[:, None])[:, 0]
+                              for e in model.each])  # fmt: skip
+        errors = np.mean([_own(e, inputs, seed) for e in model.each], axis=0)
+        return np.asarray(model.scatter(responses) + errors)
     paths = model.scale * model.paths(seed)(inputs.unit(u))
     responses = _numbers(paths)
     scatter = np.sqrt(np.mean((responses[:, 1:] - responses[:, :1]) ** 2, axis=1))
