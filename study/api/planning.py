@@ -65,8 +65,10 @@ def noted_progress(
             noted = now
             counts = {k: getattr(state, k) for k in ("done", "total", "counted", "failed")}
             at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-            left = round(state.seconds_left, 1)
-            store.note(counts | {"label": state.label[:80], "seconds_left": left, "at": at})
+            note_of_run = counts | {"label": state.label[:80], "at": at}
+            if (left := state.seconds_left) is not None:
+                note_of_run["seconds_left"] = round(left, 1)
+            store.note(note_of_run)
         if progress is not None:
             progress(state)
 

@@ -50,6 +50,7 @@ from study.harness.runner.batch import (
     WARN,
     check_choice,
     check_stale,
+    in_phase,
     manifest_of,
     mixed_meshes,
     run_batch,
@@ -215,7 +216,8 @@ def run(
             clock.work = work
             warnings += mixed_meshes(work, store)
     if confirm:
-        unconfirmed, may = load_study(store.path), Permission(data, allowed, progress)
+        of_runs = in_phase(progress or (lambda _: None), "confirming runs")
+        unconfirmed, may = load_study(store.path), Permission(data, allowed, of_runs)
         for surface in unconfirmed.surfaces:
             for settings in surface.unconfirmed:
                 at: dict[str, float | str] = {**settings, **surface.labels}
@@ -264,11 +266,11 @@ def _compute(
     clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
         return work, computed
-    refine_study(plain, store, executor, progress)
-    compare_spaces(plain, store, executor, progress)
+    refine_study(plain, store, executor, in_phase(progress, "finer meshes"))
+    compare_spaces(plain, store, executor, in_phase(progress, "control"))
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:
-        validate(plain, store, executor, progress)
+        validate(plain, store, executor, in_phase(progress, "uncertain inputs"))
         clock.mark("uncertain inputs")
     return work, computed
 

@@ -118,7 +118,8 @@ def progress_line() -> Iterator[Callable[[Progress], None]]:
         if now - last >= QUIET_S or state.done == state.total:
             last = now
             failed = f", {state.failed} failed" if state.failed else ""
-            left = f", {seconds(state.seconds_left)} left" if state.seconds_left >= 0.5 else ""
+            more = state.seconds_left or 0.0
+            left = f", {seconds(more)} left" if more >= 0.5 else ""
             print(f"{state.counted}{failed}{left}: {state.label}", file=sys.stderr, flush=True)
 
     yield line
@@ -145,7 +146,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
                 total=state.total,
                 completed=state.done,
                 counted=state.counted,
-                left=seconds(state.seconds_left),
+                left="?" if state.seconds_left is None else seconds(state.seconds_left),
                 description=failed + escape(state.label),
             )
 

@@ -298,9 +298,15 @@ def _status(state: Document) -> Iterator[Block]:
         cases = case_counts(later["cases"])
         yield Verbatim(f"  that is its last finished run; a later one has {cases}")
         yield from (Verbatim(f"    {change}") for change in later["changed"])
-    yield Verbatim(_running(state["running"], state["predicted_seconds"]))
-    if state["running"] is None and state["cases"]["missing"]:
-        yield Verbatim("`study run` with the design computes what is missing")
+    if (runner := state["running"]) is None:
+        yield Verbatim("not running")
+        if state["cases"]["missing"]:
+            yield Verbatim("`study run` with the design computes what is missing")
+        return
+    who = ", ".join(f"{name} {runner[name]}" for name in ("pid", "host", "since") if name in runner)
+    seconds, counted = state["predicted_seconds"], runner.get("counted", "at work")
+    left = "" if seconds is None else f", {output.seconds(seconds)} left"
+    yield Verbatim(f"running: {counted}{left} ({who})")
 
 
 def report(
@@ -408,18 +414,6 @@ def predict(
     document = {"predictions": [prediction.to_json() for prediction in predictions]}
     notes = [note for prediction in predictions for note in prediction.notes]
     output.show(document, as_json, lambda _: prediction_blocks(predictions), notes)
-
-
-def _running(runner: Document | None, seconds_left: float | None) -> str:
-    """Who is at work, and for how long."""
-    if runner is None:
-        return "not running"
-    who = ", ".join(f"{name} {runner[name]}" for name in ("pid", "host", "since") if name in runner)
-    if seconds_left is None:
-        return f"running: {who}"
-    return (
-        f"running: {runner.get('counted', 'at work')}, {output.seconds(seconds_left)} left ({who})"
-    )
 
 
 def _folders(results: Path, reports: Path) -> output.Options:

@@ -47,7 +47,7 @@ def media(tmp_path_factory):
 
 def latex_rows(text, label):
     """Cells of a table, as they are escaped."""
-    body = text.partition(rf"\label{{tab:{label}}}")[2].partition(r"\end{tabular}")[0]
+    body = text.partition(rf"\label{{tab:{STEM}-{label}}}")[2].partition(r"\end{tabular}")[0]
     body = body.partition(r"\midrule")[2].partition(r"\bottomrule")[0]
     return [[cell.strip() for cell in row.split("&")] for row in body.split(r"\\") if row.strip()]
 

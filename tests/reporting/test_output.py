@@ -98,10 +98,20 @@ def test_tex_has_no_command_of_a_user():
     text = write.escape(r"\input{/etc/passwd} $x$ 50% & #1 ~ ^ _")
     assert r"\input" not in text
     assert text.startswith(r"\textbackslash{}input\{")
-    made = write.table(Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
+    made = write.table(Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %", "t")
     assert r"a\_b & n \\" in made
     assert r"\begin{tabular}{lr}" in made
     assert r"\label{tab:t}" in made
+
+
+def test_latex_of_two_reports_has_no_label_twice_and_no_cell_that_is_a_command():
+    """Behind the end of a row a bracket or an asterisk is read as an option of that end."""
+    table = Table("anova", ("depth", 'plate 5"'), (("[0, 5)", "1"), ("*", "2")))
+    first, second = (write.document([("ANOVA", table)], "", stem) for stem in ("wool", "npk"))
+    labels = [re.findall(r"\\label\{(.*)\}", text) for text in (first, second)]
+    assert labels == [["tab:wool-anova"], ["tab:npk-anova"]]
+    assert not re.search(r"\\\\\s*[\[*]", first)
+    assert r"\textquotedbl" not in first  # no command of the usual encoding
 
 
 def test_a_terminal_has_a_table_for_each_response(data, capsys):

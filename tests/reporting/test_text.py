@@ -1,6 +1,7 @@
 """Numbers as text: pinned by hand."""
 
 import math
+import re
 
 import pytest
 
@@ -27,7 +28,10 @@ from study.reporting.content.text import (
     sentence,
     share,
     significant,
+    slug,
+    slugs,
     span,
+    trimmed,
 )
 from study.reporting.results.study_answers import Change
 
@@ -151,3 +155,19 @@ def test_decimals_are_those_of_a_thousandth_of_what_matters():
 def test_inputs_are_joined_by_their_first_part():
     inputs = {"specimen.shape": "cylinder", "specimen.radius": "25 mm", "mesh": "fine"}
     assert grouped_inputs(inputs) == {"specimen": "cylinder, radius 25 mm", "mesh": "fine"}
+
+
+def test_a_name_of_a_file_is_that_of_one_text():
+    assert slug("Force [mN]") == "force-mn"
+    assert slug("") == "response"
+    texts = ("F", "f", "+1", "-1", "\N{GREEK SMALL LETTER SIGMA}", "\N{CYRILLIC SMALL LETTER YA}",
+             *("response" * 20 + end for end in "ab"))  # fmt: skip
+    names = slugs(texts)
+    assert len(set(names.values())) == len(texts)
+    assert all(re.fullmatch("[a-z0-9-]{1,90}", name) for name in names.values())
+    assert slugs(["mu0", "work_error"]) == {"mu0": "mu0", "work_error": "work-error"}
+
+
+def test_a_declared_difference_is_written_without_zeros_and_exponents():
+    assert [trimmed(value) for value in (0.5, 20, 1e6, 0.05)] == ["0.5", "20", "1,000,000", "0.05"]
+    assert trimmed(5e-10) == "5e\N{MINUS SIGN}10"

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import study
+from study.cli.output import progress_line
 from study.execution.local import Loky
 from study.ground.errors import StoreError
 from study.harness.design.load import loads
 from study.harness.runner import batch
-from study.harness.runner.batch import run_batch
+from study.harness.runner.batch import Progress, in_phase, run_batch
 from study.harness.runner.expansion import expand
 from study.mechanics.forward.closed_form import compression
 from study.record.record import table
@@ -174,6 +175,22 @@ def test_progress_ends_at_the_total_and_time_left_at_zero(design, one_mix, tmp_p
     assert [p.done for p in seen] == list(range(1, 13))
     assert seen[-1].total == 12
     assert seen[-1].seconds_left == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_time_left_follows_the_work_and_not_the_number_of_computations():
+    """Long ones come first: after 3 of 4 hours, and 1 of 11 computations, an hour is left."""
+    state = Progress(1, 11, 0, 3 * 3600.0, "the long one", share=0.75)
+    assert state.seconds_left == pytest.approx(3600.0)
+    assert Progress(1, 1000, 0, 60.0, "a quick one", share=0.001).seconds_left is None
+
+
+def test_what_is_computed_after_the_cases_has_its_name(capsys):
+    with progress_line() as line:
+        first = Progress(1, 180, 0, 60.0, "plates bonded", 1, 108, share=0.01)
+        in_phase(line, "finer meshes")(first)
+    assert (
+        capsys.readouterr().err == "finer meshes: 0/72 cases, 1/108 calibrations: plates bonded\n"
+    )
 
 
 def test_code_version_follows_what_the_tasks_import():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import math
 import signal
 import threading
 import time
@@ -143,7 +144,8 @@ class Progress:
     """State of a run after each finished computation; what a progress line shows.
 
     Of ``done`` and ``total`` computations, ``fits_done`` and ``fits`` are calibrations; the others
-    are cases.
+    are cases. ``share`` is the part of the predicted work that is done; ``phase`` names what is
+    computed after the cases of the design, such as finer meshes.
     """
 
     done: int
@@ -153,17 +155,33 @@ class Progress:
     label: str
     fits_done: int = 0
     fits: int = 0
+    share: float = 0.0
+    phase: str = ""
 
     @property
-    def seconds_left(self) -> float:
-        """Seconds for the cases left, at the mean time of the finished ones."""
-        return self.seconds / max(self.done, 1) * (self.total - self.done)
+    def seconds_left(self) -> float | None:
+        """Seconds for the work left, at the rate of what is done; None where too little is."""
+        if self.done == self.total:
+            return 0.0
+        if self.share < LEAST_SHARE:
+            return None
+        return self.seconds * (1 - self.share) / self.share
 
     @property
     def counted(self) -> str:
-        """Cases and calibrations in words: ``3/6 cases, 4/4 calibrations``."""
+        """Cases and calibrations in words: ``finer meshes: 3/6 cases, 4/4 calibrations``."""
         cases = f"{self.done - self.fits_done}/{self.total - self.fits} cases"
-        return cases + (f", {self.fits_done}/{self.fits} calibrations" if self.fits else "")
+        fits = f", {self.fits_done}/{self.fits} calibrations" if self.fits else ""
+        return f"{self.phase}{': ' * bool(self.phase)}{cases}{fits}"
+
+
+#: part of the predicted work from which on the time left is worth a number
+LEAST_SHARE = 0.02
+
+
+def in_phase(progress: Callable[[Progress], None], phase: str) -> Callable[[Progress], None]:
+    """Progress of what is computed after the cases of a design, under its name."""
+    return lambda state: progress(replace(state, phase=phase))
 
 
 def run_batch(
@@ -182,7 +200,8 @@ def run_batch(
         _compute([(job, ()) for job in todo], store, executor, progress)
         while again := attempts(work, store, limit_of(executor) is not None):
             for (longer, alone), alike in again.items():
-                _compute(alike, store, adapted(executor, longer, alone), progress)
+                again_progress = in_phase(progress, "other settings")
+                _compute(alike, store, adapted(executor, longer, alone), again_progress)
         return len(todo)
 
 
@@ -234,6 +253,8 @@ def _compute(
         for key, job in jobs.items()
     ]
     began, failed, fits_done = time.monotonic(), 0, 0
+    work = {task.key: task.seconds for task in tasks}
+    work_s, done_s = math.fsum(work.values()), 0.0
     with contextlib.closing(executor.run(tasks, stored)) as outcomes:
         for count, outcome in enumerate(outcomes, 1):
             if outcome.key in fits:
@@ -245,8 +266,9 @@ def _compute(
                 job, notes = cases[outcome.key]
                 label = job.case.label
                 failed += not _written(job, notes, outcome, store).converged
-            seconds = time.monotonic() - began
-            progress(Progress(count, len(tasks), failed, seconds, label, fits_done, len(fits)))
+            seconds, done_s = time.monotonic() - began, done_s + work[outcome.key]
+            share, counts = done_s / work_s, (fits_done, len(fits))
+            progress(Progress(count, len(tasks), failed, seconds, label, *counts, share))
 
 
 def _written(job: CaseJob, notes: Notes, outcome: Outcome, store: Store) -> Record:

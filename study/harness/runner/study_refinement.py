@@ -446,8 +446,8 @@ def compare_spaces(
         results[key] = result
         if key in unsolved:
             done, seconds = len(unsolved & results.keys()), time.monotonic() - began
-            label = "one cylinder in both spaces, a control"
-            progress(Progress(done, len(unsolved), 0, seconds, label))
+            label, share = "one cylinder in both spaces, a control", done / len(unsolved)
+            progress(Progress(done, len(unsolved), 0, seconds, label, share=share))
     rows = [compared_spaces(pair, *(results[task.key] for task in pair[1])) for pair in both]
     with store.lock():
         store.write_rows("spaces", rows)

@@ -12,7 +12,6 @@ from study.ground.arrays import gathered
 from study.reporting.content.blocks import Table
 from study.reporting.content.report_facts import Facts, cells, practical_of
 from study.reporting.content.text import (
-    MINUS,
     MISSING,
     THIN,
     TIMES,
@@ -31,6 +30,7 @@ from study.reporting.content.text import (
     sentence,
     span,
     term_name,
+    trimmed,
 )
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
@@ -44,6 +44,8 @@ from study.statistics.analysis.simple_effects import (
 
 if TYPE_CHECKING:
     from study.ground.contrast import Expected
+
+Labels = Mapping[str, str] | None
 
 # Sizes of effects as text: differences and ratios, intervals, what matters, numerical bounds.
 #
@@ -100,8 +102,7 @@ def practical(effect: Effect, facts: Facts) -> str:
     """Return the smallest difference that matters, as it was declared."""
     if effect.practical is None:
         return MISSING
-    text = f"{float(f'{effect.practical:.3g}'):g}".replace("-", MINUS)
-    return scaled(text, effect, facts)
+    return scaled(trimmed(effect.practical), effect, facts)
 
 
 def numerical(effect: Effect, facts: Facts) -> str:
@@ -135,11 +136,19 @@ def bound(u: float, effect: Effect, facts: Facts) -> str:
     return _bounding(math.exp(u * effect.u_unit), effect)
 
 
-def change(effect: Effect, facts: Facts) -> str:
-    """Size of a change in words: ``37.3 %`` for a ratio of 1.373."""
-    if effect.is_ratio and effect.range is not None:
-        return f"{percent(effect.range - 1)} (ratio {shown_size(effect)})"
+def change(effect: Effect, facts: Facts, labels: Labels = None) -> str:
+    """Size of a change that matters, at the setting where it does if it does not on average."""
+    if simple := sole_setting(effect):
+        number = shown_difference(apart(simple.difference, effect), effect, facts)
+        return f"{number} {setting(simple, labels)}"
     return size(effect, facts)
+
+
+def change_in_words(effect: Effect, facts: Facts, labels: Labels = None) -> str:
+    """Size of a change that matters: ``37.3 %`` for a ratio of 1.373."""
+    if effect.is_ratio and effect.range is not None and sole_setting(effect) is None:
+        return f"{percent(effect.range - 1)} (ratio {shown_size(effect)})"
+    return change(effect, facts, labels)
 
 
 # Answers by the role of a factor: recommended among choices, given at each condition.
@@ -234,15 +243,15 @@ def unknowns(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Effect of every assumed factor, and whether it has to be measured."""
     effects = gathered((e.term, (f, e)) for f in all_facts for e in f.effects)
     return [
-        _one_unknown(name_of(name, data.labels), effects[name])
+        _one_unknown(name_of(name, data.labels), effects[name], data.labels)
         for name in factors_of(data, UNKNOWN)
         if name in effects
     ]
 
 
-def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]]) -> str:
+def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]], labels: Labels) -> str:
     large = [
-        f"{facts.noun} by {shown_difference(effect.range, effect, facts)}"
+        f"{facts.noun} by {change(effect, facts, labels)}"
         for facts, effect in effects
         if effect.verdict == MATTERS and effect.range is not None
     ]
@@ -253,8 +262,6 @@ def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]]) -> str:
         return sentence(f"{start}. It makes no practical difference, so it need not be measured")
     return sentence(f"{start}. This study cannot tell whether it has to be measured")
 
-
-Labels = Mapping[str, str] | None
 
 #: *matters* where the average over the other factors does not
 MATTERS_AT_SETTINGS = "matters at some settings"

@@ -18,9 +18,7 @@ from study.record.record import Record, cell_names
 from study.reporting.content import effect_words, surface_content
 from study.reporting.content.effect_words import (
     blocks_needed,
-    change,
-    setting,
-    shown_difference,
+    change_in_words,
     size,
     size_interval,
     sole_setting,
@@ -51,6 +49,7 @@ from study.reporting.content.text import (
     sentence,
     significant,
     term_name,
+    trimmed,
 )
 from study.reporting.results.study_result import ANSWERED, FITTED_CURVE, ReportData
 from study.statistics.analysis.anova_table import Effect
@@ -228,12 +227,11 @@ def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
         fragile = f"; not so if {blocks_needed(effect, facts)} is left out"
     if effect.term in facts.hang_on_missing:
         fragile += f"; {_LIKE_THE_OTHERS}"
-    if simple := sole_setting(effect):
-        number = shown_difference(effect_words.apart(simple.difference, effect), effect, facts)
-        at = setting(simple, data.labels)
-        return f"{number} {at}; {size(effect, facts)} on average{fragile}"
+    changed = effect_words.change(effect, facts, data.labels)
+    if sole_setting(effect):
+        return f"{changed}; {size(effect, facts)} on average{fragile}"
     extremes = "" if effect.is_ratio else " between extremes"
-    return f"{size(effect, facts)}{extremes}{fragile}"
+    return f"{changed}{extremes}{fragile}"
 
 
 def _magnitude(effect: Effect) -> float:
@@ -263,7 +261,7 @@ def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
         return interactions(data, all_facts)
     # two claims say more than a claim and a doubt
     unseen, where, seen, facts = min(contrasts, key=lambda of: of[0].verdict != NO_DIFFERENCE)
-    changed, other = f"{facts.noun} by {change(seen, facts)}", where.noun
+    changed, other = f"{facts.noun} by {change_in_words(seen, facts, data.labels)}", where.noun
     choice = f"the choice of {name_of(seen.term, data.labels)}"
     if unseen.verdict == NO_DIFFERENCE:
         return sentence(
@@ -544,7 +542,7 @@ def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
     if frame.empty:
         return "no cell has an answer"
     best, limit = best_of(frame), practical_of(facts, frame)
-    within = f"{limit:.3g}{THIN}{facts.difference_unit}"
+    within = f"{trimmed(limit)}{THIN}{facts.difference_unit}"
     if front.empty:
         near = int((abs(frame["mean"] - best["mean"]) <= limit).sum()) - 1
         others = f"; {count(near, 'other cell')} within {within} of it"

@@ -34,6 +34,7 @@ from study.reporting.content.text import (
     quantity,
     sentence,
     significant,
+    trimmed,
 )
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 from study.statistics.surfaces.emulator import Emulator
@@ -421,7 +422,8 @@ def surface_answer(fit: FittedSurface, data: ReportData, *, is_short: bool = Fal
         less = [f"{len(sizes) - _NAMED} more by less"] if is_short and sizes[_NAMED:] else []
         refusal = f"over its range, {listing([*sizes[: _NAMED if less else None], *less])}"
     if is_short:
-        limit = f" (what matters: {fit.practical:.3g} {clean(fit.unit)})" if fit.practical else ""
+        of_unit = f"{trimmed(fit.practical or 0.0)} {clean(fit.unit)}".strip()
+        limit = f" (what matters: {of_unit})" if fit.practical else ""
         return " ".join(
             (f"{named}: {refusal}{limit if moved else ''}.", *uncertainty_answer(fit, data))
         )
@@ -449,7 +451,7 @@ def _judged(fit: FittedSurface, data: ReportData) -> str:
         for item in fit.surface.sensitivity
         if item.range is not None
     )
-    limit = f"{fit.practical:.3g} {clean(fit.unit)}".strip()
+    limit = f"{trimmed(fit.practical)} {clean(fit.unit)}".strip()
     claims = []
     for verdict, verb, more in (
         (MATTERS, "matter", ""),

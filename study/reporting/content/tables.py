@@ -330,7 +330,7 @@ def sizes(facts: Facts, data: ReportData) -> Table:
     columns: dict[str, Callable[[Row], str]] = {
         "term": lambda row: term_name(row.term, data.labels),
     }
-    if any(row.f is not None for row in effects):
+    if any(row.omega_sq is not None for row in effects):
         columns["omega squared"] = lambda row: _fixed(row.omega_sq, 3)
         columns["partial eta squared"] = lambda row: (
             _fixed(row.partial_eta_sq, 3)

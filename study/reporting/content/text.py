@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from study.ground import units
+from study.ground.arrays import gathered
 
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -26,6 +28,12 @@ def significant(value: float | None, digits: int = 3) -> str:
         mantissa = f"{rounded / 10.0**exponent:.{digits - 1}f}"
         return f"{mantissa}e{exponent}".replace("-", MINUS)
     return f"{rounded:,.{max(digits - 1 - exponent, 0)}f}".replace("-", MINUS)
+
+
+def trimmed(value: float, digits: int = 3) -> str:
+    """Significant digits without zeros at their end: ``0.5``, ``1,000,000``."""
+    number, *exponent = significant(value, digits).partition("e")
+    return (number.rstrip("0").rstrip(".") if "." in number else number) + "".join(exponent)
 
 
 def p_value(p: float | None) -> str:
@@ -248,9 +256,28 @@ def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:
     return f" {TIMES} ".join(name_of(part, labels) for part in term.split(":"))
 
 
-def slug(text: str) -> str:
-    """File and id name made of letters, digits and hyphens alone."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower())[:48].strip("-") or "response"
+#: letters of a name of a file
+LONGEST_NAME = 80
+
+
+def slug(text: str, *, is_marked: bool = False) -> str:
+    """File and id name made of letters, digits and hyphens alone.
+
+    Where letters are lost, as those of Greek are, a mark tells the name from that of another text.
+    """
+    name = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+    is_lossy = any(c.isalnum() and not c.isascii() for c in text) or len(name) > LONGEST_NAME
+    if not (is_marked or is_lossy):
+        return name or "response"
+    mark = hashlib.sha256(text.encode()).hexdigest()[:6]
+    return f"{name[:LONGEST_NAME].strip('-') or 'response'}-{mark}"
+
+
+def slugs(texts: Iterable[str]) -> dict[str, str]:
+    """File and id names of several texts, no two alike: ``F`` and ``f`` get a mark each."""
+    by_name = gathered((slug(text), text) for text in dict.fromkeys(texts))
+    alike = ((text, len(of_name) > 1) for of_name in by_name.values() for text in of_name)
+    return {text: slug(text, is_marked=is_shared) for text, is_shared in alike}
 
 
 def listing(items: Sequence[str], word: str = "and") -> str:

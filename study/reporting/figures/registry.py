@@ -33,8 +33,9 @@ from study.reporting.content.text import (
     sentence,
     share,
     significant,
-    slug,
+    slugs,
     term_name,
+    trimmed,
 )
 from study.reporting.figures import (
     convergence_figures,
@@ -134,7 +135,7 @@ def front(frame: pd.DataFrame, facts: Facts, limit: float) -> str:
     cheap = float(near["seconds"].min())
     lie = "lies" if len(near) == 1 else "lie"
     return sentence(
-        f"{count(len(near), 'cell')} of {len(frame)} {lie} within {limit:.3g}{THIN}"
+        f"{count(len(near), 'cell')} of {len(frame)} {lie} within {trimmed(limit)}{THIN}"
         f"{facts.difference_unit} of the best; the cheapest of them takes {duration(cheap)} a "
         f"case, the dearest cell of all {duration(dear)}"
     )
@@ -280,7 +281,8 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         "front": bool(facts.better) and timed,
     }
     chosen = {k: plot for k, plot in plots.items() if has.get(k, True) and k not in without}
-    return figures_of(chosen, slug(facts.name), facts.title)
+    stem = slugs(response.name for response in data.analyses)[facts.name]
+    return figures_of(chosen, stem, facts.title)
 
 
 def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:

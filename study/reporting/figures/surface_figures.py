@@ -22,7 +22,7 @@ from study.reporting.content.text import (
     percent,
     quantity,
     sentence,
-    slug,
+    slugs,
 )
 from study.reporting.figures import axes as style
 from study.reporting.figures.axes import make
@@ -88,6 +88,7 @@ def profilers(data: ReportData) -> list[Figure]:
         if fitted.surface is not None
     )
     figures = []
+    names = slugs(f"profiler {labels}" for labels in by_labels)
     for labels, rows in by_labels.items():
         plot: Plot = (
             f"Every response along every factor{labels and ': '}{labels}",
@@ -95,7 +96,7 @@ def profilers(data: ReportData) -> list[Figure]:
             partial(_draw_profiles, rows, data),
             partial(_profiles_caption, rows, data),
         )
-        figures.append(make(slug(f"profiler {labels}"), plot))
+        figures.append(make(names[f"profiler {labels}"], plot))
     return figures
 
 

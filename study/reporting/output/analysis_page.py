@@ -20,6 +20,7 @@ import pandas as pd
 from study import __version__ as package_version
 from study.ground.bounded_file import sha256_of
 from study.ground.errors import Fault, InputError
+from study.ground.units import is_known, unit_of_column
 from study.reporting.content import analysis_content, methods, tables
 from study.reporting.content.blocks import (
     Block,
@@ -228,7 +229,8 @@ def write_page(
         if compared is not None:
             shown.append(analysis_content.against_reference(*compared, data))
         methods_text = methods.paragraph(data, facts(data))
-        replace_file(latex, write.document([(t.name.capitalize(), t) for t in shown], methods_text))
+        captioned = [(t.name.capitalize(), t) for t in shown]
+        replace_file(latex, write.document(captioned, methods_text, stem))
     return {"html": html, "pdf": html, "tex": latex, "csv": files / "rows.csv"}[chosen[0]]
 
 
@@ -295,14 +297,15 @@ def analysis_data(analysis: AnalysisResult, source: AnalysisSource | None = None
     levels = {e.term: e.levels for e in analysis.effects if e.is_main}
     texts = {n: rows[n].astype(str) for n in (*request.factors, "block") if n in rows}
     table = rows[["row"]].rename(columns={"row": "case_id"}).assign(**texts, status="converged")
+    title, unit = _named(request.response)
     of_response = ResponseAnalysis(
         request.response,
-        "",
+        unit,
         analysis,
         practical=None if limit is None else limit.value,
         relative=bool(limit and limit.relative),
         transform=request.scale.transform,
-        title=request.response,
+        title=title,
     )
     data = data_of_table(
         source or AnalysisSource(),
@@ -314,6 +317,14 @@ def analysis_data(analysis: AnalysisResult, source: AnalysisSource | None = None
     )
     blocks = () if block is None else tuple(rows["block"].astype(str).unique())
     return replace(data, block=block or "", blocks=blocks, seed=request.seed, alpha=request.alpha)
+
+
+def _named(column: str) -> tuple[str, str]:
+    """Name of a response, and its unit where that ends the name in brackets."""
+    unit = unit_of_column(column)
+    if unit == "1" or not is_known(unit) or not (title := column.rpartition(unit)[0][:-1].strip()):
+        return column, ""
+    return title, unit
 
 
 def data_of_table(
@@ -336,7 +347,7 @@ def data_of_table(
         commands=source.commands(),
         scheme=f"a table of {len(table):,} rows was analyzed",
         cells=cells,
-        labels={name: name for name in (response.name, *factors)},
+        labels={response.name: response.title, **{name: name for name in factors}},
         is_table=True,
     )
 
@@ -347,10 +358,11 @@ def surface_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> Repor
     table = pd.concat([_settings_of(runs, labels) for runs, labels in good], ignore_index=True)
     table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
     runs, names = good[0][0], [*fits[0].labels, *good[0][0].names]
+    title, unit = _named(runs.name)
     data = data_of_table(
         source,
         ResponseAnalysis(
-            runs.name, "", None, practical=fits[0].practical, title=runs.name, refused=SEE_SURFACE
+            runs.name, unit, None, practical=fits[0].practical, title=title, refused=SEE_SURFACE
         ),
         f"How does {runs.name} depend on {listing(names)}?",
         {name: tuple(table[name].unique()) for name in names},
@@ -361,7 +373,7 @@ def surface_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> Repor
         data,
         block="block" if runs.blocks else "",
         blocks=tuple(table["block"].unique()) if runs.blocks else (),
-        surfaces=tuple(fits),
+        surfaces=tuple(replace(fitted, unit=unit) for fitted in fits),
         ranges={f.name: f"{f.low:g} to {f.high:g}" for f in runs.factors},
     )
 

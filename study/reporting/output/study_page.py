@@ -43,6 +43,8 @@ from study.reporting.content.text import (
     plural_of,
     sentence,
     slug,
+    slugs,
+    trimmed,
 )
 from study.reporting.figures.axes import figures_of
 from study.reporting.output.page import Page, Pages, page_names
@@ -63,8 +65,9 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     all_facts = facts(data)
     of_each = {item.name: registry.of_response(data, item) for item in all_facts}
     shapes = {surface_content.title(fit, data): fit for fit in data.surfaces}
+    names = {title: f"surface-{name}" for title, name in slugs(shapes).items()}
     over = {
-        title: figures_of(surface_figures.drawings(fit, data), f"surface-{slug(title)}", title)
+        title: figures_of(surface_figures.drawings(fit, data), names[title], title)
         for title, fit in shapes.items()
     }
     effects = registry.overview(data, all_facts)
@@ -76,7 +79,7 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     if profilers := surface_figures.profilers(data):
         middle += [Heading("Prediction profiler", 2, "profiler"), *profilers]
     for title, fit in shapes.items():
-        middle += surface_content.surface_blocks(fit, data, f"surface-{slug(title)}", over[title])
+        middle += surface_content.surface_blocks(fit, data, names[title], over[title])
         notes = () if fit.surface is None else fit.surface.notes
         middle += [Sentence(sentence(text), kind="note") for text in notes]
     middle += [block for part in parts for block in _response(data, *part)]
@@ -101,9 +104,9 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     return two_pages(data, all_facts, slug(data.name), data.name, shown, blocks, warnings)
 
 
-def anchor_of(item: Facts) -> str:
+def anchor_of(item: Facts, data: ReportData) -> str:
     """Name of the section of a response."""
-    return f"r-{slug(item.name)}"
+    return f"r-{slugs(response.name for response in data.analyses)[item.name]}"
 
 
 def two_pages(
@@ -253,7 +256,7 @@ def _effects(data: ReportData, all_facts: Sequence[Facts], files: str, rows: str
     yield Heading("Effects in full", 2, "answer")
     yield from map(Sentence, (*sentences.answer(data, all_facts), *_held(data)))
     table = tables.verdicts(all_facts, data)
-    anchors = {item.title: anchor_of(item) for item in all_facts if not data.is_table}
+    anchors = {item.title: anchor_of(item, data) for item in all_facts if not data.is_table}
     yield replace(table, links=tuple(anchors.get(row[0], "") for row in table.rows))
     if table.rows:
         links = {"these numbers as CSV": "table-verdicts.csv", rows: rows}
@@ -318,7 +321,7 @@ def note(response: Facts) -> str:
     """Say what was declared of a response: its unit, what matters, how it is analyzed."""
     parts = [response.unit] if response.unit else []
     if response.practical is not None:
-        limit = f"{response.practical:g} {response.difference_unit}"
+        limit = f"{trimmed(response.practical, 6)} {response.difference_unit}"
         if response.relative:
             limit = f"{100 * response.practical:g} % of the mean"
         parts.append(f"a difference of {limit.strip()} matters")
@@ -385,7 +388,7 @@ def drawn(figures: Figures, *kinds: str) -> Iterator[Figure]:
 
 
 def _response(data: ReportData, item: Facts, figures: Figures) -> Blocks:
-    yield Heading(capital(item.title), 2, anchor_of(item), item.unit)
+    yield Heading(capital(item.title), 2, anchor_of(item, data), item.unit)
     if item.result is None or not item.terms:
         yield Sentence(f"Not analyzed. {' '.join(item.warnings)}", kind="missing")
         return

@@ -1,0 +1,81 @@
+"""Names and units of a table as its report writes them: files, labels, numbers."""
+
+import csv
+import math
+import re
+from itertools import product
+
+import pytest
+
+from tests.cli.small import study
+
+LONG = "predicted_contact_pressure_at_the_outer_edge_of_the_{}_plate"
+#: responses whose names are alike in the letters that a file has, and what b is above a
+ALIKE = {
+    "\N{GREEK SMALL LETTER SIGMA}": 20.0, "\N{GREEK SMALL LETTER TAU}": 3.0, "F": 7.0, "f": 0.5,
+    LONG.format("upper"): 11.0, LONG.format("lower"): 13.0,
+}  # fmt: skip
+
+
+@pytest.fixture
+def alike(tmp_path, monkeypatch):
+    """Folder of the data of a report on responses whose names are alike."""
+    monkeypatch.chdir(tmp_path)
+    with open("runs.csv", "w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["plate", *ALIKE])
+        for plate, noise in product("ab", (-0.02, 0.0, 0.01, 0.01)):
+            rows.writerow(
+                [plate, *(5 + noise + apart * (plate == "b") for apart in ALIKE.values())]
+            )
+    said = study("import", "runs.csv", "--factors", "plate", "--responses", ",".join(ALIKE))
+    assert said.code == 0, said.err
+    return tmp_path / "reports" / "runs" / "runs-data"
+
+
+def test_no_response_loses_its_files_to_another_of_a_like_name(alike):
+    # of a row a group the difference d of two means of four rows has the sum of squares 2 d^2
+    expected = sorted(2 * apart**2 for apart in ALIKE.values())
+    tables = [path for path in alike.glob("table-*.csv") if "anova" in path.name]
+    sums = []
+    for path in tables:
+        with path.open(encoding="utf-8", newline="") as file:
+            sums += [float(row["ss"]) for row in csv.DictReader(file) if row["term"] == "plate"]
+    assert sorted(sums) == pytest.approx(expected)
+    assert len(list(alike.glob("figure-*-means.svg"))) == len(ALIKE)
+    page = alike.parent.joinpath("runs-details.html").read_text("utf-8")
+    anchors = re.findall(r'<section id="(r-[^"]+)"', page)
+    assert len(set(anchors)) == len(anchors) == len(ALIKE)
+    for anchor in anchors:
+        assert f'href="#{anchor}"' in page
+
+
+def test_a_unit_in_the_name_of_a_column_stands_beside_its_numbers(tmp_path):
+    lines = ["lot,plates,force_mN [mN]"]
+    for lot, (plates, base) in product(range(5), (("bonded", 500.0), ("free", 620.0))):
+        lines.append(f"{lot},{plates},{base + 7 * lot + (lot % 3) * (plates == 'free')}")
+    path = tmp_path / "force.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    said = study("analyze", path, "--response", "force_mN [mN]", "--factors", "plates", "--block",
+                 "lot", "--practical", "0.05 N", "--report", tmp_path / "out",
+                 "--format", "html,tex")  # fmt: skip
+    assert said.code == 0, said.err
+    # the differences are 120, 121, 122, 120, 121
+    assert re.search(r"plates +matters +121 mN .* mN +50 mN", said.out)
+    first = (tmp_path / "out" / "force-force-mn-mn.html").read_text("utf-8")
+    assert "For force_mN, the choice of plates (121\N{NO-BREAK SPACE}mN between extremes)" in first
+    tex = (tmp_path / "out" / "force-force-mn-mn.tex").read_text("utf-8")
+    assert "a difference of 50~mN was declared to matter" in tex
+
+
+def test_sizes_that_a_mixed_model_does_not_have_are_no_columns(tmp_path):
+    lines = ["block,dose,wear"]
+    for block, dose in product(range(6), range(3)):
+        if (block + dose) % 5:
+            noise = math.sin(31 * block + 5.3 * dose)
+            lines.append(f"{block},{dose},{10 + 3 * dose + block % 4 + noise:.3f}")
+    path = tmp_path / "wear.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    said = study("analyze", path, "--response", "wear", "--factors", "dose", "--block", "block")
+    assert "REML" in said.out
+    assert "omega squared" not in said.out
