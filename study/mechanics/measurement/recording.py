@@ -5,7 +5,6 @@ Columns hold displacement and force, or measures of strain and stress.
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from study.ground.bounded_file import read_bytes, table_text
 from study.ground.declaration import Bad, relative_path
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, parse_csv
-from study.ground.units import parse, unit_factor
+from study.ground.units import parse
 from study.mechanics.measurement.measurement_section import (
     SECOND,
     Columns,
@@ -27,6 +26,8 @@ from study.mechanics.measurement.measurement_section import (
 )
 from study.mechanics.measurement.written_units import (
     DIMENSIONS,
+    contradicts,
+    shows_unit,
     units_above,
     word_of_unit,
     written_unit,
@@ -264,8 +265,6 @@ _FEW_ROWS = 3
 MAX_TRAVEL_MM = 1e5
 MAX_FORCE_N = 1e8
 MAX_TIME_S = 1e10
-#: what a unit has that a file shows: a digit alone, or a dash, says little
-_LETTER = re.compile(r"[^\W\d_]|%")
 
 
 @dataclass(frozen=True)
@@ -500,21 +499,12 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
         ("a line above the names", above, False),
     )
     # the first place counts that shows a unit; what is declared wins where a row of units is, too
-    shown = ((who, word, sure) for who, word, sure in places if _LETTER.search(word))
-    who, word, is_sure = next((place for place in shown if written_unit(place[1])), ("", "", False))
-    written = written_unit(word)
-    if written and not spec.unit_row and _contradicts(written, unit, dimension, is_sure=is_sure):
+    who, word, is_sure = next((place for place in places if shows_unit(place[1])), ("", "", False))
+    if not spec.unit_row and contradicts(word, unit, dimension, is_sure=is_sure):
         rule = f"{who} says {word}, but {unit} is declared in measurements.units"
         mend = "declare the unit that the file is in"
         raise InputError(Fault(f"{table.source}: column {column!r}", rule, mend))
     return parse(f"1 {unit}", dimension)
-
-
-def _contradicts(written: tuple[str, str], declared: str, dimension: str, *, is_sure: bool) -> bool:
-    """Whether a unit of the file is another one than was declared."""
-    if written[1] != dimension:
-        return is_sure and len(written[0]) > 1
-    return not math.isclose(unit_factor(written[0], dimension), unit_factor(declared, dimension))
 
 
 def capped(faults: Sequence[Fault]) -> list[Fault]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -49,6 +50,8 @@ _ALIASES = {
 }  # fmt: skip
 #: letters from which a word in capitals is a unit where no brackets mark it: not "Load IN"
 _LETTERS = 3
+#: what a unit has
+_LETTER = re.compile(r"[^\W\d_]|%")
 #: a force over an area
 _STRESS = re.compile(r"(?P<force>.+?)/\s*(sq\.?\s*)?(?P<length>[a-z]{1,2})(\^|\*\*)?[2²]?")
 _IN_BRACKETS = re.compile(r"(?P<name>.*?)[\s_]*[\[(]\s*(?P<word>[^\[\]()]{1,14}?)\s*[\])]\s*")
@@ -99,6 +102,26 @@ def written_unit(word: str, *, is_marked: bool = True) -> tuple[str, str] | None
         unit_factor(unit, "pressure")
         return unit, "pressure"
     return None
+
+
+def shows_unit(word: str) -> bool:
+    """Whether a word is a unit of more than a digit or a dash, which may be anything."""
+    return _LETTER.search(word) is not None and written_unit(word) is not None
+
+
+def contradicts(word: str, declared: str, dimension: str, *, is_sure: bool) -> bool:
+    """Whether a file shows another unit than is declared; where it ``is_sure``, of any dimension.
+
+    Examples
+    --------
+    >>> contradicts("g", "N", "force", is_sure=False), contradicts("N/mm2", "MPa", "pressure",
+    ...     is_sure=False), contradicts("mm", "N", "force", is_sure=True)
+    (True, False, True)
+    """
+    unit = written_unit(word) if shows_unit(word) else None
+    if unit is None or unit[1] != dimension:
+        return unit is not None and is_sure and len(unit[0]) > 1
+    return not math.isclose(unit_factor(unit[0], dimension), unit_factor(declared, dimension))
 
 
 def word_of_unit(name: str) -> tuple[str, str, bool]:
