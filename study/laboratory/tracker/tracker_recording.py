@@ -297,15 +297,15 @@ def _check_lost(points: Array, where: str) -> None:
     Shapes: points (n, 3), mm.
     """
     places, counts = np.unique(points, axis=0, return_counts=True)
-    for place in (np.zeros(3), places[int(np.argmax(counts))]):
-        is_there = (points == place).all(axis=1)
+    for point in (np.zeros(3), places[int(np.argmax(counts))]):
+        is_there = (points == point).all(axis=1)
         others = points[~is_there]
-        is_written = is_there.sum() > 1 or (is_there.any() and not place.any())
+        is_written = is_there.sum() > 1 or (is_there.any() and not point.any())
         if not is_written or len(others) < 2:
             continue
         extent = float(np.linalg.norm(np.ptp(others, axis=0)))
-        if extent > 0 and np.linalg.norm(others - place, axis=1).min() > extent:
-            listed = ", ".join(f"{v:g}" for v in place)
+        if extent > 0 and np.linalg.norm(others - point, axis=1).min() > extent:
+            listed = ", ".join(f"{v:g}" for v in point)
             rule = (
                 f"{int(is_there.sum())} of {len(points)} rows stand at {listed} mm, far from all "
             )

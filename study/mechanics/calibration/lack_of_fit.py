@@ -801,11 +801,11 @@ def _best_level(size: Array, series: Series) -> tuple[Array | None, float]:
     begins = np.linspace(0, n, count + 1).astype(int)[:-1]
     force, square = np.add.reduceat(size * left, begins), np.add.reduceat(size**2, begins)
     shared = np.add.reduceat(size[:, None] * basis, begins)
-    best, at, place = 0.0, (0, 0), np.arange(count)
+    best, at, number = 0.0, (0, 0), np.arange(count)
     for over in sorted({max(round(share * count), 1) for share in _SLIPS_OVER}):
         # one row a place after which the level changes
         after = np.arange(_SIDE - 1, count - _SIDE - over + 1)
-        levels = np.clip((place - after[:, None]) / over, 0, 1)
+        levels = np.clip((number - after[:, None]) / over, 0, 1)
         free = levels**2 @ square - ((levels @ shared) ** 2).sum(axis=1)
         is_free = free > _ROUNDING * float(square.sum())
         gains = np.where(is_free, (levels @ force) ** 2 / np.where(is_free, free, 1.0), 0.0)

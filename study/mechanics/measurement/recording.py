@@ -499,7 +499,7 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
         ("a line above the names", above, False),
     )
     # the first place counts that shows a unit; what is declared wins where a row of units is, too
-    who, word, is_sure = next((place for place in places if shows_unit(place[1])), ("", "", False))
+    who, word, is_sure = next((read for read in places if shows_unit(read[1])), ("", "", False))
     if not spec.unit_row and contradicts(word, unit, dimension, is_sure=is_sure):
         rule = f"{who} says {word}, but {unit} is declared in measurements.units"
         mend = "declare the unit that the file is in"
