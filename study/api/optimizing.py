@@ -27,7 +27,14 @@ from study.ground.errors import Fault, InputError, RefusedError, UnitError, near
 from study.harness.design.questions import usual_value
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.record_analysis import at_levels, coded_settings, ranges_of
-from study.mechanics.calibration.serial_correlation import effective_rows
+from study.mechanics.calibration.serial_correlation import (
+    FEWEST_ROWS,
+    Series,
+    effective_rows,
+    row_noise,
+    trend,
+)
+from study.mechanics.measurement.written_units import contradicts, word_of_unit
 from study.record.record import is_repeat
 from study.record.store import Store
 from study.reporting.results.study_answers import (
@@ -53,7 +60,7 @@ from study.statistics.surfaces.surface_optimum import (
     optimum,
     spread_over,
 )
-from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
+from study.statistics.surfaces.surface_profile import fit_curves
 
 if TYPE_CHECKING:
     from study.api.assemble import StudyResult
@@ -376,8 +383,11 @@ ROUNDS = 4
 #: share of the runs' largest force up to which a measured curve has none
 NEGLIGIBLE_FORCE = 1e-9
 
-#: rows below which nothing is said of their correlation
-_TOO_FEW = 8
+#: share of the force that the best curve misses along a line, from which it is named; p below
+#: which the line is none of noise; and the share that is named where rows scatter half as much
+_NAMED = 0.01
+_CLEAR = 0.001
+_LARGE_ERROR = 0.15
 
 
 def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
@@ -446,7 +456,7 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     question = _Inversion(study, numbers, labels, curve, _share(within))
     if not confirming:
         nearest = question.nearest(records)
-        return question.inverted(nearest.model, question.agreeing(nearest), (), notes)
+        return question.inverted(nearest, question.agreeing(nearest), (), notes)
     return _checked_by_runs(question, records, permission or Permission(), notes)
 
 
@@ -492,6 +502,11 @@ def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal
         source, required=columns, numbers=columns, decimal=decimal,
         declared_by=tabular.TYPED_COMMA,
     )  # fmt: skip
+    for name, unit, kind in zip(columns, in_units, ("length", "force"), strict=True):
+        _, word, is_marked = word_of_unit(name)
+        if contradicts(word, unit, kind, is_sure=is_marked):
+            rule = f"the name of the column {name!r} says {word}, and it is read in {unit}"
+            raise InputError(Fault("--units", rule, "name the unit that the file is in"))
     with units.naming("--units"):
         displacement = table.numbers(columns[0]) * units.unit_factor(in_units[0], "length")
         force = table.numbers(columns[1]) * units.unit_factor(in_units[1], "force")
@@ -564,7 +579,7 @@ class _Inversion:
         """Find the set of agreeing settings; refuse where the best curve misses more than asked."""
         if self.share is None:
             residual, worth = nearest.residual, None
-            if residual.size >= _TOO_FEW:
+            if residual.size >= FEWEST_ROWS:
                 square = float(residual @ residual)
                 lagged = float(residual[1:] @ residual[:-1])
                 worth = effective_rows(residual.size, lagged / square if square > 0 else 0.0)
@@ -590,14 +605,39 @@ class _Inversion:
         missed = _force(records[0], self.curve) - self.curve.force_N
         return Checked(levels, float(np.sqrt(np.mean(missed**2))), False), records[0]
 
+    def misfit(self, nearest: NearestCurves) -> tuple[str, str]:
+        """Say that the best curve misses more than noise, and what of it; else nothing."""
+        residual, at, n = nearest.residual, nearest.minima[0], self.curve.force_N.size
+        missed, line, p = nearest.rms(at) / self.size, 0.0, 1.0
+        noise = row_noise(residual, np.arange(n, dtype=np.float64), self.curve.force_N)
+        slope = np.asarray(nearest.slope(at, nearest.space.free), dtype=np.float64)
+        if n >= FEWEST_ROWS and np.linalg.norm(slope, axis=0).all():
+            bends = np.polynomial.legendre.legvander(np.linspace(-1, 1, n), 2).astype(np.float64)
+            p, along = trend([Series(residual, slope, slope.T)], [bends])
+            line = float(np.sqrt(np.mean(along**2))) / self.size
+        scatter = 0.0 if noise is None else float(np.sqrt(np.mean(noise.deviation**2))) / self.size
+        mend = "check its units, zero and sign, then the ranges and the model"
+        if missed > _LARGE_ERROR and missed > 2 * scatter:
+            why = f"the best curve misses {100 * missed:.3g} % of the measured force: {mend}"
+            return "no curve inside of what was run is the measured one: use no input of it", why
+        if p < _CLEAR and line > _NAMED:
+            why = (
+                f"the best curve misses {100 * line:.2g} % of the measured force along a line that "
+                f"no noise makes: {mend}"
+            )
+            return "it is doubtful that the model describes the curve; if it does, ", why
+        return "", ""
+
     def inverted(
         self,
-        model: CurveEmulator,
+        nearest: NearestCurves,
         result: InversionAgreement,
         runs: Sequence[Checked],
         notes: Sequence[str],
     ) -> Inverted:
         """Say the answer in the units of the inputs."""
+        model = nearest.model
+        doubt, misfit = ("", "") if self.share else self.misfit(nearest)
         coded = model.runs
         units_of = {n: span.unit for n, span in self.study.design.ranges.items()}
         best, low, high = (coded.settings(point) for point in (result.at, result.low, result.high))
@@ -612,8 +652,9 @@ class _Inversion:
             result.limit, result.rms / self.size, self.curve.force_N.size, model.q2,
             tuple(coded.settings(point) for point in result.points),
             runs[0] if runs else None, tuple(runs[1:]),
-            (*notes, *never_run(coded, result.points),
+            (*([misfit] if misfit else []), *notes, *never_run(coded, result.points),
              *([] if all(run.agrees for run in runs) else [disagree])),
+            doubt=doubt,
         )  # fmt: skip
 
 
@@ -648,7 +689,7 @@ def _checked_by_runs(
         replace(checked, agrees=bool(checked.rms <= 1.02 * agreed.limit))
         for checked in (run, *ends)
     ]  # fmt: skip
-    return question.inverted(nearest.model, agreed, runs, notes)
+    return question.inverted(nearest, agreed, runs, notes)
 
 
 def _force(record: Record, curve: Curve) -> Array:

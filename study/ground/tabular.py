@@ -88,6 +88,8 @@ class CsvTable:
     declared_by: str = MEASURED_COMMA
     #: Unit of every column, as a row below the header says; empty without such a row.
     units: Mapping[str, str] = field(default_factory=dict)
+    #: Unit of every dimension, as lines above the names say.
+    units_above: Mapping[str, str] = field(default_factory=dict)
     #: Mark between groups of three digits that was declared; found where it is empty.
     thousands: str = ""
 

@@ -7,6 +7,7 @@ load cell, from a fixed seed, so that the files are always the same.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -479,9 +480,21 @@ def _csv(spec: MeasurementSpec, tests: Sequence[VirtualTest], groups: Sequence[s
     length = parse(f"1 {units.displacement}", "length")
     newton = parse(f"1 {units.force}", "force")
     sign = -1.0 if spec.sign == "negative" else 1.0
-    rows = (
-        [*(test.groups[name] for name in groups), f"{d / length:.5f}", f"{sign * f / newton:.5f}"]
+    far, hard = (
+        _decimals(max(float(np.abs(getattr(test, key)).max()) for test in tests) / unit)
+        for key, unit in (("displacement_mm", length), ("force_N", newton))
+    )
+    rows = [
+        [*(test.groups[name] for name in groups),
+         f"{d / length:.{far}f}", f"{sign * f / newton:.{hard}f}"]
         for test in tests
         for d, f in zip(test.displacement_mm, test.force_N, strict=True)
-    )
+    ]  # fmt: skip
+    if not spec.header:  # columns are named by their number
+        return csv_text(rows[0], rows[1:])
     return csv_text([*groups, columns.displacement, columns.force], rows)
+
+
+def _decimals(largest: float) -> int:
+    """Digits after the point that show a column: five, and more where its numbers are small."""
+    return 5 if not largest > 0 else max(5, 4 - math.floor(math.log10(largest)))

@@ -221,6 +221,61 @@ def test_tests_that_ask_for_different_constants_are_told(tmp_path, second):
     assert ("the tests ask for different constants" in judged.sentence) == (second != 1)
 
 
+@pytest.mark.parametrize("specimens", [(4, 4), (5, 5), (5, 1)])
+@pytest.mark.parametrize("second", [1.0, 0.8])
+def test_tests_of_several_specimens_that_ask_for_different_constants(tmp_path, specimens, second):
+    """Specimens agree within 1 %, the tests differ by a fifth: Mooney-Rivlin "described" both.
+
+    C10 of 30 kPa and C01 of none were 34 [31, 37] and -6.6 [-8.7, -4.6] kPa.
+    """
+    rng, far = np.random.default_rng(9), np.linspace(0.2, 8, 40)
+    text = (
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
+        '[material]\nmodel = "mooney-rivlin"\nincompressible = true\n'
+    )
+    kinds = zip(("tension", "compression"), (1.0, -1.0), (1.0, second), specimens, strict=True)
+    for kind, sign, size, count in kinds:
+        stretch, lines = 1 + sign * far / 20, ["s,d,f"]
+        for number, stiff in enumerate(1 + 0.01 * rng.normal(size=count)):
+            force = sign * 160 * 0.03 * stiff * size * (stretch - stretch**-2)
+            read = force + 0.01 * rng.normal(size=40)
+            lines += [f"S{number},{d:.6f},{f:.6f}" for d, f in zip(far, read, strict=True)]
+        (tmp_path / f"{kind}.csv").write_text("\n".join(lines) + "\n")
+        text += (
+            f'[[tests]]\ntest = {{ kind = "{kind}" }}\nmeasurements = {{ file = "{kind}.csv", '
+            'block = "s", columns = { displacement = "d", force = "f" }, '
+            'units = { displacement = "mm", force = "N" } }\n'
+        )
+    (tmp_path / "c.toml").write_text(text)
+    judged = study.calibrate(tmp_path / "c.toml", data=tmp_path).adequacy
+    assert (judged.verdict == "describes") == (second == 1)
+    assert ("the tests ask for different constants" in judged.sentence) == (second != 1)
+
+
+@pytest.mark.parametrize("clamp", [1.0, 0.9, 1.1])
+def test_a_clamp_that_stretches_less_than_it_says_is_told(tmp_path, clamp):
+    """By the file both stretches are equal: C10 of 30 kPa was 29.1 [28.3, 29.9], and described."""
+    far, rng = np.linspace(0.02, 0.5, 25), np.random.default_rng(1)
+    a, b = 1 + far, 1 + clamp * far
+    third = 1 / (a * b)
+    first, second = 60 * (a - third**2 / a), 60 * (b - third**2 / b)  # kPa, of C10 = 30 kPa
+    noise = 0.01 * first.max() * rng.normal(size=(2, 25))
+    rows = zip(a, a, first + noise[0], second + noise[1], strict=True)
+    (tmp_path / "a.csv").write_text(
+        "a,b,s,t\n" + "".join(",".join(f"{v:.6f}" for v in row) + "\n" for row in rows)
+    )
+    (tmp_path / "c.toml").write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
+        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
+        'test = { kind = "biaxial" }\n[tests.measurements]\nfile = "a.csv"\n'
+        'columns = { stretch_1 = "a", stretch_2 = "b", stress_1 = "s", stress_2 = "t" }\n'
+        'units = { stretch_1 = "1", stress_1 = "kPa" }\n'
+    )
+    judged = study.calibrate(tmp_path / "c.toml", data=tmp_path).adequacy
+    assert judged.verdict == ("describes" if clamp == 1 else "doubtful")
+    assert ("the directions ask for different constants" in judged.sentence) == (clamp != 1)
+
+
 def test_specimens_that_differ_more_than_their_repeats_are_no_lack_of_fit(tmp_path):
     """Three specimens of 18, 20 and 22 kPa, two repeats of each: every one is neo-Hookean."""
     rng, rows = np.random.default_rng(4), []
@@ -250,6 +305,28 @@ def test_a_specimen_that_slips_several_times_is_none_of_misread_rows(tmp_path, m
     assert "between rows 26 and 27, 5 and 5.2 mm; rows 36 and 37, 7 and 7.2 mm" in told.sentence
     assert "write the range before the first" in told.sentence
     assert "misread" not in told.sentence
+
+
+HELD = {
+    "nothing": RAMP,
+    "slips": RAMP - 0.3 * (RAMP > 4.9),
+    "slips over 2 mm": RAMP - 0.3 * np.clip((RAMP - 4) / 2, 0, 1),
+}
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.006])
+@pytest.mark.parametrize("fault", [*HELD, "set to zero"])
+def test_a_force_that_goes_to_another_level_is_told(tmp_path, fault, noise):
+    """Less than 3 % of the largest force at half travel: C10 was 3 % off, and "described"."""
+    held = HELD.get(fault, RAMP)
+    read = 200 * 0.02 * (1 + held / 30 - (1 + held / 30) ** -2)
+    read = read + 0.08 * (fault == "set to zero") * (RAMP > 4.9)
+    for seed in range(3):
+        errors_N = np.random.default_rng(seed).normal(0, noise, RAMP.size)  # noqa: N806
+        rows = [(1, d, f) for d, f in zip(RAMP, read + errors_N, strict=True)]
+        told = calibrated(tmp_path, rows)
+        assert told.verdict == ("describes" if fault == "nothing" else "doubtful")
+        assert ("write the range before it" in told.sentence) == (fault != "nothing")
 
 
 @pytest.mark.parametrize("loss", ["linear", "soft-l1"])

@@ -228,6 +228,37 @@ def test_an_inversion_that_has_not_settled_says_so(monkeypatch):
     assert "the emulator still misses the true model there by" in note
 
 
+@pytest.mark.parametrize(
+    ("read_at", "sentence", "note"),
+    [
+        (lambda d: _curve(d), "the curve determines every input", ""),
+        (lambda d: 2.5 * _curve(d), "use no input of it", "misses 45"),  # of 18 kPa
+        (lambda d: -_curve(d), "use no input of it", "units, zero and sign"),
+        # a load cell that was not zeroed, and one that drifts by a tenth
+        (lambda d: _curve(d) + 0.3, "it is doubtful that the model", "along a line that no noise"),
+        (lambda d: _curve(d) * (1 + d / 30), "it is doubtful that", "misses 1.8 % of the"),
+    ],
+    ids=["true", "outside", "negative", "zero", "drift"],
+)
+def test_a_curve_that_no_input_gives_is_said_to_be_none(here, read_at, sentence, note):
+    """C10 of 7.3 kPa was 8.53 and 7.88 [7.65, 8.11] kPa, and every input "determined"."""
+    d = np.linspace(0.25, 3.0, 12)
+    rows = "".join(f"{x:.6g},{f:.8g}\n" for x, f in zip(d, read_at(d), strict=True))
+    (here / "other.csv").write_text(f"displacement_mm,force_N\n{rows}")
+    answer = success(
+        "invert", "ranges", "--to", "other.csv", "--at", KNOWN, "--no-confirm", "--json"
+    )
+    assert sentence in answer.json["sentence"]
+    assert note in " ".join(answer.json["notes"])
+    assert answer.json["combinations"] == []
+
+
+def test_a_column_of_another_unit_is_no_curve_to_invert(here):
+    (here / "grams.csv").write_text("displacement_mm,force_gf\n1,1\n2,2\n3,3\n")
+    asked = ("invert", "ranges", "--to", "grams.csv", "--columns", "displacement_mm,force_gf")
+    assert "says gf, and it is read in N" in refusal(*asked, "--no-confirm").err
+
+
 def test_what_cannot_be_inverted_is_refused(here):
     (here / "back.csv").write_text("displacement_mm,force_N\n1,1\n2,2\n1.5,1\n")
     (here / "far.csv").write_text("displacement_mm,force_N\n1,1\n4,2\n5,3\n")

@@ -9,7 +9,8 @@ from study.ground.errors import InputError
 from study.mechanics.forward import finite_element
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material
-from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.measurement_section import MeasurementSpec, read_range
+from study.mechanics.measurement.reading import read_measurements
 from study.simulation import virtual_specimens
 from study.simulation.cell import CellProblem
 from study.simulation.problem_file import Virtual
@@ -74,6 +75,27 @@ def test_files_follow_a_pattern_and_units_and_sign():
     d, f = map(float, rows[-1].split(","))
     assert (d, f) == (pytest.approx(6.15e-3, abs=1e-5), pytest.approx(-4 * 6.15e-3, abs=1e-4))
     assert _csv(SPEC, drawn(batches=1), ["batch"]).startswith("batch,x,f\n1,0.00000,")
+
+
+@pytest.mark.parametrize(
+    ("force_N", "unit", "more"),
+    [(24.0, "N", {}), (0.02, "kN", {}), (2e-4, "N", {}), (24.0, "N", {"header": False})],
+)
+def test_what_is_written_is_read_back(tmp_path, force_N, unit, more):  # noqa: N803
+    """Five decimals made forces of 24 mN zeros in kN; a header that no one reads was a row."""
+    names = ("2", "3") if more else ("x", "f")
+    spec = MeasurementSpec(
+        file="v.csv", columns=dict(zip(("displacement", "force"), names, strict=True)),
+        units={"displacement": "mm", "force": unit}, block="1" if more else "batch",
+        range=read_range(["1 mm", "6 mm"]), points=11, **more,
+    )  # fmt: skip
+    quiet = Generator(batches=2, batch_sd=0, specimen_sd=0, shape_sd=0, noise_N=0)
+    rate = force_N / 6
+    tests = list(generate(Curve(D, rate * D, None, {}), quiet, spec))
+    (tmp_path / "v.csv").write_text(_files(spec, tests)["v.csv"])
+    read = read_measurements(spec, tmp_path, 20.0, 6.0)
+    for test in read.tests:
+        np.testing.assert_allclose(test.force_N, rate * read.displacement_mm, rtol=1e-3)
 
 
 def sagging(stiffer):

@@ -219,6 +219,15 @@ def test_a_scan_in_another_unit_is_refused_and_the_unit_is_named(tmp_path, facto
     assert study.shape(surface, cloud, unit=unit).statistics.largest < 1e-3
 
 
+@pytest.mark.parametrize("size", [0.1, 0.5, 2.0])
+def test_a_scan_of_the_whole_body_in_another_size_is_refused(tmp_path, size):
+    """In cm it lay within the body, "0.002 mm" from the surface with its sign."""
+    points = size * MOTION(cylinder(RADIUS, HEIGHT, 1000, 1))
+    cloud = write_csv(tmp_path / "scan.csv", points)
+    with pytest.raises(InputError, match="times as large: scaled it lies"):
+        study.shape(problem(tmp_path), cloud)
+
+
 def test_a_simulated_surface_with_a_hole_is_refused(tmp_path):
     whole = egg()
     holed = TriangleSurface(whole.points, whole.triangles[3:])

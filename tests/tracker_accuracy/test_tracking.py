@@ -238,6 +238,49 @@ def test_time_that_goes_backwards_is_refused_with_its_line(tmp_path):
 @pytest.mark.parametrize(
     ("change", "rule"),
     [
+        ("lost", r"marker b: 2 of 2400 rows stand at 0, 0, 0 mm, far from all others"),
+        ("coded", r"marker b: 2 of 2400 rows stand at -9999, -9999, -9999 mm"),
+        ("exchanged", r"markers.csv:12: the markers a and b change places, at 2 rows in all"),
+        ("stamps in ms", "'time_ms' says ms, and it is read in s"),
+        ("metres", r"'bx \[m\]' says m, and it is read in mm"),
+    ],
+)
+def test_rows_that_are_no_places_of_their_marker_are_refused(tmp_path, change, rule):
+    """Lost markers written as zeros gave a bias of 9.6 [5.2, 13.9] mm, of none."""
+    file = distance_study(tmp_path, 1)
+    lines = (tmp_path / "markers.csv").read_text().splitlines()
+    for k in (10, 500) if change in ("lost", "coded") else ():
+        place = "0" if change == "lost" else "-9999"
+        lines[k] = ",".join([*lines[k].split(",")[:5], place, place, place])
+    if change == "exchanged":
+        for k in (11, 12, 13):
+            time, stage, *places = lines[k].split(",")
+            lines[k] = ",".join([time, stage, *places[3:], *places[:3]])
+    if change == "stamps in ms":
+        lines[0] = lines[0].replace("time", "time_ms")
+        file.write_text(DISTANCE.replace('"time"', '"time_ms"'))
+    if change == "metres":
+        lines[0] = lines[0].replace("bx", "bx [m]")
+        file.write_text(DISTANCE.replace('"bx"', '"bx [m]"'))
+    (tmp_path / "markers.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=rule):
+        study.tracking(file)
+
+
+def test_a_marker_that_repeats_its_last_place_is_named(tmp_path):
+    file = distance_study(tmp_path, 1)
+    assert study.tracking(file).notes == ()
+    lines = (tmp_path / "markers.csv").read_text().splitlines()
+    for k in range(20, 60):
+        lines[k] = ",".join([*lines[k].split(",")[:5], *lines[19].split(",")[5:]])
+    (tmp_path / "markers.csv").write_text("\n".join(lines) + "\n")
+    (note,) = study.tracking(file).notes
+    assert note.startswith("marker b: 40 of 2400 rows repeat the place of the row before")
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
         ("drop", "poses do not pair: p3 is missing"),
         ("shuffle", "the poses do not pair"),
         ("mirror", "mirrored"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +30,10 @@ PERCENTILES = (5, 25, 50, 75, 95)
 CLEARLY_BETTER = 0.5
 #: Residuals below this share of the size are the resolution of any scanner: nothing is judged.
 RESOLUTION_SHARE = 1e-3
+#: Logarithm of the ratio of both sizes up to which a scan is not scaled by mistake; and the
+#: distance over the size up to which a scaled one is the body.
+SAME_SIZE = 0.3
+SAME_SHAPE = 0.02
 #: Shares of the displacement at which a scan could have been taken by mistake.
 OTHER_STATES = (0.0, 0.5, 1.5)
 #: Part of the surface that is nearer to a scanned point than this many spacings of them.
@@ -143,6 +148,7 @@ def judge_shape(
     if options.register:
         distance, start = coarse_registration(surface, scan.points)
         _check_handedness(surface, scan, distance)
+        _check_size(surface, scan, distance)
         if not options.any_state:
             _check_state(body, scan, distance, start)
         registration = register(surface, scan.points, [start])
@@ -212,6 +218,20 @@ def _check_handedness(surface: TriangleSurface, scan: Scan, distance: float) -> 
         )
         mend = "negate one coordinate: the scanner's frame is left-handed"
         raise InputError(Fault(f"--scan: {scan.source}", rule, mend))
+
+
+def _check_size(surface: TriangleSurface, scan: Scan, distance: float) -> None:
+    """Refuse a cloud that is the body in another size, which fits far better when it is scaled."""
+    ratio = scan.size / surface.size
+    if abs(math.log(ratio)) < SAME_SIZE or distance < RESOLUTION_SHARE * surface.size:
+        return
+    scaled, _ = coarse_registration(surface, scan.points / ratio)
+    if scaled < CLEARLY_BETTER * distance / ratio and scaled < SAME_SHAPE * surface.size:
+        rule = (
+            f"is the body {ratio:.3g} times as large: scaled it lies {scaled:.3g} mm from the "
+            f"surface, as it is {distance:.3g}"
+        )
+        raise InputError(Fault(f"--scan: {scan.source}", rule, "check --unit, and the specimen"))
 
 
 def _check_state(body: SimulatedBody, scan: Scan, distance: float, start: RigidMotion) -> None:
@@ -287,6 +307,11 @@ class Scan:
     #: Isolated points that were left out.
     outliers: int
     source: str
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box around the points, mm."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ from study.laboratory.tracker.tracker_recording import (
     TrackerRecording,
     TrackingFile,
     Visit,
+    check_unit,
     coordinates,
     correlation_time,
     passes,
@@ -83,6 +84,7 @@ def analyze_displacement(
     declared: DisplacementTable, recording: TrackerRecording, alpha: float
 ) -> DisplacementResult:
     """Judge how a tracker follows a commanded displacement."""
+    check_unit(declared.commanded, declared.unit, "length", "displacement.unit")
     commanded = unit_factor(declared.unit, "length") * recording.table.numbers(declared.commanded)
     labels = recording.table.text(declared.commanded)
     stops = [
@@ -280,6 +282,8 @@ def _standard(declared: DistanceTable, root: Path) -> Standard | None:
         return Standard(declared.reference, declared.uncertainty)
     if declared.spheres is None:
         return None
+    for column in declared.columns:
+        check_unit(column, declared.unit, "length", "distance.unit")
     factor = unit_factor(declared.unit, "length")
     spheres = []
     for file in declared.spheres:
@@ -531,6 +535,8 @@ def analyze_reference(
     """Judge a tracker by a reference that measured the same poses."""
     columns = [declared.stage, *declared.position, *(c for t in declared.axes or () for c in t)]
     table = read_csv(root / declared.file, required=columns, source=declared.file)
+    for column in columns[1:]:
+        check_unit(column, declared.unit, "length", "reference.unit")
     poses, rows = _paired(declared, recording, table)
     factor = unit_factor(declared.unit, "length")
     fixed = factor * coordinates(table, declared.position)[rows]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -32,6 +33,7 @@ from study.ground.tabular import CsvTable, csv_text, read_csv
 from study.ground.units import unit_factor
 from study.laboratory.registration.rigid import check_places
 from study.mechanics.measurement.measurement_section import Axes, csv_path, three_columns
+from study.mechanics.measurement.written_units import contradicts, word_of_unit
 
 # The file of a tracker study: its tables are classes, and a class's fields are the keys.
 
@@ -201,6 +203,10 @@ def _across(tracking_file: TrackingFile) -> Sequence[Fault]:
 
 #: Name of the only stage of a recording without a column of stages.
 WHOLE = "all"
+#: Way of two markers to each other's place over that to their own, from which they are exchanged.
+_EXCHANGED = 0.2
+#: Rows that repeat a place to the last digit from which that is said.
+_REPEATED = 5
 #: Samples that a visit needs for its scatter and correlation.
 FEWEST_SAMPLES = 4
 
@@ -245,6 +251,10 @@ class TrackerRecording:
 def read_recording(declared: RecordingTable, root: Path) -> TrackerRecording:
     """Read what a tracker wrote."""
     columns = [c for axes in declared.markers.values() for c in axes]
+    for column in columns:
+        check_unit(column, declared.unit, "length", "recording.unit")
+    if declared.time:
+        check_unit(declared.time, "s", "time", "recording.time")
     columns += [c for c in (declared.time, declared.stage) if c]
     table = read_csv(
         root / declared.file, required=columns, decimal=declared.decimal, source=declared.file
@@ -253,6 +263,8 @@ def read_recording(declared: RecordingTable, root: Path) -> TrackerRecording:
     positions = {m: factor * coordinates(table, at) for m, at in declared.markers.items()}
     for marker, points in positions.items():
         check_places(points, f"{declared.file}: marker {marker}")
+        _check_lost(points, f"{declared.file}: marker {marker}")
+    _check_exchanged(positions, table)
     time = None if declared.time is None else table.numbers(declared.time)
     if time is not None:
         back = np.flatnonzero(np.diff(time) <= 0)
@@ -264,7 +276,66 @@ def read_recording(declared: RecordingTable, root: Path) -> TrackerRecording:
             mend = "sort the rows by time; was the clock set, or were two recordings joined?"
             raise InputError(Fault(f"{table.source}:{table.lines[first]}", rule, mend))
     labels = table.text(declared.stage) if declared.stage else (WHOLE,) * len(table.lines)
+    notes = [note for marker, points in positions.items() if (note := _repeats(marker, points))]
+    table = replace(table, notes=(*table.notes, *notes))
     return TrackerRecording(positions, time, visits_to(labels), table)
+
+
+def check_unit(column: str, declared: str, dimension: str, where: str) -> None:
+    """Refuse a column whose name says another unit than it is read in."""
+    _, word, is_marked = word_of_unit(column)
+    is_unit = is_marked or len(word) > 1  # "x_m" may be the x of a marker m
+    if is_unit and contradicts(word, declared, dimension, is_sure=is_marked):
+        rule = f"the name of the column {column!r} says {word}, and it is read in {declared}"
+        mend = "write its numbers in s" if dimension == "time" else f'write unit = "{word}"'
+        raise InputError(Fault(where, rule, f"{mend}, or rename the column"))
+
+
+def _check_lost(points: Array, where: str) -> None:
+    """Refuse rows that all hold one place far from the others: what is written for a lost marker.
+
+    Shapes: points (n, 3), mm.
+    """
+    places, counts = np.unique(points, axis=0, return_counts=True)
+    for point in (np.zeros(3), places[int(np.argmax(counts))]):
+        is_there = (points == point).all(axis=1)
+        others = points[~is_there]
+        is_written = is_there.sum() > 1 or (is_there.any() and not point.any())
+        if not is_written or len(others) < 2:
+            continue
+        extent = float(np.linalg.norm(np.ptp(others, axis=0)))
+        if extent > 0 and np.linalg.norm(others - point, axis=1).min() > extent:
+            listed = ", ".join(f"{v:g}" for v in point)
+            rule = (
+                f"{int(is_there.sum())} of {len(points)} rows stand at {listed} mm, far from all "
+            )
+            mend = "delete these rows"
+            raise InputError(Fault(where, f"{rule}others: the tracker had lost the marker", mend))
+
+
+def _check_exchanged(positions: Mapping[str, Array], table: CsvTable) -> None:
+    """Refuse markers that each go to where the other one was, from one row to the next."""
+    for (first, a), (second, b) in combinations(positions.items(), 2):
+        alone = np.linalg.norm(np.diff(a, axis=0), axis=1) + np.linalg.norm(
+            np.diff(b, axis=0), axis=1
+        )
+        crossed = np.linalg.norm(a[1:] - b[:-1], axis=1) + np.linalg.norm(b[1:] - a[:-1], axis=1)
+        rows = np.flatnonzero(crossed < _EXCHANGED * alone) + 1
+        if rows.size:
+            rule = f"the markers {first} and {second} change places, at {rows.size} rows in all"
+            mend = "exchange their columns in the rows between, or delete these"
+            raise InputError(Fault(f"{table.source}:{table.lines[int(rows[0])]}", rule, mend))
+
+
+def _repeats(marker: str, points: Array) -> str:
+    """Say that a place repeats to the last digit where other rows scatter; else nothing."""
+    repeated = int(np.count_nonzero((points[1:] == points[:-1]).all(axis=1)))
+    if not _REPEATED <= repeated < len(points) / 2:
+        return ""
+    return (
+        f"marker {marker}: {repeated} of {len(points)} rows repeat the place of the row before to "
+        "the last digit: the tracker had lost it there, or measures less often than it writes"
+    )
 
 
 def coordinates(table: CsvTable, columns: Axes) -> Array:

@@ -141,6 +141,13 @@ _OFF = 0.02
 _SIDE = 3
 #: the same of a drift over the recording
 _DRIFTS = 0.02
+#: sums of neighboring rows in which a step must show, too
+_LEVELS = 15
+#: rows among which a step can be told from a bend, places at which it is looked for at most, and
+#: shares of the rows over which it comes about
+_STEP_ROWS = 20
+_MOST_PLACES = 200
+_SLIPS_OVER = (0.0, 0.1, 0.2, 0.3)
 #: share of a column beside those of the constants below which it is rounding
 _ROUNDING = 1e-6
 #: a repeat whose forces differ from the median by this factor is taken for another specimen's
@@ -520,10 +527,17 @@ def _steps(residual: Array, places: NDArray[np.intp]) -> list[int]:
 def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
     """Residuals that follow a smooth line which no drift of the rows explains."""
     out: list[_Finding] = []
-    alone = [group[0] for group in groups if len(group) == 1]
     judged = [(group, *_common_trend(group)) for group in groups if len(group) > 1]
-    for recording in alone:
-        judged.append(([recording], *_trend_of_one(fit, recording)))
+    stepped: list[str] = []
+    for group in groups:
+        for recording in group:
+            p, line, explained = _trend_of_one(fit, recording)
+            step, by_step = _step_of_one(fit, recording)
+            # what bends smoothly is no step
+            if step and by_step > explained:
+                stepped.append(step)
+            elif len(group) == 1:
+                judged.append((group, p, line))
     for group, p, line in judged:
         force = np.concatenate([r.weighted_force for r in group])
         share = math.sqrt(float(np.mean(line**2) / np.mean(force**2))) if line.size else 0.0
@@ -537,49 +551,116 @@ def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding
         )
         out.append((grade, why, ()))
     # each direction of a biaxial test has a load cell of its own
-    drifts = [_drift_of_one(fit, r) for r in alone if not out and r.states is None]
-    return [*out, *((1, why, ()) for why in drifts if why)]
+    alone = [group[0] for group in groups if len(group) == 1 and group[0].states is None]
+    drifts = [_drift_of_one(fit, r) for r in alone if not (out or stepped)]
+    return [*out, *((1, why, ()) for why in (*stepped, *drifts) if why)]
 
 
 def _of_conflict(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
-    """Find tests that each follow the energy, with constants of its own alone.
+    """Find tests, or directions of one, that each follow the energy, with constants of their own.
 
     The trend of a test alone leaves out what its constants explain. Here it is what constants of
-    its own explain beside the common ones. Rows count by the noise of their test.
+    its own explain beside the common ones.
+    """
+    free = np.isfinite(fit.standard_error)
+    if not free.any():
+        return []
+    if max(map(len, groups)) > 1:
+        labels = [", ".join(dict.fromkeys(r.label for r in group[:3])) for group in groups]
+        p, shares = _conflict_of_specimens(groups, free)
+    else:
+        parts = [part for group in groups for part in group[0].parts]
+        labels = [part.label for part in parts]
+        p, shares = _conflict_of_rows(parts, free)
+    if p >= _CLEAR or max(shares) < _NAMED:
+        return []
+    named = "; ".join(
+        f"{label} {100 * share:.2g} %" for label, share in zip(labels, shares, strict=True)
+    )
+    compared = "tests" if len(groups) > 1 else "directions"
+    mend = "fit each alone, and compare units, zeros and specimens"
+    if len(groups) == 1:
+        mend = "compare areas, zeros, and the stretches of clamps and specimen"
+    why = (
+        f"the {compared} ask for different constants ({p_phrase(p)}): those of all miss what each "
+        f"alone would follow, by shares of its RMS force of {named}: {mend}; if all are right, "
+        "take another energy"
+    )
+    return [(1, why, ())]
+
+
+def _conflict_of_rows(
+    parts: Sequence[_Recording], free: NDArray[np.bool_]
+) -> tuple[float, list[float]]:
+    """P that single recordings share their constants, and what each misses over its RMS force.
+
+    Rows count by the noise of their recording.
     """
     from scipy.linalg import block_diag
 
-    free = np.isfinite(fit.standard_error)
-    recordings = [group[0] for group in groups]
-    if len(groups) < 2 or max(map(len, groups)) > 1 or not free.any():
-        return []
-    if any(recording.noise is None for recording in recordings):
-        return []
-    deviations = [r.noise.deviation for r in recordings if r.noise is not None]
-    pairs = list(zip(recordings, deviations, strict=True))
+    deviations = [r.noise.deviation for r in parts if r.noise is not None]
+    if not 1 < len(parts) == len(deviations):
+        return 1.0, []
+    pairs = list(zip(parts, deviations, strict=True))
     jacobians = [r.slopes[:, free] / deviation[:, None] for r, deviation in pairs]
     if not np.linalg.norm(np.concatenate(jacobians), axis=0).all():
-        return []
+        return 1.0, []
     series = [Series(r.residual / s, j, j.T) for (r, s), j in zip(pairs, jacobians, strict=True)]
     blocks = np.asarray(block_diag(*jacobians))
     columns = blocks[:, np.linalg.norm(blocks, axis=0) > 0]
     ends = np.cumsum([deviation.size for deviation in deviations])[:-1]
     p, line = trend(series, np.split(columns, ends))
-    shares = [
+    return p, [
         math.sqrt(float(np.mean((part * s) ** 2) / np.mean(r.rows.force_N**2)))
         for (r, s), part in zip(pairs, np.split(line, ends), strict=True)
     ]
-    if p >= _CLEAR or max(shares) < _NAMED:
-        return []
-    named = ", ".join(
-        f"{r.label} {100 * share:.2g} %" for r, share in zip(recordings, shares, strict=True)
-    )
-    why = (
-        f"the tests ask for different constants ({p_phrase(p)}): those of all miss what each alone "
-        f"would follow, by shares of its RMS force of {named}: fit each alone, and compare units, "
-        "zeros and specimens; if all are right, take another energy"
-    )
-    return [(1, why, ())]
+
+
+def _conflict_of_specimens(
+    groups: Sequence[Sequence[_Recording]], free: NDArray[np.bool_]
+) -> tuple[float, list[float]]:
+    """P that tests of several specimens share their constants, and what each misses.
+
+    Means of tests are compared with what their specimens (repeats, where there is one) scatter by,
+    which need not be the same in all tests (Brown and Forsythe 1974, Technometrics 16, 129). A test
+    of one specimen is taken to scatter as the others do.
+    """
+    from scipy.special import fdtrc
+
+    shares, slopes = zip(*(_shares_of_slopes(group, free) for group in groups), strict=True)
+    number = np.array([len(share) for share in shares])
+    freedom = number - 1
+    squares = np.array([float(np.sum((share - share.mean(axis=0)) ** 2)) for share in shares])
+    if len(groups) < 2 or not squares.any():
+        return 1.0, []
+    pooled = float(squares.sum() / freedom.sum())
+    variance = np.where(freedom > 0, squares / np.maximum(freedom, 1), pooled)
+    means, root = [share.mean(axis=0) for share in shares], np.sqrt(number)
+    between = np.concatenate([k * mean for k, mean in zip(root, means, strict=True)])
+    common = np.concatenate([k * slope for k, slope in zip(root, slopes, strict=True)])
+    between = between - common @ np.linalg.lstsq(common, between, rcond=None)[0]
+    parts = (1 - number / number.sum()) * variance
+    several = freedom > 0
+    left = float(parts.sum() ** 2 / np.sum(parts[several] ** 2 / freedom[several]))
+    p = float(fdtrc(len(groups) - 1, left, float(between @ between) / float(parts.sum())))
+    return p, [float(np.linalg.norm(mean)) for mean in means]
+
+
+def _shares_of_slopes(group: Sequence[_Recording], free: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Give what constants explain of the residuals of specimens, (k, m), and slopes, (m, p).
+
+    Both over the size of the force. Repeats of one specimen are averaged; where there is one
+    specimen alone they stand for specimens.
+    """
+    _, rows = _on_one_grid(group)
+    first, labels = group[0], np.array([r.label for r in group])
+    jacobian = first.weight[:, None] * first.slopes[:, free]
+    left, lengths, _ = np.linalg.svd(jacobian, full_matrices=False)
+    basis = left[:, lengths > _ROUNDING * lengths[0]] / np.linalg.norm(first.weighted_force)
+    shares, specimens = rows @ basis, dict.fromkeys(labels.tolist())
+    if len(specimens) > 1:
+        shares = np.array([shares[labels == label].mean(axis=0) for label in specimens])
+    return shares, basis.T @ jacobian
 
 
 def _by_noise(fit: Fit, recording: _Recording) -> tuple[Array, Series] | None:
@@ -597,16 +678,16 @@ def _by_noise(fit: Fit, recording: _Recording) -> tuple[Array, Series] | None:
     return size, Series(size * recording.residual, jacobian, jacobian.T)
 
 
-def _trend_of_one(fit: Fit, recording: _Recording) -> tuple[float, Array]:
-    """P that one recording holds no trend, and the trend; rows count by their noise."""
+def _trend_of_one(fit: Fit, recording: _Recording) -> tuple[float, Array, float]:
+    """P that one recording holds no trend, the trend, and its sum of squares by noise."""
     if (counted := _by_noise(fit, recording)) is None:
-        return 1.0, np.zeros(0)
+        return 1.0, np.zeros(0), 0.0
     size, series = counted
     terms = min(_MOST_TERMS, max(_FEWEST_TERMS, size.size // _ROWS_A_TERM))
     columns = size[:, None] * recording.trend_columns(terms)
     places = recording.places_by_direction
     p, line = trend([series.at(rows) for rows in places], [columns[rows] for rows in places])
-    return p, recording.weight * line / size
+    return p, recording.weight * line / size, float(line @ line)
 
 
 def _drift_of_one(fit: Fit, recording: _Recording) -> str:
@@ -619,27 +700,123 @@ def _drift_of_one(fit: Fit, recording: _Recording) -> str:
     """
     if (counted := _by_noise(fit, recording)) is None:
         return ""
-    size, series = counted
-    column = size * np.linspace(0, 1, size.size)
+    drift = _changed_by(fit, recording, *counted, np.linspace(0, 1, counted[0].size))
+    if drift.p >= _CLEAR or drift.share < _DRIFTS or not drift.beyond > 1:
+        return ""
+    return (
+        f"{recording.label}: the residuals are those of a force that drifts by "
+        f"{100 * drift.share:.2g} % of its largest value ({p_phrase(drift.p)}), which moves "
+        f"{drift.constant} by {drift.percent:.2g} %, beyond its interval: compare the load cell's "
+        "readings before and after the test, or take another energy"
+    )
+
+
+@dataclass(frozen=True)
+class _ChangedForce:
+    """A change of the recorded force, and what it does to the constants."""
+
+    #: Of no such change.
+    p: float
+    size_N: float  # noqa: N815
+    #: Over the largest force.
+    share: float
+    #: Constant that it moves most, by how much of its value and of half its interval.
+    constant: str
+    percent: float
+    beyond: float
+
+
+def _changed_by(
+    fit: Fit, recording: _Recording, size: Array, series: Series, change: Array
+) -> _ChangedForce:
+    """Fit a change of the force beside the constants; rows count by ``size``."""
+    column = size * change
     p, _ = trend([series], [column[:, None]], explained=_ROUNDING)
     scale = np.linalg.norm(series.jacobian, axis=0)
     both = np.column_stack([series.jacobian / scale, column])
-    *shift, drift_N = np.linalg.lstsq(both, -series.residual, rcond=None)[0]  # noqa: N806
+    *shift, size_N = np.linalg.lstsq(both, -series.residual, rcond=None)[0]  # noqa: N806
     (free,) = np.nonzero(np.isfinite(fit.standard_error))
     moved = np.abs(np.array(shift) / scale)
     # exact data have no interval, and no drift
     beyond = 2 * moved / np.maximum(np.diff(fit.ci95[free], axis=1)[:, 0], 1e-300)
-    share = abs(float(drift_N)) / float(np.abs(recording.rows.force_N).max())
-    if p >= _CLEAR or share < _DRIFTS or not beyond.max() > 1:
-        return ""
     most = int(beyond.argmax())
-    by = 100 * moved[most] / abs(fit.values[free[most]])
-    return (
-        f"{recording.label}: the residuals are those of a force that drifts by {100 * share:.2g} % "
-        f"of its largest value ({p_phrase(p)}), which moves {fit.names[free[most]]} by {by:.2g} %, "
-        "beyond its interval: compare the load cell's readings before and after the test, or take "
-        "another energy"
+    percent = 100 * float(moved[most] / abs(fit.values[free[most]]))
+    share = abs(float(size_N)) / float(np.abs(recording.rows.force_N).max())
+    return _ChangedForce(
+        p, float(size_N), share, fit.names[free[most]], percent, float(beyond[most])
     )
+
+
+def _step_of_one(fit: Fit, recording: _Recording) -> tuple[str, float]:
+    """Say where the force changes to another level; and the sum of squares that this explains.
+
+    It changes at once, as where a load cell is set to zero, or over some rows, as where a specimen
+    slips. Of all places the one is taken that explains most, for which p counts. Rows drift, too,
+    so that p is that of a level beside an autoregression (:func:`trend`).
+    """
+    # rows of a biaxial test may come in any order; far rows are named with a step that they show
+    is_open = recording.states is None and not recording.far.size
+    if not is_open or recording.residual.size < _STEP_ROWS:
+        return "", 0.0
+    if (counted := _by_noise(fit, recording)) is None:
+        return "", 0.0
+    size, series = counted
+    level, explained = _best_level(size, series)
+    if level is None:
+        return "", 0.0
+    step = _changed_by(fit, recording, size, series, level)
+    p = -math.expm1(min(size.size, _MOST_PLACES) * math.log1p(-min(step.p, 0.5)))
+    p = max(p, _p_of_levels(series, size * level))
+    if p >= _CLEAR or step.share < _NAMED or not (step.share >= _OFF or step.beyond > 1):
+        return "", 0.0
+    first, last = np.flatnonzero(level == 0)[-1], np.flatnonzero(level == 1)[0]
+    d = recording.rows.displacement_mm
+    why = (
+        f"{recording.label}: the force changes by {step.size_N:+.3g} N between rows {first + 1} "
+        f"and {last + 1}, {d[first]:.4g} and {d[last]:.4g} mm, and stays there ({p_phrase(p)}), "
+        f"which moves {step.constant} by {step.percent:.2g} %: the specimen slipped, or the load "
+        "cell was set to zero: write the range before it"
+    )
+    return why, explained
+
+
+def _p_of_levels(series: Series, column: Array) -> float:
+    """P of a column in sums over neighboring rows, in which a slow drift shows beside noise."""
+    begins = np.linspace(0, column.size, _LEVELS + 1).astype(int)[:-1]
+    root = np.sqrt(np.diff(begins, append=column.size))[:, None]
+    both = np.column_stack([series.residual, series.jacobian, column])
+    residual, *jacobian, summed = (np.add.reduceat(both, begins) / root).T
+    slopes = np.array(jacobian)
+    return trend([Series(residual, slopes.T, slopes)], [summed[:, None]], explained=_ROUNDING)[0]
+
+
+def _best_level(size: Array, series: Series) -> tuple[Array | None, float]:
+    """Change from 0 to 1, shape (n,), that explains most of the residuals, and how much of them.
+
+    It is looked for in sums over neighboring rows where these are many.
+    """
+    n, count = size.size, min(size.size, _MOST_PLACES)
+    basis, _ = np.linalg.qr(series.jacobian / np.linalg.norm(series.jacobian, axis=0))
+    left = series.residual - basis @ (basis.T @ series.residual)
+    begins = np.linspace(0, n, count + 1).astype(int)[:-1]
+    force, square = np.add.reduceat(size * left, begins), np.add.reduceat(size**2, begins)
+    shared = np.add.reduceat(size[:, None] * basis, begins)
+    best, at, number = 0.0, (0, 0), np.arange(count)
+    for over in sorted({max(round(share * count), 1) for share in _SLIPS_OVER}):
+        # one row a place after which the level changes
+        after = np.arange(_SIDE - 1, count - _SIDE - over + 1)
+        levels = np.clip((number - after[:, None]) / over, 0, 1)
+        free = levels**2 @ square - ((levels @ shared) ** 2).sum(axis=1)
+        is_free = free > _ROUNDING * float(square.sum())
+        gains = np.where(is_free, (levels @ force) ** 2 / np.where(is_free, free, 1.0), 0.0)
+        if gains.max(initial=0.0) > best:
+            best, at = float(gains.max()), (int(after[gains.argmax()]), over)
+    if best == 0:
+        return None, 0.0
+    # the level of a sum of rows is that of its first one
+    first = int(begins[at[0]] if at[1] > 1 else begins[at[0] + 1] - 1)
+    last = int(begins[at[0] + at[1]])
+    return np.clip((np.arange(n) - first) / (last - first), 0, 1), best
 
 
 def _common_trend(group: Sequence[_Recording]) -> tuple[float, Array]:

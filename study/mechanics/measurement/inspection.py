@@ -7,7 +7,6 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -24,12 +23,19 @@ from study.ground.bounded_file import (
     unzipped,
 )
 from study.ground.canonical import plain
-from study.ground.errors import Fault, InputError, UnitError
+from study.ground.errors import Fault, InputError
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
-from study.ground.units import INTERNAL, RECORDED, unit_factor
+from study.ground.units import INTERNAL
 from study.mechanics.measurement.conditioning import OFFSET_SHARE, slack_end, slope_with_error
 from study.mechanics.measurement.measurement_section import DELIMITERS, KINEMATIC, KINETIC
 from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
+from study.mechanics.measurement.written_units import (
+    DIMENSIONS,
+    WORDS,
+    units_above,
+    word_of_unit,
+    written_unit,
+)
 
 #: rows in a row that a block of numbers has at least
 _BLOCK = 3
@@ -39,52 +45,16 @@ _FIRST = 5
 _DELIMITERS = {**DELIMITERS, "bar": "|"}
 #: lines from which delimiter and decimal mark are found
 _LOOKED_AT = 3000
-#: dimension of every quantity that a column may hold
-DIMENSIONS: Mapping[str, str] = {
-    **KINEMATIC, **KINETIC, "stretch_2": "ratio", "stress_2": "pressure", "time": "time"
-}  # fmt: skip
-#: words of column names (English, German, French) by quantity, the surest first
-_WORDS: Mapping[str, tuple[str, ...]] = {
-    "true_strain": ("true strain", "log strain", "hencky"),
-    "true_stress": ("true stress", "cauchy stress", "cauchy"),
-    "time": ("time", "zeit", "temps", "elapsed"),
-    "strain": ("strain", "dehnung", "stauchung", "déformation", "deformation"),
-    "stretch": ("stretch", "lambda", "streckung"),
-    "volume_ratio": ("volume ratio",),
-    "stress": ("stress", "spannung", "contrainte"),
-    "pressure": ("pressure", "druck"),
-    "force": ("force", "load", "kraft", "last"),
-    "displacement": (
-        "indentation", "extension", "displacement", "standardweg", "weg", "elongation",
-        "déplacement", "crosshead", "position", "stroke", "distance", "travel", "deflection",
-        "disp", "gap",
-    ),
-}  # fmt: skip
 #: columns that are named by a symbol alone, in lower case
 _SYMBOLS = {
     "f": "force", "p": "force", "d": "displacement", "x": "displacement", "u": "displacement",
     "z": "displacement", "pos": "displacement", "t": "time", "eps": "strain", "epsilon": "strain",
     "\u03b5": "strain", "\u03bb": "stretch", "sigma": "stress", "\u03c3": "stress",
 }  # fmt: skip
-#: how files write units that the program knows by another name
-_ALIASES = {
-    "g": "gf", "sec": "s", "S": "s", "-": "1", "µm": "um",
-    "μm": "um", "µN": "uN", "μN": "uN", "percent": "%", "pct": "%", "N/mm²": "N/mm^2",
-    "N/mm2": "N/mm^2", "newton": "N", "millimeter": "mm", "inch": "in",
-    "gram": "gf", "gram-force": "gf", "g-force": "gf", "kg": "kgf",
-    "kilogram-force": "kgf", "kp": "kgf", "lb": "lbf", "inches": "in",
-    "millimetre": "mm", "micron": "um", "mil": "thou", "in.": "in", "micrometer": "um",
-    "centimeter": "cm", "millinewton": "mN", "kilonewton": "kN", "kilopascal": "kPa",
-    "megapascal": "MPa", "pound": "lbf", "sek": "s", "second": "s", "minute": "min",
-}  # fmt: skip
 #: strain up to which a column without a unit is a ratio
 _NOT_PERCENT = 1.0
 #: strain beyond which it is in per cent; in between either may be meant
 _PERCENT = 5.0
-_NAMED_UNIT = re.compile(
-    r"^(?P<name>.*?)[\s_]*(?:[\[(/]\s*(?P<in>[^\[\]()]{1,12})\s*[\])]?"
-    r"|_(?P<after>[A-Za-zµμ%./-]{1,14})|\s(?P<apart>[A-Za-zµμ%.][A-Za-zµμ%./^²\d]{0,13}))$"
-)
 _RATES = re.compile(r"rate|speed|velocity")
 #: digits in groups of three with points between them
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")
@@ -207,6 +177,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     block = _block_of(lines, source)
     columns, numbers_of, words = _columns(block)
     notes: list[str] = []
+    columns = _with_units_above(columns, words, lines[: block.skip], notes)
     table: dict[str, object] = {"file": source}
     if sheet and len(sheets) > 1:
         table["sheet"] = sheet
@@ -399,23 +370,8 @@ def _with_names(
 
 def _are_units(cells: Sequence[str]) -> bool:
     shown = [UNIT_CELL.fullmatch(cell) for cell in cells if cell]
-    units = [cell for cell in shown if cell and _known_unit(cell[1])]
+    units = [cell for cell in shown if cell and written_unit(cell[1])]
     return bool(units) and all(shown) and len(units) >= len(shown) / 2
-
-
-def _known_unit(word: str) -> tuple[str, str] | None:
-    """Give the unit as the program writes it, and its dimension."""
-    plain = word.strip()
-    length, _, over = plain.partition("/")
-    if length == over and _known_unit(length):  # mm/mm, in./in.: a strain
-        plain = "1"
-    forms = (plain, plain.lower(), plain.lower().removesuffix("s"))
-    unit = next((_ALIASES[form] for form in forms if form in _ALIASES), plain)
-    for dimension in RECORDED:
-        with suppress(UnitError):
-            unit_factor(unit, dimension)
-            return unit, dimension
-    return None
 
 
 # What the columns hold.
@@ -431,19 +387,31 @@ def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[st
         values = parsed_numbers(cells, block.decimal, _thousands(block.decimal))
         is_number = bool(np.isfinite(values).all())
         in_row = UNIT_CELL.fullmatch(block.unit_cells[k]) if k < len(block.unit_cells) else None
-        match = _NAMED_UNIT.fullmatch(name)
-        in_name = match["in"] if match else ""
+        rest, in_name, is_marked = word_of_unit(name)
         word = (in_row[1] if in_row else "") or in_name
-        word = word or (match and (match["after"] or match["apart"])) or ""
-        unit = _known_unit(word) if word else None
-        words.append("" if unit else (in_row[1] if in_row else in_name) or "")
-        plain = name if unit is None or match is None or in_row else match["name"]
+        unit = written_unit(word) if word else None
+        words.append("" if unit or not (in_row or is_marked) else word)
+        plain = name if unit is None or in_row else rest
         quantity = _quantity(plain, unit[1] if unit else "") if is_number else ""
         low, high = (float(values.min()), float(values.max())) if is_number else (None, None)
         labels = () if is_number else tuple(dict.fromkeys(cells))[:6]
         columns.append(InspectedColumn(name, unit[0] if unit else "", quantity, low, high, labels))
         numbers.append(values if is_number else np.empty(0))
     return columns, numbers, words
+
+
+def _with_units_above(
+    columns: Sequence[InspectedColumn], words: Sequence[str], lines: Sequence[str], notes: list[str]
+) -> list[InspectedColumn]:
+    """Give columns that name no unit the one that a line above the names says."""
+    above, out = units_above(lines), []
+    for column, word in zip(columns, words, strict=True):
+        unit = above.get(DIMENSIONS.get(column.quantity, ""), "")
+        if unit and not (column.unit or word):
+            notes.append(f"{column.name!r} is in {unit}: a line above the names says so")
+            column = replace(column, unit=unit)
+        out.append(column)
+    return out
 
 
 def _thousands(decimal: str) -> str:
@@ -453,7 +421,7 @@ def _thousands(decimal: str) -> str:
 def _quantity(name: str, dimension: str) -> str:
     """Quantity that a name speaks for, if the unit does not gainsay it."""
     plain = re.sub(r"[_\s]+", " ", name).strip().lower()
-    for quantity, words in _WORDS.items():
+    for quantity, words in WORDS.items():
         named = any(word in plain for word in words) and not _RATES.search(plain)
         named = named or _SYMBOLS.get(plain) == quantity
         if named and (not dimension or DIMENSIONS[quantity] == dimension):
@@ -481,7 +449,7 @@ def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int
                 continue
             lower = {k: columns[k].name.lower() for k in fitting}
             ranks = {
-                k: [*(word in lower[k] for word in _WORDS[quantity]), True].index(True)
+                k: [*(word in lower[k] for word in WORDS[quantity]), True].index(True)
                 for k in fitting
             }
             best = chosen[quantity] = min(fitting, key=ranks.__getitem__)

@@ -18,13 +18,19 @@ from study.ground.bounded_file import read_bytes, table_text
 from study.ground.declaration import Bad, relative_path
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, parse_csv
-from study.ground.units import agree, parse
+from study.ground.units import parse
 from study.mechanics.measurement.measurement_section import (
-    KINEMATIC,
-    KINETIC,
     SECOND,
     Columns,
     MeasurementSpec,
+)
+from study.mechanics.measurement.written_units import (
+    DIMENSIONS,
+    contradicts,
+    shows_unit,
+    units_above,
+    word_of_unit,
+    written_unit,
 )
 
 
@@ -41,7 +47,8 @@ def read_table(
         plain, required=required, numbers=() if layout.thousands == "," else None,
         decimal=layout.decimal, source=source, numbered=at, delimiter=mark,
     )  # fmt: skip
-    table = replace(table, thousands=layout.thousands)
+    above = units_above(text.splitlines()[: layout.skip_lines])
+    table = replace(table, thousands=layout.thousands, units_above=above)
     return table.without_units(required, layout.unit_row).of_file(raw, encoding)
 
 
@@ -258,9 +265,6 @@ _FEW_ROWS = 3
 MAX_TRAVEL_MM = 1e5
 MAX_FORCE_N = 1e8
 MAX_TIME_S = 1e10
-_UNIT_SUFFIX = re.compile(r".*?[_ \[(/]+([A-Za-z\u00b5\u03bc]{1,7}|%)[\])]?$")
-#: words that stand for a unit in the names of columns
-_UNIT_WORDS = {"percent": "%", "pct": "%", "Prozent": "%"}
 
 
 @dataclass(frozen=True)
@@ -479,21 +483,27 @@ def _quantity(table: CsvTable, spec: MeasurementSpec, what: str, limit: float) -
 def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
     """Factor from the declared unit of a column to mm, N or MPa."""
     column = spec.columns.column(what)
-    row = table.units.get(column)
     first = next((quantity for quantity, second in SECOND.items() if second == what), what)
-    unit = getattr(spec.units, what) or row or getattr(spec.units, first)
+    dimension = DIMENSIONS[what]
+    _, named, is_marked = word_of_unit(column)
+    row, above = table.units.get(column, ""), table.units_above.get(dimension, "")
+    in_file = written_unit(row) or written_unit(above)
+    of_file = in_file[0] if in_file else None
+    unit: str | None = getattr(spec.units, what) or of_file or getattr(spec.units, first)
     if unit is None:
         mend = f'write units = {{ {what} = "..." }}'
         raise InputError(Fault(f"{table.source}: column {column!r}", "has no unit", mend))
-    dimension = "time" if what == "time" else {**KINEMATIC, **KINETIC}[first]
-    suffix = _UNIT_SUFFIX.fullmatch(column)
-    named = _UNIT_WORDS.get(suffix[1], suffix[1]) if suffix else ""
-    for who, word in (("its name", named), ("the row of units", row)):
-        # what is declared wins over the file; the last word of a name may be no unit at all
-        if word and not spec.unit_row and agree(word, unit) is False:
-            rule = f"{who} says {word}, but {unit} is declared in measurements.units"
-            mend = "declare the unit that the file is in"
-            raise InputError(Fault(f"{table.source}: column {column!r}", rule, mend))
+    places = (
+        ("its name", named, is_marked),
+        ("the row of units", row, True),
+        ("a line above the names", above, False),
+    )
+    # the first place counts that shows a unit; what is declared wins where a row of units is, too
+    who, word, is_sure = next((read for read in places if shows_unit(read[1])), ("", "", False))
+    if not spec.unit_row and contradicts(word, unit, dimension, is_sure=is_sure):
+        rule = f"{who} says {word}, but {unit} is declared in measurements.units"
+        mend = "declare the unit that the file is in"
+        raise InputError(Fault(f"{table.source}: column {column!r}", rule, mend))
     return parse(f"1 {unit}", dimension)
 
 

@@ -278,10 +278,16 @@ class Inverted(Keyed):
     #: The true model where the least determined input is smallest and largest.
     end_runs: tuple[Checked, ...]
     notes: tuple[str, ...]
+    #: What stands before the sentence, or in its place, where the best curve misses too much.
+    doubt: str = ""
 
     @property
     def sentence(self) -> str:
         """What the curve determines, in a sentence."""
+        return self.doubt + ("" if "use no input" in self.doubt else self._determined)
+
+    @property
+    def _determined(self) -> str:
         loose = [item.name for item in self.inputs if item.open_low or item.open_high]
         if not loose:
             return "the curve determines every input that was asked for"

@@ -127,7 +127,8 @@ def agreeing(
     whole = points[[int(np.argmin(points[:, loose])), int(np.argmax(points[:, loose]))]]
     alone = ~(is_open[0] | is_open[1])
     loose_ones = np.array([j for j in space.free if not alone[j]], dtype=np.int64)
-    near_best = nearest.combinations(at, rms, largest, loose_ones)
+    # a product of one input is that input
+    near_best = nearest.combinations(at, rms, largest, loose_ones) if loose_ones.size > 1 else ()
     # a profile follows the best settings; others agree as well, and a rule is for all of them
     around = space.sample(SAMPLE)
     agree = np.vstack([points, around[nearest.each_rms(around) <= largest]])

@@ -1,0 +1,100 @@
+"""Units as instruments write them: proposed by ``inspect``, and held against what is declared."""
+
+import pytest
+
+import study
+from study.ground.errors import InputError
+from study.ground.units import unit_factor
+
+#: how files write a unit, what it measures, and N, mm or MPa in one of it
+WRITTEN = (
+    ("g", "force", 9.80665e-3), ("gf", "force", 9.80665e-3), ("grams", "force", 9.80665e-3),
+    ("kg", "force", 9.80665), ("KGF", "force", 9.80665), ("kp", "force", 9.80665),
+    ("lb", "force", 4.4482216), ("Lbf", "force", 4.4482216), ("lbs", "force", 4.4482216),
+    ("oz", "force", 0.27801385), ("cN", "force", 0.01), ("mN", "force", 1e-3),
+    ("in", "displacement", 25.4), ("IN", "displacement", 25.4), ("mil", "displacement", 0.0254),
+    ("um", "displacement", 1e-3), ("µm", "displacement", 1e-3), ("cm", "displacement", 10.0),
+    ("psi", "stress", 6.894757e-3), ("PSI", "stress", 6.894757e-3), ("ksi", "stress", 6.894757),
+    ("kPa", "stress", 1e-3), ("KPa", "stress", 1e-3), ("kgf/cm2", "stress", 0.0980665),
+    ("N/m2", "stress", 1e-6), ("lb/in2", "stress", 6.894757e-3), ("mPa", "stress", 1e-9),
+)  # fmt: skip
+USUAL = {"force": "N", "displacement": "mm", "stress": "MPa", "strain": "1"}
+PLACES = {
+    "brackets": ("", "{0} ({1})", ""),
+    "name": ("", "{0}_{1}", ""),
+    "row": ("", "{0}", "{1}"),
+    "above": ("Operator: A. B.\nLoad cell: 10 kN\n{0} unit: {1}\n", "{0}", ""),
+}
+
+
+def written(folder, quantity, word, place):
+    """Write 20 rows; columns by quantity."""
+    other = {"force": "displacement", "displacement": "force", "stress": "strain"}[quantity]
+    above, name, row = (text.format(quantity, word) for text in PLACES[place])
+    heads = {other: f"{other} [{USUAL[other]}]", quantity: name}
+    lines = [",".join(heads.values())]
+    if row:
+        heads[other] = other
+        lines = [",".join(heads), f"{USUAL[other]},{row}"]
+    lines += [f"{0.01 * k},{0.02 * k}" for k in range(1, 21)]
+    (folder / "a.csv").write_text(above + "\n".join(lines) + "\n")
+    return heads, above.count("\n")
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(("word", "quantity", "size"), WRITTEN)
+def test_a_unit_is_proposed_as_the_file_writes_it(tmp_path, word, quantity, size, place):
+    written(tmp_path, quantity, word, place)
+    proposed = study.inspect(tmp_path / "a.csv").measurements["units"][quantity]
+    dimension = {"displacement": "length", "stress": "pressure"}.get(quantity, quantity)
+    assert unit_factor(proposed, dimension) == pytest.approx(size, rel=1e-6)
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(("word", "quantity", "size"), WRITTEN)
+def test_a_declared_unit_that_the_file_contradicts_is_refused(
+    tmp_path, word, quantity, size, place
+):
+    """Grams of force read as N gave 3,061 kPa of 30, and the model "described" them."""
+    heads, skipped = written(tmp_path, quantity, word, place)
+    columns = ", ".join(f'{key} = "{name}"' for key, name in heads.items())
+    units = ", ".join(f'{key} = "{USUAL[key]}"' for key in heads)
+    (tmp_path / "c.toml").write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
+        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
+        'test = { kind = "tension" }\n[tests.measurements]\nfile = "a.csv"\n'
+        f"skip_lines = {skipped}\ncolumns = {{ {columns} }}\nunits = {{ {units} }}\n"
+    )
+    # a row that holds no unit that the program knows is none of units
+    with pytest.raises(
+        InputError, match="is declared in measurements.units|must be a finite number"
+    ):
+        study.calibrate(tmp_path / "c.toml", data=tmp_path)
+    assert size != 1
+
+
+@pytest.mark.parametrize(
+    ("far", "hard", "refused"),
+    [
+        ("d_mm", "F [N]", False),
+        ("Weg in mm", "Kraft / N", False),
+        ("position_max", "Force_Min", False),  # no mega-inches
+        ("d [1]", "F (t)", False),
+        ("a [N]", "b [mm]", True),
+    ],
+)
+def test_names_that_hold_no_other_unit_are_read(tmp_path, far, hard, refused):
+    rows = "".join(f"{0.1 * k},{0.02 * k}\n" for k in range(1, 21))
+    (tmp_path / "a.csv").write_text(f"{far},{hard}\n{rows}")
+    (tmp_path / "c.toml").write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
+        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
+        'test = { kind = "tension" }\n[tests.measurements]\nfile = "a.csv"\n'
+        f'columns = {{ displacement = "{far}", force = "{hard}" }}\n'
+        'units = { displacement = "mm", force = "N" }\n'
+    )
+    if refused:
+        with pytest.raises(InputError, match="its name says mm, but N is declared"):
+            study.calibrate(tmp_path / "c.toml", data=tmp_path)
+    else:
+        assert study.calibrate(tmp_path / "c.toml", data=tmp_path).converged
