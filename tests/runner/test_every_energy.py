@@ -93,9 +93,14 @@ def test_refused_before_meshing(material, said, tmp_path):
         solve(write(tmp_path, material, COMPRESSIBILITY["nearly"]))
 
 
-def test_a_problem_made_in_python_is_judged_too():
-    unstable = Material("ogden", {"mu1": 12.0, "alpha1": 2.0, "mu2": -2.0, "alpha2": 9.0},
-                        incompressible=True)  # fmt: skip
-    test = Test("compression", 3.0)
-    with pytest.raises(InputError, match="unstable"):
-        solve(Problem(Cylinder(10, 10), test, unstable, Model(mesh_size_mm=5.0)))
+@pytest.mark.parametrize(
+    ("model", "constants", "said"),
+    [
+        ("ogden", {"mu1": 12.0, "alpha1": 2.0, "mu2": -2.0, "alpha2": 9.0}, "unstable"),
+        ("linear-elastic", {"youngs_modulus": 0.0}, "positive"),
+    ],
+)
+def test_a_problem_made_in_python_is_judged_too(model, constants, said):
+    made = Material(model, constants, incompressible=True)
+    with pytest.raises(InputError, match=said):
+        solve(Problem(Cylinder(10, 10), Test("compression", 3.0), made, Model(mesh_size_mm=5.0)))
