@@ -105,7 +105,6 @@ def test_files_elsewhere_are_refused(home, name, said):
         ('unit = "mm"', 'unit = "mm"\nradius = "3 mm"', "unknown key"),
         ("[model]", '[model]\nspace = "axisymmetric"', "no axis of symmetry"),
         ("[model]", '[model]\nelement_shape = "hexahedron"', "tetrahedra"),
-        ("box.stl", "../box.stl", "must not climb"),
     ],
 )
 def test_faults_of_the_table(home, old, new, said):
