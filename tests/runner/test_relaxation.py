@@ -161,23 +161,13 @@ def test_the_speed_of_a_test_is_a_factor(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('hold = "100 s"', 'hold = "100 s"\ncycles = 2'), "stands beside hold"),
-        (('speed = "10 mm/s"', ""), "how fast|speed: is missing"),
-        (('shape = "homogeneous"', 'shape = "cylinder"\nradius = "2 mm"'), "know no time"),
-        (("share = 0.3", "share = 0.9"), "nothing of the stiffness"),
-        (("share = 0.3", "share = -0.1"), "from 0 to 1"),
         (("share = 0.3, ", ""), "share of term 1 is not known"),
         (('time = "1 s"', 'time = ["1 s", "3 s"]'), "is a range"),
-        (('time = "1 s"', 'time = ["3 s", "1 s"]'), "must rise"),
-        (("C10 =", "youngs_modulus ="), "no constant|unknown key"),
     ],
 )
 def test_what_cannot_be_is_told(tmp_path, change, words):
     path = problem(tmp_path)
-    text = path.read_text().replace(*change, 1)
-    if "cylinder" in text:
-        text = text.replace('area = "4 mm^2"\nlength = "20 mm"', 'height = "20 mm"')
-    path.write_text(text)
+    path.write_text(path.read_text().replace(*change, 1))
     with pytest.raises(InputError, match=words):
         api.solve(path)
 
