@@ -43,6 +43,7 @@ OF_SINGLE_RULES = {
     "foam": loads_problem,
     "gauge": CALIBRATION.loads,
     "biaxial": CALIBRATION.loads,
+    "courses": CALIBRATION.loads,
 }
 #: a small design to which tests add factors
 BASE = """

@@ -372,8 +372,6 @@ def test_bounds_win_over_the_start(tmp_path):
         ('specimens = "each"', "only one specimen"),
         ('leave_out = "specimen"', "there is only one"),
         ('leave_out = "test"', "there is only one"),
-        ('leave_out = "tset"', "'test'"),
-        ("bounds = { C10 = 1 }", "two values"),
     ],
 )
 def test_what_cannot_be_split_is_told(tmp_path, more, words):

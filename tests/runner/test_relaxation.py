@@ -172,18 +172,10 @@ def test_what_cannot_be_is_told(tmp_path, change, words):
         api.solve(path)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (('"kPa" }', '"kPa" }, range = ["1 %", "10 %"]'), "whose rows all count"),
-        (('"kPa" }', '"kPa" }, points = 50'), 'write points = "raw"'),
-        (('"kPa" }', '"kPa" }, sign = "negative"'), "does not resist"),
-        (('units = { time = "s", ', "units = { "), "units.time"),
-    ],
-)
-def test_rules_of_curves_are_refused_for_courses(tmp_path, change, words):
-    tests = course(tmp_path, "pulled", "uniaxial", STRETCH, GEL).replace(*change, 1)
-    with pytest.raises(InputError, match=words):
+def test_a_course_that_does_not_resist_is_refused(tmp_path):
+    tests = course(tmp_path, "pulled", "uniaxial", STRETCH, GEL)
+    tests = tests.replace('"kPa" }', '"kPa" }, sign = "negative"', 1)
+    with pytest.raises(InputError, match="does not resist"):
         api.calibrate(calibration(tmp_path, ONE_TERM, tests), data=tmp_path)
 
 
