@@ -12,6 +12,7 @@ from __future__ import annotations
 import copy
 import json
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -113,6 +114,7 @@ def _shortened(mend):
     return re.sub(r"Valid: .*", "Valid:", mend, flags=re.DOTALL)
 
 
+@cache
 def _tables(base):
     return parse_toml((FOLDER / f"{base}.toml").read_text(encoding="utf-8"), base)
 
