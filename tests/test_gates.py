@@ -247,37 +247,42 @@ def test_rules_see_an_untyped_value(furnished):
     assert rules.untyped(furnished) == before + 1
 
 
-def test_rules_see_a_name_that_hides_untyped_values(house):
-    plant(house, "ground/units.py", "Tables = dict[str, Any]\nFree: TypeAlias = Any\n")
-    assert rules.untyped_aliases(house) == [
-        "study/ground/units.py: Tables",
-        "study/ground/units.py: Free",
-    ]
-
-
-def test_rules_see_a_class_of_many_fields(house):
-    fields = "".join(f"    x{k}: int\n" for k in range(rules.MOST_FIELDS))
-    plant(house, "ground/units.py", f"@dataclass(frozen=True)\nclass Wide:\n{fields}")
-    assert rules.wide_classes(house) == {}
-    plant(house, "ground/units.py", "    y: int\n")
-    assert rules.wide_classes(house) == {"study/ground/units.py: Wide": rules.MOST_FIELDS + 1}
+FIELDS = "".join(f"    x{k}: int\n" for k in range(rules.MOST_FIELDS))
+WIDE = f"@dataclass(frozen=True)\nclass Wide:\n{FIELDS}"
+LATE_STATISTICS = "from scipy.stats import qmc\n\n\ndef late():\n    {}\n"
+SEARCH = "{}\n\n\ndef lowest(f):\n    return {}optimize.minimize(f, 0.0).x\n"
+UNITS = "study/ground/units.py"
 
 
 @pytest.mark.parametrize(
-    "line", ["import scipy.stats", "from scipy import stats", "from scipy.stats import t"]
-)
-def test_rules_see_statistics_outside_their_rooms(house, line):
-    plant(house, "ground/units.py", f"from scipy.stats import qmc\n\n\ndef late():\n    {line}\n")
-    assert rules.stray_statistics(house) == [f"study/ground/units.py:5: {line}"]
-
-
-@pytest.mark.parametrize(
-    ("taken", "place"), [("from scipy import optimize", ""), ("import scipy", "scipy.")]
-)
-def test_rules_see_a_search_that_nobody_asks_how_it_ended(house, taken, place):
-    code = f"def lowest(f):\n    return {place}optimize.minimize(f, 0.0).x\n"
-    plant(house, "ground/units.py", f"{taken}\n\n\n{code}")
-    assert rules.unread_searches(house) == ["study/ground/units.py: lowest"]
+    ("rule", "code", "breaches"),
+    [
+        (
+            rules.untyped_aliases, "Tables = dict[str, Any]\nFree: TypeAlias = Any\n",
+            [f"{UNITS}: Tables", f"{UNITS}: Free"],
+        ),
+        (rules.wide_classes, WIDE, {}),
+        (rules.wide_classes, WIDE + "    y: int\n", {f"{UNITS}: Wide": rules.MOST_FIELDS + 1}),
+        *(
+            (rules.stray_statistics, LATE_STATISTICS.format(line), [f"{UNITS}:5: {line}"])
+            for line in (
+                "import scipy.stats", "from scipy import stats", "from scipy.stats import t"
+            )
+        ),
+        (
+            rules.unread_searches, SEARCH.format("from scipy import optimize", ""),
+            [f"{UNITS}: lowest"],
+        ),
+        (rules.unread_searches, SEARCH.format("import scipy", "scipy."), [f"{UNITS}: lowest"]),
+        (
+            rules.vague_names, "\n\ndef told(x, one):\n    made = x\n    return made\n",
+            [f"{UNITS}:3: one", f"{UNITS}:3: told", f"{UNITS}:4: made"],
+        ),
+    ],
+)  # fmt: skip
+def test_rules_see_a_breach_in_a_bare_house(house, rule, code, breaches):
+    plant(house, "ground/units.py", code)
+    assert rule(house) == breaches
 
 
 def test_rules_see_a_small_helper_with_one_caller(house):
@@ -314,12 +319,6 @@ def test_rules_see_deep_empty_and_namesake_modules_and_classes(house):
     assert set(rules.shared_module_names(house)) == {"result"}
     assert set(rules.shared_class_names(house)) == {"Response"}
     assert len(rules.shared_class_names(house)["Response"]) == 3
-
-
-def test_rules_see_a_name_that_says_nothing(house):
-    plant(house, "ground/units.py", "\n\ndef told(x, one):\n    made = x\n    return made\n")
-    named = [where.rpartition(" ")[2] for where in rules.vague_names(house)]
-    assert sorted(named) == ["made", "one", "told"]
 
 
 def test_rules_see_a_name_that_nobody_uses(house):

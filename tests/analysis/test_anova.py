@@ -64,7 +64,6 @@ def test_fake_replicates_are_refused():
         ({}, {"factors": []}, "at least one factor"),
         ({"a": "one"}, {}, "needs at least two levels"),
         ({"y": "text"}, {}, "is not a number"),
-        ({}, {"error": "own"}, "no block is named"),
         ({}, {"error": "best"}, "must be auto, pooled, own or welch"),
         ({}, {"type": "IV"}, "must be auto, I, II or III"),
         ({}, {"model": ["a:z"]}, "'z' is no factor"),

@@ -160,8 +160,6 @@ def test_order_of_input_means_nothing():
 @pytest.mark.parametrize(
     ("sizes", "values", "match"),
     [
-        ([1, 2], [1, 2], "at least three meshes"),
-        ([1, 2, 2], [1, 2, 3], "must be distinct"),
         ([1, 2, -4], [1, 2, 3], "positive"),
         ([1, 2, 4], [1, 2], "3 sizes for 2 values"),
         ([1, 2, 4], [1, np.nan, 3], "finite numbers"),

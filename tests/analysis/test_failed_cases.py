@@ -11,25 +11,6 @@ from study.statistics.analysis.failures import CaseFate, cause, failure_pattern
 from tests.cli.small import study
 
 
-def independent(table):
-    """Cases of a table of failed and all, each in a cell of its own."""
-    fates = []
-    for level, (bad, total) in table.items():
-        for k in range(total):
-            fates.append(CaseFate({"f": level, "cell": f"{level}{k}"}, "", k < bad, "bad"))
-    return fates
-
-
-def p_of(fates, factor="f"):
-    (found,) = [test for test in failure_pattern(fates).tests if test.factor == factor]
-    return found.p
-
-
-def test_the_lady_tasting_tea():
-    """Fisher 1935, The Design of Experiments: three of four right; two-sided p = 34/70."""
-    assert p_of(independent({"milk": (3, 4), "tea": (1, 4)})) == pytest.approx(34 / 70)
-
-
 def design(bad, blocks):
     return [
         CaseFate(

@@ -64,19 +64,6 @@ def _deviations(values):
     return np.array([float(v - mean) for v in exact])
 
 
-def test_box_poison(data_dir):
-    """Box, Hunter and Hunter (1978), table of the 3 x 4 survival experiment."""
-    table = pd.read_csv(data_dir / "nist_handbook" / "box_poison_3x4x4.csv")
-    result = anova(table, "survival", ["poison", "antidote"], exact=False)
-    rows = {row.term: (row.ss, row.df) for row in result.anova.rows}
-    assert rows.keys() == {"poison", "antidote", "poison:antidote", "residual"}
-    assert rows["poison"] == pytest.approx((10330.125, 2), rel=1e-12)
-    assert rows["antidote"] == pytest.approx((9212.0625, 3), rel=1e-12)
-    assert rows["poison:antidote"] == pytest.approx((2501.375, 6), rel=1e-12)
-    assert rows["residual"] == pytest.approx((8007.25, 36), rel=1e-12)
-    assert sum(row.share or 0 for row in result.anova.rows) == pytest.approx(1, rel=1e-12)
-
-
 def test_ceramic_effects_and_lenth(data_dir):
     """NIST e-Handbook, 2^5 ceramic strength: the effects as printed there."""
     table = pd.read_csv(data_dir / "nist_handbook" / "ceramic_2p5.csv")

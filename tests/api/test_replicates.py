@@ -202,15 +202,6 @@ def test_the_spread_over_meshes_falls_with_their_size(meshed):
     assert len(set(hashes)) == len(hashes)
 
 
-def test_mesh_seeds_resume(meshed):
-    home, study = meshed
-    again = api.run(
-        study.design, data=home / "data", jobs=1, results=home / "results", reports=None
-    )
-    assert again.to_json()["verdicts"] == study.to_json()["verdicts"]
-    assert again.manifest["timings"] == study.manifest["timings"]  # nothing was computed
-
-
 def test_a_constant_that_no_mesh_enters_has_no_mesh_noise(tmp_path):
     text = MESHES.replace('model = "neo-hookean"\nC10 = "8 kPa"\n', "")
     text += ENERGIES

@@ -66,16 +66,11 @@ def changed_digit(text, pattern):
     return text[:place] + str((int(digit) + 1) % 10) + text[place + 1 :]
 
 
-#: the verb on an untouched report, and on one with a changed digit at the default tolerance and at
-#: none, in one process
-THRICE = """
-import os, sys
+#: the verb on a report with a changed digit, at the default tolerance and at none, in one process
+TWICE = """
 from study.cli.app import run
 command = ["verify", "verified", "--json"]
-assert run([*command, "--resolve", "2", "--data", "."]) == 0
-print("then")
-os.replace("changed.json", sys.argv[1])
-assert run(command) == 1
+assert run([*command, "--resolve", "2", "--data", "."]) == 1
 print("then")
 assert run([*command, "--tolerance", "0"]) == 1
 """
@@ -86,25 +81,23 @@ def test_another_processor_adds_up_otherwise_agrees_and_hides_no_change(finished
     moved = tmp_path / "elsewhere"
     shutil.copytree(finished, moved)
     numbers = moved / "reports/verified/verified-data/numbers.json"
-    changed = changed_digit(numbers.read_text(), r"\d\.\d{6}")
-    (moved / "changed.json").write_text(changed)
+    numbers.write_text(changed_digit(numbers.read_text(), r"\d\.\d{6}"))
     done = subprocess.run(
-        [sys.executable, "-c", THRICE, str(numbers)],
+        [sys.executable, "-c", TWICE],
         cwd=moved, capture_output=True, text=True, timeout=CAP_S, check=False,
         env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin",
              "OPENBLAS_CORETYPE": "Nehalem"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    said, changed, strict = map(json.loads, done.stdout.split("\nthen\n"))
-    assert said["agrees"]
-    assert (said["records"], said["solved_again"], said["differences"]) == (6, 2, [])
+    changed, strict = map(json.loads, done.stdout.split("\nthen\n"))
+    assert (changed["records"], changed["solved_again"]) == (6, 2)
     # every cell of a figure's table was compared: the count is that of a plain count
     csvs = (moved / "reports/verified").rglob("figure-*.csv")
     number = r"[-+\u2212]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
     counted = sum(len(re.findall(number, one.read_text())) for one in csvs)
-    assert said["numbers"]["figures"] == counted > 100
+    assert changed["numbers"]["figures"] == counted > 100
     assert changed["tolerance"] == 1e-9
-    assert len(changed["differences"]) == 1
+    assert len(changed["differences"]) == 1  # every other number agrees
     assert len(strict["differences"]) == changed["rounded"] + 1
     # kernels of x86-64
     assert (changed["rounded"] > 0) or platform.machine() not in ("x86_64", "AMD64")
@@ -219,14 +212,3 @@ def test_a_file_that_cannot_be_read_is_a_difference_and_takes_no_memory(
     assert set(reported) == set(PLANTED) - {"made-from.json"}
     for name, (_, said) in PLANTED.items():
         assert said in reported.get(name, ""), name
-
-
-def test_a_damaged_packed_file_is_a_difference(finished, tmp_path, monkeypatch):
-    moved = tmp_path / "damaged"
-    shutil.copytree(finished, moved)
-    path = moved / "reports/verified/verified-data/curves.csv.gz"
-    path.write_bytes(path.read_bytes()[:-9])
-    monkeypatch.chdir(moved)
-    (only,) = api.verify("verified").differences
-    assert only.where == "verified-data/curves.csv.gz"
-    assert "is a broken gzip file" in only.reported

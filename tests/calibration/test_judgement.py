@@ -32,21 +32,6 @@ def test_lack_of_fit_is_the_textbook_f_test():
     assert found.verdict == "undecided"
 
 
-def test_lack_of_fit_keeps_its_level():
-    """Where the model is right and errors are independent, 5 % of tests reject."""
-    rng, rejected = np.random.default_rng(2011), 0
-    x = np.linspace(0, 1, 20)
-    design = np.stack([np.ones(20), x], axis=1)
-    for _ in range(2000):
-        data = rng.normal(size=(4, 20))
-        mean = data.mean(axis=0)
-        residual = mean - design @ np.linalg.lstsq(design, mean, rcond=None)[0]
-        found = lack_of_fit([(residual, data.std(axis=0, ddof=1), 4)], 2)
-        rejected += found is not None and found.p_independent < 0.05
-    # two binomial standard deviations of 2000 trials are 1 point
-    assert rejected / 2000 == pytest.approx(0.05, abs=0.01)
-
-
 def test_nothing_repeated_and_no_degrees_of_freedom():
     assert lack_of_fit([], 2) is None
     assert lack_of_fit([(np.ones(2), np.ones(2), 3)], 2) is None

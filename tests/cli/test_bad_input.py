@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from study.laboratory.tracker.tracker_recording import Errors
-from tests.cli import test_analytic, test_confirming_runs, test_layouts, test_single
-from tests.cli import test_numeric_factors as ranges
+from tests.cli import test_analytic
 from tests.cli.small import DESIGN, pressed, refusal, study, success
-from tests.cli.test_closed_form_studies import ALONE
 from tests.cli.test_require import PLATES
 from tests.conftest import ROOT
 from tests.fem.surfaces import sphere, write
@@ -33,17 +31,10 @@ def refused(home, command, says=()):
     return answer.err
 
 
-RANGES = ranges.DESIGN.partition("[factors]\n")[2].partition("[[response]]")[0]
 #: files that are sound, and the verb that reads them
 SOUND = {
     "small": (DESIGN, "plan small.toml --data data"),
     "plates": (PLATES, "require plates.toml"),
-    "alone": (ALONE, "run alone.toml"),
-    "ranges": (ranges.DESIGN, "plan ranges.toml"),
-    "hill": (test_confirming_runs.HILL, "plan hill.toml"),
-    "gravity": (test_single.HEAVY, "solve gravity.toml"),
-    "mixed": (test_layouts.D_OPTIMAL, "plan mixed.toml --data data"),
-    "fraction": (test_layouts.FRACTION, "plan fraction.toml --data data"),
     "sphere": (test_analytic.text(), "calibrate sphere.toml"),
     "cone": (
         test_analytic.text('{ shape = "cone", half_angle = "30 deg" }'), "calibrate cone.toml"
@@ -51,35 +42,17 @@ SOUND = {
 }  # fmt: skip
 
 
-def added(name, table, *faults):
-    """Faults of a table that the sound file has not."""
-    return [(name, "[report]", f"[{table}]\n{text}\n[report]", [says]) for text, says in faults]
-
-
 @pytest.mark.parametrize(
     ("name", "old", "new", "says"),
     [
         ("small", 'radius = "25 mm"', "radius = 25",
          ["small.toml", "specimen.radius", "needs a unit", "25", 'write "25 mm"']),
-        ("small", 'height = "30', 'hieght = "30',
-         ["specimen.hieght", "unknown", "did you mean 'height'?"]),
-        ("small", '["neo-hookean", "mooney-rivlin"]', '["neo-hookean", "mooney-rivlim"]',
-         ["factors.material[1]", "'mooney-rivlim'", "did you mean 'mooney-rivlin'?"]),
         ("small", "incompressible", 'model = "neo-hookean"\nC10 = "-5 kPa"\nincompressible',
          ["material.C10", "must be positive", "-10 kPa", "check the signs"]),
         ("small", "[material]", 'displacement = "40 mm"\n[material]',
          ["test.displacement", "40 mm reaches the height of the specimen, 30 mm", "smaller"]),
         ("small", "[specimen]", "[specimen", ["small.toml:7:10", "not valid TOML", "quotes"]),
         ("small", '"tests.csv"', '"../tests.csv"', ["measurements.file", "must not climb"]),
-        *added("small", "analysis",
-               ('contrasts = ["small - huge"]', "no level 'huge'"),
-               ('contrasts = ["small"]', "needs two settings with ' - ' between"),
-               ('contrasts = ["small - small"]', "compares a setting with itself"),
-               ('contrasts = "small - large"', "must be a list of contrasts")),
-        ("small", "[report]", '[analysis]\ncontrasts = ["material=neo-hookean, range=large - '
-         'material=mooney-rivlin, range=large"]\n'
-         '[[exclude]]\nwhen = { material = "mooney-rivlin", range = "large" }\nwhy = "unmeasured"\n'
-         "[report]", ["no cell that is run has material=mooney-rivlin, range=large"]),
         ("plates", 'noise = "0.05 mm"', "noise = 0.05", ["needs a unit"]),
         ("plates", 'noise = "0.05 mm"', 'nose = "0.05 mm"', ["did you mean 'noise'"]),
         ("plates", 'scale = "1 %"', 'scale = "100 %"', ["below 100 %"]),
@@ -94,60 +67,18 @@ def added(name, table, *faults):
         ("plates", "samples = 0", "samples = 9\nmultiples = [90]", ["specimen's height"]),
         ("plates", "schema = 1", "schema = 2", ["schema"]),
         ("plates", PLATES[PLATES.index("[position]"):], "", ["nothing to propagate"]),
-        ("alone", 'displacement = "2.5 mm"\npr', "pr", ["response[2].displacement: is missing"]),
-        ("alone", 'displacement = "2.5 mm"\npr', 'displacement = "5 mm"\npr',
-         ["pressed 4 mm only"]),
-        ("alone", 'name = "dofs"', 'name = "dofs"\ndisplacement = "1 mm"',
-         ["not taken at a displacement"]),
-        ("alone", 'name = "dofs"', 'name = "work_error"', ["compares with measured curves"]),
-        ("alone", 'name = "dofs"', 'name = "peak_forces"', ["peak_force"]),
-        ("alone", 'practical = "0.5 N/mm"', 'practical = "0.5 N"', ["practical"]),
-        ("ranges", RANGES, 'material.C10 = ["5 kPa", "10 kPa"]\n[analysis]\nsurface = "emulator"\n',
-         ["analysis.surface: no factor is a range"]),
-        *added("ranges", "uncertainty",
-               ('material.C10 = { distribution = "gamma", mean = "7 kPa" }', "gamma"),
-               ('material.C10 = { distribution = "normal", mean = "7 kPa" }', "sd: is missing"),
-               ('material.C10 = { distribution = "normal", mean = "7 kPa", sd = "3 kPa" }',
-                "% of it lies"),
-               ('material.C10 = { distribution = "normal", mean = "7 mm", sd = "1 kPa" }',
-                "pressure"),
-               ('material.C10 = { distribution = "uniform", low = "8 kPa", high = "6 kPa" }',
-                "rise"),
-               ('material.C10 = { distribution = "uniform", low = "6 kPa", high = "8 kPa",'
-                ' sd = "1 kPa" }', "is no number of a uniform"),
-               ('test.displacement = { distribution = "uniform", low = "2 mm", high = "3 mm" }',
-                "is no range of"),
-               ('material.C10 = { distribution = "lognormal", median = "7 kPa", factor = 0.5 }',
-                "factor"),
-               ('material.C10 = "-1 kPa"', "must be above 0"),
-               ('material.C10 = "0.5 kPa"', "material.C10")),  # 5 kPa is the end of its range
-        ("hill", "start = 20", "start = 6", ["do not carry an emulator"]),
-        ("hill", "start = 20", "start = 32", ["is less than the 32 cells"]),
-        ("gravity", "0.98 g/cm^3", "980 g", ["density"]),
-        ("gravity", "0.98 g/cm^3", "0 kg/m^3", ["above 0"]),
-        ("gravity", '"down"', '"sideways"', ["down"]),
-        ("mixed", "runs = 12", "runs = 5", ["at least 6"]),
-        ("mixed", "runs = 12", "runs = 30", ["24"]),
-        ("mixed", "runs = 12", 'runs = 12\nterms = ["space:material"]', ["model.space"]),
-        ("mixed", "runs = 12", "runs = 12\nterms = 9", ["design.terms"]),
-        ("mixed", "runs = 12", 'runs = 12\n[analysis]\nmodel = "full"', ["of which 12 cells tell"]),
-        ("fraction", "resolution = 5", 'resolution = 5\n[analysis]\nmodel = "full"',
-         ["analysis.model: asks for 31 terms, of which 16 cells tell 15 apart",
-          "leave it out (model = 2), or list terms"]),
         ("sphere", '"indentation"', '"compression"', ["analytic is for indentation"]),
         ("sphere", '"frictionless"', '"bonded"', ["takes the indenter for frictionless"]),
         ("sphere", "incompressible = true", 'bulk_modulus = "1 MPa"', ["needs Poisson's ratio"]),
-        ("sphere", '"analytic"', '"analytic"\ntheory = "dimitriades"',
-         ["did you mean 'dimitriadis'"]),
         ("sphere", 'force = "f" }\nunits = { displacement = "mm", force = "mN"',
          'stress = "f" }\nunits = { displacement = "mm", stress = "kPa"',
          ["needs displacement and force"]),
-        ("sphere", '"analytic"', '"auto"\ntheory = "half-space"', ["calibration.theory"]),
         ("cone", '"analytic"', '"analytic"\ntheory = "dimitriadis"',
          ["dimitriadis is a series for spheres"]),
     ],
 )  # fmt: skip
 def test_faulty_files(home, name, old, new, says):
+    """By the verb; what else a file may have wrong: `tests/design/faulty_files`."""
     text, command = SOUND[name]
     assert old in text
     (home / f"{name}.toml").write_text(text.replace(old, new, 1))

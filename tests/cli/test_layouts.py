@@ -44,10 +44,6 @@ def design(tmp_path, monkeypatch):
     return tmp_path / "design.toml"
 
 
-#: 2^(5-1) with I = ABCDE has 16 cells: 15 effects of one and two factors, and none of three
-FRACTION = f'{BASE}{FIVE_CHOICES}[design]\nkind = "fractional"\nresolution = 5\n'
-
-
 #: three factors of two levels and one of three: 24 combinations
 MIXED = """
 [presets.material.nh]

@@ -284,6 +284,10 @@ def test_a_second_process_changes_no_byte(done, monkeypatch):
     begun = []
 
     class Watched(Worker):
+        def __enter__(self):
+            begun.append("worker")
+            return super().__enter__()
+
         def begin(self, call, *arguments):
             begun.append(call.func.__name__)
             return super().begin(call, *arguments)
@@ -294,13 +298,15 @@ def test_a_second_process_changes_no_byte(done, monkeypatch):
     assert not begun
     monkeypatch.setattr(verb, "MANY_CASES", 1)
     report("small", reports=done / "two", formats=["html"])
-    assert begun == ["of_study"]
+    assert begun == ["worker", "of_study"]
     one, two = files(done / "one"), files(done / "two")
     assert any(path.name == "figure-curves.svg" for path in one)
     assert one == two
     monkeypatch.setattr(verb, "default_jobs", lambda: 1)  # one core draws by itself
-    report("small", reports=done / "three")
-    assert begun == ["of_study"]
+    monkeypatch.setattr(verb, "opened", lambda *_: 1 / 0)  # a worker would be there by now
+    with pytest.raises(ZeroDivisionError):
+        report("small", reports=done / "three")
+    assert begun == ["worker", "of_study"]
 
 
 #: the same study of a specimen that is 1 mm taller and over a shorter range

@@ -150,14 +150,6 @@ def test_a_factor_is_a_list_or_a_range():
     assert "stands twice" in found["factors.specimen.height"]
 
 
-def test_a_range_of_no_parameter_is_named_by_its_key():
-    text = (
-        'schema = 1\n[parameters]\nk = 1.0\n[forward]\nmodel = "python"\n[[response]]\nname = "y"\n'
-    )
-    found = faults(loads, text + "[factors]\nparameters.x = { low = 1, high = 2 }\n")
-    assert "sets parameters.x, which [parameters] does not have" in found["factors.parameters.x"]
-
-
 def test_files_that_cannot_be_read(tmp_path):
     for path in (tmp_path / "none.toml", tmp_path, "a\0b", tmp_path / ("x" * 400)):
         for load in (load_module.load, load_problem, load_calibration, file_kind):
@@ -180,10 +172,3 @@ def test_plausibility_warns_of_units():
     )
     assert "is the unit right?" in told[0]
     assert none == ()
-
-
-def test_the_name_of_a_mesh_is_no_size():
-    found = faults(loads_problem, PROBLEM.replace('mesh_size = "1.5 mm"', 'mesh_size = "fine"'))
-    assert found == {
-        "model.mesh_size": "is the name of a mesh, 'fine' | write mesh = \"fine\" (model.mesh)"
-    }

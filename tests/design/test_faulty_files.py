@@ -16,7 +16,7 @@ GROUPS = {
 }
 
 
-@pytest.mark.parametrize("base", faulty.LOADERS)
+@pytest.mark.parametrize("base", faulty.LOADERS | faulty.OF_SINGLE_RULES)
 def test_the_sound_files_are_sound(base):
     assert faulty.faults_of(base, {}) == []
 

@@ -11,6 +11,7 @@ from study.ground.diagnostics import dump_toml, parse_toml
 from study.ground.errors import InputError
 from study.harness.design import spec
 from study.harness.design.load import CALIBRATION, dump, loads, loads_problem
+from tests.design.faulty import FOLDER
 
 DESIGN = (Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml").read_text()
 SMALL = """
@@ -156,7 +157,9 @@ def test_names_of_studies_are_folder_names(name):
 
 @pytest.mark.parametrize("name", CORPUS)
 def test_names_elsewhere_never_run(name):
-    for old in ('"full"', '"mu0"', '"phantom"', '"load_N"', '"auto"', '"cylinder"', '"B"'):
-        survives(DESIGN.replace(old, toml(name), 1))
-    survives(DESIGN.replace("[specimen]", f"[{toml(name)}]", 1))
-    survives(DESIGN.replace("[model]", f"[model]\n{toml(name)} = 1", 1))
+    few_cells = (FOLDER / "design.toml").read_text(encoding="utf-8")
+    for old in ('"II"', '"mu0"', '"phantom"', '"force_N"', '"auto"', '"cylinder"', '"B"'):
+        assert old in few_cells
+        survives(few_cells.replace(old, toml(name), 1))
+    survives(few_cells.replace("[specimen]", f"[{toml(name)}]", 1))
+    survives(few_cells.replace("[model]", f"[model]\n{toml(name)} = 1", 1))

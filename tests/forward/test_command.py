@@ -201,19 +201,6 @@ def test_what_a_file_of_an_answer_has_wrong_is_a_status(tmp_path, curve, facts, 
     assert caught.value.status == status
 
 
-def test_a_program_that_takes_too_long_ends_with_all_that_it_started(tmp_path):
-    mark = tmp_path / "pid"
-    text = (
-        "import subprocess, time\n"
-        f"child = subprocess.Popen(['sleep', '{CAP_S:g}'])\n"
-        f"open({str(mark)!r}, 'w').write(str(child.pid))\n"
-        f"time.sleep({CAP_S:g})\n"
-    )
-    assert refusal(script(text, timeout_s=3.0)).status == "timeout"
-    if mark.is_file() and Path("/proc").is_dir():
-        until(lambda: not is_alive(mark.read_text()))
-
-
 LEAVES = """
 import os, sys, time
 def leave(new_session):

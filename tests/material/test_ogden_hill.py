@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from study import api
-from study.ground.errors import InputError
 from study.mechanics.material.homogeneous import LOADINGS, MODES, first_piola, response
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import stability
@@ -178,21 +177,3 @@ def test_a_foam_is_solved_and_calibrated(tmp_path):
     found = api.calibrate(path, data=tmp_path)
     assert found.converged, found.message
     assert found.fit.constants() == pytest.approx(CONSTANTS, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (("poisson_ratio = 0.2", "incompressible = true"), "poisson_ratio"),
-        (("poisson_ratio = 0.2", 'bulk_modulus = "1 MPa"'), "poisson_ratio"),
-        (('"homogeneous"\narea = "100 mm^2"\nlength', '"cylinder"\nradius = "5 mm"\nheight'),
-         "no isochoric part"),
-        (("alpha = [4.0, -2.5]", "alpha = [4.0, 0.0]"), "must not be zero"),
-        (("mu = [", 'relaxation = [{ share = 0.1, time = "1 s" }]\nmu = ['), "isochoric energy"),
-    ],
-)  # fmt: skip
-def test_what_a_foam_cannot_be_is_told(tmp_path, change, words):
-    path = problem(tmp_path)
-    path.write_text(path.read_text().replace(*change, 1))
-    with pytest.raises(InputError, match=words):
-        api.solve(path)

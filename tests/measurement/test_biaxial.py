@@ -50,16 +50,6 @@ def test_a_finite_bulk_modulus_moves_them_little(tmp_path):
     assert found.fit.values == pytest.approx([C10, C01], rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("missing", "column"),
-    [("stress_2", ', stress_2 = "P2" }'), ("stretch_2", ', stretch_2 = "l2"')],
-)
-def test_all_four_columns_are_asked_for(tmp_path, missing, column):
-    left = " }" if column.endswith("}") else ""
-    with pytest.raises(InputError, match=f"columns.{missing}: is missing beside"):
-        calibration(tmp_path, (column, left))
-
-
 def test_other_columns_are_refused(tmp_path):
     (tmp_path / "b.csv").write_text("d,f\n0,0\n1,1\n2,2\n3,3\n")
     (tmp_path / "c.toml").write_text(

@@ -1,12 +1,10 @@
 """A file with a right checksum and wrong content is damaged, whatever is wrong with it."""
 
 import json
-import os
 
 import numpy as np
 import pytest
 
-from study.ground import atomic_files
 from study.ground.curve import Curve
 from study.ground.errors import StoreError
 from study.record.document import (
@@ -193,12 +191,3 @@ def test_what_was_not_finite_when_it_was_written_is_no_damage():
     nan = float("nan")
     one = record(responses={"error": {"value": nan, "unit": "%", "u_steps": nan}})
     assert Record.from_json(one.to_json()).responses["error"]["u_steps"] is None
-
-
-def test_a_pipe_is_no_lock(tmp_path):
-    """To open a pipe waits for somebody who writes to it."""
-    os.mkfifo(tmp_path / atomic_files.LOCK_NAME)
-    assert atomic_files.holder(tmp_path) is None
-    with pytest.raises(StoreError, match=r"\.lock: cannot be written \(it is no file"):  # noqa: SIM117
-        with atomic_files.exclusive(tmp_path):
-            pass

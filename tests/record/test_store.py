@@ -129,16 +129,6 @@ def test_a_record_in_the_wrong_folder_is_not_used(tmp_path):
     assert [r.case_id for r in Store(tmp_path).records(WANTED)] == ["a1", "c3"]
 
 
-def test_records_of_another_version_are_not_mixed_in(tmp_path):
-    store = run(tmp_path)
-    newer = {**WANTED, "a1": "other"}
-    found = store.survey(newer)
-    assert (found.done, found.missing, found.foreign) == (("b2", "c3"), ("a1",), ("a1",))
-    assert "1 records come from another version" in store.warnings[-1]
-    assert store.done_ids(newer) == {"b2", "c3"}
-    assert [r.case_id for r in store.records(newer)] == ["b2", "c3"]
-
-
 def test_failed_cases_are_done_unless_tried_again(tmp_path):
     store = run(tmp_path)
     store.write(record("a1", status="crashed", message="signal 9"))

@@ -18,16 +18,8 @@ def test_one_row_a_case_and_failures_stay(tmp_path):
             record("c3", status="not-converged"),
         ]
     )
-    assert frame.columns.tolist() == [
-        "case_id",
-        "block",
-        "material",
-        "space",
-        "status",
-        "error",
-        "seconds",
-        "dofs",
-    ]
+    columns = "case_id block material space status error seconds dofs"
+    assert frame.columns.tolist() == columns.split()
     assert frame["status"].tolist() == ["converged", "timeout", "not-converged"]
     assert frame["error"][0] == 1.25
     assert frame["error"].isna().tolist() == [False, True, True]

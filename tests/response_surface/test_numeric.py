@@ -30,24 +30,17 @@ def analyze(path, numeric, *more):
 
 
 def test_montgomery_example_11_2():
+    """Its coefficients and test of lack of fit: `tests/analysis/test_reference_packages.py`."""
     numeric = "time_min=80..90,temperature_F=170..180"
     asked = ("analyze", CHEMICAL, "--response", "yield", "--numeric", numeric)
     found = study(*asked, "--json").json
     surface = found["surface"]
     assert surface["kind"] == "quadratic"
-    told = {t["term"].replace("time_min", "t"): t["coefficient"] for t in surface["terms"]}
-    told = {term.replace("temperature_F", "T"): value for term, value in told.items()}
-    printed = {"1": 79.94, "t": 0.995, "T": 0.515, "t:T": 0.25, "t^2": -1.376, "T^2": -1.001}
-    assert told == pytest.approx(printed, abs=1e-3)
     assert surface["error"] == "replicates"
-    assert surface["lack_of_fit"]["F"] == pytest.approx(1.78, abs=0.01)
-    assert surface["lack_of_fit"]["p"] == pytest.approx(0.2897, abs=2e-3)
     point = surface["stationary"]
     assert point["kind"] == "maximum"
-    assert point["coded"] == pytest.approx([0.389, 0.306], abs=1e-3)
     assert point["at"] == pytest.approx({"time_min": 86.95, "temperature_F": 176.53}, abs=0.01)
     assert point["value"] == pytest.approx(80.21, abs=0.005)
-    assert point["eigenvalues"] == pytest.approx([-1.4141, -0.9634], abs=4e-4)
     assert point["established"]
     assert found["sensitivity"] == []
     level = "level at a maximum of 80.2, inside the ranges: time_min 86.9 and temperature_F 177."

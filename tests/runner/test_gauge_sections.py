@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from study import api
-from study.ground.errors import InputError
 from study.harness.design.load import template
 from study.mechanics.forward import closed_form
 from study.mechanics.material.homogeneous import LOADINGS
@@ -113,24 +112,6 @@ def test_a_gauge_section_is_solved_in_closed_form(tmp_path):
     assert beyond.code == 1
     assert beyond.json["status"] == "unstable"
     assert np.isfinite(beyond.json["force_N"]).all()
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (("homogeneous", "cylinder"), "gauge section"),
-        (("tension", "indentation"), "the same everywhere"),
-        (('"tension"', '"tension", interface = "bonded"'), "bonded faces"),
-        (("stretch =", "displacement ="), "units.displacement"),
-    ],
-)
-def test_what_does_not_go_together_is_told(tmp_path, change, words):
-    path = case(
-        tmp_path, written(tmp_path, "tension", GENT), 'model = "gent"\npoisson_ratio = 0.49'
-    )
-    path.write_text(path.read_text().replace(*change, 1))
-    with pytest.raises(InputError, match=words):
-        api.calibrate(path, data=tmp_path)
 
 
 def test_stress_of_a_cylinder_is_force_over_its_area(tmp_path):

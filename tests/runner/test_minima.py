@@ -1,6 +1,8 @@
 """Energies with exponents: the right minimum is found on either side of zero, or named as open."""
 
 import json
+import tomllib
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,7 +26,8 @@ poisson_ratio = 0.4995
 OGDEN = 'model = "ogden"\norder = 1\n'
 
 
-def true_curve(tmp_path, interface, mu, alpha):
+@cache
+def true_curve(interface, mu, alpha):
     """Force of the energy itself, N, at 60 displacements, mm."""
     d = np.linspace(0.15, 9.0, 60)
     if interface == "frictionless":
@@ -32,7 +35,7 @@ def true_curve(tmp_path, interface, mu, alpha):
         return d, -np.pi * 25**2 * response(material, "uniaxial", 1 - d / 30).stress
     solid = f'model = "ogden"\nmu = ["{mu} kPa"]\nalpha = [{alpha}]\n'
     test = '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "9 mm"\nsteps = 20\n'
-    return d, study.solve(case_file(tmp_path, HEAD, solid, test)).curve.force_at(d)
+    return d, study.solve(tomllib.loads(HEAD + solid + test)).curve.force_at(d)
 
 
 def pressed(tmp_path, interface, d, force):
@@ -57,7 +60,7 @@ def is_right(found, mu, alpha):
 
 def draws(tmp_path, interface, alpha, count, noise=0.01):
     """How many of some noise draws end at the truth or name it."""
-    d, force = true_curve(tmp_path, interface, 14.0, alpha)
+    d, force = true_curve(interface, 14.0, alpha)
     rng, right = np.random.default_rng(21), 0
     for _ in range(count):
         read = force + noise * force.max() * rng.normal(size=d.size)
@@ -71,7 +74,7 @@ def test_closed_form(tmp_path, alpha):
 
 
 def test_bonded_compression_with_elements(tmp_path):
-    d, force = true_curve(tmp_path, "bonded", 14.0, -6.0)
+    d, force = true_curve("bonded", 14.0, -6.0)
     rng = np.random.default_rng(5)
     found = calibrated(tmp_path, "bonded", d, force + 0.01 * force.max() * rng.normal(size=60))
     assert is_right(found, 14.0, -6.0)
@@ -84,7 +87,7 @@ def test_bonded_compression_with_elements(tmp_path):
 @pytest.mark.parametrize("draw", [3, 44])
 def test_minima_are_compared_by_the_interpolation_of_their_ends(tmp_path, draw):
     """Of draw 3 the true minimum was too far by interpolation, of draw 44 it ended at a kink."""
-    d, force = true_curve(tmp_path, "bonded", 14.0, -15.0)
+    d, force = true_curve("bonded", 14.0, -15.0)
     noise = np.random.default_rng(21).normal(size=(draw + 1, d.size))[draw]
     assert is_right(
         calibrated(tmp_path, "bonded", d, force + 0.01 * force.max() * noise), 14.0, -15.0
@@ -101,7 +104,7 @@ def test_all_of_fifty_draws(tmp_path, interface, alpha):
 
 def test_minima_that_cannot_be_told_apart_are_named(tmp_path):
     """Much noise in a short test: either sign of the exponent is as good, and both are said."""
-    d, force = true_curve(tmp_path, "frictionless", 14.0, -6.0)
+    d, force = true_curve("frictionless", 14.0, -6.0)
     rng = np.random.default_rng(3)
     found = calibrated(
         tmp_path, "frictionless", d[:30], force[:30] + 0.05 * force[29] * rng.normal(size=30)
@@ -137,7 +140,7 @@ material = ["neo-hookean", "ogden"]
 
 
 def test_a_study_looks_at_both_signs_too(tmp_path):
-    d, force = true_curve(tmp_path, "frictionless", 14.0, -6.0)
+    d, force = true_curve("frictionless", 14.0, -6.0)
     rng = np.random.default_rng(5)
     pressed(tmp_path, "frictionless", d, force + 0.01 * force.max() * rng.normal(size=d.size))
     path = tmp_path / "signs.toml"

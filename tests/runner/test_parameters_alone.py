@@ -287,44 +287,6 @@ def test_a_plan_counts_the_refined_cases_of_a_program(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changed", "into", "said"),
-    [
-        ('mass = "2 kg"', 'mass = "2 kgg"', "unknown unit 'kgg'"),
-        ('mass = "2 kg"', "mass = [1, 2]", "a number, a text or a flag"),
-        ('mass = "2 kg"', "low = 2", "word of the study file"),
-        ('mass = "2 kg"', '"a b" = 2', "letters, digits"),
-        ('"1.2 kN/m"', '"1.2 kg"', "not of the kind of N/m"),
-        ('"1.2 kN/m"', '"stiff"', "is a text here and a number in"),
-        ("parameters.damping =", "parameters.dampin =", "did you mean 'damping'"),
-        ("parameters.damping =", 'parameters."<b>" =', "a parameter's name has letters"),
-        ('unit = "mm"\npractical = "1 mm"', 'unit = "mm"\npractical = "1 kg"', "must be a length"),
-        ('unit = "mm"\npractical', 'unit = "mmm"\npractical', "unknown unit"),
-        ('name = "static"', 'name = "dofs"', "dofs is in no unit"),
-        ("[[response]]", '[measurements]\nfile = "a.csv"\n[[response]]', "without a material"),
-        ("[factors]", '[converge]\nkey = "parameters.mas"\n[factors]', "did you mean 'mass'"),
-        (
-            "[factors]",
-            '[converge]\nkey = "parameters.mass"\n[factors]\nparameters.mass = ["0 kg", "1 kg"]',
-            "positive number",
-        ),
-        ('practical = "1 mm"', 'practical = "1"', 'for example, "0.05 mm" or "5 % of mean"'),
-        ('["12 N s/m", "20 N s/m"]', '{ low = "9 N s/m", high = "9 N s/m" }', "that differ"),
-        ("[factors]", '[converge]\nkey = "model.h"\n[factors]', "key of \\[parameters\\]"),
-        ("[factors]", '[replicates]\nkey = "parameters.seed"\n[factors]', "which no cell has"),
-        ("[factors]", "[replicates]\nn = 5\n[factors]", "is missing beside n"),
-        ("[factors]", '[[constraint]]\nrule = "mas < 3"\nwhy = "x"\n[factors]', "mean 'mass'"),
-        ("[factors]", f'[[constraint]]\nrule = "mass < {10**400}"\nwhy = "x"\n[factors]', "alone"),
-        ("[factors]", '[[constraint]]\nrule = "f(mass) < 3"\nwhy = "x"\n[factors]', "alone"),
-        ("[factors]", '[[constraint]]\nrule = "mass < force"\nwhy = "x"\n[factors]', "one unit"),
-    ],
-)
-def test_bad_input_is_a_sentence_with_its_mend(changed, into, said):
-    text = (HEAD + FACTORS + RESPONSES).replace(changed, into, 1)
-    with pytest.raises(errors.InputError, match=said):
-        loads(text).treatments  # noqa: B018
-
-
-@pytest.mark.parametrize(
     "name", ["class", "lambda", "true", "items", "get", "script", "keys", "h-1"]
 )
 def test_words_of_other_languages_are_names_of_parameters(tmp_path, name):
@@ -334,18 +296,6 @@ def test_words_of_other_languages_are_names_of_parameters(tmp_path, name):
     text = text.replace('"input.txt.j2"', '"a.j2"') + FACTORS + DECLARED
     (tmp_path / "d.toml").write_text(text)
     assert api.plan(tmp_path / "d.toml").cases["total"] == 4
-
-
-def test_values_in_an_unknown_unit_are_refused_beside_what_needs_them():
-    text = PROGRAM.replace('peak = "mm"', 'peak = "a,b"')
-    with pytest.raises(errors.InputError, match=r"forward\.values\.names: is an unknown unit"):
-        loads(HEAD + text + FACTORS + DECLARED).treatments  # noqa: B018
-
-
-def test_a_file_that_goes_along_is_never_read_as_the_answer():
-    text = PROGRAM.replace('"input.txt" = "input.txt.j2"', '"out.json" = "old.json"')
-    with pytest.raises(errors.InputError, match=r"out\.json, which is also read"):
-        loads(HEAD + text + FACTORS + DECLARED).treatments  # noqa: B018
 
 
 def test_cells_that_break_a_constraint_are_left_out_with_the_reason():

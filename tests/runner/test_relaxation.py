@@ -161,39 +161,21 @@ def test_the_speed_of_a_test_is_a_factor(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('hold = "100 s"', 'hold = "100 s"\ncycles = 2'), "stands beside hold"),
-        (('speed = "10 mm/s"', ""), "how fast|speed: is missing"),
-        (('shape = "homogeneous"', 'shape = "cylinder"\nradius = "2 mm"'), "know no time"),
-        (("share = 0.3", "share = 0.9"), "nothing of the stiffness"),
-        (("share = 0.3", "share = -0.1"), "from 0 to 1"),
         (("share = 0.3, ", ""), "share of term 1 is not known"),
         (('time = "1 s"', 'time = ["1 s", "3 s"]'), "is a range"),
-        (('time = "1 s"', 'time = ["3 s", "1 s"]'), "must rise"),
-        (("C10 =", "youngs_modulus ="), "no constant|unknown key"),
     ],
 )
 def test_what_cannot_be_is_told(tmp_path, change, words):
     path = problem(tmp_path)
-    text = path.read_text().replace(*change, 1)
-    if "cylinder" in text:
-        text = text.replace('area = "4 mm^2"\nlength = "20 mm"', 'height = "20 mm"')
-    path.write_text(text)
+    path.write_text(path.read_text().replace(*change, 1))
     with pytest.raises(InputError, match=words):
         api.solve(path)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (('"kPa" }', '"kPa" }, range = ["1 %", "10 %"]'), "whose rows all count"),
-        (('"kPa" }', '"kPa" }, points = 50'), 'write points = "raw"'),
-        (('"kPa" }', '"kPa" }, sign = "negative"'), "does not resist"),
-        (('units = { time = "s", ', "units = { "), "units.time"),
-    ],
-)
-def test_rules_of_curves_are_refused_for_courses(tmp_path, change, words):
-    tests = course(tmp_path, "pulled", "uniaxial", STRETCH, GEL).replace(*change, 1)
-    with pytest.raises(InputError, match=words):
+def test_a_course_that_does_not_resist_is_refused(tmp_path):
+    tests = course(tmp_path, "pulled", "uniaxial", STRETCH, GEL)
+    tests = tests.replace('"kPa" }', '"kPa" }, sign = "negative"', 1)
+    with pytest.raises(InputError, match="does not resist"):
         api.calibrate(calibration(tmp_path, ONE_TERM, tests), data=tmp_path)
 
 

@@ -8,7 +8,6 @@ import pytest
 from study import api
 from study.execution.local import Loky
 from study.execution.supervisor import Inline, stopped_late
-from study.ground.errors import InputError
 from study.harness.design.load import loads
 from study.harness.runner.batch import computed, run_batch
 from study.harness.runner.case_series import refine_cases
@@ -166,19 +165,3 @@ def test_a_longer_limit_from_the_design_to_the_report(tmp_path, monkeypatch):
     assert "stopped after 15 s" in page
     csv = (found.report.parent / "small-data" / "table-retried.csv").read_text()
     assert csv.count("\n") == 3
-
-
-@pytest.mark.parametrize(
-    ("policy", "said"),
-    [
-        ('not-converged = ["smaler-steps"]', "did you mean 'smaller-steps'"),
-        ('timeout = ["smaller-steps"]', "Valid: longer-limit"),
-        ('tired = ["longer-limit"]', "Valid: not-converged, unstable, mesh-failed"),
-        ("timeout = 4", "must be a text, got 4"),
-    ],
-)
-def test_a_policy_that_means_nothing_is_refused(policy, said):
-    with pytest.raises(InputError) as refused:
-        loads(design(policy), "small.toml")
-    assert said in str(refused.value)
-    assert "execution.retry" in str(refused.value)

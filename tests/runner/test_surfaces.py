@@ -97,24 +97,6 @@ def test_files_elsewhere_are_refused(home, name, said):
         find(name, (home,))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ('unit = "mm"\n', "", "specimen.unit: is missing"),
-        ('unit = "mm"', 'unit = "kPa"', "must be a length unit"),
-        ('unit = "mm"', 'unit = "mm"\nradius = "3 mm"', "unknown key"),
-        ("[model]", '[model]\nspace = "axisymmetric"', "no axis of symmetry"),
-        ("[model]", '[model]\nelement_shape = "hexahedron"', "tetrahedra"),
-        ("box.stl", "../box.stl", "must not climb"),
-    ],
-)
-def test_faults_of_the_table(home, old, new, said):
-    path = home / "problem.toml"
-    path.write_text(PROBLEM.replace(old, new))
-    with pytest.raises(InputError, match=said):
-        load_problem(path)
-
-
 def test_the_table_arrives(home):
     path = home / "problem.toml"
     more = 'unit = "cm"\naxis = "-x"\nclamp_below = "-3 mm"\npress_x = "1 mm"\n'

@@ -203,13 +203,9 @@ def test_an_arm_that_the_poses_cannot_show_does_no_harm(tmp_path):
     assert found.left_out_rms_mm < 0.6
 
 
-LATE = DISTANCE.replace('unit = "mm"', 'unit = "m"', 1)
-
-
 @pytest.mark.parametrize(
     ("text", "rule"),
     [
-        (LATE, "recording.unit.*apart"),
         (DISTANCE.replace('["a", "b"]', '["a", "c"]'), "no marker 'c'"),
         (DISTANCE.replace("[distance]", "[distanse]"), "unknown key"),
         (DISTANCE.replace('"50 mm"', "50"), "needs a unit"),
@@ -217,7 +213,7 @@ LATE = DISTANCE.replace('unit = "mm"', 'unit = "m"', 1)
         (DISTANCE.replace("schema = 1", ""), "schema"),
         (DISTANCE.replace('"ax", "ay", "az"', '"ax", "ay"'), "must be the columns of x, y and z"),
     ],
-    ids=["metres", "marker", "table", "unit", "nothing", "schema", "columns"],
+    ids=["marker", "table", "unit", "nothing", "schema", "columns"],
 )
 def test_a_faulty_file_is_refused_with_its_place(tmp_path, text, rule):
     file = distance_study(tmp_path, 1)

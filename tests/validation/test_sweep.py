@@ -140,12 +140,6 @@ def test_an_error_is_silent_where_neither_mesh_nor_message_tells(ask, verdict):
     assert sweep.outcome(PROBLEM, ask)["verdict"] == verdict
 
 
-def test_the_first_touch_does_not_count():
-    own = {"force_N": [0.09, 0.5, 1.0]}
-    found = sweep._errors(own, {"force_N": [0.03, 0.5, 1.0]})
-    assert found["worst"] == 0.0
-
-
 # The file and the program
 
 
