@@ -35,8 +35,8 @@ FORCE = re.compile(r"total force .* for set TOP and time\s+(\S+)")
 def deck(problem: dict) -> str:
     """Text of the input file."""
     # the mesh generator takes a second to load, and the curve does not need it
-    from study.simulation.cell import CellProblem
     from study.mechanics.mesh.mesher import build_mesh
+    from study.simulation.cell import CellProblem
 
     model, test, material = problem["model"], problem["test"], problem["material"]
     kind = ELEMENTS.get((model["element_order"], model["element_shape"], model["formulation"]))

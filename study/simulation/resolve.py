@@ -51,6 +51,7 @@ from study.simulation.problem_file import (
     CalibrationFile,
     Converge,
     Role,
+    default_name,
     nuisance_from,
     of_test,
 )
@@ -391,10 +392,10 @@ def _check_method(cell: Cell, problem: CellProblem, fitted: CellProblem, faults:
 
 
 def resolve_calibration(
-    file: CalibrationFile, tables: Table, name: str, faults: Faults
+    file: CalibrationFile, tables: Table, faults: Faults, source: str, *_: str
 ) -> CalibrationDesign:
     """Resolve a calibration: its tests in internal units, and the bounds of its constants."""
-    problems = []
+    name, problems = file.study.name or default_name(source), []
     for i, test in enumerate(file.tests):  # its own tables replace those of the file
         keys = ("test", "measurements", "specimen", "model")
         given = {key: value for key in keys if (value := getattr(test, key)) is not None}

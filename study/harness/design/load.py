@@ -50,7 +50,6 @@ from study.harness.design.study_file import RESPONSES_MEND, DesignFile
 from study.simulation import overlay, plausibility
 from study.simulation.cell import Cell, CellProblem
 from study.simulation.problem_file import (
-    CalibrationDesign,
     CalibrationFile,
     ProblemFile,
     default_name,
@@ -491,12 +490,6 @@ def _problem(file: ProblemFile, tables: Tables, faults: Faults, *_: str) -> Load
     return LoadedProblem(problem, file.converge)
 
 
-def _calibration(
-    file: CalibrationFile, tables: Tables, faults: Faults, source: str, _: str
-) -> CalibrationDesign:
-    return resolve_calibration(file, tables, file.study.name or default_name(source), faults)
-
-
 File = TypeVar("File")
 Loaded = TypeVar("Loaded")
 
@@ -542,7 +535,7 @@ class FileKind(Generic[File, Loaded]):
 
 _DESIGN = FileKind("design", DesignFile, _design)
 _PROBLEM = FileKind("problem", ProblemFile, _problem)
-CALIBRATION = FileKind("calibration", CalibrationFile, _calibration)
+CALIBRATION = FileKind("calibration", CalibrationFile, resolve_calibration)
 
 load, loads = _DESIGN.load, _DESIGN.loads
 load_problem, loads_problem = _PROBLEM.load, _PROBLEM.loads

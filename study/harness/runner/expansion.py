@@ -277,11 +277,12 @@ def _jobs_of_cell(
     forward = _forward_of(case, problem)
     files = (file.sha256 for file in placed_files(cell))
     names = (sorted(units), code_version(), *files, *identity(cell.problem))
-    asked = (design.asks_for_scores, design.asks_for_constants)
 
     def job(each: Case, origin: Origin) -> CaseJob:
         placed = replace(each, cell=cell)
-        pairs = tuple(score_pairs(placed, problem, data, *asked))
+        pairs = tuple(
+            score_pairs(placed, problem, data, design.asks_for_scores, design.asks_for_constants)
+        )
         name = digest([each.case_id, [pair.identity for pair in pairs], *names])
         return CaseJob(placed, pairs, name, forward, origin, study=design.name, units=units)
 
