@@ -9,9 +9,9 @@ import pytest
 from study.api import solving
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Block, Cylinder, Gravity
+from study.mechanics.setup.geometry import Block, Cylinder, Flat, Gravity
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Model
+from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test, buckling_strain
 from study.mechanics.solver import load_path
 from study.mechanics.solver.equilibrium import is_unstable, least_stiffness, mirrored
@@ -245,3 +245,14 @@ def test_a_buckled_column_is_drawn_and_written_with_its_mode(tmp_path):
     middle = np.abs(z - 45.0) < 1e-9  # sways to one side, the ends stand
     assert mode[middle, 1].min() > 0.9 or mode[middle, 1].max() < -0.9
     np.testing.assert_allclose(mode[(z < 1e-9) | (z > 90 - 1e-9)], 0.0, atol=1e-12)
+
+
+def test_a_mode_that_has_yet_to_converge_is_none_of_the_whole_body():
+    """Two modes of elements at the rim of a punch: a third of the body seemed to take part."""
+    material = Material("mooney-rivlin", {"C10": 0.3, "C01": 0.2}, poisson_ratio=0.48)
+    test = Test("indentation", 1.0, "frictionless", "bonded", 3, Flat(3.0, 0.5))
+    model = Model("3d", "linear", "tensor", mesh="coarse")
+    found = solve(Problem(Cylinder(20.0, 20.0), test, material, model), gradients=False)
+    assert found.message == "every step converged"
+    # quadratic hexahedra, whose factors show no negative stiffness
+    assert found.curve.force_N[-1] == pytest.approx(24.208, rel=0.02)

@@ -152,15 +152,19 @@ def least_stiffness(system: System) -> tuple[float, Array]:
     basis = [start / np.linalg.norm(start)]
     steps = min(_LANCZOS, int(moves.sum()))
     reduced, values, vectors = np.zeros((steps + 1, steps)), np.zeros(1), np.ones((1, 1))
+    below = settled = np.zeros(0, np.int64)
     for j in range(steps):
         w = compliance(basis[j])
         column = _orthogonalized(w, basis)
         reduced[: j + 2, j] = column
         square = reduced[: j + 1, : j + 1]
         values, vectors = np.linalg.eigh((square + square.T) / 2)
+        below = np.flatnonzero(values < -_ROUNDING * np.abs(values).max())
+        is_settled = column[-1] * np.abs(vectors[-1]) <= _LANCZOS_TOLERANCE * np.abs(values)
+        settled = below[is_settled[below]]
+        # every negative one: what has yet to converge looks like a motion of the whole body;
         # without a negative one the softest way counts
-        k = 0 if values[0] < -_ROUNDING * np.abs(values).max() else -1
-        if column[-1] * abs(vectors[-1, k]) <= _LANCZOS_TOLERANCE * abs(values[k]):
+        if is_settled[below].all() and (below.size or is_settled[-1]):
             break
         basis.append(w / column[-1])
 
@@ -170,8 +174,7 @@ def least_stiffness(system: System) -> tuple[float, Array]:
         mode = system.displacements(motion)
         return 1.0 / float(values[k]), mode / np.linalg.norm(mode, axis=1).max()
 
-    below = values < -_ROUNDING * np.abs(values).max()
-    negative = [of(int(k)) for k in np.flatnonzero(below)]
+    negative = [of(int(k)) for k in (settled if settled.size else below)]
     return max(negative, key=lambda candidate: volume_share(system, candidate[1]), default=of(-1))
 
 
