@@ -207,10 +207,7 @@ class AnalysisResult(Keyed):
 
     @property
     def is_representative(self) -> Flags:
-        """Whether each row belongs to the cell that stands for its copies.
-
-        Shapes: returns (n,).
-        """
+        """Whether each row belongs to the cell that stands for its copies, shape (n,)."""
         return np.isin(self.data.cell, [group[0] for group in self.copies])
 
     @cached_property

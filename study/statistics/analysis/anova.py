@@ -515,7 +515,11 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     tol = request.scale.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
-    replicates = _replicates(table, data, request)
+    replicates = request.layout.replicates
+    if replicates == "auto":
+        others = set(table.columns) - {*data.factors, *data.blocks}
+        kinds = [kind for column, kind in _SEED_COLUMNS.items() if column in others]
+        replicates = kinds[0] if kinds else "auto" if request.records else "runs"
     return AnalysisResult(request, data, terms, tol, replicates, structure)
 
 
@@ -551,16 +555,6 @@ def _with_empty_cells(
     )
     reason = error_ledger.undecided(data, request)
     return replace(structure, undecided=reason, asked=terms), told_apart, [note]
-
-
-def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:
-    """Say what the rows of one cell are, as declared, or as the columns show."""
-    if request.layout.replicates != "auto":
-        return request.layout.replicates
-    for column, kind in _SEED_COLUMNS.items():
-        if column in table.columns and column not in (*data.factors, *data.blocks):
-            return kind
-    return "auto" if request.records else "runs"
 
 
 def _lacking(data: Data, plots: Plots | None) -> str:

@@ -284,8 +284,13 @@ def structure_of(data: Data) -> Structure:
     """Look at checked rows."""
     size = math.prod(len(data.layout.levels[f]) for f in data.factors)
     empty = size - np.unique(data.cell).size
-    constant = constant_in_blocks(data)
-    return Structure(_step_of_readings(data), _nested(data) if empty else (), empty, constant)
+    levels = {name: len(data.layout.levels[name]) for name in data.factors}
+    nested = [
+        (inner, outer)
+        for inner, outer in permutations(data.factors if empty else (), 2)
+        if np.unique(data.layout.cell([inner, outer])).size == levels[inner] > levels[outer]
+    ]
+    return Structure(_step_of_readings(data), tuple(nested), empty, constant_in_blocks(data))
 
 
 def constant_in_blocks(data: Data) -> tuple[str, ...]:
@@ -349,16 +354,6 @@ def _step_of_readings(data: Data) -> float:
             if np.ptp(data.y[here]):
                 steps[here] = np.maximum(steps[here], unit * math.gcd(round(of_unit), 10))
     return float(steps[0]) if not np.ptp(steps) else float(np.sqrt(np.mean(steps**2)))
-
-
-def _nested(data: Data) -> tuple[tuple[str, str], ...]:
-    """Pairs of factors of which the first is nested in the second, with names of its own."""
-    levels = {name: len(data.layout.levels[name]) for name in data.factors}
-    return tuple(
-        (inner, outer)
-        for inner, outer in permutations(data.factors, 2)
-        if np.unique(data.layout.cell([inner, outer])).size == levels[inner] > levels[outer]
-    )
 
 
 def refuse_copied_rows(data: Data) -> None:

@@ -215,7 +215,12 @@ def model_matrix(
     """Build the model matrix (n, p) of an intercept, ``extra`` terms (blocks) and ``terms``."""
     order: list[Term] = [(), *extra, *terms]
     present = {frozenset(t) for t in order}
-    parts = [_term_columns(layout, term, present) for term in order]
+    parts = []
+    for term in order:
+        sizes = {name: len(layout.levels[name]) for name in term}
+        coded = {name: _contrasts(k) if frozenset(term) - {name} in present else np.eye(k)
+                 for name, k in sizes.items()}  # fmt: skip
+        parts.append(products(layout, coded))
     edges = np.cumsum([0, *(part.shape[1] for part in parts)])
     blocks = tuple(slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True))
     return ModelMatrix(np.hstack(parts), tuple(order), blocks, layout)
@@ -257,13 +262,6 @@ def number_within(layout: CellLayout, nested: Mapping[str, tuple[str, ...]]) -> 
             levels[name] = tuple(str(i + 1) for i in range(int(code.max()) + 1))
             codes[name] = code
     return CellLayout(levels, codes)
-
-
-def _term_columns(layout: CellLayout, term: Term, present: set[frozenset[str]]) -> Array:
-    is_contrast = {name: frozenset(term) - {name} in present for name in term}
-    sizes = {name: len(layout.levels[name]) for name in term}
-    return products(layout, {k: _contrasts(n) if is_contrast[k] else np.eye(n)
-                             for k, n in sizes.items()})  # fmt: skip
 
 
 def _contrasts(levels: int) -> Array:
@@ -466,7 +464,9 @@ def factorize(matrix: ModelMatrix) -> Factorization:
     scaled = matrix.columns / scale
     cells = distinct_rows(scaled)
     q, r = np.linalg.qr(scaled if cells is None else cells.rows)
-    if not _is_regular(r):
+    inverse = _inverse(r) if r.shape[0] >= r.shape[1] else None
+    # 1 / |R^-1| bounds the singular values: the norm of Frobenius is that of the largest or more
+    if inverse is None or np.linalg.norm(inverse) * ALIAS_TOLERANCE * np.sqrt(r.shape[1]) >= 1:
         u, s, _ = np.linalg.svd(r)
         rank = int(np.count_nonzero(s > ALIAS_TOLERANCE * np.sqrt(r.shape[1])))
         if rank < r.shape[1]:
@@ -510,19 +510,6 @@ def _factored_products(matrix: ModelMatrix) -> tuple[Array, Array] | None:
 def factorize_columns(columns: Array) -> Factorization:
     """Factor columns without terms of factors, such as those of a polynomial; shape (n, p)."""
     return factorize(ModelMatrix(columns, ((),), (slice(0, columns.shape[1]),)))
-
-
-def _is_regular(r: Array) -> bool:
-    """Whether a square triangle is certainly of full rank: 1 / |R^-1| bounds its singular values.
-
-    The norm of Frobenius is never below that of the largest singular value.
-    """
-    if r.shape[0] < r.shape[1]:
-        return False
-    inverse = _inverse(r)
-    if inverse is None:
-        return False
-    return bool(np.linalg.norm(inverse) * ALIAS_TOLERANCE * np.sqrt(r.shape[1]) < 1)
 
 
 def _inverse(r: Array) -> Array | None:
