@@ -405,11 +405,10 @@ def export_surface(
     """
     study = opened(path, results)
     chosen = surfaces_of(study, response)
-    good = [fitted for fitted in chosen if fitted.surface is not None]
-    if not good:
+    if all(fitted.surface is None for fitted in chosen):
         rule = "has no surface that could be a function"
         raise InputError(Fault(study.design.name, rule, chosen[0].refused))
-    functions = tuple(haptic_export.surface_function(study.design.name, fitted) for fitted in good)
+    functions = haptic_export.surface_functions(study.design.name, study.surfaces, response)
     folder = Path(out)
     texts = {file: text for function in functions for file, text in function.files(folder).items()}
     for file, text in texts.items():

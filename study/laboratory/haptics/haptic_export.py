@@ -6,7 +6,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import ArrayLike
 
 import study
-from study.ground.arrays import Array, Flags
+from study.ground.arrays import Array, Flags, gathered
 from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
@@ -561,11 +561,12 @@ class SurfaceFunction(Keyed):
             f"{i['argument']} ({i['name']}) {i['low']:g} to {i['high']:g} {i['unit']}".strip()
             for i in self.inputs
         )
+        within = f"{self.bound:.3g} {fit.unit}".strip()
         return (
             f"{what}, from {0 if fit.surface is None else fit.surface.runs.response.size} runs.",
             f"Ranges: {ranges}. Outside of them it raises ValueError: nothing was run there.",
-            f"It is within {self.bound:.3g} {fit.unit} of the simulation at about 95 % of the "
-            "settings: the largest half width of its intervals.",
+            f"It is within {within} of the simulation at about 95 % of the settings: the largest "
+            "half width of its intervals.",
         )
 
     @property
@@ -583,8 +584,20 @@ class SurfaceFunction(Keyed):
         return rendered("surface.py.j2", f=self, said=self.sentences())
 
 
-def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
-    """Make the function of a surface."""
+def surface_functions(
+    study_name: str, every: Sequence[FittedSurface], response: str | None = None
+) -> list[SurfaceFunction]:
+    """Make a function of each surface, or of those of a response; no two have one name."""
+    texts = [" ".join((study_name, fit.response, *fit.labels.values())) for fit in every]
+    names = _identifiers(texts)
+    return [
+        _surface_function(names[text], fit)
+        for text, fit in zip(texts, every, strict=True)
+        if fit.surface is not None and response in (None, fit.response)
+    ]
+
+
+def _surface_function(name: str, fitted: FittedSurface) -> SurfaceFunction:
     if fitted.surface is None:
         raise ValueError(fitted.refused)
     model, runs = fitted.surface.model, fitted.surface.runs
@@ -594,7 +607,6 @@ def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
          "unit": fitted.units.get(f.name, ""), "log": f.log}
         for f in runs.factors
     )  # fmt: skip
-    name = _identifier(" ".join((study_name, fitted.response, *fitted.labels.values())))
     _, half = model.predict(box_points(len(inputs), ASKED))
     bound = float(np.max(half))
     if isinstance(model, QuadraticSurface):
@@ -631,9 +643,16 @@ def _arguments(names: tuple[str, ...]) -> dict[str, str]:
     """Last parts of dotted keys where these differ, else the whole keys."""
     last = [name.rpartition(".")[2] for name in names]
     chosen = last if len(set(last)) == len(last) else list(names)
-    return {name: _identifier(word) for name, word in zip(names, chosen, strict=True)}
+    identifiers = _identifiers(chosen)
+    return {name: identifiers[word] for name, word in zip(names, chosen, strict=True)}
 
 
-def _identifier(text: str) -> str:
-    plain = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "x"
-    return f"x_{plain}" if plain[0].isdigit() else plain
+def _identifiers(texts: Sequence[str]) -> dict[str, str]:
+    """Name several texts by identifiers; those that would be alike are numbered."""
+    plain = {text: re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "x" for text in texts}
+    named = ((f"x_{name}" if name[0].isdigit() else name, text) for text, name in plain.items())
+    return {
+        text: f"{name}_{number}" if alike[1:] else name
+        for name, alike in gathered(named).items()
+        for number, text in enumerate(alike, 1)
+    }
