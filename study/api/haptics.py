@@ -38,7 +38,7 @@ from study.simulation.cell import CellProblem, tested
 from study.simulation.fit_problem import data_root, folders, located
 from study.simulation.problem_file import default_name
 from study.simulation.tasks import Costs, default_jobs
-from study.statistics.surfaces.surface_function import surface_function
+from study.statistics.surfaces.surface_function import surface_functions
 
 if TYPE_CHECKING:
     from study.api.assemble import StudyResult
@@ -406,11 +406,10 @@ def export_surface(
     """
     study = opened(path, results)
     chosen = surfaces_of(study, response)
-    good = [fitted for fitted in chosen if fitted.surface is not None]
-    if not good:
+    if all(fitted.surface is None for fitted in chosen):
         rule = "has no surface that could be a function"
         raise InputError(Fault(study.design.name, rule, chosen[0].refused))
-    functions = tuple(surface_function(study.design.name, fitted) for fitted in good)
+    functions = surface_functions(study.design.name, study.surfaces, response)
     folder = Path(out)
     texts: dict[Path, str] = {}
     for function in functions:

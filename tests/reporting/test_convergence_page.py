@@ -65,6 +65,14 @@ def test_the_page_has_every_figure_and_its_data(tmp_path):
     )
 
 
+def test_the_answer_names_its_quantity_and_the_unit_of_its_bound(tmp_path):
+    single = cell(1.2) | {"levels": {}}
+    page = write_convergence("mesh", "", single, tmp_path, [TRIANGLE], [[0, 0], [1, 1]])
+    text = page.read_text(encoding="utf-8")
+    assert "Peak force in N: " in text
+    assert all(label in text for label in ("height (mm)", "distance from the axis (mm)"))
+
+
 def test_names_from_outside_are_escaped(tmp_path):
     evil = document()
     evil["cells"][0]["levels"] = {"a": "<script>alert(1)</script>"}
@@ -93,6 +101,9 @@ def test_series_without_an_order_are_drawn_without_a_fit(order):
 def test_the_caption_says_how_many_converge():
     text = convergence.value_caption([cell(1.2), cell(-1.0, error=1.0)])
     assert text.startswith("1 of 2 series have an interval")
+    assert "line and diamond" in text
+    without = convergence.value_caption([cell(-1.0, error=1.0)])
+    assert without == "0 of 1 series have an interval. Points: meshes."  # nothing else is drawn
     assert convergence.error_caption([cell(-1.0)]) == "No series has an order."
 
 

@@ -4,6 +4,7 @@ import csv
 import math
 import re
 from itertools import product
+from pathlib import Path
 
 import pytest
 
@@ -28,8 +29,8 @@ def alike(tmp_path, monkeypatch):
             rows.writerow(
                 [plate, *(5 + noise + apart * (plate == "b") for apart in ALIKE.values())]
             )
-    said = study("import", "runs.csv", "--factors", "plate", "--responses", ",".join(ALIKE))
-    assert said.code == 0, said.err
+    answer = study("import", "runs.csv", "--factors", "plate", "--responses", ",".join(ALIKE))
+    assert answer.code == 0, answer.err
     return tmp_path / "reports" / "runs" / "runs-data"
 
 
@@ -56,12 +57,12 @@ def test_a_unit_in_the_name_of_a_column_stands_beside_its_numbers(tmp_path):
         lines.append(f"{lot},{plates},{base + 7 * lot + (lot % 3) * (plates == 'free')}")
     path = tmp_path / "force.csv"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    said = study("analyze", path, "--response", "force_mN [mN]", "--factors", "plates", "--block",
+    answer = study("analyze", path, "--response", "force_mN [mN]", "--factors", "plates", "--block",
                  "lot", "--practical", "0.05 N", "--report", tmp_path / "out",
                  "--format", "html,tex")  # fmt: skip
-    assert said.code == 0, said.err
+    assert answer.code == 0, answer.err
     # the differences are 120, 121, 122, 120, 121
-    assert re.search(r"plates +matters +121 mN .* mN +50 mN", said.out)
+    assert re.search(r"plates +matters +121 mN .* mN +50 mN", answer.out)
     first = (tmp_path / "out" / "force-force-mn-mn.html").read_text("utf-8")
     assert "For force_mN, the choice of plates (121\N{NO-BREAK SPACE}mN between extremes)" in first
     tex = (tmp_path / "out" / "force-force-mn-mn.tex").read_text("utf-8")
@@ -76,6 +77,41 @@ def test_sizes_that_a_mixed_model_does_not_have_are_no_columns(tmp_path):
             lines.append(f"{block},{dose},{10 + 3 * dose + block % 4 + noise:.3f}")
     path = tmp_path / "wear.csv"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    said = study("analyze", path, "--response", "wear", "--factors", "dose", "--block", "block")
-    assert "REML" in said.out
-    assert "omega squared" not in said.out
+    answer = study("analyze", path, "--response", "wear", "--factors", "dose", "--block", "block")
+    assert "REML" in answer.out
+    assert "omega squared" not in answer.out
+
+
+def test_replicates_of_imported_runs_over_numbers_are_runs_of_their_surface(tmp_path, monkeypatch):
+    """Each setting is run twice, 10 apart: the surface lies between, and says that they scatter."""
+    monkeypatch.chdir(tmp_path)
+    lines = ["speed,temp,y"]
+    for speed, temp, apart in product(range(1, 6), (20, 40, 60), (0, 10)):
+        lines.append(f"{speed},{temp},{100 + 20 * speed + temp / 2 + apart}")
+    Path("two.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    made = study("import", "two.csv", "--numeric", "speed,temp", "--responses", "y")
+    assert made.code == 0, made.err
+    assert "of 30 runs" in made.out
+    assert "run once" not in made.err
+    predicted = study("predict", "two", "--at", "speed=3,temp=40", "--json").json["predictions"][0]
+    assert predicted["value"] == pytest.approx(185.0)
+    low, high = predicted["low"], predicted["high"]
+    assert low < 180 < 190 < high
+
+
+def test_no_function_of_a_surface_loses_its_file_to_another(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = ["side,speed,\N{GREEK SMALL LETTER SIGMA},\N{GREEK SMALL LETTER TAU}"]
+    for side, speed in product(("a-1", "a+1"), range(9)):
+        lines.append(f"{side},{speed},{speed**2 + 30 * (side == 'a+1')},{7 - speed}")
+    Path("runs.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    made = study("import", "runs.csv", "--factors", "side", "--numeric", "speed", "--responses",
+                 "\N{GREEK SMALL LETTER SIGMA},\N{GREEK SMALL LETTER TAU}")  # fmt: skip
+    assert made.code == 0, made.err
+    answer = study("export", "runs", "--as", "emulator", "--json")
+    assert answer.code == 0, answer.err
+    files = answer.json["files"]
+    assert len(files) == len(set(files)) == 2 * len(answer.json["functions"]) == 8
+    alone = study("export", "runs", "--as", "emulator", "--response", "\N{GREEK SMALL LETTER TAU}",
+                "--json").json["files"]  # fmt: skip
+    assert alone == files[4:]

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -87,3 +88,10 @@ def test_the_methods_say_level_and_fit(data):
     text = methods.paragraph(data, facts(data)).replace("\N{NO-BREAK SPACE}", " ")
     assert "95 %" in text
     assert "90 %" in methods.paragraph(replace(data, alpha=0.1), facts(data)).replace("\xa0", " ")
+
+
+def test_no_letter_of_a_name_or_a_unit_is_made_a_capital():
+    """A heading has names of the user: in capitals mN would be MN, and a-1 another level."""
+    style = resources.files("study.reporting").joinpath("templates", "style.css").read_text("utf-8")
+    rules = re.findall(r"([^{}]+)\{[^{}]*text-transform: uppercase", style)
+    assert [rule.strip() for rule in rules] == [".kicker"]

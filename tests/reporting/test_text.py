@@ -168,6 +168,16 @@ def test_a_name_of_a_file_is_that_of_one_text():
     assert slugs(["mu0", "work_error"]) == {"mu0": "mu0", "work_error": "work-error"}
 
 
+def test_of_a_huge_number_no_more_digits_are_written_than_of_others():
+    assert rounded(401_413_483.0, 0) == "4.01e8"
+    assert rounded(-1_234_567.0, 0) == f"{MINUS}1,230,000"
+    assert rounded(123_456.0, 0) == "123,456"
+    assert span(389_327_633.0, 413_499_334.0, 0) == "3.89e8 to 4.13e8"
+    assert inside(401_413_483.0, 389_327_633.0, 413_499_334.0, "4.01e8", "3.89e8 to 4.13e8") == (
+        "4.01e8"
+    )
+
+
 def test_a_declared_difference_is_written_without_zeros_and_exponents():
     assert [trimmed(value) for value in (0.5, 20, 1e6, 0.05)] == ["0.5", "20", "1,000,000", "0.05"]
     assert trimmed(5e-10) == "5e\N{MINUS SIGN}10"

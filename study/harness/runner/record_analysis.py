@@ -413,11 +413,16 @@ def surfaces(
     """Fit all responses over the ranges at every combination of levels, without unanswered runs."""
     if not is_numeric(design):
         return ()
-    originals = [record for record in records if not is_repeat(record.extra)]
+    # a replicate is a run as the first one is; another mesh or drawn noise repeats the same run
+    originals = [
+        record for record in records
+        if not is_repeat({name: v for name, v in record.extra.items() if name != "replicate"})
+    ]  # fmt: skip
     places, sizes = labels_of(design), [len(labels) for labels in design.lists.values()]
     kind = design.analysis.surface
     if kind == "auto" and design.scheme.kind == "morris":
-        kind = "morris"
+        kind = "morris"  # whose trajectories are of single runs
+        originals = [record for record in originals if not is_repeat(record.extra)]
         treatment_index = {frozenset(t.levels.items()): n for n, t in enumerate(design.treatments)}
         originals.sort(key=lambda record: treatment_index[frozenset(record.levels.items())])
     units_of = {name: span.unit for name, span in design.ranges.items()}

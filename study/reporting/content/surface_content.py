@@ -269,7 +269,8 @@ def differences(fit: FittedSurface, data: ReportData) -> Iterator[str]:
                 MATTERS: "this matters at some settings",
                 NO_DIFFERENCE: "this makes no practical difference at any setting",
             }.get(difference.verdict, "these runs cannot show whether this matters")
-            limit = f"; with {quantity(fit.practical, unit)} as what matters, {verdict}"
+            matters = f"{trimmed(fit.practical)} {unit}".strip()
+            limit = f"; with {matters} as what matters, {verdict}"
         yield sentence(
             f"{name_of(fit.response, data.labels)} with {name_of(difference.factor, data.labels)} "
             f"{clean(difference.level)} is {quantity(abs(difference.mean), unit)} {word} than with "

@@ -107,9 +107,13 @@ def decimals_that_count(step: float | None) -> int | None:
     return decimals if decimals < 10 else None
 
 
+#: from here on all digits of a whole number mean nothing
+HUGE = 1e6
+
+
 def rounded(value: float | None, decimals: int | None, digits: int = 3) -> str:
     """Three significant digits, but no finer than ``decimals``; ``< 0.001`` below them."""
-    if value is None or decimals is None or value == 0 or not math.isfinite(value):
+    if value is None or decimals is None or value == 0 or not abs(value) < HUGE:
         return significant(value, digits)
     least = 10.0**-decimals
     if abs(value) < least / 2:
@@ -121,9 +125,9 @@ def span(low: float | None, high: float | None, decimals: int | None, digits: in
     """Write both ends with the same decimals: as few as tell them apart, at most ``decimals``."""
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
-    if decimals is None:
-        return interval(low, high, "", digits)
     largest = max(abs(low), abs(high))
+    if decimals is None or largest >= HUGE:
+        return interval(low, high, "", digits)
     places = min(_decimals(largest, digits), decimals) if largest else 0
     while places < decimals and round(low, places) == round(high, places):
         places += 1
@@ -135,7 +139,7 @@ def inside(
 ) -> str:
     """Write an estimate as finely as its interval where it would else stand outside of it."""
     places = [len(text.partition(".")[2]) for text in (shown, ends.partition(" to ")[0])]
-    if value is None or low is None or high is None or places[1] <= places[0]:
+    if value is None or low is None or high is None or places[1] <= places[0] or "e" in shown:
         return shown
     if round(low, places[1]) <= round(value, places[0]) <= round(high, places[1]):
         return shown

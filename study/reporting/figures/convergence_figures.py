@@ -190,6 +190,7 @@ def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: 
         ax.set_aspect("equal")
         ax.set_title(style.wrap(label, 34), fontsize=7.5)
     figure.supxlabel("distance from the axis (mm)")
+    figure.supylabel("height (mm)")
     return figure
 
 
@@ -212,10 +213,10 @@ def value_caption(cells: Sequence[Document]) -> str:
         text += f"; the widest is {percent(max(shares), 2)} of its value"
     left = len(cells) - MOST_PANELS
     more = f" {left} more series stand in the table." if left > 0 else ""
-    return (
-        f"{text}. Points: meshes; line and diamond: power law and its limit; bar: interval of the "
-        f"finest mesh.{more}"
-    )
+    has_limit = any(cell["extrapolated"] is not None for cell in cells)
+    line = "; line and diamond: power law and its limit" * has_limit
+    bar = "; bar: interval of the finest mesh" * bool(good)
+    return f"{text}. Points: meshes{line}{bar}.{more}"
 
 
 def error_caption(cells: Sequence[Document]) -> str:

@@ -111,7 +111,9 @@ def answers(cells: Sequence[Document], document: Document) -> list[str]:
     """Say in a few sentences what was found."""
     lines = [sentence(front["answer"]) for front in document.get("fronts", ())]
     for cell in cells[:1] if len(cells) == 1 else ():
-        lines.append(sentence(clean(cell["verdict"])))
+        unit = f" in {clean(cell['unit'])}" if cell["unit"] else ""
+        verdict = f"{name_of(cell['qoi'])}{unit}: {clean(cell['verdict'])}"
+        lines.append(sentence(verdict))
         given = cell.get("given_mesh")
         if given and given["u_num"] is not None and given["value"]:
             share = 100 * given["u_num"] / abs(given["value"])

@@ -1,14 +1,15 @@
-"""A fitted surface as plain numbers, which any language adds up: what ``study haptics`` writes."""
+"""A fitted surface as plain numbers, which any language adds up: what ``study export`` writes."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 import study
+from study.ground.arrays import gathered
 from study.ground.canonical import Keyed
 from study.statistics.surfaces.emulator import BlockedEmulator, Emulator
 from study.statistics.surfaces.quadratic import QuadraticSurface
@@ -53,11 +54,12 @@ class SurfaceFunction(Keyed):
             f"{i['argument']} ({i['name']}) {i['low']:g} to {i['high']:g} {i['unit']}".strip()
             for i in self.inputs
         )
+        within = f"{self.bound:.3g} {fit.unit}".strip()
         return (
             f"{what}, from {0 if fit.surface is None else fit.surface.runs.response.size} runs.",
             f"Ranges: {ranges}. Outside of them it raises ValueError: nothing was run there.",
-            f"It is within {self.bound:.3g} {fit.unit} of the simulation at about 95 % of the "
-            "settings: the largest half width of its intervals.",
+            f"It is within {within} of the simulation at about 95 % of the settings: the largest "
+            "half width of its intervals.",
         )
 
     @property
@@ -66,21 +68,33 @@ class SurfaceFunction(Keyed):
         return "emulator" if self.parts else "quadratic"
 
 
-def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
-    """Make the function of a surface."""
+def surface_functions(
+    study_name: str, every: Sequence[FittedSurface], response: str | None = None
+) -> list[SurfaceFunction]:
+    """Make a function of each surface, or of those of a response; no two have one name."""
+    texts = [" ".join((study_name, fit.response, *fit.labels.values())) for fit in every]
+    names = _identifiers(texts)
+    return [
+        _surface_function(names[text], fit)
+        for text, fit in zip(texts, every, strict=True)
+        if fit.surface is not None and response in (None, fit.response)
+    ]
+
+
+def _surface_function(name: str, fitted: FittedSurface) -> SurfaceFunction:
     if fitted.surface is None:
         raise ValueError(fitted.refused)
     model, runs = fitted.surface.model, fitted.surface.runs
     # last parts of dotted keys where these differ, else the whole keys
     last = [name.rpartition(".")[2] for name in runs.names]
     chosen = last if len(set(last)) == len(last) else runs.names
-    arguments = {name: _identifier(word) for name, word in zip(runs.names, chosen, strict=True)}
+    identifiers = _identifiers(chosen)
+    arguments = {name: identifiers[word] for name, word in zip(runs.names, chosen, strict=True)}
     inputs = tuple(
         {"name": f.name, "argument": arguments[f.name], "low": f.low, "high": f.high,
          "unit": fitted.units.get(f.name, ""), "log": f.log}
         for f in runs.factors
     )  # fmt: skip
-    name = _identifier(" ".join((study_name, fitted.response, *fitted.labels.values())))
     _, half = model.predict(box_points(len(inputs), ASKED))
     bound = float(np.max(half))
     if isinstance(model, QuadraticSurface):
@@ -113,6 +127,12 @@ def _part(emulator: Emulator, blocks: int) -> tuple[float, dict[str, object]]:
     return emulator.centre / blocks + scale * float(levels[combination]), part
 
 
-def _identifier(text: str) -> str:
-    plain = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "x"
-    return f"x_{plain}" if plain[0].isdigit() else plain
+def _identifiers(texts: Sequence[str]) -> dict[str, str]:
+    """Name several texts by identifiers; those that would be alike are numbered."""
+    plain = {text: re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "x" for text in texts}
+    named = ((f"x_{name}" if name[0].isdigit() else name, text) for text, name in plain.items())
+    return {
+        text: f"{name}_{number}" if alike[1:] else name
+        for name, alike in gathered(named).items()
+        for number, text in enumerate(alike, 1)
+    }
