@@ -531,8 +531,10 @@ def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding
     stepped: list[str] = []
     for group in groups:
         for recording in group:
-            p, line, explained = _trend_of_one(fit, recording)
             step, by_step = _step_of_one(fit, recording)
+            if not step and len(group) > 1:
+                continue
+            p, line, explained = _trend_of_one(fit, recording)
             # what bends smoothly is no step
             if step and by_step > explained:
                 stepped.append(step)
