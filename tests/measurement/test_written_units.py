@@ -74,6 +74,24 @@ def test_a_declared_unit_that_the_file_contradicts_is_refused(
 
 
 @pytest.mark.parametrize(
+    ("above", "names"),
+    [
+        ("Distance Units,mm\nForce Units,g\n", "Time,Distance,Force"),
+        ("Y_Unit_Label,N\n\n", "Time (s),Distance (mm),Force (g)"),
+        ("% force in g\n% distance in mm\n", "time,distance,force"),
+        ("Load rate: N/s\nLoad cell: 10 kN\nUnits: mm, gf, s\n", "Time,Distance,Load"),
+    ],
+    ids=["a line each", "LabVIEW", "MATLAB", "all in one"],
+)
+def test_lines_above_the_names_are_no_row_of_units(tmp_path, above, names):
+    rows = "".join(f"{k},{0.1 * k},{0.02 * k}\n" for k in range(1, 21))
+    (tmp_path / "a.csv").write_text(f"{above}{names}\n{rows}")
+    measurements = study.inspect(tmp_path / "a.csv").measurements
+    assert measurements["units"] == {"displacement": "mm", "force": "gf"}
+    assert list(measurements["columns"].values()) == names.split(",")[1:]
+
+
+@pytest.mark.parametrize(
     ("far", "hard", "refused"),
     [
         ("d_mm", "F [N]", False),

@@ -531,8 +531,10 @@ def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding
     stepped: list[str] = []
     for group in groups:
         for recording in group:
-            p, line, explained = _trend_of_one(fit, recording)
             step, by_step = _step_of_one(fit, recording)
+            if not step and len(group) > 1:
+                continue
+            p, line, explained = _trend_of_one(fit, recording)
             # what bends smoothly is no step
             if step and by_step > explained:
                 stepped.append(step)
@@ -771,11 +773,16 @@ def _step_of_one(fit: Fit, recording: _Recording) -> tuple[str, float]:
         return "", 0.0
     first, last = np.flatnonzero(level == 0)[-1], np.flatnonzero(level == 1)[0]
     d = recording.rows.displacement_mm
+    cause = "slipped, or the load cell was set to zero: write the range before it"
+    if last - first > _SIDE:
+        cause = (
+            "slipped gradually, or follows another law: write the range before it, or take another "
+            "energy"
+        )
     why = (
         f"{recording.label}: the force changes by {step.size_N:+.3g} N between rows {first + 1} "
         f"and {last + 1}, {d[first]:.4g} and {d[last]:.4g} mm, and stays there ({p_phrase(p)}), "
-        f"which moves {step.constant} by {step.percent:.2g} %: the specimen slipped, or the load "
-        "cell was set to zero: write the range before it"
+        f"which moves {step.constant} by {step.percent:.2g} %: the specimen {cause}"
     )
     return why, explained
 

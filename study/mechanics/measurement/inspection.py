@@ -343,7 +343,7 @@ def _with_names(
     most = width if delimiter == "space" else width + 1
     named = [k for k in above if 2 <= len(split[k]) <= most]
     # below the names, as instruments write them, or above
-    units = next((k for k in named if len(named) > 1 and _are_units(split[k])), None)
+    units = next((k for k in named if len(named) > 1 and _are_units(split[k], lines[k])), None)
     header = next((k for k in named if k != units), None)
     if header is None or (units is None and header != above[0]):
         header = units = None
@@ -368,7 +368,10 @@ def _with_names(
     )  # fmt: skip
 
 
-def _are_units(cells: Sequence[str]) -> bool:
+def _are_units(cells: Sequence[str], line: str) -> bool:
+    """Whether a line holds units of columns, and not one that it names (``Force Units,g``)."""
+    if units_above([line]):
+        return False
     shown = [UNIT_CELL.fullmatch(cell) for cell in cells if cell]
     units = [cell for cell in shown if cell and written_unit(cell[1])]
     return bool(units) and all(shown) and len(units) >= len(shown) / 2
@@ -388,10 +391,12 @@ def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[st
         is_number = bool(np.isfinite(values).all())
         in_row = UNIT_CELL.fullmatch(block.unit_cells[k]) if k < len(block.unit_cells) else None
         rest, in_name, is_marked = word_of_unit(name)
-        word = (in_row[1] if in_row else "") or in_name
+        # brackets in the name go before a row, which may be none of units (``Y_Unit_Label  lbf``)
+        is_named = is_marked and written_unit(in_name) is not None
+        word = in_name if is_named or not in_row else in_row[1]
         unit = written_unit(word) if word else None
         words.append("" if unit or not (in_row or is_marked) else word)
-        plain = name if unit is None or in_row else rest
+        plain = name if unit is None or (in_row and not is_named) else rest
         quantity = _quantity(plain, unit[1] if unit else "") if is_number else ""
         low, high = (float(values.min()), float(values.max())) if is_number else (None, None)
         labels = () if is_number else tuple(dict.fromkeys(cells))[:6]

@@ -110,13 +110,7 @@ def shows_unit(word: str) -> bool:
 
 
 def contradicts(word: str, declared: str, dimension: str, *, is_sure: bool) -> bool:
-    """Whether a file shows another unit than is declared; where it ``is_sure``, of any dimension.
-
-    Examples
-    --------
-    >>> contradicts("g", "N", "force", is_sure=False)
-    True
-    """
+    """Whether a file shows another unit than is declared; if it ``is_sure``, of any dimension."""
     unit = written_unit(word) if shows_unit(word) else None
     if unit is None or unit[1] != dimension:
         return unit is not None and is_sure and len(unit[0]) > 1
