@@ -289,8 +289,8 @@ class InverseFem:
             solution = self._simulated(values, None)
         self._bend, curve = math.inf, _converged(solution).curve
         if np.array_equal(near.displacement_mm, curve.displacement_mm):
-            missed = np.linalg.norm(near.force_N - curve.force_N) / np.linalg.norm(curve.force_N)
-            self._bend = float(missed) / way**2
+            missed_N = np.linalg.norm(near.force_N - curve.force_N)
+            self._bend = float(missed_N / np.linalg.norm(curve.force_N)) / way**2
         self._last, self._solved_at = solution, values.copy()
         return curve
 
