@@ -84,7 +84,6 @@ def data_dir():
 def _solutions_of_this_test_alone(monkeypatch):
     """Let no test see what another one solved, perhaps by a solver that it put in place of ours."""
     if fit_task := sys.modules.get("study.simulation.fit_task"):
-        monkeypatch.setattr(fit_task, "_unit_solutions", {})
         monkeypatch.setattr(fit_task, "_first_solutions", {})
 
 

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +20,8 @@ from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.lack_of_fit import adequacy
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.mechanics.forward import closed_form, finite_element
-from study.mechanics.material.material import ENERGIES
+from study.mechanics.material.material import ENERGIES, is_dimensionless
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Problem
 from study.record.document import FitDocument
 from study.simulation.cell import CellProblem
 from study.simulation.fit_summary import (
@@ -38,9 +37,9 @@ from study.simulation.staged_fit import (
     Predict,
     Staged,
     StagedSearch,
-    is_proportional,
     least_minimum,
     named_open,
+    scales_with_moduli,
     single_stage,
     staged_fit,
 )
@@ -145,8 +144,7 @@ def fitted_model(
         return InverseExternal(problem, measured, names)
     if method == "closed-form":
         return closed_form_model(problem, measured, names)
-    make = ProportionalFem if is_proportional(problem, names) else InverseFem
-    return make(problem, measured, names)
+    return InverseFem(problem, measured, names)
 
 
 def models_of(parts: Sequence[FitPart], names: Sequence[str]) -> list[Predict]:
@@ -174,30 +172,64 @@ def closed_form_model(
     return predict
 
 
-#: last solution that a search began with
+#: initial shear modulus, MPa, at which constants are solved that all stresses scale with: that of a
+#: soft solid, whose tangents keep their pivots in single precision where those of 1 MPa do not
+_SOLVED_MPa = 0.01
+
+#: digits of the constants of a solution that searches share: those that a division leaves
+_DIGITS = 12
+
+#: solutions that a process holds, and unknowns of those from which others can be solved
+_MOST_SOLUTIONS = 256
+_MOST_UNKNOWNS = 50_000
+
+#: solutions that searches began with, by the name of their problem
 _first_solutions: dict[str, Solution] = {}
+
+
+def _make_room() -> None:
+    """Forget what takes most memory before the next solution comes: the load steps of the oldest.
+
+    What they began with can be solved once more, to the same digit.
+    """
+    whole = [key for key, solution in _first_solutions.items() if solution.warm is not None]
+    unknowns = sum(_first_solutions[key].dofs for key in whole)
+    for key in whole:
+        if unknowns <= _MOST_UNKNOWNS:
+            break
+        unknowns -= _first_solutions[key].dofs
+        _first_solutions[key] = replace(_first_solutions[key], warm=None)
+    while len(_first_solutions) >= _MOST_SOLUTIONS:
+        del _first_solutions[next(iter(_first_solutions))]
 
 
 class InverseFem:
     """Forward solutions with gradients; each starts from the one before it in the same fit.
 
+    Where all stresses scale with the moduli, constants are solved at one shear modulus, and the
+    curve is multiplied: specimens that differ in their stiffness alone share their solutions, and
+    those of one constant are solved once. Equal solutions that searches begin with are found once
+    in a process, whatever curves of whichever specimens are fitted.
+
     Constants so near those of the last solution that its gradients tell the forces within the
     tolerance of the solver are not solved again: what gradients missed on the way to that solution
     grows with the square of the way.
 
-    Between the solved steps the first curve is interpolated with its tangent (Hermite), and
-    what later curves add to it by a spline that is linear in the solved forces. The gradient
-    of the forces at the measured points is then the exact gradient of what is compared;
-    otherwise the optimizer would chase the difference of two interpolations.
+    Between the solved steps the first curve is interpolated with its tangent (Hermite), multiplied
+    to the shear modulus asked for, and what later curves add to it by a spline that is linear in
+    the solved forces. The gradient of the forces at the measured points is then the exact gradient
+    of what is compared; otherwise the optimizer would chase the difference of two interpolations.
     """
 
     def __init__(
         self, problem: CellProblem, measured: Sequence[Curve], names: Sequence[str]
     ) -> None:
         self._problem, self._names = problem, names
+        self._scales = scales_with_moduli(problem, names)
+        self._moduli = np.array([not is_dimensionless(name) for name in names])
         self._grids = [curve.displacement_mm for curve in measured]
         self._depth = max(float(grid.max()) for grid in self._grids)
-        self._base: Curve | None = None
+        self._base = Curve(np.zeros(0), np.zeros(0))
         self._last: Solution | None = None
         #: constants of the last solution (p,), and what gradients missed on the way to it over
         #: the square of the way: both as shares of the force
@@ -213,32 +245,52 @@ class InverseFem:
         """Predict the forces at the measured displacements for constants in MPa."""
         curve = self._solved(values)
         self.curves[values.tobytes()] = curve.without_gradients()
-        if self._base is None:
-            self._base = curve
-        return [self._at(curve, grid) for grid in self._grids]
+        return [self._at(values, curve, grid) for grid in self._grids]
 
-    def _solved(self, values: Array) -> Curve:
-        near, way = (None, math.inf) if self._last is None else self._moved(self._last, values)
-        if near is not None and (not way or _SAFETY * self._bend * way**2 <= _NEAR):
-            return near
-        constants = dict(zip(self._names, values.tolist(), strict=True))
+    def _factor(self, values: Array) -> tuple[float, dict[str, float]]:
+        """Shear modulus over that of the solutions, and its derivatives by the constants, 1/MPa."""
+        if not self._scales:
+            return 1.0, dict.fromkeys(self._names, 0.0)
         try:
-            problem = self._problem.at(constants, self._depth)
-            if self._last is None:
-                solution = self._first(problem, constants)
-            else:
-                solution = self._simulated(problem, self._last)
-            if solution.status == "not-converged" and self._last is not None:
-                # the way from the solution before was too long: that says nothing of the constants
-                solution = self._simulated(problem, None)
+            material = self._problem.material.material(self._constants(values))
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
-        if solution.status != "converged":
-            raise EvaluationFailed(f"{solution.status}: {solution.message}")
-        self._bend, curve = math.inf, solution.curve
-        if near is not None and np.array_equal(near.displacement_mm, curve.displacement_mm):
-            missed = np.linalg.norm(near.force_N - curve.force_N) / np.linalg.norm(curve.force_N)
-            self._bend = float(missed) / way**2
+        if not material.mu0 > 0:
+            rule = f"the initial shear modulus must be above 0, got {material.mu0:.6g} MPa"
+            raise EvaluationFailed(rule)
+        gradient = material.mu0_gradient()
+        return material.mu0 / _SOLVED_MPa, {n: gradient[n] / _SOLVED_MPa for n in self._names}
+
+    def _constants(self, values: Array) -> dict[str, float]:
+        return dict(zip(self._names, values.tolist(), strict=True))
+
+    def _solved(self, values: Array) -> Curve:
+        """Curve at constants in MPa, with its gradients."""
+        factor, _ = self._factor(values)
+        solved = self._solved_at_one_modulus(np.where(self._moduli, values / factor, values))
+        if not self._base.displacement_mm.size:
+            self._base = solved
+        gradient = {
+            name: solved.force_gradient[name] * (1.0 if is_modulus else factor)
+            for name, is_modulus in zip(self._names, self._moduli, strict=True)
+        }
+        return replace(solved.times(factor, without=["contact_area"]), force_gradient=gradient)
+
+    def _solved_at_one_modulus(self, values: Array) -> Curve:
+        if self._last is None:
+            self._last, self._solved_at = self._first(values), values.copy()
+        near, way = self._moved(self._last, values)
+        missed = way * min(1.0, self._bend * way) if way else 0.0
+        if _SAFETY * missed <= _NEAR:
+            return near
+        solution = self._simulated(values, self._last)
+        if solution.status == "not-converged":
+            # the way from the solution before was too long: that says nothing of the constants
+            solution = self._simulated(values, None)
+        self._bend, curve = math.inf, _converged(solution).curve
+        if np.array_equal(near.displacement_mm, curve.displacement_mm):
+            missed_N = np.linalg.norm(near.force_N - curve.force_N)
+            self._bend = float(missed_N / np.linalg.norm(curve.force_N)) / way**2
         self._last, self._solved_at = solution, values.copy()
         return curve
 
@@ -263,42 +315,58 @@ class InverseFem:
         )
         return moved, way
 
-    def _first(self, problem: Problem, constants: Mapping[str, float]) -> Solution:
+    def _first(self, values: Array) -> Solution:
         """Solution that a search begins with: equal ones are found once, one after the other.
 
-        All fits to resampled residuals of a curve begin at its constants.
+        All fits to resampled residuals of a curve begin at its constants, and all fits of a cell
+        whose higher constants begin at zero begin at one ratio.
         """
-        material = replace(self._problem.material, constants=constants)
+        rounded = np.array([float(f"{value:.{_DIGITS}g}") for value in values])
+        material = replace(self._problem.material, constants=self._constants(rounded))
         document = replace(self._problem.alone(), material=material).document()
         key = digest([document, self._depth], 32)
-        if key in _first_solutions:
-            return self._counted(_first_solutions[key])
-        _first_solutions.clear()  # its memory goes before the next one comes
-        solution = self._simulated(problem, None)
-        if solution.status == "converged":
+        is_last = self._scales and len(self._names) == 1  # of one modulus all others are known
+        solution = _first_solutions.get(key)
+        if solution is None or (solution.warm is None and not is_last):
+            _make_room()
+            solution = self._simulated(rounded, None, gradients=not is_last)
+            if is_last and solution.status == "converged":
+                slope = {self._names[0]: solution.curve.force_N / rounded[0]}
+                curve = replace(solution.curve, force_gradient=slope)
+                solution = replace(solution, curve=curve, warm=None)
             _first_solutions[key] = solution
+        else:
+            self._count(solution)
+        return _converged(solution)
+
+    def _simulated(
+        self, values: Array, warm: Solution | None, *, gradients: bool = True
+    ) -> Solution:
+        try:
+            problem = self._problem.at(self._constants(values), self._depth)
+            solution = finite_element.solve(
+                problem, gradients=gradients, warm=warm, cutbacks=_CUTBACKS
+            )
+        except InputError as error:
+            raise EvaluationFailed(str(error)) from error
+        self._count(solution)
         return solution
 
-    def _simulated(self, problem: Problem, warm: Solution | None) -> Solution:
-        return self._counted(
-            finite_element.solve(problem, gradients=True, warm=warm, cutbacks=_CUTBACKS)
-        )
-
-    def _counted(self, solution: Solution) -> Solution:
+    def _count(self, solution: Solution) -> None:
         self.solves += 1
         self.newton_iterations += int(sum(solution.newton_iterations))
-        return solution
 
-    def _at(self, curve: Curve, grid: Array) -> Curve:
+    def _at(self, values: Array, curve: Curve, grid: Array) -> Curve:
         """Interpolate force and gradient at measured points, each consistent with the other."""
-        base = curve if self._base is None else self._base
-        here = curve.displacement_mm
-        added = spline_from_origin(here, curve.force_N - base.force_at(here), grid)
+        (factor, rates), here = self._factor(values), curve.displacement_mm
+        base_here, base = self._base.force_at(here), self._base.force_at(grid)
+        added = spline_from_origin(here, curve.force_N - factor * base_here, grid)
         gradient = {
-            n: spline_from_origin(curve.displacement_mm, curve.force_gradient[n], grid)
+            n: rates[n] * base
+            + spline_from_origin(here, curve.force_gradient[n] - rates[n] * base_here, grid)
             for n in self._names
         }
-        return Curve(grid, base.force_at(grid) + added, force_gradient=gradient)
+        return Curve(grid, factor * base + added, force_gradient=gradient)
 
     @property
     def mesh_size_mm(self) -> float | None:
@@ -312,77 +380,11 @@ class InverseFem:
         return replace(prediction_of(self._last), curve=self.curves[np.asarray(values).tobytes()])
 
 
-@dataclass(frozen=True)
-class _UnitSolution:
-    status: str
-    message: str
-    newton_iterations: int
-    predicted: PredictedCurve
-
-
-#: solutions that a process holds, each a curve and a few numbers
-_MOST_SOLUTIONS = 256
-
-_unit_solutions: dict[str, _UnitSolution] = {}
-
-
-def _unit_solution(cell: CellProblem, name: str, depth_mm: float) -> _UnitSolution:
-    """Solution at a constant of 1 MPa, which a process finds once for equal problems."""
-    nameless = replace(cell.alone(), material=replace(cell.material, constants={}))
-    key = digest([nameless.document(), depth_mm], 32)
-    if key not in _unit_solutions:
-        problem = cell.at({name: 1.0}, depth_mm)
-        solution = finite_element.solve(problem, gradients=False, cutbacks=_CUTBACKS)
-        while len(_unit_solutions) >= _MOST_SOLUTIONS:
-            del _unit_solutions[next(iter(_unit_solutions))]
-        _unit_solutions[key] = _UnitSolution(
-            solution.status,
-            solution.message,
-            int(sum(solution.newton_iterations)),
-            prediction_of(solution),
-        )
-    return _unit_solutions[key]
-
-
-class ProportionalFem(InverseFem):
-    """Forces of a solid with one constant: those at 1 MPa times the constant.
-
-    Equal problems are solved once in a process, whatever curves of whichever specimens they are
-    fitted to.
-    """
-
-    _unit: _UnitSolution | None = None
-
-    def _solved(self, values: Array) -> Curve:
-        modulus, name = float(values[0]), self._names[0]
-        if modulus <= 0:
-            raise EvaluationFailed(f"{name} must be above 0, got {modulus:.6g} MPa")
-        if self._unit is None:
-            try:
-                self._unit = _unit_solution(self._problem, name, self._depth)
-            except InputError as error:
-                raise EvaluationFailed(str(error)) from error
-            self.solves, self.newton_iterations = 1, self._unit.newton_iterations
-        if self._unit.status != "converged":
-            raise EvaluationFailed(f"{self._unit.status}: {self._unit.message}")
-        return self._unit.predicted.curve.times(modulus, without=["contact_area"])
-
-    def _at(self, curve: Curve, grid: Array) -> Curve:
-        """Interpolate the force, whose gradient is the force at 1 MPa."""
-        unit = cast(_UnitSolution, self._unit).predicted.curve
-        gradient = {self._names[0]: unit.force_at(grid)}
-        return Curve(grid, curve.force_at(grid), force_gradient=gradient)
-
-    @property
-    def mesh_size_mm(self) -> float | None:
-        """Element size of the solution; None before it is found."""
-        return None if self._unit is None else self._unit.predicted.mesh["mesh_size_mm"]
-
-    def predicted(self, values: Array) -> PredictedCurve | None:
-        """Curve at the final constant."""
-        if self._unit is None:
-            return None
-        return replace(self._unit.predicted, curve=self.curves[np.asarray(values).tobytes()])
+def _converged(solution: Solution) -> Solution:
+    """Solution that has an answer."""
+    if solution.status != "converged":
+        raise EvaluationFailed(f"{solution.status}: {solution.message}")
+    return solution
 
 
 # -------------------------------------------------------------------------------------------------

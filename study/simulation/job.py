@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import ClassVar, Literal
+from typing import Literal
 
 from study.external.forward_model import ForwardCell
 from study.ground.canonical import digest
@@ -159,8 +159,9 @@ class FitJob:
     start: FitJob | None = None
     label: str = ""
     key: str = ""
-    #: It shares nothing that a worker keeps.
-    group: ClassVar[str] = ""
+    #: Fits to the specimens of a block, which begin with one solution and stay with one worker;
+    #: empty in closed form, and of resampled residuals, which may be too many for one.
+    group: str = ""
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -174,7 +175,7 @@ class FitJob:
     def resampled(self, seed: int, number: int) -> FitJob:
         """Make the fit to resampled residuals of this one."""
         key = digest([self.key, "noise", seed, number], 32)
-        return replace(self, key=key, start=self, noise=(seed, number))
+        return replace(self, key=key, start=self, noise=(seed, number), group="")
 
     @property
     def chain(self) -> tuple[FitJob, ...]:
@@ -496,4 +497,6 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
     before = start_problem(problem)
     start = None if before is None else fit_job(before, measured, label)
     key = fit_key(problem, measured)
-    return FitJob(problem, measured, start=start, label=label, key=key)
+    simulated = any(test.method == "inverse-fem" for test in problem.tests)
+    group = digest([label, [test.name for test in problem.tests]], 32) if simulated else ""
+    return FitJob(problem, measured, start=start, label=label, key=key, group=group)

@@ -199,7 +199,8 @@ def staged_fit(parts: Sequence[FitPart], start: Array, search: StagedSearch) -> 
         rough = begun_stage(FIRST, first, starts, search)
         if rough.fit.status.usable and not np.array_equal(rough.fit.values, start):
             # what the cheaper problem could solve may be beyond the wanted one
-            starts = [Start(rough.fit.values, f"the constants of the {FIRST}"), *starts]
+            begun = at_common_ratios(parts, search.names, rough.fit.values)
+            starts = [Start(begun, f"the constants of the {FIRST}"), *starts]
     done = begun_stage(LAST, parts, starts, search)
     if rough is None:
         return done
@@ -209,6 +210,29 @@ def staged_fit(parts: Sequence[FitPart], start: Array, search: StagedSearch) -> 
         fruitless=rough.fruitless + done.fruitless,
         notes=(*rough.notes, *done.notes),
     )
+
+
+#: digits of the ratios of moduli to the initial shear modulus at which a search on the wanted mesh
+#: begins: specimens of one material, or both directions of a pair, then begin with one solution
+_RATIO_DIGITS = 2
+
+
+def at_common_ratios(parts: Sequence[FitPart], names: Sequence[str], values: Array) -> Array:
+    """Round moduli to few digits of the initial shear modulus, which stays; values (p,), MPa.
+
+    Exponents are no ratios: beside them nothing is rounded.
+    """
+    if not all(scales_with_moduli(part.problem, names) for part in parts):
+        return values
+    constants = dict(zip(names, values.tolist(), strict=True))
+    material = parts[0].problem.material.material(constants)
+    mu0, slopes = material.mu0, material.mu0_gradient()
+    if mu0 <= 0 or any(is_dimensionless(name) for name in names):
+        return values
+    rounded = {n: mu0 * float(f"{c / mu0:.{_RATIO_DIGITS}g}") for n, c in constants.items()}
+    rest = max(names, key=lambda name: slopes[name] * constants[name])
+    rounded[rest] += (mu0 - sum(slopes[n] * c for n, c in rounded.items())) / slopes[rest]
+    return np.array(list(rounded.values()))
 
 
 def begun_stage(
@@ -339,21 +363,17 @@ def _neo_hookean(problem: CellProblem, curves: Sequence[Curve], make: MakeModel)
     """Predict the forces of a neo-Hookean solid of C10 = 1 MPa at the measured points, N."""
     solid = MaterialSection("neo-hookean", None, {}, problem.material.compressibility)
     alone = replace(problem, material=solid)
-    if not is_proportional(alone, ("C10",)):
+    if not scales_with_moduli(alone, ("C10",)):
         raise EvaluationFailed("its force is not proportional to its constant")
     return [curve.force_N for curve in make("inverse-fem", alone, curves, ("C10",))(np.ones(1))]
 
 
-def is_proportional(problem: CellProblem, names: Sequence[str]) -> bool:
-    """Whether all stresses scale with the one constant that is fitted, hence the force, too."""
+def scales_with_moduli(problem: CellProblem, names: Sequence[str]) -> bool:
+    """Whether all stresses, hence the force, are in proportion to the moduli that are fitted."""
     section, test = problem.material, problem.setup.test
     fixed = section.compressibility.bulk_modulus_MPa is not None or section.relaxation
-    one_modulus = (
-        tuple(names) == constant_names(section.model, section.order)
-        and len(names) == 1
-        and not ENERGIES[section.model].is_dimensionless(names[0])
-    )
-    return one_modulus and not fixed and not test.weight_N_mm3
+    complete = tuple(names) == constant_names(section.model, section.order)
+    return complete and not fixed and not test.weight_N_mm3
 
 
 class Checkpoint:

@@ -5,7 +5,6 @@ The study around it is the real one. A file named in the environment makes it mi
 
 import os
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.solver.equilibrium import Equilibria
-from study.mechanics.solver.solution import EnergyBalance
+from study.mechanics.solver.solution import EnergyBalance, Solution
 from study.simulation import tasks
 
 BONDED = 1.4
@@ -60,7 +59,7 @@ def outcome(problem, status, message):
         for h in (1e-4, -1e-4)
     )
     curve = Curve(d, factor * exact.force_N, factor * (above - below) / 2e-4, gradient)
-    return SimpleNamespace(
+    return Solution(
         status=status, message=message, curve=curve, newton_iterations=(3,) * test.steps,
         dofs=100, elements=10, mesh_hash="fake", mesh_size_mm=size, solver="fake", min_j=0.9,
         reached_mm=float(d[-1]), seconds={}, energy=EnergyBalance(curve.force_N, 0 * d, 0 * d),

@@ -100,13 +100,13 @@ def test_a_solver_that_stops_is_a_rejected_step_and_a_status(monkeypatch):
         calls.append(1.0)
         found = solve(problem)
         if len(calls) > 1:
-            found.status, found.message = "not-converged", "stopped"
+            return replace(found, status="not-converged", message="stopped")
         return found
 
     monkeypatch.setattr(finite_element, "solve", stops)
     problem = calibration_of(of_two_constants())
     found = fitted(FitJob(problem, (curve("neo-hookean", {"C10": 8e-3}),)))
-    assert found.status == "not-converged"
+    assert found.status == "at-edge"  # its stiffness alone needs no other solution
     assert len(calls) > 2  # it tried shorter steps before it gave up
 
 
@@ -117,7 +117,7 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(monkeypatch):
         found = solve(problem)
         warm.append(options["warm"] is not None)
         if warm[-1]:
-            found.status, found.message = "not-converged", "stopped"
+            return replace(found, status="not-converged", message="stopped")
         return found
 
     truth = {"C10": 7e-3, "C20": -1e-3}

@@ -125,7 +125,9 @@ def test_searches_that_begin_at_the_same_constants_share_their_first_solution(mo
         np.testing.assert_array_equal(found.residuals, other.residuals)
         assert model.solves == before.solves  # as of a search alone
     fitted(setting, noisy[0], [1.1 * v for v in MOONEY_RIVLIN[2].values()])
-    assert len(cold) == 1  # other constants are solved for
+    assert cold == []  # all stresses scale: a stiffer solid is the same problem
+    fitted(setting, noisy[0], [7e-3, 1.2e-3])
+    assert len(cold) == 1  # another ratio is solved for
 
 
 def _cold_solutions(monkeypatch):
@@ -195,6 +197,38 @@ def test_whole_calibration_of_three_constants_in_ten_solves():
     assert found.fit.values == pytest.approx(list(true.values()), abs=1e-6 * true["C10"])
     assert found.evaluations <= 10
     assert found.rough is not None
+
+
+def test_specimens_of_nearly_one_ratio_share_what_they_begin_with(monkeypatch):
+    """Their constants are those of fits alone to the last bit, and so are the errors of these."""
+    setting = config(RP2, "medium", steps=5)
+    problem = CellProblem.of(setting)
+    names = problem.material.calibrated_names
+    specimens = [np.array([6e-3, 0.978e-3]), np.array([6.6e-3, 1.0776e-3])]
+    measured = []
+    for true in specimens:
+        clean = curve(setting, dict(zip(names, true.tolist(), strict=True)))
+        misfit = 1 + 0.01 * np.sin(clean.displacement_mm)
+        measured.append(
+            MeasuredCurve("virtual", Curve(clean.displacement_mm, clean.force_N * misfit))
+        )
+
+    def calibrated(number):
+        parts = [Part("inverse-fem", problem, (measured[number],))]
+        start = np.array([1.3 * specimens[number][0], 0.0])
+        return staged_fit(parts, start, StagedSearch(names, fit_task.fitted_model)).fit
+
+    alone = []
+    for number in range(2):
+        monkeypatch.setattr(fit_task, "_first_solutions", {})
+        alone.append(calibrated(number))
+    cold = _cold_solutions(monkeypatch)
+    shared = [calibrated(number) for number in (1, 0)]
+    assert cold == []  # what the second one alone began with serves both
+    for fit_alone, fit_shared in zip(alone, reversed(shared), strict=True):
+        assert fit_shared.converged
+        np.testing.assert_array_equal(fit_shared.values, fit_alone.values)
+        np.testing.assert_array_equal(fit_shared.standard_error, fit_alone.standard_error)
 
 
 def test_bias_of_a_coarser_mesh_is_that_of_its_force():

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Protocol
 
 import numpy as np
@@ -214,7 +215,7 @@ class ContactPoints:
 
     def stiffness(self, state: ContactState) -> Array:
         """Packed upper stiffness blocks, shape (n_points, m (m + 1) / 2)."""
-        rows, columns = np.triu_indices(state.direction.shape[1])
+        rows, columns = _upper(state.direction.shape[1])
         spring = self.weights * np.where(state.active, self.eps, 0.0)
         blocks = spring[:, None] * state.direction[:, rows] * state.direction[:, columns]
         if state.hessian.any():
@@ -225,6 +226,12 @@ class ContactPoints:
             a, i, b, j = rows // dim, rows % dim, columns // dim, columns % dim
             blocks = blocks - self.shape[:, a] * self.shape[:, b] * curved[:, i, j]
         return np.asarray(blocks)
+
+
+@cache
+def _upper(size: int) -> tuple[Ints, Ints]:
+    """Rows and columns of the upper triangle of a block, diagonal included."""
+    return np.triu_indices(size)
 
 
 @dataclass(frozen=True)

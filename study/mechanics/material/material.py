@@ -177,7 +177,7 @@ class Material:
         """Constants as an array, shape (p,), in the order of :attr:`names`."""
         return np.array(list(self.constants.values()))
 
-    @property
+    @functools.cached_property
     def mu0(self) -> float:
         """Initial shear modulus in MPa: 2 (C10 + C01), sum mu_i, or E / 2(1 + nu)."""
         return self.energy.initial_shear_modulus(self.constants, self.compressibility)

@@ -122,6 +122,8 @@ class Internal:
     #: Resistance to uneven volume within an element over the shear modulus, see
     #: :mod:`study.mechanics.element.assembly`.
     evenness: float = 0.0
+    #: The last material, and what the compiled loops are told of it.
+    last_energy: tuple[Material, ElementEnergy] | None = None
 
     @classmethod
     def on(cls, space: Discretization, local_bulk: float = 0.0, evenness: float = 0.0) -> Internal:
@@ -161,8 +163,11 @@ class Internal:
 
     def _energy(self, material: Material) -> ElementEnergy:
         """Return what the compiled loops are told of a material."""
-        uneven = self._unevenness(material, material.mu0)
-        return _element_energy(material.law(), self._split(material), uneven)
+        if self.last_energy is None or self.last_energy[0] is not material:
+            uneven = self._unevenness(material, material.mu0)
+            energy = _element_energy(material.law(), self._split(material), uneven)
+            self.last_energy = material, energy
+        return self.last_energy[1]
 
     def _split(self, material: Material) -> BulkSplit:
         """Bulk modulus at every quadrature point, and compliance of the pressures."""

@@ -401,8 +401,10 @@ class LoadPath:
             remaining = target - self.state.displacement_mm
             pieces = max(1, int(np.ceil(remaining / self.step_mm - 1e-9)))
             step, newton = remaining / pieces, self.options.newton
-            if pieces > 1 and not self.system.sticks:  # what sticks remembers every state
-                newton = newton.passing()
+            # what sticks remembers every state, and a difference of two curves every digit of it
+            is_compared = bool(self.gradients_of) or self.warm is not None
+            if pieces > 1 and not (self.system.sticks and is_compared):
+                newton = newton.passing(remembered=self.system.sticks)
             result = self._attempt(self.state.displacement_mm + step, newton)
             spent += result.iterations
             if result.converged and (_near(result, self.J) or self._too_short(step / 2)):

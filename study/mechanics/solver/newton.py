@@ -41,6 +41,11 @@ _J_FILTER = 0.5
 _PASSING_TOLERANCE = 1e-3
 _PASSING_GAP = 2e-5
 
+#: the same of one that sticks, which all later ones remember: forces are then off by some 1e-6,
+#: where half the steps move them by some 5e-4
+_REMEMBERED_TOLERANCE = 1e-6
+_REMEMBERED_GAP = 1e-7
+
 
 @dataclass(frozen=True)
 class NewtonSettings:
@@ -58,14 +63,15 @@ class NewtonSettings:
     max_iterations: int = 25
     max_switching: int = 40
 
-    def passing(self) -> NewtonSettings:
-        """For a state that nobody asked for: it only leads to the next."""
-        return replace(
-            self,
-            tolerance=max(self.tolerance, _PASSING_TOLERANCE),
-            gap=max(self.gap, _PASSING_GAP),
-            gap_of_displacement=1.0,
+    def passing(self, *, remembered: bool = False) -> NewtonSettings:
+        """For a state that nobody asked for: it only leads to the next, or is remembered too."""
+        tolerance, gap, of_displacement = (
+            (_REMEMBERED_TOLERANCE, _REMEMBERED_GAP, self.gap_of_displacement)
+            if remembered
+            else (_PASSING_TOLERANCE, _PASSING_GAP, 1.0)
         )
+        tolerance, gap = max(self.tolerance, tolerance), max(self.gap, gap)
+        return replace(self, tolerance=tolerance, gap=gap, gap_of_displacement=of_displacement)
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ class _Simulated(fit_task.InverseFem):
         if key not in self._solutions:
             self(values)
             self._solutions = {key: self._solved_last}
-        mirrored = self._at(self._solutions[key], np.abs(grid))
+        mirrored = self._at(values, self._solutions[key], np.abs(grid))
         sign = np.where(grid < 0, -1.0, 1.0)
         slopes = {name: sign * slope for name, slope in mirrored.force_gradient.items()}
         return Curve(grid, sign * mirrored.force_N, force_gradient=slopes)
