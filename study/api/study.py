@@ -440,7 +440,7 @@ def verify(
     page = _page(Path(path), Path(reports))
     folder = results_folder(page.parent.name, results)
     if tolerance is None:
-        then = provenance.arithmetic_of(page.parent, page.stem)
+        then = provenance.noted(page.parent, page.stem).get("arithmetic")
         tolerance = 0.0 if then == provenance.arithmetic() else OTHER_ARITHMETIC
     verification = Verification(tolerance=tolerance)
     _check_records(folder, verification)
@@ -482,9 +482,10 @@ def _check_records(folder: Path, verification: Verification) -> None:
 def _compare_report(page: Path, folder: Path, verification: Verification) -> None:
     with tempfile.TemporaryDirectory(prefix="study-verify-") as temporary:
         formats = ["html", *(["tex"] if list(page.parent.glob("*.tex")) else [])]
+        of_run = provenance.noted(page.parent, page.stem).get("warnings")
         again = report(
             load_study(folder, tell_unfinished=False), reports=Path(temporary), formats=formats,
-            extra_warnings=provenance.warnings_of_run(page.parent, page.stem),
+            extra_warnings=[*map(str, of_run)] if isinstance(of_run, list) else (),
         )  # fmt: skip
         if again.report is None:
             raise InputError(f"{folder}: {'; '.join(again.warnings)}")

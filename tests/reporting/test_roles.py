@@ -78,3 +78,13 @@ def test_the_best_cell_is_not_called_cheapest_where_another_is_cheaper():
     said = sentences.recommendation(replace(data, table=table), facts(data)[0])
     assert "dry" in said
     assert "the cheapest of those as good in practice takes 85" in said
+
+
+def test_an_unknown_that_matters_at_some_settings_is_said_with_its_difference_there():
+    """Of the material 5 at 60 % and .1 at 20 %, on average 2.5, which is less than the 3 asked."""
+    data = study({"material": "unknown"})
+    result = anova(data.table, "error", list(FACTORS), block="block", practical=3.0, exact=False)
+    response = replace(data.analyses[0], result=result, practical=3.0)
+    (line,) = effect_words.unknowns(data, facts(replace(data, analyses=(response,))))
+    assert re.search(r"changes the error by (4\.9\d|5\.0\d)\spp at range 60 %", line)
+    assert line.endswith("Measure it.")

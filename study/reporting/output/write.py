@@ -428,7 +428,7 @@ def _code() -> str:
 def is_kept(folder: Path, name: str, made_from: str) -> bool:
     """Whether the report there was made from just this, and is as it was written."""
     with suppress(OSError, StoreError):
-        note = _noted(folder, name)
+        note = noted(folder, name)
         note.pop("warnings", None)
         return note == _told(folder, name, made_from)
     return False
@@ -457,25 +457,12 @@ def arithmetic() -> str:
     return ", ".join([*versions, *sorted(algebra), *extensions])
 
 
-def arithmetic_of(folder: Path, name: str) -> str:
-    """Read what :func:`arithmetic` was for a report, empty where that is not known."""
+def noted(folder: Path, name: str) -> dict[str, object]:
+    """Read what was noted beside a report, such as ``arithmetic``; nothing where it is damaged."""
     with suppress(StoreError):
-        return str(_noted(folder, name).get("arithmetic", ""))
-    return ""
-
-
-def warnings_of_run(folder: Path, name: str) -> tuple[str, ...]:
-    """Read the warnings of a report that its run gave and no record holds."""
-    with suppress(StoreError):
-        of_run = _noted(folder, name).get("warnings")
-        return tuple(map(str, of_run)) if isinstance(of_run, list) else ()
-    return ()
-
-
-def _noted(folder: Path, name: str) -> dict[str, object]:
-    """Read what was noted beside a report; nothing where that is no table."""
-    note = read_json(_note(folder, name))
-    return dict(note) if isinstance(note, dict) else {}
+        note = read_json(_note(folder, name))
+        return dict(note) if isinstance(note, dict) else {}
+    return {}
 
 
 def _told(folder: Path, name: str, made_from: str) -> dict[str, str]:
