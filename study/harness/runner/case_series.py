@@ -233,9 +233,9 @@ class CaseSeries:
 
     def _unanswered(self) -> Iterable[str]:
         for job in self.jobs:
-            record, refinement = self.records.get(job.case.case_id), job.case.problem.refinement
-            if record is not None and record.converged and not has_other_mesh(record):
+            if self._answer(job) is not None:
                 continue
+            record, refinement = self.records.get(job.case.case_id), job.case.problem.refinement
             why = "it was not computed" if record is None else record.message
             if record is not None and record.converged:
                 why = "only a finer one did, on a second try"

@@ -612,9 +612,8 @@ class LoadPath:
         and the slope at first touch is not known.
         """
         first_mm = self._whole_mm / self.problem.test.steps
-        if not self.steps or self._reached[-1] < (1 - 1e-9) * first_mm:
-            return False
-        if self._rounded(step) > _ROUNDED:
+        begins = not self.steps or self._reached[-1] < (1 - 1e-9) * first_mm
+        if begins or self._rounded(step) > _ROUNDED:
             return False
         return self._lies_apart(self.steps[-1], step)
 
