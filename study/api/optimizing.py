@@ -38,6 +38,7 @@ from study.mechanics.measurement.written_units import contradicts, word_of_unit
 from study.record.record import is_repeat
 from study.record.store import Store
 from study.reporting.results.study_answers import (
+    Agreement,
     Bound,
     Checked,
     Confirmed,
@@ -605,8 +606,10 @@ class _Inversion:
         missed = _force(records[0], self.curve) - self.curve.force_N
         return Checked(levels, float(np.sqrt(np.mean(missed**2))), False), records[0]
 
-    def misfit(self, nearest: NearestCurves) -> tuple[str, str]:
-        """Say that the best curve misses more than noise, and what of it; else nothing."""
+    def judged(self, nearest: NearestCurves) -> tuple[Agreement, str]:
+        """How well the best curve is the measured one, unless a share was asked for; and why."""
+        if self.share:
+            return "agrees", ""
         residual, at, n = nearest.residual, nearest.minima[0], self.curve.force_N.size
         missed, line, p = nearest.rms(at) / self.size, 0.0, 1.0
         noise = row_noise(residual, np.arange(n, dtype=np.float64), self.curve.force_N)
@@ -619,14 +622,14 @@ class _Inversion:
         mend = "check its units, zero and sign, then the ranges and the model"
         if missed > _LARGE_ERROR and missed > 2 * scatter:
             why = f"the best curve misses {100 * missed:.3g} % of the measured force: {mend}"
-            return "no curve inside of what was run is the measured one: use no input of it", why
+            return "misses", why
         if p < _CLEAR and line > _NAMED:
             why = (
                 f"the best curve misses {100 * line:.2g} % of the measured force along a line that "
                 f"no noise makes: {mend}"
             )
-            return "it is doubtful that the model describes the curve; if it does, ", why
-        return "", ""
+            return "doubtful", why
+        return "agrees", ""
 
     def inverted(
         self,
@@ -637,7 +640,7 @@ class _Inversion:
     ) -> Inverted:
         """Say the answer in the units of the inputs."""
         model = nearest.model
-        doubt, misfit = ("", "") if self.share else self.misfit(nearest)
+        agreement, misfit = self.judged(nearest)
         coded = model.runs
         units_of = {n: span.unit for n, span in self.study.design.ranges.items()}
         best, low, high = (coded.settings(point) for point in (result.at, result.low, result.high))
@@ -654,7 +657,7 @@ class _Inversion:
             runs[0] if runs else None, tuple(runs[1:]),
             (*([misfit] if misfit else []), *notes, *never_run(coded, result.points),
              *([] if all(run.agrees for run in runs) else [disagree])),
-            doubt=doubt,
+            agreement=agreement,
         )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from study.ground.canonical import Keyed
 from study.statistics.analysis.anova_table import Effect
@@ -249,6 +250,10 @@ class Checked(Keyed):
     agrees: bool
 
 
+#: how well the best curve of an inversion is the measured one: but for noise, perhaps, not at all
+Agreement = Literal["agrees", "doubtful", "misses"]
+
+
 @dataclass(frozen=True)
 class Inverted(Keyed):
     """All inputs whose curve agrees with a measured one."""
@@ -278,13 +283,16 @@ class Inverted(Keyed):
     #: The true model where the least determined input is smallest and largest.
     end_runs: tuple[Checked, ...]
     notes: tuple[str, ...]
-    #: What stands before the sentence, or in its place, where the best curve misses too much.
-    doubt: str = ""
+    #: Of the best curve with the measured one.
+    agreement: Agreement = "agrees"
 
     @property
     def sentence(self) -> str:
         """What the curve determines, in a sentence."""
-        return self.doubt + ("" if "use no input" in self.doubt else self._determined)
+        if self.agreement == "misses":
+            return "no curve inside of what was run is the measured one: use no input of it"
+        doubtful = "it is doubtful that the model describes the curve; if it does, "
+        return (doubtful if self.agreement == "doubtful" else "") + self._determined
 
     @property
     def _determined(self) -> str:
