@@ -286,9 +286,9 @@ class Cell:
         problems = [change(p) if isinstance(p, CellProblem) else p for p in pair]
         return replace(self, problem=problems[0], fitted_elsewhere=problems[1])  # type: ignore[arg-type]
 
-    def sized(self, mesh_size_mm: float) -> Cell:
-        """Copy with elements of another size."""
-        return self.changed(lambda problem: problem.on_mesh(mesh_size_mm=mesh_size_mm))
+    def on_mesh(self, **changes: object) -> Cell:
+        """Copy with other values of its discretization."""
+        return self.changed(lambda problem: problem.on_mesh(**changes))
 
     def document(self) -> Config:
         """Plain values in internal units."""
@@ -351,13 +351,10 @@ class Treatment(Combination):
 
 
 @dataclass(frozen=True)
-class Case:
-    """One treatment in one block."""
+class Case(Treatment):
+    """One treatment in one block; of files found and meshes seeded it has a cell of its own."""
 
-    treatment: Treatment
     block: str | None
-    #: What is computed: the cell of its treatment, or one with files found and meshes seeded.
-    cell: Cell
     #: A hash of what decides its numbers.
     case_id: str
 
@@ -372,11 +369,6 @@ class Case:
         return tested(self.cell.problem)
 
     @property
-    def levels(self) -> Mapping[str, str]:
-        """Label of every factor."""
-        return self.treatment.levels
-
-    @property
     def label(self) -> str:
         """Labels of the levels, and the block."""
-        return " / ".join([self.treatment.label, *([] if self.block is None else [self.block])])
+        return super().label if self.block is None else f"{super().label} / {self.block}"

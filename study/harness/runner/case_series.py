@@ -144,10 +144,8 @@ class CaseSeries:
             )
         sizes, formal = self.sizes([record for _, record, _ in answered]), self.formal
         behaviour, u = self.half_width(values, sizes, formal.order)
-        value, note = (
-            values[0] if self.study_mesh == "coarsest" else values[-1],
-            self._note(len(answered)),
-        )
+        value = values[0 if self.study_mesh == "coarsest" else -1]
+        note = self._note(len(answered))
         if self.other is not None:
             again = None if self._again is None else self._again.value(response)
             if again is None:
@@ -233,9 +231,9 @@ class CaseSeries:
 
     def _unanswered(self) -> Iterable[str]:
         for job in self.jobs:
-            record, refinement = self.records.get(job.case.case_id), job.case.problem.refinement
-            if record is not None and record.converged and not has_other_mesh(record):
+            if self._answer(job) is not None:
                 continue
+            record, refinement = self.records.get(job.case.case_id), job.case.problem.refinement
             why = "it was not computed" if record is None else record.message
             if record is not None and record.converged:
                 why = "only a finer one did, on a second try"
