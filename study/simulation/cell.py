@@ -292,15 +292,15 @@ class Cell:
 
     def document(self) -> Config:
         """Plain values in internal units."""
-        other = self.fitted_elsewhere
         if not isinstance(self.problem, CellProblem):
             return self.problem.document()  # of parameters alone nothing is calibrated
-        calibration = {
-            "method": self.method,
-            "problem": None if other is None else other.document(),
-            "leave_out": self.leave_out,
-        }
-        return {**self.problem.document(), "calibration": calibration}
+        return self._calibrated(self.method, lambda problem: problem.document())
+
+    def _calibrated(self, method: str, described: Callable[[ForwardCell], Config]) -> Config:
+        """Describe what is predicted, with the way to its constants."""
+        other = None if self.fitted_elsewhere is None else described(self.fitted_elsewhere)
+        calibration = {"method": method, "problem": other, "leave_out": self.leave_out}
+        return {**described(self.problem), "calibration": calibration}
 
     @cached_property
     def calibration_key(self) -> str | None:
@@ -312,13 +312,7 @@ class Cell:
     @cached_property
     def physical_key(self) -> str:
         """Name of what it computes: cells with one name must agree physically."""
-        other = self.fitted_elsewhere
-        calibration = {
-            "method": self._distinct_method,
-            "problem": None if other is None else other.physical(),
-            "leave_out": self.leave_out,
-        }
-        return case_id({**self.problem.physical(), "calibration": calibration})
+        return case_id(self._calibrated(self._distinct_method, lambda p: p.physical()))
 
     @cached_property
     def content_key(self) -> str:

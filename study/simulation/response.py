@@ -119,11 +119,6 @@ CURVE_RESPONSES: Mapping[str, Callable[[Curve, Curve], float]] = {
     "peak_force_error": peak_force_error,
     "work_error": work_error,
 }
-#: largest values over the test of what finite elements say of plate or indenter, and of the base
-CONTACT = (
-    "peak_contact_pressure", "contact_area", "side_force", "moment",
-    "base_force", "base_side_force", "base_moment",
-)  # fmt: skip
 #: points of a curve that integrals over it take, between the solved steps by their tangents: the
 #: trapezoidal rule is then off by a millionth of the work, for a force that grows with the square
 #: of the displacement
@@ -147,12 +142,13 @@ def simulated(response: str, curve: Curve) -> float:
     if displacement_mm is not None:
         ordinate = curve.stiffness_at if name == "stiffness_at" else curve.force_at
         return float(ordinate(displacement_mm))
-    if name in CONTACT:  # another program or a closed form gives none
-        values = curve.quantities.get(name, np.full(1, np.nan))
-        return float(np.max(values))
     if name == "peak_force":
         return float(curve.force_N.max())
-    return work(curve) if curve.work_Nmm is None else float(curve.work_Nmm[-1])
+    if name == "work":
+        return work(curve) if curve.work_Nmm is None else float(curve.work_Nmm[-1])
+    # the largest value over the test of what finite elements say of plate or indenter, and of the
+    # base; another program or a closed form gives none
+    return float(np.max(curve.quantities.get(name, np.full(1, np.nan))))
 
 
 def units_of(named: Iterable[str], measured: bool = True) -> dict[str, str]:
