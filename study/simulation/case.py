@@ -43,7 +43,7 @@ from study.simulation.fit_summary import (
     prediction_of,
 )
 from study.simulation.job import CONSTANTS, CaseJob, ScorePair
-from study.simulation.response import is_simulated, simulated_at
+from study.simulation.response import simulated_at
 
 if TYPE_CHECKING:
     from study.mechanics.solver.finite_element_solution import MovedPlate
@@ -264,7 +264,7 @@ def _of_parameters(job: CaseJob) -> tuple[Record, bytes]:
     responses: dict[str, ResponseDocument] = {}
     for name, unit in job.units.items():
         value = values.get(name)
-        if value is None and len(curve) and is_simulated(name):
+        if value is None and len(curve) and response.of_prediction([name]):
             displacement_mm, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
             if displacement_mm is not None and displacement_mm > end * (1 + 1e-9):
                 raise NoAnswer("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
