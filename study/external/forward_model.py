@@ -411,6 +411,16 @@ class ForwardCell(ABC):
         return None
 
     @property
+    def height_mm(self) -> float | None:
+        """Height of its specimen; None where it has none, or nobody knows it."""
+        return None
+
+    @property
+    def is_meshed_freely(self) -> bool:
+        """Whether a generator chooses its mesh among many of one size."""
+        return False
+
+    @property
     def is_homogeneous(self) -> bool:
         """Whether its answer has no numerical error that a refinement would show."""
         return self.refinement is None

@@ -37,13 +37,13 @@ from study.record.record import STATUSES, Record
 from study.simulation import response
 from study.simulation.cell import CellProblem
 from study.simulation.fit_summary import (
-    answer_of_parameters,
     external_curve,
+    external_of,
     judged_where_simulated,
     prediction_of,
 )
 from study.simulation.job import CONSTANTS, CaseJob, ScorePair
-from study.simulation.response import is_simulated, simulated_at
+from study.simulation.response import simulated_at
 
 if TYPE_CHECKING:
     from study.mechanics.solver.finite_element_solution import MovedPlate
@@ -257,19 +257,21 @@ _RENDERED = 64_000
 
 def _of_parameters(job: CaseJob) -> tuple[Record, bytes]:
     """Record of a case of parameters alone, and the zip of its folder where that is kept."""
-    answer = answer_of_parameters(job.case.problem, job.case.case_id, job.units)
+    problem = job.case.problem
+    named = {"case_id": job.case.case_id, **problem.own_tables()}
+    answer = external_of(problem).answer(named, job.units)
     values, curve = {**answer.values, "seconds": answer.seconds}, answer.curve
     responses: dict[str, ResponseDocument] = {}
     for name, unit in job.units.items():
         value = values.get(name)
-        if value is None and len(curve) and is_simulated(name):
+        if value is None and len(curve) and response.of_prediction([name]):
             displacement_mm, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
             if displacement_mm is not None and displacement_mm > end * (1 + 1e-9):
                 raise NoAnswer("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
             value = response.simulated(name, curve)
         if value is None:
-            named = nearest(name, answer.values) if answer.values else "it gives a curve alone"
-            raise NoAnswer("failed", f"there is no {name} among the answers ({named})")
+            mend = nearest(name, answer.values) if answer.values else "it gives a curve alone"
+            raise NoAnswer("failed", f"there is no {name} among the answers ({mend})")
         responses[name] = {"value": float(value), "unit": unit}
     seconds = {"predict": answer.seconds, "total": answer.seconds}
     record = job.record("converged", "", responses, _rendered(answer.rendered), seconds)

@@ -286,21 +286,21 @@ class Cell:
         problems = [change(p) if isinstance(p, CellProblem) else p for p in pair]
         return replace(self, problem=problems[0], fitted_elsewhere=problems[1])  # type: ignore[arg-type]
 
-    def sized(self, mesh_size_mm: float) -> Cell:
-        """Copy with elements of another size."""
-        return self.changed(lambda problem: problem.on_mesh(mesh_size_mm=mesh_size_mm))
+    def on_mesh(self, **changes: object) -> Cell:
+        """Copy with other values of its discretization."""
+        return self.changed(lambda problem: problem.on_mesh(**changes))
 
     def document(self) -> Config:
         """Plain values in internal units."""
-        other = self.fitted_elsewhere
         if not isinstance(self.problem, CellProblem):
             return self.problem.document()  # of parameters alone nothing is calibrated
-        calibration = {
-            "method": self.method,
-            "problem": None if other is None else other.document(),
-            "leave_out": self.leave_out,
-        }
-        return {**self.problem.document(), "calibration": calibration}
+        return self._calibrated(self.method, lambda problem: problem.document())
+
+    def _calibrated(self, method: str, described: Callable[[ForwardCell], Config]) -> Config:
+        """Describe what is predicted, with the way to its constants."""
+        other = None if self.fitted_elsewhere is None else described(self.fitted_elsewhere)
+        calibration = {"method": method, "problem": other, "leave_out": self.leave_out}
+        return {**described(self.problem), "calibration": calibration}
 
     @cached_property
     def calibration_key(self) -> str | None:
@@ -312,13 +312,7 @@ class Cell:
     @cached_property
     def physical_key(self) -> str:
         """Name of what it computes: cells with one name must agree physically."""
-        other = self.fitted_elsewhere
-        calibration = {
-            "method": self._distinct_method,
-            "problem": None if other is None else other.physical(),
-            "leave_out": self.leave_out,
-        }
-        return case_id({**self.problem.physical(), "calibration": calibration})
+        return case_id(self._calibrated(self._distinct_method, lambda p: p.physical()))
 
     @cached_property
     def content_key(self) -> str:
@@ -351,13 +345,10 @@ class Treatment(Combination):
 
 
 @dataclass(frozen=True)
-class Case:
-    """One treatment in one block."""
+class Case(Treatment):
+    """One treatment in one block; of files found and meshes seeded it has a cell of its own."""
 
-    treatment: Treatment
     block: str | None
-    #: What is computed: the cell of its treatment, or one with files found and meshes seeded.
-    cell: Cell
     #: A hash of what decides its numbers.
     case_id: str
 
@@ -372,11 +363,6 @@ class Case:
         return tested(self.cell.problem)
 
     @property
-    def levels(self) -> Mapping[str, str]:
-        """Label of every factor."""
-        return self.treatment.levels
-
-    @property
     def label(self) -> str:
         """Labels of the levels, and the block."""
-        return " / ".join([self.treatment.label, *([] if self.block is None else [self.block])])
+        return super().label if self.block is None else f"{super().label} / {self.block}"

@@ -217,7 +217,7 @@ class InverseExternal:
     def __init__(
         self, problem: CellProblem, measured: Sequence[Curve], names: Sequence[str]
     ) -> None:
-        self._external, self._problem, self._names = _external(problem), problem, names
+        self._external, self._problem, self._names = external_of(problem), problem, names
         self._grids = [curve.displacement_mm for curve in measured]
         self._points = np.unique(np.concatenate(self._grids))
         self._last: tuple[bytes, PredictedCurve] | None = None
@@ -297,18 +297,12 @@ def prediction_of(solution: Solution, seconds: float = 0.0) -> PredictedCurve:
     return PredictedCurve(solution.curve.without_gradients(), mesh, solver, seconds)
 
 
-def _external(problem: ForwardCell) -> External:
+def external_of(problem: ForwardCell) -> External:
+    """Forward model of a problem that is not ours, which it must name."""
     external = External.of(problem)
     if external is None:
         raise ValueError("this problem names no external forward model")
     return external
-
-
-def answer_of_parameters(
-    problem: ForwardCell, case_id: str, units: Mapping[str, str]
-) -> PredictedCurve:
-    """Answer of a program or function for parameters alone, to responses in their units."""
-    return _external(problem).answer({"case_id": case_id, **problem.own_tables()}, units)
 
 
 def external_curve(
@@ -316,7 +310,7 @@ def external_curve(
 ) -> PredictedCurve:
     """Curve of a case by its external forward model; constants MPa; displacement_mm (n,)."""
     problem = cell.at(constants, float(displacement_mm[-1]))
-    prediction = solved_by(_external(cell), problem, displacement_mm, cell.own_tables())
+    prediction = solved_by(external_of(cell), problem, displacement_mm, cell.own_tables())
     mesh, curve = prediction.mesh, prediction.curve.without_gradients()
     if mesh and problem.model.mesh_size_mm is not None:
         mesh = {**mesh, "mesh_size_mm": problem.model.mesh_size_mm}

@@ -40,7 +40,7 @@ from study.ground.errors import nearest
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.calibration_table import Bounds, Fitting
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import MESH_LEVELS, Setup
+from study.mechanics.setup.setup import MESH_LEVELS
 from study.simulation import overlay
 from study.simulation.cell import CellProblem
 from study.simulation.response import RESPONSES
@@ -188,11 +188,6 @@ class CalibratedTest:
     weight: float | str = "equal"
     #: What is not known exactly of it, by key.
     nuisance: Mapping[str, NuisanceInput] = field(default_factory=dict)
-
-    @property
-    def setup(self) -> Setup:
-        """Specimen, test and discretization."""
-        return self.problem.setup
 
     @property
     def file(self) -> str:

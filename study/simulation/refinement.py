@@ -31,6 +31,7 @@ from study.mechanics.setup.geometry import Enclosed, Flat
 from study.mechanics.setup.setup import Problem, Setup
 from study.simulation.cell import CellProblem, case_id
 from study.simulation.problem_file import Converge
+from study.simulation.response import even_places, work
 from study.simulation.solve_task import Solver, SolveResult, SolveTask, solutions
 from study.statistics.analysis.work_precision import (
     CostPoint,
@@ -160,11 +161,6 @@ class RefinementSeries:
     levels: list[MeshLevel] = field(default_factory=list)
     stopped: str = ""
 
-    @property
-    def setup(self) -> Setup:
-        """Specimen, test and discretization of what is refined."""
-        return self.problem.setup
-
     @cached_property
     def first_mm(self) -> float:
         """Element size of the problem, the coarsest of the series."""
@@ -202,7 +198,7 @@ class RefinementSeries:
         meshes, _ = usable(self.levels)
         if len(meshes) < FEWEST:
             return False, None
-        results = judged_meshes(meshes, self.setup, self.formal.order)
+        results = judged_meshes(meshes, self.problem.setup, self.formal.order)
         needed = [size_needed(result, accuracy) for result in results.values()]
         sizes = [size for size in needed if size is not None]
         return all(within(results, accuracy).values()), min(sizes, default=None)
@@ -212,7 +208,7 @@ class RefinementSeries:
         last = self.good[-1]
         if needed_mm is None or needed_mm >= last.mesh_size_mm:
             return ""
-        space = self.setup.model.space
+        space = self.problem.model.space
         power = (2 if space == "axisymmetric" else 3) * _TIME_EXPONENT[space]
         seconds = last.result.seconds * (last.mesh_size_mm / needed_mm) ** power
         if not self.budget.refuses(seconds, None):
@@ -227,7 +223,7 @@ class RefinementSeries:
         solved = [level.result for level in self.good if level.result.dofs > 0]
         if not solved:
             return None, None, None
-        last, space = solved[-1], self.setup.model.space
+        last, space = solved[-1], self.problem.model.space
         growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
         time_exponent = _TIME_EXPONENT[space]
         if len(solved) > 1 and solved[-2].dofs < last.dofs:
@@ -260,23 +256,10 @@ def refine(
 
 # Single numbers of a curve whose convergence is judged: peak force, root mean square, work.
 
-#: points of a curve that integrals over it take, between the solved steps by their tangents, so
-#: close that the number of load steps does not matter
-_POINTS = 400
-
-
-def _places(curve: Curve) -> Array:
-    return np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
-
 
 def curve_rms(curve: Curve) -> float:
     """Root mean square of the force over the displacement, N: it stands for the whole curve."""
-    return float(np.sqrt(np.mean(curve.force_at(_places(curve))[1:] ** 2)))
-
-
-def work(curve: Curve) -> float:
-    """Work done on the specimen, N mm."""
-    return float(np.trapezoid(curve.force_at(_places(curve)), _places(curve)))
+    return float(np.sqrt(np.mean(curve.force_at(even_places(curve))[1:] ** 2)))
 
 
 #: quantities of a curve that a series can watch, with their units
@@ -567,7 +550,7 @@ class SeriesJudgement:
 
 def judge(series: RefinementSeries, tolerance: float | None = None) -> SeriesJudgement:
     """Judge the series of a problem."""
-    spec, formal = series.spec, series.formal
+    spec, formal, setup = series.spec, series.formal, series.problem.setup
     function, unit = quantity(spec.qoi)
     meshes, warnings = usable(series.levels)
     values = [function(level.result.curve) for level in meshes]
@@ -575,7 +558,7 @@ def judge(series: RefinementSeries, tolerance: float | None = None) -> SeriesJud
     given, accuracy = None, None
     if len(meshes) >= FEWEST:
         fraction = tolerance / abs(values[-1]) if tolerance and values[-1] else SOLVER_TOLERANCE
-        results = judged_meshes(meshes, series.setup, formal.order, fraction)
+        results = judged_meshes(meshes, setup, formal.order, fraction)
         main, accuracy = results[spec.qoi], spec.tolerance
         given = {**given_mesh(main), "mesh_size": meshes[0].mesh_size_mm}
         main = replace(main, warnings=(*warnings, *main.warnings))
@@ -583,7 +566,7 @@ def judge(series: RefinementSeries, tolerance: float | None = None) -> SeriesJud
         sizes = [level.mesh_size_mm for level in meshes]
         main = inconclusive(spec.qoi, unit, sizes, values, formal_order=formal.order)
         if len(meshes) == FEWEST - 1:
-            pair = judged_meshes(meshes, series.setup, assumed_order(formal.order))[spec.qoi]
+            pair = judged_meshes(meshes, setup, assumed_order(formal.order))[spec.qoi]
             main = replace(pair, verdict=f"{main.verdict}; {pair.verdict}")
         main = replace(main, warnings=(*main.warnings, *warnings))
     return SeriesJudgement(

@@ -108,8 +108,8 @@ def peak_force_error(predicted: Curve, measured: Curve) -> float:
 def work_error(predicted: Curve, measured: Curve) -> float:
     """Absolute difference of the work over the measured range, over the measured work, %."""
     d = measured.displacement_mm
-    work = float(np.trapezoid(measured.force_N, d))
-    return 100 * abs(float(np.trapezoid(residual_N(predicted, measured), d)) / work)
+    measured_work = float(np.trapezoid(measured.force_N, d))
+    return 100 * abs(float(np.trapezoid(residual_N(predicted, measured), d)) / measured_work)
 
 
 #: responses of a predicted and a measured curve, by name; every record holds them all
@@ -119,14 +119,21 @@ CURVE_RESPONSES: Mapping[str, Callable[[Curve, Curve], float]] = {
     "peak_force_error": peak_force_error,
     "work_error": work_error,
 }
-#: largest values over the test of what finite elements say of plate or indenter, and of the base
-CONTACT = (
-    "peak_contact_pressure", "contact_area", "side_force", "moment",
-    "base_force", "base_side_force", "base_moment",
-)  # fmt: skip
-#: points between which the work of a curve is summed: the trapezoidal rule is then off by a
-#: millionth of the work, for a force that grows with the square of the displacement
+#: points of a curve that integrals over it take, between the solved steps by their tangents: the
+#: trapezoidal rule is then off by a millionth of the work, for a force that grows with the square
+#: of the displacement
 _POINTS = 400
+
+
+def even_places(curve: Curve) -> Array:
+    """Displacements that divide a curve evenly, mm, so close that its load steps do not matter."""
+    return np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
+
+
+def work(curve: Curve) -> float:
+    """Work done on the specimen, N mm."""
+    places = even_places(curve)
+    return float(np.trapezoid(curve.force_at(places), places))
 
 
 def simulated(response: str, curve: Curve) -> float:
@@ -135,16 +142,13 @@ def simulated(response: str, curve: Curve) -> float:
     if displacement_mm is not None:
         ordinate = curve.stiffness_at if name == "stiffness_at" else curve.force_at
         return float(ordinate(displacement_mm))
-    if name in CONTACT:  # another program or a closed form gives none
-        values = curve.quantities.get(name, np.full(1, np.nan))
-        return float(np.max(values))
     if name == "peak_force":
         return float(curve.force_N.max())
-    # Work done on the specimen from the unloaded state, N mm.
-    if curve.work_Nmm is not None:
-        return float(curve.work_Nmm[-1])
-    ends = np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
-    return float(np.trapezoid(curve.force_at(ends), ends))
+    if name == "work":
+        return work(curve) if curve.work_Nmm is None else float(curve.work_Nmm[-1])
+    # the largest value over the test of what finite elements say of plate or indenter, and of the
+    # base; another program or a closed form gives none
+    return float(np.max(curve.quantities.get(name, np.full(1, np.nan))))
 
 
 def units_of(named: Iterable[str], measured: bool = True) -> dict[str, str]:

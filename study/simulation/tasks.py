@@ -243,10 +243,14 @@ class Costs:
         return self.case_seconds(job)
 
     def MB(self, job: FitJob | CaseJob) -> float:  # noqa: N802
-        """Peak memory of a fit or of a case."""
+        """Peak memory of a fit or a case; none worth counting without a simulation of its own."""
         if isinstance(job, FitJob):
             return self.fit_memory_MB(job.problem)
-        return self.case_memory_MB(job)
+        problem = job.case.problem
+        if job.forward == "external":
+            return (None if problem.forward is None else problem.forward.memory_MB) or 0.0
+        is_solved = job.forward == "simulation" and job.origin.predicts
+        return self.memory_MB(problem) if is_solved else 0.0
 
     def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
         """Wall time on a number of workers."""
@@ -268,14 +272,6 @@ class Costs:
         """Peak memory of one calibration."""
         simulated = [test.problem for test in problem.tests if test.method == "inverse-fem"]
         return max(map(self.memory_MB, simulated), default=0.0)
-
-    def case_memory_MB(self, job: CaseJob) -> float:  # noqa: N802
-        """Peak memory of one case; none worth counting without a simulation of its own."""
-        problem = job.case.problem
-        if job.forward == "external":
-            return (None if problem.forward is None else problem.forward.memory_MB) or 0.0
-        is_solved = job.forward == "simulation" and job.origin.predicts
-        return self.memory_MB(problem) if is_solved else 0.0
 
     def _estimate(self, problem: CellProblem, depth_mm: float | None) -> tuple[float, float]:
         document = problem.document()  # of all that differ in their material alone

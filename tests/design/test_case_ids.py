@@ -24,8 +24,8 @@ def names_of(design):
             design,
             case.label,
             case.case_id,
-            case.treatment.cell.calibration_key or "",
-            case.treatment.cell.physical_key,
+            case.cell.calibration_key or "",
+            case.cell.physical_key,
         ]
         for case in cases(load(DESIGNS / f"{design}.toml"))
     ]

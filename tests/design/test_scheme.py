@@ -9,7 +9,6 @@ from study.ground.errors import InputError
 from study.harness.design import overview, spec
 from study.harness.design.load import dump, loads
 from study.harness.design.overview import calibration_factors, inert_cells
-from study.harness.design.spec import Design
 from tests.design.faulty import BASE
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -204,14 +203,14 @@ units = { displacement = "mm", force = "N" }
 
 def test_a_sampled_range_is_compared_at_its_ends(monkeypatch):
     made = []
-    resolve = Design._resolved
+    resolve = spec.resolve
 
-    def counted(design, levels, faults):
+    def counted(*tables):
         made.append(1)
-        return resolve(design, levels, faults)
+        return resolve(*tables)
 
     design = load_design(DESIGNS / "needle-geometry.toml")
-    monkeypatch.setattr(Design, "_resolved", counted)
+    monkeypatch.setattr(spec, "resolve", counted)
     described = overview.overview(design)
     assert all(not one.calibrates and one.inert_cells == 0 for one in described.factors)
     # compared at each of their 120 levels, 7 factors made 87,000 cells

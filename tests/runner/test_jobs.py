@@ -5,7 +5,7 @@ import pytest
 from study.harness.design.load import loads
 from study.harness.runner.expansion import expand
 from study.simulation import case
-from study.simulation.cell import Case, Cell, CellProblem, Treatment
+from study.simulation.cell import Case, Cell, CellProblem
 from study.simulation.fit_problem import fit_problem
 from study.simulation.fit_summary import FitResult
 from study.simulation.job import CaseJob, FitJob, ScorePair
@@ -21,7 +21,7 @@ PROBLEM = CellProblem.of({
 
 def test_a_mesh_is_changed_in_the_problem_of_the_calibration_too():
     cell = Cell(PROBLEM, "auto", fitted_elsewhere=PROBLEM.loaded(steps=7))
-    found = cell.sized(2.0)
+    found = cell.on_mesh(mesh_size_mm=2.0)
     both = found.problem.model, found.fitted_elsewhere.model
     assert [model.mesh_size_mm for model in both] == [2.0, 2.0]
     assert found.fitted_elsewhere.test.steps == 7
@@ -48,6 +48,6 @@ def test_a_record_judges_its_fit_over_the_simulated_test(depth, stable):
     cell = Cell(gauge, "auto")
     pair = ScorePair("all", None, FitJob(fit_problem(cell), (), key="fit"), pressed_mm=depth)
     fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
-    job = CaseJob(Case(Treatment({}, cell), None, cell, "case"), (pair,), "hash")
+    job = CaseJob(Case({}, cell, None, "case"), (pair,), "hash")
     task = job.sent({pair.fit_key: FitResult("converged", fit)})
     assert case._fits(task)["all"]["stable"] is stable

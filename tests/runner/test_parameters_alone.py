@@ -387,6 +387,14 @@ def test_a_curve_of_a_function_has_the_responses_of_a_curve(tmp_path):
         assert record.response("work") == pytest.approx(0.5 * stiffness * 4)
 
 
+def test_a_curve_alone_has_no_number_of_unknowns(tmp_path):
+    line = {"displacement_mm": [1.0, 2.0], "force_N": [1.0, 2.0]}
+    responses = '[[response]]\nname = "dofs"\n'
+    records = run(HEAD + SOFT_OR_STIFF + responses, tmp_path, lambda case: line).records
+    said = "there is no dofs among the answers (it gives a curve alone)"
+    assert {record.message for record in records} == {said}
+
+
 def refined(folder, solver, parameters, factors):
     """Study of a solver of second order in its step h."""
     tables = {

@@ -29,7 +29,7 @@ from study.ground.errors import nearest
 from study.harness.design import generators
 from study.harness.design.factors import known_level, levels_at, setting_in
 from study.harness.design.spec import Factor, Scheme
-from study.harness.design.study_file import MAX_RUNS
+from study.harness.design.study_file import MAX_RUNS, CellCount
 
 #: factors with the levels that a design needs, and which combinations of them are run
 Made = tuple[tuple[Factor, ...], Scheme]
@@ -524,7 +524,6 @@ def _surface(request: Request, kind: str, runs: Array, what: str) -> Made:
 
 # Space-filling designs: samples of the ranges of the factors.
 
-_Runs = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
 _Seed = Annotated[int | None, Reads(integer(0, 2**32 - 1))]
 
 
@@ -532,7 +531,7 @@ _Seed = Annotated[int | None, Reads(integer(0, 2**32 - 1))]
 class LatinHypercube:
     """Every range in as many slices as runs, each with one run."""
 
-    runs: _Runs
+    runs: CellCount
     kind: Literal["latin-hypercube"] = "latin-hypercube"
     #: Of the draw; that of ``[study]`` by default.
     seed: _Seed = None
@@ -547,7 +546,7 @@ class Sobol:
     """Scrambled Sobol sequence."""
 
     #: Number of cells, a power of two.
-    runs: _Runs
+    runs: CellCount
     kind: Literal["sobol"] = "sobol"
     #: Of the scrambling; that of ``[study]`` by default.
     seed: _Seed = None
@@ -566,7 +565,7 @@ class Sobol:
 class Morris:
     """Trajectories through a grid, each of which moves every factor once (Morris 1991)."""
 
-    trajectories: _Runs
+    trajectories: CellCount
     kind: Literal["morris"] = "morris"
     #: Settings of each range, an even number; a factor moves by half of them.
     levels: Annotated[int, Reads(integer(2, 64))] = 4

@@ -104,10 +104,9 @@ def _check_course(cells: Sequence[Cell], faults: Faults) -> None:
     rule, problems = "has no place in a design", (p for c in cells for p in (c.problem, c.fitted))
     mend = "responses compare curves over displacement: `study solve` follows a course"
     for problem in problems:
-        if isinstance(problem, CellProblem):
-            for key, value in (("hold", problem.test.hold_s), ("cycles", problem.test.cycles)):
-                if value is not None:
-                    faults.add(f"test.{key}", rule, mend)
+        for key in ("test.hold", "test.cycles"):
+            if problem.value_at(key) is not None:
+                faults.add(key, rule, mend)
         if problem.measurements is not None and problem.measurements.columns.time is not None:
             speed = "give test.speed, or fit the course by `study calibrate`"
             faults.add("measurements.columns.time", rule, speed)
@@ -116,10 +115,9 @@ def _check_course(cells: Sequence[Cell], faults: Faults) -> None:
 def _check_contrasts(design: Design, left: Sequence[Mapping[str, str]], faults: Faults) -> None:
     """Find differences that are asked for of levels that do not exist, or of cells left out."""
     where = "analysis.contrasts"
-    levels = {factor.name: factor.labels for factor in design.factors if factor.span is None}
     for text in design.analysis.contrasts:
         try:
-            sides = sides_of(text, levels)
+            sides = sides_of(text, design.lists)
         except InputError as error:
             for fault in error.faults:
                 faults.add(where, f"{fault.where}: {fault.rule}", fault.mend)

@@ -252,7 +252,7 @@ def warnings(design: Design) -> tuple[str, ...]:
 # Further cells for a fraction that leaves a doubt: those that tell more terms apart.
 
 #: kinds of a design whose factors are samples of ranges, not levels
-_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "morris", "adaptive")
+SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "morris", "adaptive")
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ def further_cells(loaded: Design, cells: int, terms: int | Sequence[str]) -> Aug
     if rows is None or loaded.scheme.kind == "full":
         rule = "runs every combination: there is no further cell"
         raise InputError(Fault("design", rule, "add a level or a factor"))
-    if loaded.scheme.kind in _SAMPLED:
+    if loaded.scheme.kind in SAMPLED:
         rule = f"a {loaded.scheme.kind} design samples ranges"
         raise InputError(Fault("design.kind", rule, "ask it for more runs"))
     names = [factor.name for factor in factors]

@@ -203,11 +203,11 @@ class Design:
         for row in self.scheme.rows or every:
             levels = tuple(f.levels[i] for f, i in zip(self.factors, row, strict=True))
             labels = {n: level.label for n, level in zip(names, levels, strict=True)}
-            listed.append((Combination(labels), levels, self._why_excluded(labels)))
+            listed.append((Combination(labels), levels, self._why_excluded(labels, levels)))
         return tuple(listed)
 
-    def _why_excluded(self, levels: Mapping[str, str]) -> str | None:
-        reason = next((e.why for e in self.exclusions if e.matches(levels)), None)
+    def _why_excluded(self, labels: Mapping[str, str], levels: Sequence[Level]) -> str | None:
+        reason = next((e.why for e in self.exclusions if e.matches(labels)), None)
         if reason is not None or not self.constraints:
             return reason
         values = self._parameters_at(levels)
@@ -217,15 +217,12 @@ class Design:
             raise InputError(Fault("constraint", bad.rule, bad.mend)) from None
         return f"{broken[0].why} ({broken[0].rule})" if broken else None
 
-    def _parameters_at(self, levels: Mapping[str, str]) -> Mapping[str, Value]:
+    def _parameters_at(self, levels: Sequence[Level]) -> Mapping[str, Value]:
         """Values of the parameters of a cell; of faulty ones, told elsewhere, none."""
         first = table_of(self.config, "parameters")
-        table = dict(first)
-        for factor in self.factors:
-            level = factor.levels[factor.labels.index(levels[factor.name])]
-            here = {k.partition(".")[2]: v for k, v in level.settings.items() if is_parameter(k)}
-            table |= here
-        return parameters_from(table, first, Faults())[0]
+        settings = {k: v for level in levels for k, v in level.settings.items() if is_parameter(k)}
+        here = {key.partition(".")[2]: value for key, value in settings.items()}
+        return parameters_from({**first, **here}, first, Faults())[0]
 
     @property
     def excluded(self) -> tuple[tuple[Combination, str], ...]:
@@ -237,8 +234,10 @@ class Design:
         sound, level_ids = self._sound, tuple(map(id, levels))
         if level_ids in sound:
             return sound[level_ids]
+        settings = {k: v for level in levels for k, v in level.settings.items()}
+        tables = {k: v for k, v in self.config.items() if k in overlay.TABLES}
         cell_faults = Faults()
-        cell = self._resolved(levels, cell_faults)
+        cell = resolve(overlay.lay(tables, settings), self.config, self.converge, cell_faults)
         if not cell_faults:
             sound[level_ids] = cell
         for fault in cell_faults:
@@ -249,11 +248,6 @@ class Design:
     def _sound(self) -> dict[tuple[int, ...], Cell]:
         """Cells that were resolved without a fault, by the levels, which are the design's own."""
         return {}
-
-    def _resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
-        settings = {k: v for level in levels for k, v in level.settings.items()}
-        tables = {k: v for k, v in self.config.items() if k in overlay.TABLES}
-        return resolve(overlay.lay(tables, settings), self.config, self.converge, faults)
 
     @cached_property
     def treatments(self) -> tuple[Treatment, ...]:
@@ -294,7 +288,7 @@ def cases(design: Design, blocks: Sequence[str] = ()) -> tuple[Case, ...]:
         raise InputError(Fault("factors", rule, "use fewer levels, or several studies"))
     places = tuple(blocks) or (None,)
     return tuple(
-        Case(treatment, block, treatment.cell, name)
+        Case(treatment.levels, treatment.cell, block, name)
         for treatment in cells
         for block, name in zip(places, block_ids(treatment.cell.document(), places), strict=True)
     )

@@ -135,7 +135,8 @@ def _added(value: object) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(share(x) for x in (c if isinstance(c, list) else [c])) for c in value)
 
 
-_Cells = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
+#: number of cells, as a kind of design asks for it
+CellCount = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
 
 
 @section
@@ -144,9 +145,9 @@ class Sequential:
 
     #: Cells of the Latin hypercube that it begins with, equally many at every combination of the
     #: factors that are no ranges.
-    start: _Cells
+    start: CellCount
     #: Most cells in all.
-    budget: _Cells
+    budget: CellCount
     kind: Literal["adaptive"] = "adaptive"
     #: Cells added at a time; it decides the result, the number of workers does not.
     batch: Annotated[int, Reads(integer(1, 100))] = 4

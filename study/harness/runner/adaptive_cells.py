@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from study.ground.arrays import Array
 from study.ground.atomic_files import ID
 from study.ground.canonical import digest
+from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
 from study.harness.design.factors import levels_at
 from study.harness.design.layout_kinds import share_of
@@ -20,6 +21,7 @@ from study.harness.design.load import dump, loads
 from study.harness.design.spec import Design, Factor
 from study.harness.design.study_file import Sequential
 from study.harness.runner.batch import Progress, run_batch
+from study.harness.runner.case_series import COSTS
 from study.harness.runner.expansion import Work, expand, relabeled
 from study.harness.runner.record_analysis import (
     at_levels,
@@ -53,7 +55,7 @@ def continued(design: Design, store: Store) -> Design:
     if design.scheme.sequential is None:
         return design
     manifest = store.read_unfinished() or store.read_manifest()
-    if manifest is None or manifest.get("versions", {}).get("study") != code_version():
+    if manifest is None or code_of(manifest) != code_version():
         return design
     try:
         design_then = loads(manifest["design"], manifest["source"])
@@ -63,30 +65,22 @@ def continued(design: Design, store: Store) -> Design:
     return with_added(design, added(design_then)) if same else design
 
 
-def _table(design: Design) -> Mapping[str, object]:
-    written = design.config["design"]
-    return written if isinstance(written, Mapping) else {}
-
-
 def added(design: Design) -> list[list[float]]:
     """Cells that were added, as they stand in the design."""
-    cells = _table(design).get("added", ())
-    return [list(cell) for cell in cells] if isinstance(cells, list | tuple) else []
+    rule = design.scheme.sequential
+    return [] if rule is None else [list(cell) for cell in rule.added]
 
 
 def with_added(design: Design, cells: Sequence[Sequence[float]]) -> Design:
     """Copy of a design with other cells added to its Latin hypercube."""
-    table = {key: value for key, value in _table(design).items() if key != "added"}
-    if cells:
-        table["added"] = [list(cell) for cell in cells]
-    text = dump(replace(design, config={**design.config, "design": table}))
+    table = {k: v for k, v in table_of(design.config, "design").items() if k != "added"}
+    shares = {"added": [list(cell) for cell in cells]} if cells else {}
+    text = dump(replace(design, config={**design.config, "design": {**table, **shares}}))
     return replace(loads(text, design.source), text=design.text)
 
 
 #: name of the list of what was known at every step
 HISTORY = "adaptive"
-#: responses that say what a run costs: nobody learns them
-_COSTS = ("seconds", "dofs")
 #: exponent of the misfit where a verdict is sought, which the largest misfit decides
 _SEARCHING = 2.0
 #: emulators of the responses at one combination of the other levels, and names of open responses
@@ -158,7 +152,7 @@ def _fit(
     models: dict[str, Emulator | BlockedEmulator] = {}
     still = []
     for response in design.responses:
-        if response.name in _COSTS:
+        if response.name in COSTS:  # nobody learns what a run costs
             continue
         try:
             runs = runs_at(design, response.name, labels, records)

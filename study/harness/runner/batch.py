@@ -123,7 +123,7 @@ def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob,
             what = f"{new} load steps instead of {old}"
         elif change == FINER_MESH:
             size = base_size_mm(job) / work.design.converge.ratio
-            cell = cell.sized(size)
+            cell = cell.on_mesh(mesh_size_mm=size)
             what = f"elements of {size:.4g} mm instead of {base_size_mm(job):.4g} mm"
         elif change == LONGER_LIMIT:
             what = f"a limit {LIMIT_FACTOR:g} times as long"

@@ -144,10 +144,8 @@ class CaseSeries:
             )
         sizes, formal = self.sizes([record for _, record, _ in answered]), self.formal
         behaviour, u = self.half_width(values, sizes, formal.order)
-        value, note = (
-            values[0] if self.study_mesh == "coarsest" else values[-1],
-            self._note(len(answered)),
-        )
+        value = values[0 if self.study_mesh == "coarsest" else -1]
+        note = self._note(len(answered))
         if self.other is not None:
             again = None if self._again is None else self._again.value(response)
             if again is None:

@@ -17,7 +17,7 @@ from study.ground.canonical import digest, numbered
 from study.ground.errors import Fault, InputError
 from study.harness.design.spec import MAX_CASES, Design, cases
 from study.record.record import Record, is_repeat
-from study.simulation.cell import Case, Cell, CellProblem, Treatment
+from study.simulation.cell import Case, CellProblem, Treatment
 from study.simulation.fit_problem import (
     NOTHING,
     Allowed,
@@ -108,19 +108,16 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
         for number, name in enumerate(numbered(content, count, 8), 1):
             seed = int(name, 16)
             if replicates.key is None:
-                again = repeated(case, ["mesh seed", seed], meshed(case.cell, seed))
-                repeats.append((again, Origin(mesh_seed=number)))
+                cell = case.cell.on_mesh(mesh_seed=seed)
+                repeats.append(
+                    (repeated(case, ["mesh seed", seed], cell), Origin(mesh_seed=number))
+                )
             else:  # of a stochastic simulation, which no two cells share
                 problem = case.problem.with_parameter(replicates.key.partition(".")[2], seed)
                 cell = replace(case.cell, problem=problem)
                 again = repeated(case, ["replicate", number, seed], cell)
                 repeats.append((again, Origin(replicate=number)))
     return tuple(repeats)
-
-
-def meshed(cell: Cell, seed: int) -> Cell:
-    """Copy a cell on the mesh of its size with some seed."""
-    return cell.changed(lambda problem: problem.on_mesh(mesh_seed=seed))
 
 
 def _check_count(count: int) -> None:

@@ -22,7 +22,7 @@ from study.ground.errors import InputError, StudyError
 from study.ground.tabular import names_of
 from study.ground.units import parse_number
 from study.harness.design.load import is_constant
-from study.harness.design.overview import duplicates
+from study.harness.design.overview import SAMPLED, duplicates
 from study.harness.design.questions import usual_value
 from study.record.document import NumericalCells, NumericalRow, fault_of_series
 from study.record.record import answered_often, is_repeat, table
@@ -174,7 +174,7 @@ def rows_for(
         shown = table.drop(columns=_RUN)
         return RecordRows(shown, block, how, "runs")
     if _NOISE in table:
-        return _noise_rows(table, response, factors, error, block)
+        return _noise_rows(table, response, factors, how, by_replicates, block)
     if _MESH not in table:
         return RecordRows(table, block, how)
     cells = [*factors, *([block] if block else [])]
@@ -197,11 +197,14 @@ def rows_for(
 
 
 def _noise_rows(
-    table: pd.DataFrame, response: str, factors: Sequence[str], error: str, block: str | None
+    table: pd.DataFrame,
+    response: str,
+    factors: Sequence[str],
+    how: str,
+    by_replicates: bool,
+    block: str | None,
 ) -> RecordRows:
     """Rows of the refits to resampled noise, or of the fits to the measured curves."""
-    by_replicates = error == "replicates"
-    how = "auto" if by_replicates else error
     fits = table[table[_NOISE] == 0].drop(columns=_NOISE)
     if not is_constant(response):
         note = f"resampled noise is fitted, not predicted with: no E2 for {response}"
@@ -393,16 +396,11 @@ def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
 
 # Surfaces over the numeric factors of a study's own runs.
 
-#: kinds of a design whose settings are chosen for a surface
-_FOR_SURFACES = (
-    "central-composite", "box-behnken", "latin-hypercube", "sobol", "morris", "adaptive", "listed"
-)  # fmt: skip
-
 
 def is_numeric(design: Design) -> bool:
     """Whether a surface over the ranges of a design answers its question."""
     kind = design.analysis.surface
-    if kind == "auto" and design.scheme.kind not in _FOR_SURFACES:
+    if kind == "auto" and design.scheme.kind not in (*SAMPLED, "listed"):
         return False
     return bool(design.ranges) and kind != "none"
 
@@ -478,9 +476,7 @@ def _half_width(
     meshes = [row.u_num for row in numerical if row.response == response and row.u_num is not None]
     if not meshes:
         return None
-    steps = [record.responses[response].get("u_steps") or 0.0 for record in records
-             if response in record.responses]  # fmt: skip
-    return max(meshes) + max(steps, default=0.0)
+    return max(meshes) + u_of_steps(records, response, "none")
 
 
 def _finished(

@@ -34,11 +34,11 @@ from study.harness.runner.case_series import (
     refine_cases,
     size_of,
 )
-from study.harness.runner.expansion import Work, case_job, meshed
+from study.harness.runner.expansion import Work, case_job
 from study.record.document import SpaceRow
 from study.record.record import Record
 from study.record.store import Store
-from study.simulation.cell import Case, Cell, CellProblem, Config, case_id
+from study.simulation.cell import Case, Cell, Config, case_id
 from study.simulation.job import CaseJob, Origin, varied
 from study.simulation.refinement import FEWEST, OTHER_MESH, base_size_mm
 from study.simulation.solve_task import SolveResult, SolveTask, by_workers, kept
@@ -116,9 +116,9 @@ def _series(
 ) -> CaseSeries:
     """Series of some cases; of a surface with another mesh of the study's own size."""
     base, other = jobs[0 if end == "coarsest" else -1], None
-    problem = base.case.problem
-    if isinstance(problem, CellProblem) and problem.is_meshed_freely:
-        other = _beside(work, base, varied(base.case, meshed(base.case.cell, OTHER_MESH), PURPOSE))
+    if base.case.problem.is_meshed_freely:
+        again = base.case.cell.on_mesh(mesh_seed=OTHER_MESH)
+        other = _beside(work, base, varied(base.case, again, PURPOSE))
     return CaseSeries(jobs, work.design.converge.ratio, end, other=other)
 
 
@@ -178,7 +178,7 @@ def refined(case: Case, size: float) -> Case:
     if other is not None:
         fitted = with_table(other.document(), "model", mesh=None, mesh_size_mm=size)
         named = with_table(named, "calibration", problem=fitted)
-    return varied(case, case.cell.sized(size), PURPOSE, named)
+    return varied(case, case.cell.on_mesh(mesh_size_mm=size), PURPOSE, named)
 
 
 def discretization_key(problem: ForwardCell) -> str:
@@ -271,8 +271,7 @@ def shifted(problem: ForwardCell, key: str, amount: float) -> ForwardCell:
 
 def _fixed_range(problem: ForwardCell) -> ForwardCell:
     """Say the measured range in mm, so that another height does not move it."""
-    spec = problem.measurements
-    height = problem.height_mm if isinstance(problem, CellProblem) else None
+    spec, height = problem.measurements, problem.height_mm
     if spec is None or height is None or spec.range is None or spec.range.kind == "mm":
         return problem
     low, high = spec.range.in_mm(height)

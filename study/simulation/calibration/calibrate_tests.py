@@ -345,7 +345,7 @@ def _implausible_stretches(
     """Stretches that no soft material reaches: a unit is wrong."""
     out: list[tuple[Verdict, str]] = []
     for curve in in_order(curves):
-        setup, places = tests[curve.test].setup, curve.curve.displacement_mm
+        setup, places = tests[curve.test].problem.setup, curve.curve.displacement_mm
         if setup.height_mm is None or setup.kind.compresses or setup.test.indenter is not None:
             continue
         stretch = 1 + float(np.abs(places).max()) / setup.height_mm
@@ -369,7 +369,7 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         material = section.material(fit.constants())
         judged_as, message = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
-        reached = [(setting.tests[c.test].setup, c.curve.displacement_mm) for c in curves]
+        reached = [(setting.tests[c.test].problem.setup, c.curve.displacement_mm) for c in curves]
         judged_stable = stability_over(material, reached)
         stable, stability = judged_stable.stable, judged_stable.sentence
     ordered = in_order(predictions)
@@ -388,7 +388,7 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         fit, ordered, tests=[c.test for c in ordered], lack=lack,
         more=_implausible_stretches(setting.tests, curves),
     )  # fmt: skip
-    gauges = {setting.tests[c.test].setup.has_no_elements for c in ordered}
+    gauges = {setting.tests[c.test].problem.setup.has_no_elements for c in ordered}
     if len(gauges) > 1 and all(isinstance(c.weight, float) for c in ordered):
         cautions.append(
             "forces of gauge sections and of simulated specimens are weighed in N, so that the "

@@ -74,7 +74,7 @@ def read_tests(
     curves: list[FitCurve] = []
     notes: list[str] = []
     for number, test in enumerate(tests):
-        setup = test.setup
+        setup = test.problem.setup
         data = checked(read_measurements(
             test.measurements, root, setup.height_mm, setup.test.displacement_mm, gauge_of(setup),
             own_rows=True, fits_zero=OFFSET in test.nuisance,
@@ -193,7 +193,7 @@ def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
 
 def indentation_test(test: CalibratedTest, fitting: Fitting, where: str) -> IndentationTest:
     """Gather what the closed form needs of one test."""
-    setup = test.setup
+    setup = test.problem.setup
     specimen, pressed = setup.specimen, setup.test.indenter
     if not setup.kind.takes_indenter or pressed is None:
         rule = f"analytic is for indentation, got {setup.test.kind}"

@@ -107,7 +107,7 @@ def mesh_error(
     (test,) = config.tests
     if fitted_test("auto", test.problem).method != "inverse-fem":
         return np.zeros_like(result.fit.values)
-    coarser = test.setup.model.coarser(_RATIO)
+    coarser = test.problem.model.coarser(_RATIO)
     if coarser is None:
         mend = 'write mesh = "medium" or "fine" in [model]'
         raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))

@@ -73,7 +73,8 @@ def _parameter(
 
 
 def _expected(test: CalibratedTest, key: str) -> float:
-    if key == FRICTION and (test.setup.has_no_elements or not test.setup.kind.compresses):
+    setup = test.problem.setup
+    if key == FRICTION and (setup.has_no_elements or not setup.kind.compresses):
         rule = "is that of two plates, and this is no compression of a specimen between them"
         mend = "declare it in the [[tests]] that have plates: nuisance = { friction = ... }"
         raise InputError(Fault("nuisance.friction", rule, mend))

@@ -107,7 +107,7 @@ class Conditions:
         cls, fit: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
     ) -> Conditions:
         """Mean of the recordings; the first specimen that has a cross-section."""
-        specimens = [s for test in tests if (s := test.setup.specimen) is not None]
+        specimens = [s for test in tests if (s := test.problem.setup.specimen) is not None]
         areas = [height_and_area(specimen)[1] for specimen in specimens]
         serial = fit.serial
         rows = fit.n if serial is None else serial.rows
@@ -115,13 +115,13 @@ class Conditions:
         strains = [
             float(np.abs(curve.curve.displacement_mm).max()) / setup.height_mm
             for curve in curves
-            if (setup := tests[curve.test].setup).height_mm is not None
+            if (setup := tests[curve.test].problem.setup).height_mm is not None
             and setup.test.indenter is None
         ]
         stresses = [
             float(np.abs(curve.curve.force_N).max()) / height_and_area(specimen)[1]
             for curve in curves
-            if (specimen := tests[curve.test].setup.specimen) is not None
+            if (specimen := tests[curve.test].problem.setup.specimen) is not None
         ]
         return cls(
             noise,
