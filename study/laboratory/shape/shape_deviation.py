@@ -220,9 +220,15 @@ def _check_handedness(surface: TriangleSurface, scan: Scan, distance: float) -> 
         raise InputError(Fault(f"--scan: {scan.source}", rule, mend))
 
 
+def _reach(points: Array) -> float:
+    """Largest distance of points, shape (n, 3), from their mean."""
+    return float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+
+
 def _check_size(surface: TriangleSurface, scan: Scan, distance: float) -> None:
     """Refuse a cloud that is the body in another size, which fits far better when it is scaled."""
-    ratio = scan.size / surface.size
+    # no box around the points: it depends on how they are turned
+    ratio = _reach(scan.points) / _reach(surface.points[np.unique(surface.triangles)])
     if abs(math.log(ratio)) < SAME_SIZE or distance < RESOLUTION_SHARE * surface.size:
         return
     scaled, _ = coarse_registration(surface, scan.points / ratio)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 from study.ground import units
-from study.ground.arrays import gathered
 
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -279,9 +279,9 @@ def slug(text: str, *, is_marked: bool = False) -> str:
 
 def slugs(texts: Iterable[str]) -> dict[str, str]:
     """File and id names of several texts, no two alike: ``F`` and ``f`` get a mark each."""
-    by_name = gathered((slug(text), text) for text in dict.fromkeys(texts))
-    alike = ((text, len(of_name) > 1) for of_name in by_name.values() for text in of_name)
-    return {text: slug(text, is_marked=is_shared) for text, is_shared in alike}
+    names = {text: slug(text) for text in texts}
+    shared = Counter(names.values())
+    return {text: slug(text, is_marked=shared[name] > 1) for text, name in names.items()}
 
 
 def listing(items: Sequence[str], word: str = "and") -> str:
