@@ -37,13 +37,13 @@ def test_tests_inherit_specimen_and_model():
     found = load.CALIBRATION.loads(TEXT)
     fit, held_out = found.tests
     assert found.material.order == 2
-    assert fit.setup.model.mesh == held_out.setup.model.mesh == "medium"
+    assert fit.problem.setup.model.mesh == held_out.problem.setup.model.mesh == "medium"
     assert (fit.role, fit.weight) == ("fit", "scatter")
     assert (held_out.role, held_out.weight) == ("held-out", 2.5)
-    assert (fit.setup.height_mm, held_out.setup.height_mm) == (30.0, 20.0)
+    assert (fit.problem.setup.height_mm, held_out.problem.setup.height_mm) == (30.0, 20.0)
     assert fit.measurements.range == Range("percent", 1.0, 20.0)
-    assert (fit.setup.test.depth_mm, held_out.setup.test.depth_mm) == (6.0, 4.0)
-    assert held_out.setup.test.base == "bonded"
+    assert (fit.problem.setup.test.depth_mm, held_out.problem.setup.test.depth_mm) == (6.0, 4.0)
+    assert held_out.problem.setup.test.base == "bonded"
 
 
 def test_no_calibration_where_constants_are_given():

@@ -637,14 +637,13 @@ def _surface(
 
 
 def _mixed(
-    term: Term, parts: Sequence[tuple[Term, float]], kept: Mapping[Term, SurfaceTerm], k: int
+    term: Term, parts: Sequence[tuple[Term, float]], estimates: Mapping[Term, SurfaceTerm], k: int
 ) -> QuadraticPolynomial:
     """Return what a term left out adds where it is as large as the largest term it is mixed with.
 
-    The kept terms lose what the term takes from them, so that nothing changes at the runs.
+    The estimated terms lose what the term takes from them, so that nothing changes at the runs.
     """
-    large = [
-        max(map(abs, kept[t].interval or (kept[t].coefficient,))) for t, _ in parts if t.factors
-    ]
+    mixed = [estimates[t] for t, _ in parts if t.factors]
+    large = [max(map(abs, e.interval or (e.coefficient,))) for e in mixed]
     weights = np.array([1.0, *(-w for _, w in parts)])
     return QuadraticPolynomial((term, *(t for t, _ in parts)), max(large, default=0.0) * weights, k)
