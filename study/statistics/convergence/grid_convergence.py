@@ -92,12 +92,17 @@ def _order(h: Array, ratio: Array) -> Array:
     if abs(a - b) <= 1e-9 * b:
         return np.where(monotone, -target / b, np.nan)
     low, high = np.full(target.shape, 1e-8), np.full(target.shape, 200.0)
-    for _ in range(60):  # bisection of a falling function: 200 / 2^60 is below rounding
-        middle = (low + high) / 2
-        falling = np.log(-np.expm1(-middle * a)) - np.log(-np.expm1(-middle * b)) - middle * b
-        low = np.where(falling > target, middle, low)
-        high = np.where(falling > target, high, middle)
-    return np.where(monotone, (low + high) / 2, np.nan)
+    order = np.clip(-target / b, low, high)
+    for _ in range(60):  # Newton's steps to the root of a falling function, halves beyond its ends
+        fine, coarse = -np.expm1(-order * a), -np.expm1(-order * b)
+        left = np.log(fine / coarse) - order * b - target
+        low, high = np.where(left > 0, order, low), np.where(left > 0, high, order)
+        slope = a * (1 - fine) / fine - b * (1 - coarse) / coarse - b
+        last, order = order, order - left / slope
+        order = np.where((low <= order) & (order <= high), order, (low + high) / 2)
+        if np.all(np.abs(order - last) <= 1e-15 * order):
+            break
+    return np.where(monotone, order, np.nan)
 
 
 def assumed_order(formal: float | None) -> float:
