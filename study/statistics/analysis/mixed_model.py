@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from study.ground.arrays import Array, one_thread
+from study.ground.arrays import Array, gathered, one_thread
 from study.ground.contrast import Setting
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
@@ -454,16 +454,15 @@ def rivals_of_unequal_effects(
     dummies = model_matrix(data.layout, [], extra=sources).columns[:, 1:]
     columns = np.column_stack([cells.fixed.columns, dummies])
     terms = [term for term in cells.factors.terms if term and set(term) <= set(data.factors)]
-    tests: list[tuple[str, Term, FRatioTest]] = []
+    tests: list[tuple[str, tuple[Term, FRatioTest]]] = []
     for block in (source[0] for source in sources if len(source) == 1):
         declared = [set(source) - {block} for source in sources if block in source]
         left_out = [term for term in terms if set(term) not in declared]
         seen = [(term, _added(columns, data.layout, (block, *term), y)) for term in left_out]
-        tests += [(block, term, test) for term, test in seen if test is not None]
+        tests += [(block, (term, test)) for term, test in seen if test is not None]
     rivals, notes = [], []
-    for block in dict.fromkeys(block for block, _, _ in tests):
-        of_block = [(test, term) for name, term, test in tests if name == block]
-        test, term = min(of_block, key=lambda t: t[0].p)
+    for block, of_block in gathered(tests).items():
+        term, test = min(of_block, key=lambda pair: pair[1].p)
         if test.p * len(tests) >= _DIFFERS:
             continue
         note = (
