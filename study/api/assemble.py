@@ -474,10 +474,25 @@ def _provenance(study: StudyResult) -> dict[str, str]:
     solvers = {str(r.solver.get("name")) for r in study.records if r.solver.get("name")}
     if solvers:
         out["linear solver"] = ", ".join(sorted(solvers))
+    if simulations := _simulations(study.plain):
+        out["simulations of the calibrations"] = simulations
     out |= {f"sha256 of {name}": sha for name, sha in manifest.get("files", {}).items()}
     out["threads per worker"] = "1"
     out["machine"] = f"{platform.system()} {platform.machine()}"
     return out
+
+
+def _simulations(records: Sequence[Record]) -> str:
+    """Count the simulations that calibrations asked for, and those that they share."""
+    fits = {fit["key"]: fit for record in records for fit in record.fits}.values()
+    begun = [fit["first_solution"] for fit in fits if fit.get("first_solution")]
+    if not begun:
+        return ""
+    asked, shared = sum(fit.get("solves", 0) for fit in fits), len(begun) - len(set(begun))
+    return (
+        f"{asked - shared} in the last searches of {len(begun)} calibrations; "
+        f"{shared} of these began with the solution of another"
+    )
 
 
 # Checks of spaces: one cylinder in both.

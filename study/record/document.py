@@ -150,6 +150,8 @@ class FitDocument(TypedDict, total=False):
     evaluations: Whole
     newton_iterations: Whole
     solves: Whole
+    #: Name of the solution that the last search began with: a process solves equal ones once.
+    first_solution: str
     seconds: NotNegative
     mu0: Number
     resampling: list[ResamplingDocument]

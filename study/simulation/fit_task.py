@@ -96,6 +96,7 @@ def fitted(job: FitJob) -> FitResult:
     if isinstance(predict, InverseFem) and method == "inverse-fem":
         predicted = predict.predicted(done.fit.values)
         facts.update({"newton_iterations": predict.newton_iterations, "solves": predict.solves})
+        facts["first_solution"] = predict.first_solution
     if isinstance(predict, InverseExternal):
         predicted = predict.predicted(done.fit.values) if done.fit.status.usable else None
         facts["solves"] = predict.solves
@@ -238,6 +239,8 @@ class InverseFem:
         #: simulations so far, and iterations of Newton's method in them
         self.solves = 0
         self.newton_iterations = 0
+        #: name of the solution that the search began with, which other fits may share
+        self.first_solution = ""
         #: solved curve at every set of constants
         self.curves: dict[bytes, Curve] = {}
 
@@ -324,7 +327,7 @@ class InverseFem:
         rounded = np.array([float(f"{value:.{_DIGITS}g}") for value in values])
         material = replace(self._problem.material, constants=self._constants(rounded))
         document = replace(self._problem.alone(), material=material).document()
-        key = digest([document, self._depth], 32)
+        key = self.first_solution = digest([document, self._depth], 32)
         is_last = self._scales and len(self._names) == 1  # of one modulus all others are known
         solution = _first_solutions.get(key)
         if solution is None or (solution.warm is None and not is_last):
