@@ -488,9 +488,9 @@ def _simulations(records: Sequence[Record]) -> str:
     begun = [fit["first_solution"] for fit in fits if fit.get("first_solution")]
     if not begun:
         return ""
-    asked, shared = sum(fit.get("solves", 0) for fit in fits), len(begun) - len(set(begun))
+    solves, shared = sum(fit.get("solves", 0) for fit in fits), len(begun) - len(set(begun))
     return (
-        f"{asked - shared} in the last searches of {len(begun)} calibrations; "
+        f"{solves - shared} in the last searches of {len(begun)} calibrations; "
         f"{shared} of these began with the solution of another"
     )
 

@@ -457,7 +457,8 @@ def tracking(
     from study.reporting.output.accuracy_page import tracker_answers as answers
 
     accuracy = api.tracking(file, data=data, reports=reports)
-    output.show(accuracy, as_json, lambda _: _files(answers(accuracy), accuracy.report))
+    shown = _files(answers(accuracy), accuracy.report)
+    output.show(accuracy, as_json, lambda _: shown, accuracy.notes)
 
 
 def shape(

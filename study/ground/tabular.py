@@ -124,6 +124,15 @@ class CsvTable:
             units=shown,
         )
 
+    def rows(self, chosen: Sequence[int]) -> CsvTable:
+        """Copy with some of the rows."""
+        columns, padded = (
+            {name: tuple(cells[k] for k in chosen) for name, cells in each.items()}
+            for each in (self.columns, self.padded)
+        )
+        lines = tuple(self.lines[k] for k in chosen)
+        return replace(self, columns=columns, padded=padded, lines=lines)
+
     def text(self, name: str) -> tuple[str, ...]:
         """Cells of a column as text."""
         if name not in self.columns:

@@ -263,6 +263,24 @@ def test_rows_that_are_no_places_of_their_marker_are_refused(tmp_path, change, r
         study.tracking(file)
 
 
+def test_rows_without_a_place_of_a_marker_are_left_out_and_counted(tmp_path, capsys):
+    """The answer is that of the file without these rows, and with all visits where they were."""
+    file = distance_study(tmp_path, 1)
+    header, *rows = (tmp_path / "markers.csv").read_text().splitlines()
+    lost, nothing = range(7, 2400, 31), ("", "NaN", "-")
+    kept = [row for k, row in enumerate(rows) if k not in lost]
+    (tmp_path / "markers.csv").write_text("\n".join([header, *kept]) + "\n")
+    without = study.tracking(file).distance
+    for k in lost:
+        cells = rows[k].split(",")
+        rows[k] = ",".join([*cells[:5], *[nothing[k % 3]] * 3])
+    (tmp_path / "markers.csv").write_text("\n".join([header, *rows]) + "\n")
+    assert study.tracking(file).distance.to_json() == without.to_json()
+    assert run(["tracking", str(file), "--reports", str(tmp_path)]) == 0
+    note = "marker b: 78 of 2400 rows have no place of it and are left out"
+    assert note in " ".join(capsys.readouterr().err.split())
+
+
 def test_a_marker_that_repeats_its_last_place_is_named(tmp_path):
     file = distance_study(tmp_path, 1)
     assert study.tracking(file).notes == ()

@@ -29,7 +29,7 @@ from study.ground.declaration import (
 from study.ground.declaration import name as label
 from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import Fault, InputError, nearest
-from study.ground.tabular import CsvTable, csv_text, read_csv
+from study.ground.tabular import MISSING, CsvTable, csv_text, read_csv
 from study.ground.units import unit_factor
 from study.laboratory.registration.rigid import check_places
 from study.mechanics.measurement.measurement_section import Axes, csv_path, three_columns
@@ -259,6 +259,8 @@ def read_recording(declared: RecordingTable, root: Path) -> TrackerRecording:
     table = read_csv(
         root / declared.file, required=columns, decimal=declared.decimal, source=declared.file
     )
+    labels = table.text(declared.stage) if declared.stage else (WHOLE,) * len(table.lines)
+    table, visits = _seen(table, visits_to(labels), declared.markers)
     factor = unit_factor(declared.unit, "length")
     positions = {m: factor * coordinates(table, at) for m, at in declared.markers.items()}
     for marker, points in positions.items():
@@ -275,10 +277,33 @@ def read_recording(declared: RecordingTable, root: Path) -> TrackerRecording:
             rule = f"the time {word}: {time[first]:g} s after {time[first - 1]:g} s{more}"
             mend = "sort the rows by time; was the clock set, or were two recordings joined?"
             raise InputError(Fault(f"{table.source}:{table.lines[first]}", rule, mend))
-    labels = table.text(declared.stage) if declared.stage else (WHOLE,) * len(table.lines)
     notes = [note for marker, points in positions.items() if (note := _repeats(marker, points))]
     table = replace(table, notes=(*table.notes, *notes))
-    return TrackerRecording(positions, time, visits_to(labels), table)
+    return TrackerRecording(positions, time, visits, table)
+
+
+def _seen(
+    table: CsvTable, visits: Sequence[Visit], markers: Mapping[str, Axes]
+) -> tuple[CsvTable, tuple[Visit, ...]]:
+    """Rows in which every marker has a place, and the visits among them; the others are counted."""
+    notes, lost = list[str](), np.zeros(len(table.lines), dtype=bool)
+    for marker, columns in markers.items():
+        cells = np.array([[cell.lower() in MISSING for cell in table.text(c)] for c in columns])
+        count = int(cells.any(axis=0).sum())
+        lost |= cells.any(axis=0)
+        if count:
+            rows = f"{count} of {lost.size} rows have no place of it and are left out"
+            notes.append(f"marker {marker}: {rows}")
+    if lost.all():
+        rule, mend = "no row has a place of every marker", "name the columns that hold places"
+        raise InputError(Fault(f"{table.source}: recording.markers", rule, mend))
+    before = np.concatenate([[0], np.cumsum(~lost)]).tolist()
+    seen = [replace(v, begin=before[v.begin], end=before[v.end]) for v in visits]
+    with_rows = tuple(visit for visit in seen if visit.end > visit.begin)
+    if len(with_rows) < len(seen):
+        notes.append(f"{len(seen) - len(with_rows)} of {len(seen)} visits have no row left")
+    table = table.rows(np.flatnonzero(~lost).tolist()) if lost.any() else table
+    return replace(table, notes=(*table.notes, *notes)), with_rows
 
 
 def check_unit(column: str, declared: str, dimension: str, where: str) -> None:
