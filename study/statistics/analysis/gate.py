@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,22 +18,22 @@ from study.ground.arrays import Array, Ints
 from study.ground.units import p_phrase
 from study.statistics.analysis.analysis_request import ResponseScale
 from study.statistics.analysis.analysis_result import AnalysisResult
-from study.statistics.analysis.anova_table import SimpleEffect
 from study.statistics.analysis.comparisons import t_quantile
 from study.statistics.analysis.data import Data, chance_of_tie
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
-    Scale,
+    Gate,
+    Rival,
     cell_welch,
     over_groups,
+    refusal,
     with_pooled_error,
     with_pseudo_error,
 )
 from study.statistics.analysis.equal_variance import doubted_variances, volatile_beside_blocks
 from study.statistics.analysis.linear_model import (
     CellLayout,
-    ModelMatrix,
     Term,
     balanced,
     factorize,
@@ -43,15 +43,11 @@ from study.statistics.analysis.linear_model import (
     terms_of,
 )
 from study.statistics.analysis.simple_effects import (
-    CANNOT_TELL,
-    CLAIMS,
     MATTERS,
     NO_DIFFERENCE,
     Differences,
     Estimates,
     Sample,
-    SimpleEffects,
-    simple_effects,
 )
 from study.statistics.analysis.sums_of_squares import Factored, extra_sum, factor, over_blocks
 from study.statistics.analysis.unreplicated import (
@@ -110,87 +106,15 @@ STILL = (
 )
 
 
-@dataclass(frozen=True)
-class Rival:
-    """Analysis as defensible as the printed one.
-
-    ``why`` is the reason for which a claim is withdrawn that this analysis does not make;
-    ``matrix`` and ``practical`` replace those of the printed analysis.
-    """
-
-    why: str
-    sample: Sample
-    claims: tuple[str, ...] = CLAIMS
-    matrix: ModelMatrix | None = None
-    practical: float | None = None
-
-
-def refusal(why: str) -> Rival:
-    """Rival that makes no claim: no analysis of these rows is defensible enough."""
-
-    def estimate(differences: Differences) -> Estimates:
-        zero = np.zeros(len(differences.first))
-        return Estimates(zero, zero + np.inf, 1.0, 1.0)
-
-    return Rival(why, estimate)
-
-
-def judge_factors(
-    out: AnalysisResult, layout: CellLayout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
-) -> dict[str, SimpleEffects]:
-    """Judge every factor of an analysis by its simple effects."""
-    undecided = out.structure.undecided
-    return judge_terms(out.terms, out.scale, layout, fit.matrix, sample, rivals, undecided)
-
-
-def judge_terms(
-    terms: Sequence[Term],
-    scale: Scale,
+def gate_of(
+    out: AnalysisResult,
     layout: CellLayout,
-    matrix: ModelMatrix,
+    fit: Factored,
     sample: Sample,
-    rivals: Sequence[Rival],
-    undecided: str = "",
-) -> dict[str, SimpleEffects]:
-    """Judge every factor of a model by its simple effects, and let the rivals withdraw claims."""
-    judged_factors = {}
-    for (name,) in (term for term in terms if len(term) == 1):
-        judged = partial(simple_effects, name, layout, bound=scale.bound, only=scale.only)
-        printed = judged(matrix, sample, practical=scale.practical)
-        if printed is None:
-            if undecided:
-                judged_factors[name] = SimpleEffects(name, CANNOT_TELL, undecided, ())
-            continue
-        for rival in rivals:
-            if not {e.verdict for e in printed.effects} & set(CLAIMS) & set(rival.claims):
-                continue
-            limit = rival.practical or scale.practical
-            other = judged(rival.matrix or matrix, rival.sample, practical=limit)
-            printed = _agreed(printed, other, rival)
-        judged_factors[name] = printed
-    return judged_factors
-
-
-def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -> SimpleEffects:
-    """Withdraw those printed verdicts that a rival does not make."""
-    by_setting = {(e.first, e.second, e.at): e.verdict for e in (other.effects if other else ())}
-    whole = CANNOT_TELL if other is None else other.verdict
-
-    def agreed(e: SimpleEffect) -> SimpleEffect:
-        same = by_setting.get((e.first, e.second, e.at), whole) == e.verdict
-        return e if same or e.verdict not in rival.claims else replace(e, verdict=CANNOT_TELL)
-
-    effects = tuple(map(agreed, printed.effects))
-    left = {effect.verdict for effect in effects}
-    some_matter, none_matters = MATTERS in left, left == {NO_DIFFERENCE} == {whole}
-    stands = some_matter if printed.verdict == MATTERS else none_matters
-    stands = stands or printed.verdict not in rival.claims
-    if not stands or effects != printed.effects:
-        printed = replace(printed, effects=effects, withdrawn=(*printed.withdrawn, rival.why))
-    if not stands:
-        return replace(printed, verdict=CANNOT_TELL, why=rival.why, always=())
-    always = tuple(pair for pair in printed.always if other and pair in other.always)
-    return replace(printed, always=always)
+    rivals: Sequence[Rival] = (),
+) -> Gate:
+    """Return the gate of the claims of an analysis."""
+    return Gate(layout, fit.matrix, out.scale, sample, tuple(rivals), out.structure.undecided)
 
 
 def reading_error(out: AnalysisResult) -> float:

@@ -20,7 +20,6 @@ import numpy as np
 import scipy
 
 from study.ground.arrays import Array, gathered, one_thread
-from study.ground.contrast import Setting
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
 from study.ground.units import p_phrase, unit_of_column
@@ -34,25 +33,30 @@ from study.statistics.analysis.analysis_request import (
 )
 from study.statistics.analysis.comparisons import pooled_multiplier, t_quantile
 from study.statistics.analysis.data import Data, prepare, refuse_copied_rows, structure_of
-from study.statistics.analysis.effects import DOUBT, UNEQUAL, Scale, sampled_estimate, size
+from study.statistics.analysis.effects import (
+    DOUBT,
+    UNEQUAL,
+    Gate,
+    Rival,
+    Scale,
+    sampled_estimate,
+    size,
+)
 from study.statistics.analysis.gate import (
     COARSE,
     LACK,
     LACK_OF_FIT,
-    Rival,
     any_shape,
     block_means,
-    judge_terms,
     limit_rivals,
 )
-from study.statistics.analysis.linear_contrast import Cells, Contrast, with_holm
+from study.statistics.analysis.linear_contrast import Contrast, with_holm
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Model,
     ModelMatrix,
     Term,
-    grid,
     model_matrix,
     nested_in,
     term_name,
@@ -259,7 +263,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         of_slopes, seen = _unequal_slopes(cells, name, x, refitted)
         lack, notes = lack + of_slopes, notes + seen
     rivals += lack
-    simple = judge_terms(terms, scale, data.layout, bare, cells.sample, rivals)
+    gate = Gate(data.layout, bare, scale, cells.sample, tuple(rivals))
     p = {term: test.p for term, test in tests.items()}
     return MixedModel(
         scatter,
@@ -267,8 +271,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         fit.deviance,
         data.y.size,
         tuple(cells.slope(name) for name in covariates),
-        with_holm(cells.effects(terms, p, scale, simple)),
-        cells.contrasts(contrasts, scale),
+        with_holm(cells.effects(terms, p, scale, gate.judged(terms))),
+        contrasts_of(gate, data, contrasts) if contrasts else (),
         (
             *(
                 f"{inner} {data.layout.levels[inner][0]} is taken as the same {inner} in every "
@@ -643,14 +647,18 @@ class MixedCells:
         df = float(estimates.df[ok].min())  # the least sure contrast decides for all
         wide = pooled_multiplier(some, estimates.error[ok], df, self.alpha, self.seed)
         every = np.full(value.size, wide)
-        if self.robust is not None:
-            error, df_own = self.robust(rows)
-            ratio = np.divide(error, estimates.error, out=np.zeros_like(error), where=ok)
-            single = np.maximum(single, ratio * t_quantile(self.alpha / 2, df_own))
-            # at the error probability that each interval has among all of them
-            tail = float(scipy.special.stdtr(df, -wide))
-            every = np.maximum(every, ratio * t_quantile(tail, df_own))
-        return Estimates(value, estimates.error, single, every)
+        if self.robust is None:
+            return Estimates(value, estimates.error, single, every, estimates.df)
+        error, df_own = self.robust(rows)
+        own_single = t_quantile(self.alpha / 2, df_own)
+        # at the error probability that each interval has among all of them
+        own_every = t_quantile(float(scipy.special.stdtr(df, -wide)), df_own)
+        every = np.maximum(every * estimates.error, own_every * error)
+        is_wider = ok & (own_single * error > single * estimates.error)
+        error = np.where(is_wider, error, estimates.error)
+        single = np.where(is_wider, own_single, single)
+        every = np.divide(every, error, out=np.zeros_like(error), where=ok)
+        return Estimates(value, error, single, every, np.where(is_wider, df_own, estimates.df))
 
     def effects(
         self,
@@ -673,36 +681,6 @@ class MixedCells:
         value = float(estimate.value[0])
         half = t_quantile(self.alpha / 2, float(estimate.df[0])) * float(estimate.error[0])
         return Slope(covariate, value, value - half, value + half)
-
-    def between(self, first: Setting, second: Setting) -> tuple[float, float, float]:
-        """Difference of means over the cells of two settings, standard error, df."""
-        names = dict.fromkeys(name for term in self.factors.terms for name in term)
-        cells = grid(self.layout, list(names))
-        columns = model_matrix(cells, self.factors.terms[1:]).columns
-
-        def mean(setting: Setting) -> Array:
-            codes = [cells.codes[n] == self.layout.levels[n].index(a) for n, a in setting.items()]
-            return np.asarray(columns[np.all(codes, axis=0)].mean(axis=0))
-
-        row = (mean(first) - mean(second))[None]
-        if not self.fixed.estimable(self._padded(row)).all():
-            raise InputError(Fault("contrast", "a cell that it needs has no row"))
-        estimate = self.fit.estimate(self.along(row))
-        value, error, df = (float(a[0]) for a in (estimate.value, estimate.error, estimate.df))
-        if self.robust is not None:
-            wide, few = (float(a[0]) for a in self.robust(self.along(row)))
-            if t_quantile(self.alpha / 2, few) * wide > t_quantile(self.alpha / 2, df) * error:
-                error, df = wide, few
-        return value, error, df
-
-    def contrasts(self, texts: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
-        """Differences by name."""
-        import pandas as pd
-
-        names = [term[0] for term in self.factors.terms if len(term) == 1]
-        levels, seed = {name: self.layout.levels[name] for name in names}, self.seed or 0
-        cells = Cells(pd.DataFrame(), levels, scale, self.alpha, seed, estimate=self.between)
-        return contrasts_of(cells, texts)
 
 
 def _with_columns(matrix: ModelMatrix, values: Mapping[str, Array]) -> ModelMatrix:
