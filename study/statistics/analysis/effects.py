@@ -556,6 +556,10 @@ def size(
         p=estimate.p,
         complete=estimate.complete,
     )
+    if estimate.mean_half is not None:
+        around = zip(estimate.mean.tolist(), estimate.mean_half.tolist(), strict=True)
+        ends = ((None, None) if math.isnan(m) else (back(m - h), back(m + h)) for m, h in around)
+        effect = replace(effect, mean_ci95=tuple(ends))
     if np.isnan(estimate.component).any():
         return replace(effect, why="not estimable")
     top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
@@ -581,9 +585,6 @@ def size(
     if estimate.half is not None:
         wide = estimate.half[top, bottom]
         effect = replace(effect, ci95=(back(largest - wide), back(largest + wide)))
-    if estimate.mean_half is not None and not np.isnan(estimate.mean).any():
-        around = zip(estimate.mean.tolist(), estimate.mean_half.tolist(), strict=True)
-        effect = replace(effect, mean_ci95=tuple((back(m - h), back(m + h)) for m, h in around))
     if simple_effects is not None:
         listed, always = _listed(simple_effects, scale), simple_effects.always
         withdrawn = simple_effects.withdrawn

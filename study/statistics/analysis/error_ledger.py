@@ -205,7 +205,7 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
         rivals, notes = rivals + of_blocks, notes + seen
         rivals = [refusal(untested), *rivals] if untested else rivals
         out = out.warn(*notes)
-        gate = replace(gate, rivals=tuple(rivals))
+        gate = replace(gate, rivals=(*gate.rivals, *rivals))
         simple = gate.judged(out.terms)
     outer = _of_outer_factors(out)
     gate = replace(gate, undecided=next((e.why for e in outer.values()), gate.undecided))

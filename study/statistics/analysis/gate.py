@@ -8,7 +8,8 @@ withdraws it, and its reason is printed. Rivals change no number of the table.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -19,7 +20,7 @@ from study.ground.units import p_phrase
 from study.statistics.analysis.analysis_request import ResponseScale
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.comparisons import t_quantile
-from study.statistics.analysis.data import Data, chance_of_tie
+from study.statistics.analysis.data import Data, chance_of_tie, rows_at_limit
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
@@ -38,6 +39,7 @@ from study.statistics.analysis.linear_model import (
     balanced,
     factorize,
     model_matrix,
+    nested_in,
     span,
     term_name,
     terms_of,
@@ -114,7 +116,31 @@ def gate_of(
     rivals: Sequence[Rival] = (),
 ) -> Gate:
     """Return the gate of the claims of an analysis."""
-    return Gate(layout, fit.matrix, out.scale, sample, tuple(rivals), out.structure.undecided)
+    reasons = [] if out.request.records else [*_numbered_units(out.data, nested_in(out.terms))]
+    if not out.request.records and out.request.layout.copies == "refuse":
+        reasons += filter(None, [rows_at_limit(out.data)])
+    every = (*map(refusal, reasons), *rivals)
+    return Gate(layout, fit.matrix, out.scale, sample, every, out.structure.undecided)
+
+
+#: names of what is numbered, and no setting that anybody chose
+_UNITS = re.compile(
+    r"batch|lot|charge|specimen|sample|phantom|subject|animal|donor|coil|repeat|replicate|rep|piece"
+)
+
+
+def _numbered_units(data: Data, nested: Container[str]) -> Iterator[str]:
+    """Say which factors are units by their name that have numbers, and were not said to nest."""
+    for name in data.factors:
+        levels, others = data.layout.levels[name], [f for f in data.factors if f != name]
+        is_unit = any(map(_UNITS.fullmatch, re.findall(r"[a-z]+", name.lower().rstrip("s"))))
+        counted = {str(i + int(levels[0] != "0")) for i in range(len(levels))}
+        if others and is_unit and name not in nested and set(levels) == counted:
+            yield (
+                f"{name} {levels[0]} may be one {name} at all levels of {' and '.join(others)} "
+                f"(--block {name}) or another at each (--unit {name}), without {name} in "
+                "--factors; a name of its own for each says that these few are meant"
+            )
 
 
 def reading_error(out: AnalysisResult) -> float:
@@ -474,6 +500,8 @@ def _bootstrap_t(
     shift, variance, total = np.zeros(_DRAWS), np.zeros(_DRAWS), 0.0
     for group in groups:
         part = value[group]
+        if not part.any():  # a cell outside the contrast adds nothing
+            continue
         moved, scatter = _resampled(part, random)
         shift += moved
         variance += part.size * scatter
@@ -508,7 +536,7 @@ def _resampled(part: Array, random: np.random.Generator) -> tuple[Array, Array]:
     skew = float(np.mean(squares * apart))
     first, other = random.standard_normal((2, _DRAWS)) * math.sqrt(n)
     shift = math.sqrt(second) * first
-    slope = skew / second if second else 0.0  # a cell outside the contrast adds nothing
+    slope = skew / second if second else 0.0
     rest = math.sqrt(max(spread - skew * slope, 0.0))
     summed = n * second + slope * shift + rest * other
     return shift, (summed - shift**2 / n) / (n - 1)

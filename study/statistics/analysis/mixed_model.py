@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import permutations
+from itertools import permutations, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,6 +53,7 @@ from study.statistics.analysis.gate import (
 from study.statistics.analysis.linear_contrast import Contrast, with_holm
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
 from study.statistics.analysis.linear_model import (
+    ALIAS_TOLERANCE,
     CellLayout,
     Model,
     ModelMatrix,
@@ -495,7 +496,58 @@ def rivals_beside_crossing_blocks(
     cells = MixedCells(
         rows, fit, fit.matrix, data.layout, fit.shift, request.alpha, request.interval_seed
     )
-    return rivals_of_unequal_effects(cells, data, y, [(name,) for name in data.blocks])
+    rivals, notes = rivals_of_unequal_effects(cells, data, y, [(name,) for name in data.blocks])
+    for name, (subject, period) in product(data.factors, permutations(data.blocks, 2)):
+        before = _level_before(data.layout, name, subject, period)
+        apart = before - fit.q @ (fit.q.T @ before)
+        if np.linalg.norm(apart) > ALIAS_TOLERANCE * np.linalg.norm(before) or not before.any():
+            continue  # it shows in the scatter within the blocks
+        more, seen = _rivals_of_carry_over(cells, data, y, before, (name, subject, period))
+        rivals, notes = rivals + more, notes + seen
+    return rivals, notes
+
+
+def _level_before(layout: CellLayout, name: str, subject: str, period: str) -> Array:
+    """Contrasts (n, k - 1) of the level that a subject had in the period before; 0 in the first."""
+    contrasts = model_matrix(layout, [(name,)]).columns[:, 1:]
+    places = zip(layout.codes[subject].tolist(), layout.codes[period].tolist(), strict=True)
+    index = {place: row for row, place in enumerate(places)}
+    before = np.zeros_like(contrasts)
+    for (s, p), row in index.items():
+        if (s, p - 1) in index:
+            before[row] = contrasts[index[s, p - 1]]
+    return before
+
+
+def _rivals_of_carry_over(
+    cells: MixedCells, data: Data, y: Array, before: Array, names: tuple[str, str, str]
+) -> tuple[list[Rival], list[str]]:
+    """Rival in which the level before acts on, where subjects tell it alone (Grizzle 1965).
+
+    In a crossover of two periods a treatment that still acts in the second is no part of the
+    scatter within subjects, but of the difference of the treatments.
+    """
+    name, subject, period = names
+    terms = [term for term in cells.factors.terms if term and set(term) <= set(data.factors)]
+    others = [(block,) for block in data.blocks if block != subject]
+    bare = model_matrix(data.layout, terms)
+    blocks = model_matrix(data.layout, others).columns[:, 1:]
+    acts_on = {f"{name} before, {i}": column for i, column in enumerate(before.T)}
+    columns = {f"block, {i}": column for i, column in enumerate(blocks.T)} | acts_on
+    fixed = factor(_with_columns(bare, columns), y)
+    try:
+        fit = fit_restricted(fixed.q, y, [data.layout.codes[subject]])
+    except SingularError:
+        return [], []
+    last = range(len(fixed.matrix.terms) - len(acts_on), len(fixed.matrix.terms))
+    basis = np.hstack([fixed.space(i, "I").basis for i in last])
+    if not fixed.is_full or (test := fit.test(basis)).p >= DOUBT:
+        return [], []
+    seen = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}, {p_phrase(test.p)}"
+    note = f"{name} of the {period} before may act on in the next ({seen}, between {subject}s)"
+    with_carry_over = replace(cells, fit=fit, fixed=fixed, factors=bare, robust=None)
+    why = f"{note}: without what it carries over the interval does not allow the claim"
+    return [Rival(why, with_carry_over.sample, matrix=bare)], [note]
 
 
 def _added(columns: Array, layout: CellLayout, term: Term, y: Array) -> FRatioTest | None:
