@@ -498,9 +498,10 @@ def _bootstrap_t(
     """Find the ends of one interval of a sum over groups, and half the simultaneous one."""
     random = np.random.default_rng(seed)
     shift, variance, total = np.zeros(_DRAWS), np.zeros(_DRAWS), 0.0
+    least = _ROUNDING * float(np.abs(value).max())
     for group in groups:
         part = value[group]
-        if not part.any():  # a cell outside the contrast adds nothing
+        if float(np.abs(part).max()) <= least:  # a cell outside the contrast adds nothing
             continue
         moved, scatter = _resampled(part, random)
         shift += moved
