@@ -94,11 +94,15 @@ def possible_contrasts(
             possible.append(_sides(text, cells))
         except InputError as error:
             faults += error.faults
+    if not possible:
+        return (), faults
     estimates = gate.sample(_differences(gate.matrix, gate.layout, possible))
     lost = np.isnan(estimates.value)
     if lost.any():
         rule = "needs cells without rows"
         faults += [Fault(f"contrast {s.text!r}", rule) for s in compress(possible, lost)]
+        if lost.all():
+            return (), faults
         possible = list(compress(possible, ~lost))
         estimates = gate.sample(_differences(gate.matrix, gate.layout, possible))
     judged = _withdrawn(gate, possible, _judged(gate, possible, estimates))
@@ -146,10 +150,12 @@ def _sides(text: str, cells: CellLayout) -> _Sides:
     return _Sides(text, settings, (first, second), averaged, is_of_cells)
 
 
-def _differences(matrix: ModelMatrix, layout: CellLayout, asked: Sequence[_Sides]) -> Differences:
+def _differences(
+    matrix: ModelMatrix, layout: CellLayout, contrasted: Sequence[_Sides]
+) -> Differences:
     """Combine the coefficients of a model to the two means of each contrast."""
-    settings = np.zeros((2 * len(asked), matrix.columns.shape[1]))
-    for i, cells in enumerate(side for sides in asked for side in sides.cells):
+    settings = np.zeros((2 * len(contrasted), matrix.columns.shape[1]))
+    for i, cells in enumerate(side for sides in contrasted for side in sides.cells):
         first = np.zeros(cells.n, dtype=np.int64)
         codes = {name: cells.codes.get(name, first) for name in layout.levels}
         rows = model_matrix(CellLayout(layout.levels, codes), matrix.terms[1:])
@@ -160,10 +166,10 @@ def _differences(matrix: ModelMatrix, layout: CellLayout, asked: Sequence[_Sides
     return Differences(settings, first, first + 1)
 
 
-def _judged(gate: Gate, asked: Sequence[_Sides], estimates: Estimates) -> list[Contrast]:
+def _judged(gate: Gate, contrasted: Sequence[_Sides], estimates: Estimates) -> list[Contrast]:
     """Judge contrasts by the printed analysis alone."""
     scale, listed = gate.scale, []
-    for i, (sides, value) in enumerate(zip(asked, estimates.value.tolist(), strict=True)):
+    for i, (sides, value) in enumerate(zip(contrasted, estimates.value.tolist(), strict=True)):
         u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides.settings))
         shown = None if u is None or scale.bound is None else u / scale.unit
         why = "nothing scatters, so there is no interval"
@@ -202,20 +208,20 @@ def _ends(estimates: Estimates, i: int) -> tuple[tuple[float, float], tuple[floa
     return alone, every
 
 
-def _withdrawn(gate: Gate, asked: Sequence[_Sides], printed: list[Contrast]) -> list[Contrast]:
+def _withdrawn(gate: Gate, contrasted: Sequence[_Sides], printed: list[Contrast]) -> list[Contrast]:
     """Withdraw claims that an analysis as defensible as the printed one does not make."""
     contrasts = [
         replace(c, verdict=CANNOT_TELL, why=gate.undecided)
         if gate.undecided and c.verdict in CLAIMS and not sides.is_of_cells
         else c
-        for c, sides in zip(printed, asked, strict=True)
+        for c, sides in zip(printed, contrasted, strict=True)
     ]
     for rival in gate.rivals:
         if not {c.verdict for c in contrasts} & set(CLAIMS) & set(rival.claims):
             continue
         scale = replace(gate.scale, practical=rival.practical or gate.scale.practical)
-        estimates = rival.sample(_differences(rival.matrix or gate.matrix, gate.layout, asked))
-        for i, (contrast, sides) in enumerate(zip(contrasts, asked, strict=True)):
+        estimates = rival.sample(_differences(rival.matrix or gate.matrix, gate.layout, contrasted))
+        for i, (contrast, sides) in enumerate(zip(contrasts, contrasted, strict=True)):
             u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides.settings))
             ends = _ends(estimates, i)
             verdict = CANNOT_TELL if ends is None else _verdict(*ends, u, scale)[0]

@@ -510,8 +510,8 @@ def rivals_beside_crossing_blocks(
 def _level_before(layout: CellLayout, name: str, subject: str, period: str) -> Array:
     """Contrasts (n, k - 1) of the level that a subject had in the period before; 0 in the first."""
     contrasts = model_matrix(layout, [(name,)]).columns[:, 1:]
-    places = zip(layout.codes[subject].tolist(), layout.codes[period].tolist(), strict=True)
-    index = {place: row for row, place in enumerate(places)}
+    pairs = zip(layout.codes[subject].tolist(), layout.codes[period].tolist(), strict=True)
+    index = {pair: row for row, pair in enumerate(pairs)}
     before = np.zeros_like(contrasts)
     for (s, p), row in index.items():
         if (s, p - 1) in index:
