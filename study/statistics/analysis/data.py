@@ -170,17 +170,20 @@ def _alike(levels: Sequence[str], name: str) -> list[str]:
     ]
 
 
-#: separators of the parts of a date, and midnight behind it
-_BETWEEN, _MIDNIGHT = re.compile(r"[-./ ]+"), re.compile(r"[T ]0?0:00.*")
+#: separators of the parts of a date
+_BETWEEN = re.compile(r"[-./ ]+")
+#: behind a date
+_MIDNIGHT = re.compile(r"[T ]0?0:00.*")
+#: spellings of a date
 _DATES = ("%Y-%m-%d", "%d-%m-%Y", "%d-%b-%Y", "%d-%B-%Y")
 
 
 def _dates(levels: Sequence[str]) -> list[list[str]]:
     """List levels of one date, in several spellings; with slashes the month may stand first."""
-    groups = []
+    groups, with_year = [], [level for level in levels if re.search(r"\d{4}", level)]
     for formats in (_DATES, ("%Y-%m-%d", "%m-%d-%Y")):
         dated = []
-        for level, kind in product(levels, formats):
+        for level, kind in product(with_year, formats):
             is_swapped = kind == "%m-%d-%Y" and "/" not in level
             with suppress(ValueError):
                 text = _BETWEEN.sub("-", _MIDNIGHT.sub("", level.strip()))
