@@ -21,7 +21,7 @@ import pandas as pd
 
 from study.ground.arrays import Array
 from study.ground.errors import RefusedError
-from study.statistics.analysis import gate
+from study.statistics.analysis import effects as judged_effects
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
     Blocking,
@@ -306,7 +306,7 @@ def tables() -> Iterator[Table]:
 @contextmanager
 def without_gate() -> Iterator[None]:
     """Let every claim of the printed analysis stand."""
-    with patch.object(gate, "_agreed", lambda printed, *_: printed):
+    with patch.object(judged_effects, "_agreed", lambda printed, *_: printed):
         yield
 
 

@@ -14,11 +14,10 @@ from study.harness.design.spec import Design
 from study.harness.design.study_file import ResponseSpec
 from study.harness.runner.expansion import expand
 from study.simulation.tasks import Costs, default_jobs
-from study.statistics.analysis import linear_contrast
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.linear_contrast import Contrast
-from study.statistics.analysis.post_hoc import cells_of
+from study.statistics.analysis.post_hoc import named_contrasts
 from study.statistics.analysis.power import PlannedVerdicts, fewest_blocks, planned_verdicts
 
 
@@ -44,7 +43,10 @@ def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contra
         For a factor or level that does not exist, or a setting without a row.
     """
     asked = [asked] if isinstance(asked, str) else list(asked)
-    return linear_contrast.contrasts(cells_of(found), asked)
+    estimated, faults = named_contrasts(found, asked)
+    if faults:
+        raise InputError(faults)
+    return estimated
 
 
 # What a number of specimens can show, before they are tested: probability of a claim, and cost.

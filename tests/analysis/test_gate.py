@@ -663,3 +663,62 @@ def test_what_missing_rows_could_do_is_said_of_the_verdict_that_is_printed():
     found = analyzed(table, "a", practical=0.9)
     assert found.effect("a").verdict == CANNOT_TELL
     assert not any("is not certain" in note for note in found.notes)
+
+
+def test_a_treatment_that_acts_on_in_a_crossover_is_no_effect_of_the_treatments():
+    """Two periods: what A leaves for the second adds half of itself to the difference."""
+    random, rows = np.random.default_rng(4), []
+    for subject in range(12):
+        order = ("A", "B") if subject % 2 else ("B", "A")
+        level = random.normal(0, 0.5)
+        for period, given in enumerate(order):
+            left = 3.0 * (period == 1 and order[0] == "A")
+            rows.append((subject, period, given, level + left + random.normal(0, 0.2)))
+    table = pd.DataFrame(rows, columns=["subject", "period", "treat", "y"])
+    treat = analyzed(table, ["treat"], block=["subject", "period"], practical=0.8).effect("treat")
+    assert treat.ci95[0] > 0.8
+    assert (treat.verdict, "may act on in the next" in treat.why) == (CANNOT_TELL, True)
+    table["y"] -= 3.0 * ((table["period"] == 1) & (table["treat"] == "B"))
+    clean = table.assign(y=table["y"] + 2.0 * (table["treat"] == "B"))
+    clean = analyzed(clean, ["treat"], block=["subject", "period"], practical=0.8)
+    assert clean.effect("treat").verdict == MATTERS
+
+
+@pytest.mark.parametrize(("name", "refused"), [("batch", True), ("Lot no", True), ("heat", False)])
+def test_units_that_have_numbers_alone_may_be_numbered_anew(name, refused):
+    """Batches of three suppliers, numbered from 1 in each: suppliers differ by batches alone."""
+    random = np.random.default_rng(6)
+    table = crossed(supplier=3, batch=3, k=4)
+    table["y"] = random.normal(0, 1, 9)[3 * table["supplier"] + table["batch"]]
+    table["y"] += random.normal(0, 0.1, len(table))
+    table = table.assign(batch=table["batch"] + 1).rename(columns={"batch": name})
+    supplier = analyzed(table, ["supplier", name], practical=0.5).effect("supplier")
+    assert (supplier.verdict == CANNOT_TELL) == refused
+    assert (f"--unit {name}" in supplier.why) == refused
+    named = table.assign(**{name: "b" + table[name].astype(str)})
+    assert analyzed(named, ["supplier", name], practical=0.5).effect("supplier").verdict == MATTERS
+
+
+def test_readings_that_end_at_a_limit_make_no_claim():
+    """Three of ten are the largest value to the last digit, as of a load cell at its end."""
+    table = crossed(a=2, k=10)
+    table["y"] = 5 + 2.0 * table["a"] + np.random.default_rng(8).normal(0, 0.5, 20)
+    assert analyzed(table, "a", practical=0.8).effect("a").verdict == MATTERS
+    table["y"] = table["y"].clip(upper=table["y"].nlargest(3).iloc[-1])
+    a = analyzed(table, "a", practical=0.8).effect("a")
+    assert (a.verdict, "3 of 20 rows are" in a.why) == (CANNOT_TELL, True)
+    measured = analyzed(table, "a", practical=0.8, copies="independent").effect("a")
+    assert measured.verdict == MATTERS
+
+
+def test_an_empty_cell_leaves_the_intervals_of_the_other_means():
+    """Against the mean and the pooled scatter of the rows themselves."""
+    table = crossed(a=3, b=2, k=4)
+    table["y"] = table["a"] + np.random.default_rng(9).normal(0, 0.5, 24)
+    table = table[(table["a"] < 2) | (table["b"] < 1)]
+    cells = table.groupby(["a", "b"])["y"]
+    half = student.ppf(0.975, 15) * np.sqrt(cells.var().mean() / 4)
+    effect = analyzed(table, "ab").effect("a:b")
+    assert effect.mean_ci95[-1] == (None, None)
+    mean = cells.mean()[0, 1]
+    assert effect.mean_ci95[1] == pytest.approx((mean - half, mean + half))

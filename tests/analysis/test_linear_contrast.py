@@ -113,3 +113,41 @@ def test_those_that_can_be_estimated_are_adjusted_among_themselves():
     # a level of another factor
     with pytest.raises(InputError, match="no level '60 %'"):
         study.contrasts(found, ["material=60 % - x"])
+
+
+def test_a_named_difference_passes_the_gate_as_the_factor_does():
+    """Readings in whole units that differ by two in all blocks: rounding hides their scatter."""
+    table = pd.DataFrame(list(product("xyz", range(3))), columns=["material", "specimen"])
+    table["y"] = 10.0 + table["specimen"] + 2.0 * (table["material"] == "x")
+    table.loc[4, "y"] += 1.0
+    analysis = study.anova(table, "y", ["material"], block="specimen", practical=1.5, exact=False)
+    (one,) = study.contrasts(analysis, "material=x - material=z")
+    assert one.difference == pytest.approx(2.0)
+    assert (one.verdict, one.why) == ("cannot tell", analysis.effects[0].withdrawn[0])
+
+
+def test_beside_an_empty_cell_both_sides_are_averaged_over_the_same_settings():
+    """The effect of b is 10 a level: x and z differ by 0.5 where both were measured."""
+    rows = [(a, b, 0.5 * (a == "z") + 10 * b + e) for a in "xyz" for b in range(4)
+            for e in (-0.02, 0.0, 0.03)]  # fmt: skip
+    table = pd.DataFrame(rows, columns=["a", "b", "y"])
+    lost = ((table["a"] == "x") & (table["b"] == 0)) | ((table["a"] == "z") & (table["b"] == 3))
+    analysis = study.anova(table[~lost], "y", ["a", "b"], practical=2.0, exact=False)
+    (one,) = study.contrasts(analysis, "a=z - a=x")
+    assert one.difference == pytest.approx(0.5)
+    assert "2 of 4 settings of b" in one.why
+
+
+def test_in_a_latin_square_a_difference_is_free_of_rows_and_columns():
+    """Against the t-test of statsmodels' least squares."""
+    random, k = np.random.default_rng(5), 5
+    table = pd.DataFrame(list(product(range(k), range(k))), columns=["r", "c"])
+    table["a"] = [f"t{(r + c) % k}" for r, c in zip(table["r"], table["c"], strict=True)]
+    table["y"] = 7.0 * table["c"] + 3.0 * table["r"] + random.normal(0, 0.3, k * k)
+    analysis = study.anova(table, "y", ["a"], block=["r", "c"], practical=1.0, exact=False)
+    (one,) = study.contrasts(analysis, "a=t1 - a=t0")
+    fit = ols("y ~ C(a) + C(r) + C(c)", table).fit()
+    test = fit.t_test("C(a)[T.t1] = 0")
+    assert one.ci == pytest.approx(tuple(test.conf_int()[0]))
+    assert one.p == pytest.approx(float(test.pvalue))
+    assert one.df == pytest.approx(12)

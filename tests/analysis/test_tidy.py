@@ -76,10 +76,12 @@ def test_levels_that_are_one_number_or_quantity_are_named():
     for levels, named in (
         (["1", "1.0", "2"], "'1' and '1.0' are one quantity"),
         (["10 mm", "1 cm", "5 mm"], "'10 mm' and '1 cm' are one quantity"),
+        (["2024-03-01", "01.03.2024", "02.03.2024"], "'2024-03-01' and '01.03.2024' are one date"),
+        (["25/3/2024", "1/3/2024", "2024-03-25"], "'25/3/2024' and '2024-03-25' are one date"),
         (["5 mm", "5 cm", "5 N"], ""),
     ):
         table = pd.DataFrame({"a": levels * 4, "y": random.normal(10, 0.2, 12)})
-        notes = [note for note in study.anova(table, "y", ["a"]).notes if "one quantity" in note]
+        notes = [note for note in study.anova(table, "y", ["a"]).notes if "are one " in note]
         assert [named in note for note in notes] == [True] * bool(named)
 
 

@@ -12,7 +12,7 @@ from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
 from study.statistics.analysis.data import Structure
-from study.statistics.analysis.effects import Scale
+from study.statistics.analysis.effects import Gate, Scale
 from study.statistics.analysis.linear_model import terms_of
 from study.statistics.analysis.sums_of_squares import influence, summary_of
 from study.statistics.analysis.unreplicated import Copies, functional_shares
@@ -134,6 +134,8 @@ class AnalysisResult(Keyed):
     crossed: Crossed | None = None
     #: Whole plot of each row; None where there are none.
     plots: Ints | None = None
+    #: What claims have to pass; None of a constant response.
+    gate: Gate | None = None
     #: Tests of what the analysis assumes.
     assumptions: Assumptions = field(default_factory=Assumptions)
     #: Detectable difference of each factor with other numbers of blocks or replicates.

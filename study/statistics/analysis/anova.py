@@ -332,7 +332,13 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     if not out.data.missing:
         return result
 
-    failure_bounds = failures.bounds(table, request, out.effects, refound)
+    # what is filled in repeats the extremes, and is neither a copy nor a limit of the readings
+    measured = replace(request, layout=replace(request.layout, copies="independent"))
+
+    def filled(rows: pd.DataFrame) -> tuple[Effect, ...]:
+        return _found(rows, measured).effects
+
+    failure_bounds = failures.bounds(table, request, out.effects, filled)
     notes = failures.sentences(failure_bounds, out.data.missing)
     return replace(result, failure_bounds=failure_bounds).warn(*notes)
 

@@ -188,7 +188,8 @@ class Effect:
     verdict: str
     scale: str = "difference"
     largest: tuple[str, str] | None = None
-    mean_ci95: tuple[tuple[float, float], ...] | None = None
+    #: Of each level; None for both ends where its mean is not estimable.
+    mean_ci95: tuple[tuple[float | None, float | None], ...] | None = None
     practical: float | None = None
     u_num: float | None = None
     effect_over_u_num: float | None = None

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import combinations, compress, permutations, product
 from typing import TYPE_CHECKING
 
@@ -159,12 +161,36 @@ def _alike(levels: Sequence[str], name: str) -> list[str]:
     by_size = gathered((size, level) for level, size in sizes.items())
     spelt = by_letters.values()
     alike += [(same, "are one quantity") for same in by_size.values() if same not in spelt]
+    alike += [(same, "are one date") for same in _dates(levels) if same not in spelt]
     return [
         f"{name}: the levels {' and '.join(map(repr, same))} {how} and are taken for different "
         "ones: write them the same way if they are one"
         for same, how in alike
         if len(same) > 1
     ]
+
+
+#: separators of the parts of a date
+_BETWEEN = re.compile(r"[-./ ]+")
+#: behind a date
+_MIDNIGHT = re.compile(r"[T ]0?0:00.*")
+#: spellings of a date
+_DATES = ("%Y-%m-%d", "%d-%m-%Y", "%d-%b-%Y", "%d-%B-%Y")
+
+
+def _dates(levels: Sequence[str]) -> list[list[str]]:
+    """List levels of one date, in several spellings; with slashes the month may stand first."""
+    groups, with_year = [], [level for level in levels if re.search(r"\d{4}", level)]
+    for formats in (_DATES, ("%Y-%m-%d", "%m-%d-%Y")):
+        dated = []
+        for level, kind in product(with_year, formats):
+            is_swapped = kind == "%m-%d-%Y" and "/" not in level
+            with suppress(ValueError):
+                text = _BETWEEN.sub("-", _MIDNIGHT.sub("", level.strip()))
+                dated.append((datetime.strptime(text, _DATES[1] if is_swapped else kind), level))
+        alike = [same for same in gathered(dated).values() if len(same) > 1]
+        groups += [same for same in alike if same not in groups]
+    return groups
 
 
 def _labels(column: pd.Series, name: str) -> Texts:
@@ -370,10 +396,38 @@ def refuse_copied_rows(data: Data) -> None:
         copies = f"to within {apart:.2g}" if apart else "in every digit"
         copies = f"{copies} {data.block} {listed}"
     if copies:
+        limit = rows_at_limit(data)
         raise RefusedError(
-            f"copied rows: {copies}. Copies tell nothing new: leave them out; where every one of "
-            "them was measured, say --copies independent"
+            f"{limit}; "
+            * bool(limit)
+            + f"copied rows: {copies}. Copies tell nothing new: leave them out; where every one "
+            "of them was measured, say --copies independent"
         )
+
+
+def rows_at_limit(data: Data) -> str:
+    """Describe rows that share the smallest or the largest value, more often than by chance.
+
+    Readings end at a limit of detection, or where an instrument ends; rows of cells without any
+    spread do not count.
+    """
+    _, cell = np.unique(data.cell, return_inverse=True)
+    centred = data.y - data.y[0]
+    residual = centred - (np.bincount(cell, centred) / np.bincount(cell))[cell]
+    varies = (np.bincount(cell, np.abs(residual)) > 0)[cell]
+    n, cells = int(varies.sum()), np.unique(cell[varies]).size
+    if n <= cells:
+        return ""
+    sd = math.sqrt(float(np.sum(residual[varies] ** 2)) / (n - cells))
+    chance = min(1.0, 3 * chance_of_tie(_least_step(data.y), sd))
+    for value, which in ((data.y.min(), "smallest"), (data.y.max(), "largest")):
+        rows = int((data.y[varies] == value).sum())
+        if rows > 1 and n * chance ** (rows - 1) < _CHANCE:
+            return (
+                f"{rows} of {n} rows are {value:g}, the {which} value: readings that end at a "
+                "limit (of detection, of an instrument) are to be left empty, for they move means"
+            )
+    return ""
 
 
 def _copied_within(data: Data, part: float) -> str:

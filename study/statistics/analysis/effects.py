@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations, product
 
 import numpy as np
@@ -19,10 +20,19 @@ from study.statistics.analysis.comparisons import (
     studentized_range_quantile,
     t_quantile,
 )
-from study.statistics.analysis.linear_model import CellLayout, Term, grid, model_matrix, term_name
+from study.statistics.analysis.linear_model import (
+    CellLayout,
+    ModelMatrix,
+    Term,
+    grid,
+    model_matrix,
+    term_name,
+)
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     CLAIMS,
+    MATTERS,
+    NO_DIFFERENCE,
     NOT_RESOLVED,
     ONE_SPECIMEN,
     SEE_SIMPLE,
@@ -35,6 +45,7 @@ from study.statistics.analysis.simple_effects import (
     judge_all,
     partners,
     resolution,
+    simple_effects,
 )
 from study.statistics.analysis.sums_of_squares import Factored
 from study.statistics.analysis.unreplicated import pseudo_standard_error
@@ -205,7 +216,7 @@ def over_groups(
         wide = np.zeros(len(value))
         if estimable.any():
             wide[estimable] = block_multiplier(value[estimable], alpha, seed, groups, df[estimable])
-        return Estimates(value.sum(axis=1), error, t_quantile(alpha / 2, df), wide)
+        return Estimates(value.sum(axis=1), error, t_quantile(alpha / 2, df), wide, df)
 
     return estimate
 
@@ -236,7 +247,8 @@ def with_pooled_error(
         if estimable.any():
             some = roots.take(estimable)
             wide = pooled_multiplier(some, length[estimable], df, alpha, seed)
-        return Estimates(value, length * math.sqrt(rss / df), t_quantile(alpha / 2, df), wide)
+        error = length * math.sqrt(rss / df)
+        return Estimates(value, error, t_quantile(alpha / 2, df), wide, df)
 
     return estimate
 
@@ -319,7 +331,7 @@ def with_sources(
         wide = t_quantile(alpha / (2 * max(len(value), 1)), df)
         if ranges:
             wide = games_howell_multiplier(differences, df, alpha)
-        return Estimates(value, error, t_quantile(alpha / 2, df), wide)
+        return Estimates(value, error, t_quantile(alpha / 2, df), wide, df)
 
     return estimate
 
@@ -431,6 +443,90 @@ class Scale:
 
 
 # -------------------------------------------------------------------------------------------------
+# Claims, and the analyses as defensible as the printed one that have to make them too.
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Analysis as defensible as the printed one.
+
+    ``why`` is the reason for which a claim is withdrawn that this analysis does not make;
+    ``matrix`` and ``practical`` replace those of the printed analysis.
+    """
+
+    why: str
+    sample: Sample
+    claims: tuple[str, ...] = CLAIMS
+    matrix: ModelMatrix | None = None
+    practical: float | None = None
+
+
+def refusal(why: str) -> Rival:
+    """Rival that makes no claim: no analysis of these rows is defensible enough."""
+
+    def estimate(differences: Differences) -> Estimates:
+        zero = np.zeros(len(differences.first))
+        return Estimates(zero, zero + np.inf, 1.0, 1.0)
+
+    return Rival(why, estimate)
+
+
+@dataclass(frozen=True)
+class Gate:
+    """The printed analysis of differences, and the rivals that every claim of it has to pass."""
+
+    #: Levels of the columns of the models.
+    layout: CellLayout
+    matrix: ModelMatrix
+    scale: Scale
+    sample: Sample
+    rivals: tuple[Rival, ...] = ()
+    #: Why differences that average over factors are not judged; empty if they are.
+    undecided: str = ""
+
+    def judged(self, terms: Sequence[Term]) -> dict[str, SimpleEffects]:
+        """Judge every factor of a model by its simple effects."""
+        judged_factors, scale = {}, self.scale
+        for (name,) in (term for term in terms if len(term) == 1):
+            judged = partial(simple_effects, name, self.layout, bound=scale.bound, only=scale.only)
+            printed = judged(self.matrix, self.sample, practical=scale.practical)
+            if printed is None:
+                if self.undecided:
+                    judged_factors[name] = SimpleEffects(name, CANNOT_TELL, self.undecided, ())
+                continue
+            for rival in self.rivals:
+                if not {e.verdict for e in printed.effects} & set(CLAIMS) & set(rival.claims):
+                    continue
+                limit = rival.practical or scale.practical
+                other = judged(rival.matrix or self.matrix, rival.sample, practical=limit)
+                printed = _agreed(printed, other, rival)
+            judged_factors[name] = printed
+        return judged_factors
+
+
+def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -> SimpleEffects:
+    """Withdraw those printed verdicts that a rival does not make."""
+    by_setting = {(e.first, e.second, e.at): e.verdict for e in (other.effects if other else ())}
+    whole = CANNOT_TELL if other is None else other.verdict
+
+    def agreed(e: SimpleEffect) -> SimpleEffect:
+        same = by_setting.get((e.first, e.second, e.at), whole) == e.verdict
+        return e if same or e.verdict not in rival.claims else replace(e, verdict=CANNOT_TELL)
+
+    effects = tuple(map(agreed, printed.effects))
+    left = {effect.verdict for effect in effects}
+    some_matter, none_matters = MATTERS in left, left == {NO_DIFFERENCE} == {whole}
+    stands = some_matter if printed.verdict == MATTERS else none_matters
+    stands = stands or printed.verdict not in rival.claims
+    if not stands or effects != printed.effects:
+        printed = replace(printed, effects=effects, withdrawn=(*printed.withdrawn, rival.why))
+    if not stands:
+        return replace(printed, verdict=CANNOT_TELL, why=rival.why, always=())
+    always = tuple(pair for pair in printed.always if other and pair in other.always)
+    return replace(printed, always=always)
+
+
+# -------------------------------------------------------------------------------------------------
 # Sizes of effects: level means, interval of the largest difference, simple effects, verdict.
 #
 # The verdict rests on the intervals against the practical band, widened by the bound of the
@@ -460,6 +556,10 @@ def size(
         p=estimate.p,
         complete=estimate.complete,
     )
+    if estimate.mean_half is not None:
+        around = zip(estimate.mean.tolist(), estimate.mean_half.tolist(), strict=True)
+        ends = ((None, None) if math.isnan(m) else (back(m - h), back(m + h)) for m, h in around)
+        effect = replace(effect, mean_ci95=tuple(ends))
     if np.isnan(estimate.component).any():
         return replace(effect, why="not estimable")
     top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
@@ -485,9 +585,6 @@ def size(
     if estimate.half is not None:
         wide = estimate.half[top, bottom]
         effect = replace(effect, ci95=(back(largest - wide), back(largest + wide)))
-    if estimate.mean_half is not None and not np.isnan(estimate.mean).any():
-        around = zip(estimate.mean.tolist(), estimate.mean_half.tolist(), strict=True)
-        effect = replace(effect, mean_ci95=tuple((back(m - h), back(m + h)) for m, h in around))
     if simple_effects is not None:
         listed, always = _listed(simple_effects, scale), simple_effects.always
         withdrawn = simple_effects.withdrawn

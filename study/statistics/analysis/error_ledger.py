@@ -15,9 +15,11 @@ from study.statistics.analysis.analysis_result import AnalysisResult, kind_of
 from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.effects import (
+    Gate,
     TermEstimate,
     cell_welch,
     pooled_estimate,
+    refusal,
     sampled_estimate,
     size,
     with_pooled_error,
@@ -26,8 +28,7 @@ from study.statistics.analysis.effects import (
 from study.statistics.analysis.equal_variance import own_variances, welch_tests
 from study.statistics.analysis.gate import (
     LEAST_CONTRASTS,
-    judge_factors,
-    refusal,
+    gate_of,
     rivals_of_contrasts,
     rivals_of_rows,
 )
@@ -192,26 +193,30 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
 
     alpha, seed = out.request.alpha, out.request.interval_seed
     estimates = [estimated(term) for term in out.terms]
-    simple: dict[str, SimpleEffects] = {}
+    sample = with_pooled_error(judged, error_rss, df, alpha, seed)
+    gate, simple = gate_of(out, data.layout, judged, sample), {}
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
     if lenth is not None and error.source == "E6" and two_levels and not out.request.records:
-        estimates, simple = _by_pseudo_error(out, (judged, fit), estimates, lenth)
+        estimates, gate = _by_pseudo_error(out, (judged, fit), estimates, lenth)
+        simple = gate.judged(out.terms)
     elif df or out.scale.deterministic:
-        sample = with_pooled_error(judged, error_rss, df, alpha, seed)
         rivals, notes = rivals_of_rows(out, judged, error_rss, df, sample) if df else ([], [])
         of_blocks, seen = rivals_beside_crossing_blocks(out, judged)
         rivals, notes = rivals + of_blocks, notes + seen
         rivals = [refusal(untested), *rivals] if untested else rivals
         out = out.warn(*notes)
-        simple = judge_factors(out, data.layout, judged, sample, rivals)
-    simple |= _of_outer_factors(out)
+        gate = replace(gate, rivals=(*gate.rivals, *rivals))
+        simple = gate.judged(out.terms)
+    outer = _of_outer_factors(out)
+    gate = replace(gate, undecided=next((e.why for e in outer.values()), gate.undecided))
+    simple |= outer
     effects = [size(e, out.scale, simple) for e in estimates]
     if untested and df == 0:
         effects = [replace(e, why=untested) if e.is_main else e for e in effects]
     anova = Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss)
     judged_fit = fit if df else None
     out = replace(out, error_term=error, anova=anova, effects=tuple(effects), lenth=lenth)
-    return replace(out, fit=judged_fit, model=judged_fit)
+    return replace(out, fit=judged_fit, model=judged_fit, gate=gate)
 
 
 def _remedies(out: AnalysisResult) -> str:
@@ -285,7 +290,8 @@ def welch(out: AnalysisResult) -> AnalysisResult:
     variances = own_variances(out.y, cell)
     sample = cell_welch(fit, cell, variances, out.request.alpha, 0.0, cautious=False)
     rivals, notes = rivals_of_rows(out, fit, fit.rss, fit.df_residual, sample)
-    simple = judge_factors(out, data.layout, fit, sample, rivals)
+    gate = gate_of(out, data.layout, fit, sample, rivals)
+    simple = gate.judged(out.terms)
     p = {row.term: row.p for row in rows}
     estimates = [
         sampled_estimate(data.layout, fit, term, p[term_name(term)], sample) for term in out.terms
@@ -298,7 +304,8 @@ def welch(out: AnalysisResult) -> AnalysisResult:
     anova = Anova("III", with_shares(rows, fit.tss), out.y.size - 1, fit.tss)
     effects = tuple(size(e, out.scale, simple) for e in estimates)
     out, error = out.warn(*notes), replace(error, df=df, reason=reason)
-    return replace(out, error_term=error, anova=anova, effects=effects, fit=fit, model=fit)
+    out = replace(out, error_term=error, anova=anova, effects=effects)
+    return replace(out, fit=fit, model=fit, gate=gate)
 
 
 def _resamples(out: AnalysisResult) -> float:
@@ -341,8 +348,8 @@ def _by_pseudo_error(
     fits: tuple[Factored, Factored],
     estimates: Sequence[TermEstimate],
     lenth: LenthResult,
-) -> tuple[list[TermEstimate], dict[str, SimpleEffects]]:
-    """Give estimates of two-level factors Lenth's margins, and judge the factors by them.
+) -> tuple[list[TermEstimate], Gate]:
+    """Give estimates of two-level factors Lenth's margins, and the gate of claims by them.
 
     ``fits``: of all requested terms, and of the terms that the runs can separate.
     """
@@ -350,15 +357,15 @@ def _by_pseudo_error(
     _, contrasts, is_orthogonal = unreplicated.saturated_contrasts(out.data, out.terms)
     samples = [with_pseudo_error(fit, contrasts, alpha, seed, out.y) for fit in fits]
     rivals = rivals_of_contrasts(out, fits[0], contrasts)
-    simple = judge_factors(out, layout, fits[0], samples[0], rivals)
+    gate = gate_of(out, layout, fits[0], samples[0], rivals)
     if is_orthogonal:
-        return [_with_margin(e, lenth) for e in estimates], simple
+        return [_with_margin(e, lenth) for e in estimates], gate
     margin, wide = lenth.sme / max(lenth.pse, 1e-300), []
     for e in estimates:
         each = zip(fits, samples, strict=True)
         halves = (sampled_estimate(layout, fit, e.term, e.p, of, margin).half for fit, of in each)
         wide.append(replace(e, half=next((half for half in halves if half is not None), None)))
-    return wide, simple
+    return wide, gate
 
 
 def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:

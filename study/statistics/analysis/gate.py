@@ -8,9 +8,10 @@ withdraws it, and its reason is printed. Rivals change no number of the table.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+import re
+from collections.abc import Callable, Container, Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,40 +19,37 @@ from study.ground.arrays import Array, Ints
 from study.ground.units import p_phrase
 from study.statistics.analysis.analysis_request import ResponseScale
 from study.statistics.analysis.analysis_result import AnalysisResult
-from study.statistics.analysis.anova_table import SimpleEffect
 from study.statistics.analysis.comparisons import t_quantile
-from study.statistics.analysis.data import Data, chance_of_tie
+from study.statistics.analysis.data import Data, chance_of_tie, rows_at_limit
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
-    Scale,
+    Gate,
+    Rival,
     cell_welch,
     over_groups,
+    refusal,
     with_pooled_error,
     with_pseudo_error,
 )
 from study.statistics.analysis.equal_variance import doubted_variances, volatile_beside_blocks
 from study.statistics.analysis.linear_model import (
     CellLayout,
-    ModelMatrix,
     Term,
     balanced,
     factorize,
     model_matrix,
+    nested_in,
     span,
     term_name,
     terms_of,
 )
 from study.statistics.analysis.simple_effects import (
-    CANNOT_TELL,
-    CLAIMS,
     MATTERS,
     NO_DIFFERENCE,
     Differences,
     Estimates,
     Sample,
-    SimpleEffects,
-    simple_effects,
 )
 from study.statistics.analysis.sums_of_squares import Factored, extra_sum, factor, over_blocks
 from study.statistics.analysis.unreplicated import (
@@ -110,87 +108,39 @@ STILL = (
 )
 
 
-@dataclass(frozen=True)
-class Rival:
-    """Analysis as defensible as the printed one.
-
-    ``why`` is the reason for which a claim is withdrawn that this analysis does not make;
-    ``matrix`` and ``practical`` replace those of the printed analysis.
-    """
-
-    why: str
-    sample: Sample
-    claims: tuple[str, ...] = CLAIMS
-    matrix: ModelMatrix | None = None
-    practical: float | None = None
-
-
-def refusal(why: str) -> Rival:
-    """Rival that makes no claim: no analysis of these rows is defensible enough."""
-
-    def estimate(differences: Differences) -> Estimates:
-        zero = np.zeros(len(differences.first))
-        return Estimates(zero, zero + np.inf, 1.0, 1.0)
-
-    return Rival(why, estimate)
-
-
-def judge_factors(
-    out: AnalysisResult, layout: CellLayout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
-) -> dict[str, SimpleEffects]:
-    """Judge every factor of an analysis by its simple effects."""
-    undecided = out.structure.undecided
-    return judge_terms(out.terms, out.scale, layout, fit.matrix, sample, rivals, undecided)
-
-
-def judge_terms(
-    terms: Sequence[Term],
-    scale: Scale,
+def gate_of(
+    out: AnalysisResult,
     layout: CellLayout,
-    matrix: ModelMatrix,
+    fit: Factored,
     sample: Sample,
-    rivals: Sequence[Rival],
-    undecided: str = "",
-) -> dict[str, SimpleEffects]:
-    """Judge every factor of a model by its simple effects, and let the rivals withdraw claims."""
-    judged_factors = {}
-    for (name,) in (term for term in terms if len(term) == 1):
-        judged = partial(simple_effects, name, layout, bound=scale.bound, only=scale.only)
-        printed = judged(matrix, sample, practical=scale.practical)
-        if printed is None:
-            if undecided:
-                judged_factors[name] = SimpleEffects(name, CANNOT_TELL, undecided, ())
-            continue
-        for rival in rivals:
-            if not {e.verdict for e in printed.effects} & set(CLAIMS) & set(rival.claims):
-                continue
-            limit = rival.practical or scale.practical
-            other = judged(rival.matrix or matrix, rival.sample, practical=limit)
-            printed = _agreed(printed, other, rival)
-        judged_factors[name] = printed
-    return judged_factors
+    rivals: Sequence[Rival] = (),
+) -> Gate:
+    """Return the gate of the claims of an analysis."""
+    reasons = [] if out.request.records else [*_numbered_units(out.data, nested_in(out.terms))]
+    if not out.request.records and out.request.layout.copies == "refuse":
+        reasons += filter(None, [rows_at_limit(out.data)])
+    every = (*map(refusal, reasons), *rivals)
+    return Gate(layout, fit.matrix, out.scale, sample, every, out.structure.undecided)
 
 
-def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -> SimpleEffects:
-    """Withdraw those printed verdicts that a rival does not make."""
-    by_setting = {(e.first, e.second, e.at): e.verdict for e in (other.effects if other else ())}
-    whole = CANNOT_TELL if other is None else other.verdict
+#: names of what is numbered, and no setting that anybody chose
+_UNITS = re.compile(
+    r"batch|lot|charge|specimen|sample|phantom|subject|animal|donor|coil|repeat|replicate|rep|piece"
+)
 
-    def agreed(e: SimpleEffect) -> SimpleEffect:
-        same = by_setting.get((e.first, e.second, e.at), whole) == e.verdict
-        return e if same or e.verdict not in rival.claims else replace(e, verdict=CANNOT_TELL)
 
-    effects = tuple(map(agreed, printed.effects))
-    left = {effect.verdict for effect in effects}
-    some_matter, none_matters = MATTERS in left, left == {NO_DIFFERENCE} == {whole}
-    stands = some_matter if printed.verdict == MATTERS else none_matters
-    stands = stands or printed.verdict not in rival.claims
-    if not stands or effects != printed.effects:
-        printed = replace(printed, effects=effects, withdrawn=(*printed.withdrawn, rival.why))
-    if not stands:
-        return replace(printed, verdict=CANNOT_TELL, why=rival.why, always=())
-    always = tuple(pair for pair in printed.always if other and pair in other.always)
-    return replace(printed, always=always)
+def _numbered_units(data: Data, nested: Container[str]) -> Iterator[str]:
+    """Say which factors are units by their name that have numbers, and were not said to nest."""
+    for name in data.factors:
+        levels, others = data.layout.levels[name], [f for f in data.factors if f != name]
+        is_unit = any(map(_UNITS.fullmatch, re.findall(r"[a-z]+", name.lower().rstrip("s"))))
+        counted = {str(i + int(levels[0] != "0")) for i in range(len(levels))}
+        if others and is_unit and name not in nested and set(levels) == counted:
+            yield (
+                f"{name} {levels[0]} may be one {name} at all levels of {' and '.join(others)} "
+                f"(--block {name}) or another at each (--unit {name}), without {name} in "
+                "--factors; a name of its own for each says that these few are meant"
+            )
 
 
 def reading_error(out: AnalysisResult) -> float:
@@ -548,8 +498,11 @@ def _bootstrap_t(
     """Find the ends of one interval of a sum over groups, and half the simultaneous one."""
     random = np.random.default_rng(seed)
     shift, variance, total = np.zeros(_DRAWS), np.zeros(_DRAWS), 0.0
+    least = _ROUNDING * float(np.abs(value).max())
     for group in groups:
         part = value[group]
+        if float(np.abs(part).max()) <= least:  # a cell outside the contrast adds nothing
+            continue
         moved, scatter = _resampled(part, random)
         shift += moved
         variance += part.size * scatter
@@ -584,7 +537,7 @@ def _resampled(part: Array, random: np.random.Generator) -> tuple[Array, Array]:
     skew = float(np.mean(squares * apart))
     first, other = random.standard_normal((2, _DRAWS)) * math.sqrt(n)
     shift = math.sqrt(second) * first
-    slope = skew / second if second else 0.0  # a cell outside the contrast adds nothing
+    slope = skew / second if second else 0.0
     rest = math.sqrt(max(spread - skew * slope, 0.0))
     summed = n * second + slope * shift + rest * other
     return shift, (summed - shift**2 / n) / (n - 1)

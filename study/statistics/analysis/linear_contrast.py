@@ -6,31 +6,30 @@ of the first kind less that of the second; a factor that a side leaves out is av
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from itertools import compress
+from typing import TypeVar
 
 import numpy as np
 
-from study.ground.arrays import Array, Flags
 from study.ground.contrast import Setting, sides_of
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.anova_table import Effect
-from study.statistics.analysis.comparisons import block_multiplier, holm, t_quantile, two_sided
-from study.statistics.analysis.effects import UNEQUAL, Scale, by_components, group_errors
-from study.statistics.analysis.equal_variance import doubted_variances
+from study.statistics.analysis.comparisons import holm, two_sided
+from study.statistics.analysis.data import Data
+from study.statistics.analysis.effects import Gate, Scale
+from study.statistics.analysis.linear_model import CellLayout, ModelMatrix, model_matrix
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     CLAIMS,
     NOT_RESOLVED,
     ONE_SPECIMEN,
     UNBOUNDED,
+    Differences,
+    Estimates,
     verdict_of,
 )
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -63,161 +62,172 @@ def with_holm(tests: Sequence[HolmTest]) -> tuple[HolmTest, ...]:
     return tuple(test if test.p is None else replace(test, p_holm=next(adjusted)) for test in tests)
 
 
-@dataclass(frozen=True)
-class _Estimate:
-    """A difference on the scale of the analysis; ``by_block`` where it is made within blocks."""
-
-    value: float
-    error: float | None
-    df: float | None
-    by_block: Array | None = None
-    welch: tuple[float, float] | None = None  # standard error and df with a variance a cell
-
-
-@dataclass(frozen=True)
-class Cells:
-    """The rows of an analysis, as contrasts need them."""
-
-    #: One row a run: ``cell``, ``y`` on the scale of the analysis, every factor, and ``block``
-    #: where there are blocks.
-    rows: pd.DataFrame
-    levels: Mapping[str, tuple[str, ...]]
-    #: What matters and what bounds the numerical error.
-    scale: Scale
-    #: One minus the level of the intervals.
-    alpha: float
-    seed: int
-    #: Whether the repeats (or blocks) are refits to resampled noise of one curve: their scatter is
-    #: the standard error of the fit itself, however many there are.
-    resampled: bool = False
-    #: Difference, standard error and degrees of freedom by a model of all rows.
-    estimate: Callable[[Setting, Setting], tuple[float, float, float]] | None = None
+def cells_with_rows(gate: Gate, data: Data) -> CellLayout:
+    """Levels of the cells that hold rows, without levels that the analysis left out."""
+    first = np.unique(data.cell, return_index=True)[1]
+    levels = {name: gate.layout.levels[name] for name in data.factors}
+    codes = {}
+    for name, its_levels in levels.items():
+        index = [its_levels.index(a) if a in its_levels else -1 for a in data.layout.levels[name]]
+        codes[name] = np.array(index)[data.layout.codes[name][first]]
+    cells = CellLayout(levels, codes)
+    return cells.take(np.flatnonzero(np.all([code >= 0 for code in codes.values()], axis=0)))
 
 
-def contrasts(cells: Cells, texts: Sequence[str]) -> tuple[Contrast, ...]:
+def contrasts(gate: Gate, data: Data, texts: Sequence[str]) -> tuple[Contrast, ...]:
     """Estimate differences of sets of cells."""
-    estimated, faults = possible_contrasts(cells, texts)
+    estimated, faults = possible_contrasts(gate, data, texts)
     if faults:
         raise InputError(faults)
     return estimated
 
 
 def possible_contrasts(
-    cells: Cells, texts: Sequence[str]
+    gate: Gate, data: Data, texts: Sequence[str]
 ) -> tuple[tuple[Contrast, ...], list[Fault]]:
     """Estimate those differences of sets of cells that can be, and say what keeps the others."""
-    possible: list[tuple[str, tuple[Setting, Setting], _Estimate]] = []
+    possible: list[_Sides] = []
+    cells = cells_with_rows(gate, data)
     faults: list[Fault] = []
     for text in texts:
         try:
-            sides = sides_of(text, cells.levels)
-            if cells.estimate is None:
-                estimate = _estimate(cells, *sides, text)
-            else:
-                estimate = _Estimate(*cells.estimate(*sides))
-            possible.append((text, sides, estimate))
+            possible.append(_sides(text, cells))
         except InputError as error:
             faults += error.faults
-    wide = _multipliers([estimate for *_, estimate in possible], cells.alpha, cells.seed)
-    together = ((multiplier, len(possible)) for multiplier in wide)
-    judged = [_judged(*of, both, cells) for of, both in zip(possible, together, strict=True)]
+    if not possible:
+        return (), faults
+    estimates = gate.sample(_differences(gate.matrix, gate.layout, possible))
+    lost = np.isnan(estimates.value)
+    if lost.any():
+        rule = "needs cells without rows"
+        faults += [Fault(f"contrast {s.text!r}", rule) for s in compress(possible, lost)]
+        if lost.all():
+            return (), faults
+        possible = list(compress(possible, ~lost))
+        estimates = gate.sample(_differences(gate.matrix, gate.layout, possible))
+    judged = _withdrawn(gate, possible, _judged(gate, possible, estimates))
     return with_holm(judged), faults
 
 
-def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Estimate:
-    rows = cells.rows
-    sides = []
-    for setting in (first, second):
-        holds = np.ones(len(rows), dtype=bool)
-        for name, level in setting.items():
-            holds &= (rows[name].astype(str) == level).to_numpy()
-        if not holds.any():
-            setting_text = ", ".join(f"{name}={level}" for name, level in setting.items())
-            raise InputError(Fault(f"contrast {text!r}", f"no row has {setting_text}"))
-        sides.append(holds)
-    if "block" not in rows:
-        return _of_cells(rows, sides, resampled=cells.resampled)
-    # every cell counts once, whatever its repeats
-    by_cell = (rows[holds].groupby(["block", "cell"])["y"].mean() for holds in sides)
-    means = [of_cells.groupby("block").mean() for of_cells in by_cell]
-    both = means[0].index.intersection(means[1].index)
-    differences = (means[0][both] - means[1][both]).to_numpy() if len(both) else None
-    # within blocks, else by Welch between two sets of blocks
-    sets = [mean.to_numpy() for mean in means] if differences is None else [differences]
-    parts = np.concatenate([side / side.size for side in (sets[0], *(-s for s in sets[1:]))])
-    value, least = float(parts.sum()), min(side.size for side in sets)
-    if least < 2:
-        return _Estimate(value, None, None, differences)
-    groups = np.split(np.arange(parts.size), [side.size for side in sets[:-1]])
-    error, df = (float(a[0]) for a in group_errors(parts[None], groups))
-    if cells.resampled and differences is not None:
-        error *= math.sqrt(least)
-    return _Estimate(value, error, df if error or differences is not None else None, differences)
+@dataclass(frozen=True)
+class _Sides:
+    """The cells of both sides of a contrast."""
+
+    text: str
+    settings: tuple[Setting, Setting]
+    cells: tuple[CellLayout, CellLayout]
+    #: Over which settings a factor is averaged where cells are empty.
+    averaged: str
+    #: Whether both sides name every factor.
+    is_of_cells: bool
 
 
-def _of_cells(rows: pd.DataFrame, sides: Sequence[Flags], *, resampled: bool) -> _Estimate:
-    """Difference of means of cells, with the variance pooled within all cells.
-
-    A cell that lies on both sides counts by the difference of its weights.
-    """
-    y, index = rows["y"].to_numpy(), np.unique(rows["cell"].to_numpy(), return_inverse=True)[1]
-    counts = np.bincount(index)
-    means = np.bincount(index, y - y[0]) / counts
-    of_sides = [np.bincount(index, side) > 0 for side in sides]
-    weight = np.subtract(*(cells / cells.sum() for cells in of_sides))
-    value, df = float(weight @ means), float(y.size - counts.size)
-    if df < 1:
-        return _Estimate(value, None, None)
-    squares = float(np.sum((y - y[0] - means[index]) ** 2))
-    share, welch = weight**2 / (1 if resampled else counts), None
-    variances = None if resampled else doubted_variances(y, index)
-    if variances is not None:
-        error, free = by_components(share[None], *variances, cautious=True)
-        welch = float(error[0]), float(free[0])
-    return _Estimate(value, math.sqrt(squares / df * float(share.sum())), df, welch=welch)
-
-
-def _multipliers(estimates: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:
-    """Multipliers of the standard errors for intervals of all contrasts together."""
-    blocks = [e.by_block for e in estimates if e.by_block is not None and e.error]
-    if len(blocks) == len(estimates) > 1 and len({b.size for b in blocks}) == 1:
-        m, b = len(blocks), blocks[0].size
-        df = np.full(m, b - 1.0)
-        return [*map(float, block_multiplier(np.array(blocks), alpha, seed, [np.arange(b)], df))]
-    each = alpha / (2 * max(len(estimates), 1))
-    return [0.0 if e.df is None else t_quantile(each, e.df) for e in estimates]
+def _sides(text: str, cells: CellLayout) -> _Sides:
+    """Find the cells of a contrast, each side averaged over settings that both of them have."""
+    settings = sides_of(text, cells.levels)
+    holds = [
+        np.all([cells.codes[n] == cells.levels[n].index(a) for n, a in setting.items()], axis=0)
+        for setting in settings
+    ]
+    for setting, side in zip(settings, holds, strict=True):
+        if not side.any():
+            named = ", ".join(f"{name}={level}" for name, level in setting.items())
+            raise InputError(Fault(f"contrast {text!r}", f"no row has {named}"))
+    others = [name for name in cells.levels if name not in settings[0]]
+    averaged = ""
+    if set(settings[0]) == set(settings[1]) and others:
+        at = cells.cell(others)
+        both = np.intersect1d(at[holds[0]], at[holds[1]])
+        every = np.union1d(at[holds[0]], at[holds[1]]).size
+        if not both.size:
+            rule = f"its sides have no setting of {', '.join(others)} in common"
+            raise InputError(Fault(f"contrast {text!r}", rule))
+        if both.size < every:
+            averaged = f"over the {both.size} of {every} settings of {', '.join(others)} with both"
+            holds = [side & np.isin(at, both) for side in holds]
+    first, second = (cells.take(np.flatnonzero(side)) for side in holds)
+    is_of_cells = all(len(setting) == len(cells.levels) for setting in settings)
+    return _Sides(text, settings, (first, second), averaged, is_of_cells)
 
 
-def _judged(
-    text: str,
-    sides: tuple[Setting, Setting],
-    estimate: _Estimate,
-    together: tuple[float, int],
-    cells: Cells,
-) -> Contrast:
-    """Judge one of some contrasts, whose simultaneous multiplier and number are ``together``."""
-    (multiplier, number), scale, alpha = together, cells.scale, cells.alpha
-    value, error, df = estimate.value, estimate.error, estimate.df
-    u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides))
-    shown = None if u is None or scale.bound is None else u / scale.unit
-    why = "nothing scatters, so there is no interval"
-    contrast = Contrast(text, scale.back(value), None, None, df, None, shown, CANNOT_TELL, why)
-    if error is None or df is None:
-        return contrast
+def _differences(
+    matrix: ModelMatrix, layout: CellLayout, contrasted: Sequence[_Sides]
+) -> Differences:
+    """Combine the coefficients of a model to the two means of each contrast."""
+    settings = np.zeros((2 * len(contrasted), matrix.columns.shape[1]))
+    for i, cells in enumerate(side for sides in contrasted for side in sides.cells):
+        first = np.zeros(cells.n, dtype=np.int64)
+        codes = {name: cells.codes.get(name, first) for name in layout.levels}
+        rows = model_matrix(CellLayout(layout.levels, codes), matrix.terms[1:])
+        for term in matrix.terms:
+            if set(term) <= cells.levels.keys():
+                settings[i, matrix.of(term)] = rows.columns[:, rows.of(term)].mean(axis=0)
+    first = np.arange(0, len(settings), 2)
+    return Differences(settings, first, first + 1)
 
-    def around(half: float) -> tuple[float, float]:
-        return value - half, value + half
 
-    ci, wide = around(t_quantile(alpha / 2, df) * error), around(multiplier * error)
-    verdict, why = _verdict(ci, wide, u, scale)
-    if estimate.welch is not None and verdict in CLAIMS:
-        of_cells, free = estimate.welch
-        alone, every = (around(t_quantile(alpha / (2 * m), free) * of_cells) for m in (1, number))
-        if _verdict(alone, every, u, scale)[0] != verdict:
-            verdict, why = CANNOT_TELL, UNEQUAL
-    p = two_sided(value / error, df) if error else None
-    contrast = replace(contrast, ci=scale.ends(ci), ci_simultaneous=scale.ends(wide), p=p)
-    return replace(contrast, verdict=verdict, why=why)
+def _judged(gate: Gate, contrasted: Sequence[_Sides], estimates: Estimates) -> list[Contrast]:
+    """Judge contrasts by the printed analysis alone."""
+    scale, listed = gate.scale, []
+    for i, (sides, value) in enumerate(zip(contrasted, estimates.value.tolist(), strict=True)):
+        u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides.settings))
+        shown = None if u is None or scale.bound is None else u / scale.unit
+        why = "nothing scatters, so there is no interval"
+        contrast = Contrast(
+            sides.text, scale.back(value), None, None, None, None, shown, CANNOT_TELL, why
+        )
+        ends = _ends(estimates, i)
+        if estimates.error is not None and ends is not None:
+            verdict, why = _verdict(*ends, u, scale)
+            error, df = float(estimates.error[i]), None
+            if estimates.df is not None:
+                df = float(np.broadcast_to(estimates.df, estimates.value.shape)[i])
+            contrast = replace(
+                contrast,
+                ci=scale.ends(ends[0]),
+                ci_simultaneous=scale.ends(ends[1]),
+                df=df,
+                p=two_sided(value / error, df) if error and df is not None else None,
+                verdict=verdict,
+                why="; ".join(filter(None, (why, sides.averaged))),
+            )
+        listed.append(contrast)
+    return listed
+
+
+def _ends(estimates: Estimates, i: int) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Return the interval of a contrast alone, and that of all together."""
+    if estimates.error is None:
+        return None
+    value, error = float(estimates.value[i]), float(estimates.error[i])
+    halves = [
+        float(np.broadcast_to(multiplier, estimates.value.shape)[i]) * error
+        for multiplier in (estimates.single, estimates.simultaneous)
+    ]
+    alone, every = ((value - half, value + half) for half in halves)
+    return alone, every
+
+
+def _withdrawn(gate: Gate, contrasted: Sequence[_Sides], printed: list[Contrast]) -> list[Contrast]:
+    """Withdraw claims that an analysis as defensible as the printed one does not make."""
+    contrasts = [
+        replace(c, verdict=CANNOT_TELL, why=gate.undecided)
+        if gate.undecided and c.verdict in CLAIMS and not sides.is_of_cells
+        else c
+        for c, sides in zip(printed, contrasted, strict=True)
+    ]
+    for rival in gate.rivals:
+        if not {c.verdict for c in contrasts} & set(CLAIMS) & set(rival.claims):
+            continue
+        scale = replace(gate.scale, practical=rival.practical or gate.scale.practical)
+        estimates = rival.sample(_differences(rival.matrix or gate.matrix, gate.layout, contrasted))
+        for i, (contrast, sides) in enumerate(zip(contrasts, contrasted, strict=True)):
+            u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides.settings))
+            ends = _ends(estimates, i)
+            verdict = CANNOT_TELL if ends is None else _verdict(*ends, u, scale)[0]
+            if contrast.verdict in rival.claims and contrast.verdict != verdict:
+                contrasts[i] = replace(contrast, verdict=CANNOT_TELL, why=rival.why)
+    return contrasts
 
 
 def _verdict(

@@ -13,14 +13,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import permutations
+from itertools import permutations, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from study.ground.arrays import Array, gathered, one_thread
-from study.ground.contrast import Setting
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
 from study.ground.units import p_phrase, unit_of_column
@@ -34,25 +33,31 @@ from study.statistics.analysis.analysis_request import (
 )
 from study.statistics.analysis.comparisons import pooled_multiplier, t_quantile
 from study.statistics.analysis.data import Data, prepare, refuse_copied_rows, structure_of
-from study.statistics.analysis.effects import DOUBT, UNEQUAL, Scale, sampled_estimate, size
+from study.statistics.analysis.effects import (
+    DOUBT,
+    UNEQUAL,
+    Gate,
+    Rival,
+    Scale,
+    sampled_estimate,
+    size,
+)
 from study.statistics.analysis.gate import (
     COARSE,
     LACK,
     LACK_OF_FIT,
-    Rival,
     any_shape,
     block_means,
-    judge_terms,
     limit_rivals,
 )
-from study.statistics.analysis.linear_contrast import Cells, Contrast, with_holm
+from study.statistics.analysis.linear_contrast import Contrast, with_holm
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
 from study.statistics.analysis.linear_model import (
+    ALIAS_TOLERANCE,
     CellLayout,
     Model,
     ModelMatrix,
     Term,
-    grid,
     model_matrix,
     nested_in,
     term_name,
@@ -259,7 +264,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         of_slopes, seen = _unequal_slopes(cells, name, x, refitted)
         lack, notes = lack + of_slopes, notes + seen
     rivals += lack
-    simple = judge_terms(terms, scale, data.layout, bare, cells.sample, rivals)
+    gate = Gate(data.layout, bare, scale, cells.sample, tuple(rivals))
     p = {term: test.p for term, test in tests.items()}
     return MixedModel(
         scatter,
@@ -267,8 +272,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         fit.deviance,
         data.y.size,
         tuple(cells.slope(name) for name in covariates),
-        with_holm(cells.effects(terms, p, scale, simple)),
-        cells.contrasts(contrasts, scale),
+        with_holm(cells.effects(terms, p, scale, gate.judged(terms))),
+        contrasts_of(gate, data, contrasts) if contrasts else (),
         (
             *(
                 f"{inner} {data.layout.levels[inner][0]} is taken as the same {inner} in every "
@@ -491,7 +496,58 @@ def rivals_beside_crossing_blocks(
     cells = MixedCells(
         rows, fit, fit.matrix, data.layout, fit.shift, request.alpha, request.interval_seed
     )
-    return rivals_of_unequal_effects(cells, data, y, [(name,) for name in data.blocks])
+    rivals, notes = rivals_of_unequal_effects(cells, data, y, [(name,) for name in data.blocks])
+    for name, (subject, period) in product(data.factors, permutations(data.blocks, 2)):
+        before = _level_before(data.layout, name, subject, period)
+        apart = before - fit.q @ (fit.q.T @ before)
+        if np.linalg.norm(apart) > ALIAS_TOLERANCE * np.linalg.norm(before) or not before.any():
+            continue  # it shows in the scatter within the blocks
+        more, seen = _rivals_of_carry_over(cells, data, y, before, (name, subject, period))
+        rivals, notes = rivals + more, notes + seen
+    return rivals, notes
+
+
+def _level_before(layout: CellLayout, name: str, subject: str, period: str) -> Array:
+    """Contrasts (n, k - 1) of the level that a subject had in the period before; 0 in the first."""
+    contrasts = model_matrix(layout, [(name,)]).columns[:, 1:]
+    pairs = zip(layout.codes[subject].tolist(), layout.codes[period].tolist(), strict=True)
+    index = {pair: row for row, pair in enumerate(pairs)}
+    before = np.zeros_like(contrasts)
+    for (s, p), row in index.items():
+        if (s, p - 1) in index:
+            before[row] = contrasts[index[s, p - 1]]
+    return before
+
+
+def _rivals_of_carry_over(
+    cells: MixedCells, data: Data, y: Array, before: Array, names: tuple[str, str, str]
+) -> tuple[list[Rival], list[str]]:
+    """Rival in which the level before acts on, where subjects tell it alone (Grizzle 1965).
+
+    In a crossover of two periods a treatment that still acts in the second is no part of the
+    scatter within subjects, but of the difference of the treatments.
+    """
+    name, subject, period = names
+    terms = [term for term in cells.factors.terms if term and set(term) <= set(data.factors)]
+    others = [(block,) for block in data.blocks if block != subject]
+    bare = model_matrix(data.layout, terms)
+    blocks = model_matrix(data.layout, others).columns[:, 1:]
+    acts_on = {f"{name} before, {i}": column for i, column in enumerate(before.T)}
+    columns = {f"block, {i}": column for i, column in enumerate(blocks.T)} | acts_on
+    fixed = factor(_with_columns(bare, columns), y)
+    try:
+        fit = fit_restricted(fixed.q, y, [data.layout.codes[subject]])
+    except SingularError:
+        return [], []
+    last = range(len(fixed.matrix.terms) - len(acts_on), len(fixed.matrix.terms))
+    basis = np.hstack([fixed.space(i, "I").basis for i in last])
+    if not fixed.is_full or (test := fit.test(basis)).p >= DOUBT:
+        return [], []
+    seen = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}, {p_phrase(test.p)}"
+    note = f"{name} of the {period} before may act on in the next ({seen}, between {subject}s)"
+    with_carry_over = replace(cells, fit=fit, fixed=fixed, factors=bare, robust=None)
+    why = f"{note}: without what it carries over the interval does not allow the claim"
+    return [Rival(why, with_carry_over.sample, matrix=bare)], [note]
 
 
 def _added(columns: Array, layout: CellLayout, term: Term, y: Array) -> FRatioTest | None:
@@ -643,14 +699,18 @@ class MixedCells:
         df = float(estimates.df[ok].min())  # the least sure contrast decides for all
         wide = pooled_multiplier(some, estimates.error[ok], df, self.alpha, self.seed)
         every = np.full(value.size, wide)
-        if self.robust is not None:
-            error, df_own = self.robust(rows)
-            ratio = np.divide(error, estimates.error, out=np.zeros_like(error), where=ok)
-            single = np.maximum(single, ratio * t_quantile(self.alpha / 2, df_own))
-            # at the error probability that each interval has among all of them
-            tail = float(scipy.special.stdtr(df, -wide))
-            every = np.maximum(every, ratio * t_quantile(tail, df_own))
-        return Estimates(value, estimates.error, single, every)
+        if self.robust is None:
+            return Estimates(value, estimates.error, single, every, estimates.df)
+        error, df_own = self.robust(rows)
+        own_single = t_quantile(self.alpha / 2, df_own)
+        # at the error probability that each interval has among all of them
+        own_every = t_quantile(float(scipy.special.stdtr(df, -wide)), df_own)
+        every = np.maximum(every * estimates.error, own_every * error)
+        is_wider = ok & (own_single * error > single * estimates.error)
+        error = np.where(is_wider, error, estimates.error)
+        single = np.where(is_wider, own_single, single)
+        every = np.divide(every, error, out=np.zeros_like(error), where=ok)
+        return Estimates(value, error, single, every, np.where(is_wider, df_own, estimates.df))
 
     def effects(
         self,
@@ -673,36 +733,6 @@ class MixedCells:
         value = float(estimate.value[0])
         half = t_quantile(self.alpha / 2, float(estimate.df[0])) * float(estimate.error[0])
         return Slope(covariate, value, value - half, value + half)
-
-    def between(self, first: Setting, second: Setting) -> tuple[float, float, float]:
-        """Difference of means over the cells of two settings, standard error, df."""
-        names = dict.fromkeys(name for term in self.factors.terms for name in term)
-        cells = grid(self.layout, list(names))
-        columns = model_matrix(cells, self.factors.terms[1:]).columns
-
-        def mean(setting: Setting) -> Array:
-            codes = [cells.codes[n] == self.layout.levels[n].index(a) for n, a in setting.items()]
-            return np.asarray(columns[np.all(codes, axis=0)].mean(axis=0))
-
-        row = (mean(first) - mean(second))[None]
-        if not self.fixed.estimable(self._padded(row)).all():
-            raise InputError(Fault("contrast", "a cell that it needs has no row"))
-        estimate = self.fit.estimate(self.along(row))
-        value, error, df = (float(a[0]) for a in (estimate.value, estimate.error, estimate.df))
-        if self.robust is not None:
-            wide, few = (float(a[0]) for a in self.robust(self.along(row)))
-            if t_quantile(self.alpha / 2, few) * wide > t_quantile(self.alpha / 2, df) * error:
-                error, df = wide, few
-        return value, error, df
-
-    def contrasts(self, texts: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
-        """Differences by name."""
-        import pandas as pd
-
-        names = [term[0] for term in self.factors.terms if len(term) == 1]
-        levels, seed = {name: self.layout.levels[name] for name in names}, self.seed or 0
-        cells = Cells(pd.DataFrame(), levels, scale, self.alpha, seed, estimate=self.between)
-        return contrasts_of(cells, texts)
 
 
 def _with_columns(matrix: ModelMatrix, values: Mapping[str, Array]) -> ModelMatrix:

@@ -27,9 +27,9 @@ from study.statistics.analysis.comparisons import (
 )
 from study.statistics.analysis.data import Crossed
 from study.statistics.analysis.effects import critical, group_errors, term_rows
-from study.statistics.analysis.linear_contrast import Cells, possible_contrasts
-from study.statistics.analysis.linear_model import CellLayout, Term, nested_in, terms_of
-from study.statistics.analysis.strata import cell_fit, mixed_cells
+from study.statistics.analysis.linear_contrast import Contrast, possible_contrasts
+from study.statistics.analysis.linear_model import Term, nested_in, terms_of
+from study.statistics.analysis.strata import cell_fit
 from study.statistics.analysis.sums_of_squares import EXACT, Factored
 
 if TYPE_CHECKING:
@@ -384,29 +384,20 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
     return dunnett_over_groups(values, reference, cells, "Dunnett by Welch", alpha, seed)
 
 
-def cells_of(analysis: AnalysisResult) -> Cells:
-    """Rows of an analysis on its scale, with what matters."""
-    request, rows = analysis.request, analysis.residuals
-    values = rows["response"].to_numpy(dtype=float)
-    levels = {e.term: e.levels for e in analysis.effects if e.is_main}
-    table = rows.assign(y=np.log(values) if request.scale.is_log else values)
-    resampled = analysis.error_term.source == "E2"
-    cells = Cells(table, levels, analysis.scale, request.alpha, request.seed, resampled)
-    if all(row.error != "REML" for row in analysis.anova.rows):
-        return cells
-    of_all = {**levels, "block": tuple(dict.fromkeys(table["block"]))}
-    codes = {name: pd.Categorical(table[name], its_levels).codes.astype(np.int64)
-             for name, its_levels in of_all.items()}  # fmt: skip
-    terms = [tuple(e.term.split(":")) for e in analysis.effects]
-    layout, y = CellLayout(of_all, codes), table["y"].to_numpy()
-    mixed = mixed_cells(layout, terms, "block", y, request)
-    return cells if mixed is None else replace(cells, estimate=mixed[0].between)
+def named_contrasts(
+    analysis: AnalysisResult, texts: Sequence[str]
+) -> tuple[tuple[Contrast, ...], list[Fault]]:
+    """Differences that an analyst names, and what keeps others from being estimated."""
+    if analysis.gate is None:
+        rule = f"{analysis.request.response} is constant: there is nothing to compare"
+        return (), [Fault(f"contrast {text!r}", rule) for text in texts]
+    return possible_contrasts(analysis.gate, analysis.data, texts)
 
 
 def with_contrasts(analysis: AnalysisResult, texts: Sequence[str]) -> AnalysisResult:
     """Give a result the differences that its design declares."""
     if not texts:
         return analysis
-    together, faults = possible_contrasts(cells_of(analysis), texts)
+    together, faults = named_contrasts(analysis, texts)
     notes = [f"{fault.where}: {fault.rule}" for fault in faults]
     return replace(analysis, contrasts=together).warn(*notes)

@@ -119,6 +119,8 @@ class Estimates:
     #: shape (m,); multipliers of the standard error, for one interval alone and for all together.
     single: float | Array = 0.0
     simultaneous: float | Array = 0.0
+    #: Degrees of freedom of Student's t; None of another distribution.
+    df: float | Array | None = None
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,12 @@ from study.statistics.analysis.data import (
     crossed,
 )
 from study.statistics.analysis.effects import (
+    Gate,
+    Rival,
     critical,
     over_groups,
     pooled_estimate,
+    refusal,
     sampled_estimate,
     size,
     with_pooled_error,
@@ -43,14 +46,12 @@ from study.statistics.analysis.effects import (
 )
 from study.statistics.analysis.gate import (
     COARSE,
-    Rival,
     block_means,
     every_term,
-    judge_factors,
+    gate_of,
     limit_rivals,
     per_block,
     reading_error,
-    refusal,
     rival_of_every_term,
     rival_over_blocks,
     rivals_over_groups,
@@ -181,7 +182,8 @@ def split_plot(out: AnalysisResult, plots: Plots) -> AnalysisResult:
         every, within = _strata(out, full, plots)
         more, notes = rival_of_every_term(out, every, partial(_over_strata, every, within))
         rivals, out = [*rivals, *more], out.warn(*notes)
-    simple = judge_factors(out, data.layout, whole, sample, rivals)
+    gate = gate_of(out, data.layout, whole, sample, rivals)
+    simple = gate.judged(out.terms)
     effects, p = [], {row.term: row.p for row in rows}
     for term in out.terms:
         stratum = by_term.get(term)
@@ -195,7 +197,7 @@ def split_plot(out: AnalysisResult, plots: Plots) -> AnalysisResult:
     anova = Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss)
     judged = error_ledger.within_fit(data, out.y, plots=plots.code)
     out = replace(out, error_term=error, anova=anova, effects=tuple(effects), plots=plots.code)
-    return replace(out, fit=judged, model=strata[-1].fit)
+    return replace(out, fit=judged, model=strata[-1].fit, gate=gate)
 
 
 def _over_strata(
@@ -425,13 +427,14 @@ def own(out: AnalysisResult, plots: Plots | None = None) -> AnalysisResult | Non
         is_requested = out.request.error == "own"
         error = replace(error, reason="asked for" if is_requested else f"{error.reason}; {alike}")
     layout = table.layout if groups is None else _product(table.layout, groups)
-    effects, notes = _effects(out, tests, table, layout, members)
+    effects, gate, notes = _effects(out, tests, table, layout, members)
     listed = with_shares([*rows, *tests.errors], tests.total)
     out = replace(
         out.warn(*notes),
         error_term=error,
         anova=Anova(kind, listed, n * b - 1, tests.total),
         effects=effects,
+        gate=gate,
         assumptions=Assumptions(sphericity=tests.sphericity),
         fit=error_ledger.within_fit(data, out.y),
     )
@@ -462,7 +465,7 @@ def _product(cells: CellLayout, blocks: CellLayout) -> CellLayout:
 
 def _effects(
     out: AnalysisResult, tests: OwnTests, table: Crossed, layout: CellLayout, groups: Sequence[Ints]
-) -> tuple[tuple[Effect, ...], list[str]]:
+) -> tuple[tuple[Effect, ...], Gate, list[str]]:
     """Effects and verdicts with variances of their own in each group, and what was seen besides.
 
     Where one of several groups has two blocks, sizes have the pooled error of their stratum.
@@ -497,7 +500,8 @@ def _effects(
             else:
                 more, notes = rival_over_blocks(fit, whole, table.y, at(request.alpha))
             rivals += more
-    simple = judge_factors(out, layout, fit, sample, rivals)
+    gate = gate_of(out, layout, fit, sample, rivals)
+    simple = gate.judged(out.terms)
     by_error = {row.term: row for row in tests.errors}
     effects = []
     for term in out.terms:
@@ -515,7 +519,7 @@ def _effects(
             estimate = pooled_estimate(layout, fit, term, df, p, request.alpha, rss)
             estimate = replace(estimate, mean_half=None)
         effects.append(size(estimate, out.scale, simple))
-    return tuple(effects), notes
+    return tuple(effects), gate, notes
 
 
 def _own_error(
@@ -594,7 +598,7 @@ def incomplete_blocks(out: AnalysisResult, plots: Plots | None = None) -> Analys
     out = out.warn(*alias_warnings([bases[term] for term in out.terms]))
     rivals, notes = _rivals(out, model, sandwich)
     out = out.warn(*notes)
-    simple = judge_factors(out, data.layout, model.of_factors, model.sample, rivals)
+    gate = gate_of(out, data.layout, model.of_factors, model.sample, rivals)
     scatter = f"interactions with {b} levels of {block}"
     if plots is not None:
         scatter = f"{b} levels of {block} and their whole plots ({plots.name})"
@@ -611,7 +615,8 @@ def incomplete_blocks(out: AnalysisResult, plots: Plots | None = None) -> Analys
         out,
         error_term=ErrorTerm("E1", question, df_error, reason),
         anova=Anova("III", with_shares(rows, within.tss), out.y.size - 1, within.tss),
-        effects=model.effects(out.terms, p, out.scale, simple),
+        effects=model.effects(out.terms, p, out.scale, gate.judged(out.terms)),
+        gate=gate,
         fit=error_ledger.within_fit(data, out.y, plots=None if plots is None else plots.code),
         plots=data.layout.codes[block] if plots is None else plots.code,
     )
