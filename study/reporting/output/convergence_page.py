@@ -122,9 +122,11 @@ def answers(cells: Sequence[Document], document: Document) -> list[str]:
     if len(cells) > 1:
         kinds = [str(cell["behaviour"]) for cell in cells]
         counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
-        lines.append(
-            f"{len(cells)} series: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()) + "."
-        )
+        line = f"{len(cells)} series: " + ", ".join(f"{n} {kind}" for kind, n in counts.items())
+        orders = [c["observed_order"] for c in cells if c["observed_order"] is not None]
+        if orders:
+            line += f"; observed orders {min(orders):.2f} to {max(orders):.2f}"
+        lines.append(f"{line}.")
     return lines
 
 
