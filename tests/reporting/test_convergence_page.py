@@ -12,6 +12,7 @@ from study.reporting.figures import convergence_figures as convergence
 from study.reporting.figures.axes import make
 from study.reporting.output.convergence_page import (
     convergence_plots,
+    series_warnings,
     sources_tables,
     write_convergence,
 )
@@ -165,6 +166,12 @@ def test_a_row_does_not_repeat_its_levels_beside_its_meshes(data):
     known = NumericalUncertainty(levels, "mu0", 20.4, 0.1, "kPa", "monotone", how)
     table = tables.numerical([known], replace(data, block="batch", blocks=("7",)))
     assert table.rows[0][-1] == "batch 7; 3 meshes of ratio 1.5"
+
+
+def test_a_warning_names_its_series_where_there_are_several():
+    cells = [cell(1.2, "quadratic"), cell(1.1, "linear")]
+    assert series_warnings(cells) == ["quadratic: beware", "linear: beware"]
+    assert series_warnings(cells[:1]) == ["beware"]
 
 
 def test_no_two_of_nine_series_look_alike():

@@ -44,13 +44,17 @@ def write_convergence(
     cells = list(document.get("cells", [document]))
     plots = convergence_plots(cells, document.get("fronts", ()), meshes, window)
     tables = [series_table(cells), *sources_tables(cells)]
-    warnings = [
+    blocks = answer_blocks(answers(cells, document), plots, tables, series_warnings(cells))
+    return write_answer("mesh convergence", name, question, blocks, out_dir, stem="convergence")
+
+
+def series_warnings(cells: Sequence[Document]) -> list[str]:
+    """Warnings of every series, each with its cell where there are several."""
+    return [
         f"{label_of(cell)}: {text}" if len(cells) > 1 else str(text)
         for cell in cells
         for text in cell.get("warnings") or ()
     ]
-    blocks = answer_blocks(answers(cells, document), plots, tables, warnings)
-    return write_answer("mesh convergence", name, question, blocks, out_dir, stem="convergence")
 
 
 def convergence_plots(
